@@ -20,6 +20,7 @@ from typer.core import TyperGroup
 from typer.main import get_command
 
 from mbtool.cli import exit_codes
+from mbtool.cli.ask import read, write
 from mbtool.cli.check import check
 from mbtool.cli.command import Command, with_plain_values
 from mbtool.cli.convert import convert
@@ -31,6 +32,7 @@ from mbtool.cli.inventory import inventory
 from mbtool.cli.leaving import leave
 from mbtool.cli.line import line
 from mbtool.cli.links import links
+from mbtool.cli.poll import poll
 from mbtool.cli.recover import recover
 from mbtool.cli.replay import replay
 from mbtool.cli.slave import slave
@@ -74,6 +76,9 @@ for command in (
     replay,
     diff,
     slave,
+    read,
+    write,
+    poll,
     links,
     line,
     demo,

@@ -153,6 +153,10 @@ class RecordOutput:
         else:
             self._print(record, self._read)
 
+    def skip(self) -> None:
+        """Count a transaction that is not printed."""
+        self._read += 1
+
     def add_table(self, table: Table) -> None:
         """Print a table of transactions, without the filter and the limit."""
         assert isinstance(self._printer, ParquetPrinter)
@@ -212,8 +216,9 @@ def open_output(
     order: SortKey | None = None,
     overwrite: bool = False,
     make_output: MakeOutput | None = None,
+    is_summed: bool = True,
 ) -> Iterator[RecordOutput]:
-    """Open an output. When its context ends, it is flushed and a summary is printed.
+    """Open an output. When its context ends, it is flushed and, if `is_summed`, a summary printed.
 
     `demand_inputs` is called before the file is opened, so that an error in an input does not
     overwrite an older output. `is_kept` is True if a log keeps the records. With `order`, all
@@ -248,11 +253,12 @@ def open_output(
             raise
         except (MbtoolError, KeyboardInterrupt):
             output.finish()
-            if not output.is_empty:
+            if is_summed and not output.is_empty:
                 say(output.sentence())
             raise
         output.finish()
-        say(output.sentence() if path is None else f"{output.sentence()} -> {path}")
+        if is_summed:
+            say(output.sentence() if path is None else f"{output.sentence()} -> {path}")
 
 
 def named_file(path: str | None) -> str | None:

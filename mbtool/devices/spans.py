@@ -1,6 +1,7 @@
 """Parses ranges of registers or bits: `HR400010..400020`, `holding 7..9`."""
 
-# A range is in the notation of one of the profiles, or in the neutral notation (references.py). The
+# A range is in the notation of one of the profiles, or in the neutral notation (references.py),
+# whose words may be shortened: `hr 16`. Its numbers are decimal, or hexadecimal as `0x10`. The
 # prefix may be left out behind the dots: `D16..17` is `D16..D17`.
 
 from __future__ import annotations
@@ -19,7 +20,19 @@ if TYPE_CHECKING:
     from mbtool.devices.model import Profile
 
 _NEUTRAL = {write_reference(None, table, 0).split()[0]: table for table in Table}
-_NEUTRAL_SPAN = re.compile(r"([a-z]+)[ :]?(\d{1,5})(?:\.\.(\d{1,5}))?", re.ASCII)
+_SHORT = {
+    "co": Table.COILS,
+    "di": Table.DISCRETE_INPUTS,
+    "hr": Table.HOLDING_REGISTERS,
+    "ir": Table.INPUT_REGISTERS,
+}
+"""Short words for the tables. Behind one there is a space or a colon, because `HR1` may be a
+reference of a vendor."""
+_NUMBER = r"(\d{1,5}|0x[0-9a-f]{1,4})"
+_NEUTRAL_SPAN = re.compile(
+    rf"(?:({'|'.join(_NEUTRAL)})[ :]?|({'|'.join(_SHORT)})[ :]){_NUMBER}(?:\.\.{_NUMBER})?",
+    re.ASCII,
+)
 _LAST_ADDRESS = 0xFFFF
 
 
@@ -41,8 +54,10 @@ def parse_span(text: str, profiles: Iterable[Profile] = ()) -> Span:
     Raises UsageError if the text is neither, or a range ends before it begins or behind 65535.
     """
     neutral = _NEUTRAL_SPAN.fullmatch(text.strip().lower())
-    if neutral is not None and neutral[1] in _NEUTRAL:
-        return _span(text, _NEUTRAL[neutral[1]], int(neutral[2]), int(neutral[3] or neutral[2]))
+    if neutral is not None:
+        word, short, first, last = neutral.groups()
+        table = _NEUTRAL[word] if word else _SHORT[short]
+        return _span(text, table, _number(first), _number(last or first))
     for profile in profiles:
         span = _in_notation(text, profile)
         if span is not None:
@@ -71,6 +86,10 @@ def _in_notation(text: str, profile: Profile) -> Span | None:
         if other is table:
             return _span(text, table, first, last)
     return None
+
+
+def _number(digits: str) -> int:
+    return int(digits, 16 if digits.startswith("0x") else 10)
 
 
 def _span(text: str, table: Table, first: int, last: int) -> Span:

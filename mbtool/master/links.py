@@ -13,7 +13,8 @@
 # One thread sends and receives: it waits in `receive` until bytes come or the timeout is over.
 #
 # Memory: the incomplete ADU in the splitter, and the numbers of pending and of lost requests, at
-# most MAX_OPEN_REQUESTS of each; the oldest is forgotten first.
+# most MAX_OPEN_REQUESTS of each; the oldest is forgotten first. Of the bytes that are no response,
+# the last MAX_UNREAD pieces since the last request are kept.
 
 from __future__ import annotations
 
@@ -30,6 +31,7 @@ from mbtool.core.limits import MAX_OPEN_REQUESTS, LinkLimits
 from mbtool.core.link_spec import ANSWERED
 from mbtool.framing import MbapSplitter, RtuStreamSplitter
 from mbtool.modbus import Adu, ascii_adu, mbap_adu, rtu_adu
+from mbtool.modbus.adu import DirectionBy, Transport
 from mbtool.ports.serial_opening import open_port, port_in_use
 from mbtool.serial_line import AsciiSplitter, RtuSplitter
 
@@ -44,6 +46,7 @@ RECONNECT_S = 0.5
 """Timeout for opening a lost connection again, in seconds. Short, as a request is waiting."""
 READ_BYTES = 4096
 LONGEST_WAIT_S = 3600.0
+MAX_UNREAD = 16
 ASK_TIMEOUT_NS = 2_000_000_000
 _POLL_S = 0.001
 """On systems that cannot wait for bytes of a serial port (Windows), it is checked every so many
@@ -65,12 +68,30 @@ class ReceivedResponse(NamedTuple):
     end_ns: int
 
 
+class Exchange(NamedTuple):
+    """A request and what came after it. Times are those of the monotonic clock, in ns."""
+
+    request: Adu
+    response: Adu | None
+    """None if no response came in time, or if the request was a broadcast."""
+    unread: tuple[Skipped, ...]
+    """Bytes that came after the request and are no ADU, such as a frame with a wrong CRC."""
+
+
 class MasterLink(ABC):
     """Sends requests and receives responses. A context manager whose exit closes the link."""
 
     limits: LinkLimits
+    transport: Transport
     _asked = 0
     """Number of requests sent by `ask`; also the `number` of its last request."""
+    _request: Adu
+    """The last request."""
+    _response: Adu | None = None
+    """The last response that belongs to a request."""
+
+    def __init__(self) -> None:
+        self._unread: deque[Skipped] = deque(maxlen=MAX_UNREAD)
 
     @abstractmethod
     def send(self, number: int, unit: int, pdu: bytes) -> None:
@@ -100,16 +121,55 @@ class MasterLink(ABC):
         `ask` numbers its requests itself, so do not also use `send` on the same link.
         Raises LinkError if a serial port is lost.
         """
+        response = self.exchange(unit, pdu).response
+        return None if response is None else response.pdu
+
+    def exchange(self, unit: int, pdu: bytes) -> Exchange:
+        """Send one request and wait for its response, as `ask` does.
+
+        On a serial line, no unit responds to a broadcast (unit 0): after the turnaround delay the
+        next request may follow. If the connection is lost, it does not wait, either. Raises
+        LinkError if a serial port is lost.
+        """
         if self.limits.pause_ns:
             time.sleep(max(2 * self.limits.pause_ns, _LEAST_ASK_PAUSE_NS) / _NS)
+        self.receive(0)  # A late response to an earlier request would be taken for this one's.
+        self._unread.clear()
         self._asked += 1
         self.send(self._asked, unit, pdu)
+        if unit == 0 and self.transport.is_serial:
+            time.sleep(self.limits.turnaround_ns / _NS)
+            return Exchange(self._request, None, ())
+        response = self._response if self._is_answered() else None
+        return Exchange(self._request, response, tuple(self._unread))
+
+    def _is_answered(self) -> bool:
+        """Wait for the response to the last request of `exchange`; False if it does not come."""
         until_ns = time.monotonic_ns() + self.limits.timeout_ns
         while (rest_ns := until_ns - time.monotonic_ns()) > 0:
-            for response in self.receive(rest_ns):
-                if response.number == self._asked:
-                    return response.pdu
-        return None
+            if self._asked in self.lost():
+                return False
+            if any(one.number == self._asked for one in self.receive(rest_ns)):
+                return True
+        return False
+
+    def _note_request(
+        self, unit: int, pdu: bytes, raw: bytes, transaction_id: int | None = None
+    ) -> None:
+        """Keep the request that has just been sent."""
+        now_ns = time.monotonic_ns()
+        self._request = Adu(
+            start_ns=now_ns,
+            end_ns=now_ns,
+            transport=self.transport,
+            direction=Direction.REQUEST,
+            direction_by=DirectionBy.PORT,
+            confidence=1.0,
+            unit=unit,
+            pdu=pdu,
+            raw=raw,
+            transaction_id=transaction_id,
+        )
 
     @abstractmethod
     def close(self) -> None: ...
@@ -147,6 +207,8 @@ class TcpMaster(MasterLink):
         self, link: TcpLink, timeout_ns: int, on_remark: Callable[[str], None] = lambda _: None
     ) -> None:
         """Connect. Raises LinkError if the slave cannot be reached."""
+        super().__init__()
+        self.transport = Transport.RTU_TCP if link.rtu else Transport.TCP
         self.limits = LinkLimits(timeout_ns=timeout_ns, one_at_a_time=link.rtu)
         self._link = link
         self._on_remark = on_remark
@@ -163,15 +225,16 @@ class TcpMaster(MasterLink):
     def send(self, number: int, unit: int, pdu: bytes) -> None:
         if self._socket is None:
             self._socket = self._reconnect()
-        if self._socket is None:
-            self._lost.append(number)
-            return
         if self._link.rtu:
             self._pending.clear()
             adu = rtu_adu(unit, pdu)
         else:
             self._last_id = self._last_id % 0xFFFF + 1
             adu = mbap_adu(self._last_id, unit, pdu)
+        self._note_request(unit, pdu, adu, None if self._link.rtu else self._last_id)
+        if self._socket is None:
+            self._lost.append(number)
+            return
         self._pending[self._last_id] = number, unit
         if len(self._pending) > MAX_OPEN_REQUESTS:
             del self._pending[next(iter(self._pending))]
@@ -213,11 +276,13 @@ class TcpMaster(MasterLink):
 
     def _matched(self, event: Adu | Skipped) -> ReceivedResponse | None:
         if not isinstance(event, Adu):
+            self._unread.append(event)
             return None
         number, unit = self._pending.get(event.transaction_id or 0, (-1, -1))
         if self._link.rtu and unit != event.unit:
             number = -1  # With Modbus/TCP the unit may differ: FA3 modules answer with their own.
         if number >= 0:
+            self._response = event
             del self._pending[event.transaction_id or 0]
         return ReceivedResponse(number, event.pdu, event.start_ns, event.end_ns)
 
@@ -263,6 +328,8 @@ class SerialMaster(MasterLink):
 
     def __init__(self, link: SerialLink, timeout_ns: int) -> None:
         """Open the port. Raises LinkError if it cannot be opened."""
+        super().__init__()
+        self.transport = Transport.ASCII if link.ascii else Transport.RTU
         self.limits = LinkLimits(
             timeout_ns=timeout_ns, one_at_a_time=True, pause_ns=link.format.t3_5_ns
         )
@@ -282,6 +349,7 @@ class SerialMaster(MasterLink):
             # The silence before the response, and the timeout, begin when the last byte of the
             # request has been sent.
             self._port.flush()
+        self._note_request(unit, pdu, adu)
 
     def receive(self, timeout_ns: int) -> Sequence[ReceivedResponse]:
         until_ns = time.monotonic_ns() + max(timeout_ns, 0)
@@ -292,6 +360,7 @@ class SerialMaster(MasterLink):
                 data = self._read(min(max(rest_ns, 0), self._link.format.t3_5_ns) / _NS)
             now_ns = time.monotonic_ns()
             events = self._splitter.feed(data, now_ns) if data else self._splitter.advance(now_ns)
+            self._unread.extend(event for event in events if not isinstance(event, Adu))
             responses = [self._matched(event) for event in events if isinstance(event, Adu)]
             if rest_ns <= 0:
                 break
@@ -319,5 +388,5 @@ class SerialMaster(MasterLink):
         number, unit = self._pending if self._pending is not None else (-1, -1)
         if unit != adu.unit:
             return ReceivedResponse(-1, adu.pdu, adu.start_ns, adu.end_ns)
-        self._pending = None
+        self._pending, self._response = None, adu
         return ReceivedResponse(number, adu.pdu, adu.start_ns, adu.end_ns)

@@ -48,19 +48,32 @@ def test_no_response_over_tcp_gives_none_and_a_late_response_is_not_taken_for_th
         assert master.ask(1, WRITE) == WRITE
 
 
-def test_a_closed_connection_gives_none_and_is_opened_again() -> None:
+def test_a_connection_that_is_closed_while_it_waits_gives_none() -> None:
     with (
         socket.create_server(("127.0.0.1", 0)) as server,
-        open_master(TcpLink(Endpoint("127.0.0.1", server.getsockname()[1])), SHORT_NS) as master,
+        open_master(TcpLink(Endpoint("127.0.0.1", server.getsockname()[1]))) as master,
+        ThreadPoolExecutor() as pool,
+    ):
+        with server.accept()[0] as accepted:
+            answer = pool.submit(master.ask, 1, READ)
+            assert accepted.recv(256) == mbap_adu(1, 1, READ)
+        assert answer.result(PATIENCE_S) is None
+
+
+def test_a_closed_connection_is_opened_again_for_the_next_request() -> None:
+    with (
+        socket.create_server(("127.0.0.1", 0)) as server,
+        open_master(TcpLink(Endpoint("127.0.0.1", server.getsockname()[1]))) as master,
+        ThreadPoolExecutor() as pool,
     ):
         server.accept()[0].close()
-        assert master.ask(1, READ) is None
+        master.receive(int(PATIENCE_S * 1e9))  # Until it is closed.
         server.settimeout(PATIENCE_S)
-        with ThreadPoolExecutor() as pool:
-            answer = pool.submit(master.ask, 1, READ)
-            with server.accept()[0] as accepted:
-                assert accepted.recv(256) == mbap_adu(2, 1, READ)
-            assert answer.result(PATIENCE_S) is None
+        answer = pool.submit(master.ask, 1, READ)
+        with server.accept()[0] as accepted:
+            assert accepted.recv(256) == mbap_adu(1, 1, READ)
+            accepted.sendall(mbap_adu(1, 1, VALUES))
+            assert answer.result(PATIENCE_S) == VALUES
 
 
 def test_the_error_names_the_slave_that_cannot_be_reached() -> None:

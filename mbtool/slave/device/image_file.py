@@ -124,7 +124,7 @@ def load_image(
                 _demand_area(profile, target, target.words)
                 driven.append(Driven(target, movement.course(recall)))
                 continue
-            values = _values(target, value, stored=only is not None)
+            values = target.all_registers(value, stored=only is not None)
             _demand_area(profile, target, len(values))
             span = range(target.address, target.address + len(values))
             if only is not None and not _is_among(target.table, span, only):
@@ -136,17 +136,6 @@ def load_image(
         except (UsageError, ValueError, OverflowError) as error:
             raise UsageError(f"{path}: {key}: {error}") from error
     return driven
-
-
-def _values(target: ValueTarget, value: object, *, stored: bool) -> list[int]:
-    if not isinstance(value, list):
-        return target.registers(value, stored=stored)
-    if not value:
-        raise UsageError("the list is empty; write a number or numbers")
-    if target.is_named and not target.is_reference:
-        raise UsageError(f"{reprlib.repr(value)}: a name is one value; list values at a reference")
-    plain = ValueTarget(target.table, target.address, None)
-    return [one for each in value for one in plain.registers(each, stored=True)]
 
 
 def _demand_area(profile: Profile, target: ValueTarget, count: int) -> None:

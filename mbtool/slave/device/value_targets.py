@@ -79,6 +79,23 @@ class ValueTarget:
             raise UsageError(f"{reprlib.repr(value)}: {self._range()}")
         return registers_of(self.point, value)
 
+    def all_registers(self, value: object, *, stored: bool = False) -> list[int]:
+        """Convert a value, or a list of contents of consecutive registers or bits.
+
+        Raises UsageError as `registers` does, for an empty list, and for a list where the key is
+        the name of a point.
+        """
+        if not isinstance(value, list):
+            return self.registers(value, stored=stored)
+        if not value:
+            raise UsageError("the list is empty; write a number or numbers")
+        if self.is_named and not self.is_reference:
+            raise UsageError(
+                f"{reprlib.repr(value)}: a name is one value; list values at a reference"
+            )
+        plain = ValueTarget(self.table, self.address, None)
+        return [one for each in value for one in plain.registers(each, stored=True)]
+
     def nearest(self, value: float) -> list[int]:
         """Convert a value in the point's unit to registers, rounded to what they can hold.
 

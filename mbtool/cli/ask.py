@@ -1,0 +1,92 @@
+"""mbtool read and mbtool write: ask a slave once, as its master."""
+
+from __future__ import annotations
+
+import sys
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from mbtool.cli import exit_codes
+from mbtool.cli.ask_options import AskOptions, LinkArgument, ReferencesArgument
+from mbtool.cli.option_groups import takes_groups
+from mbtool.cli.options import Format, TableOptionGroup
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from mbtool.cli.ask_options import AskedSlave
+    from mbtool.views.table_options import TableOptions
+
+
+@takes_groups
+def read(
+    link: LinkArgument,
+    references: ReferencesArgument,
+    *,
+    ask: AskOptions,
+    format_: Annotated[Format, typer.Option("--format", help="How to print.")] = Format.TABLE,
+    table: TableOptionGroup,
+) -> None:
+    """Read from a slave, once, as its master.
+
+    A long range is read with several requests, as many as the device's manual asks for. Exit 1 when
+    a request gets an exception or no answer.
+    """
+    asked, options = ask.read(link), table.read()
+    requests = [pdu for each in references for pdu in asked.wording.reads(each)]
+    _ask_all(asked, requests, format_, options)
+
+
+@takes_groups
+def write(
+    link: LinkArgument,
+    values: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="REFERENCE=VALUE",
+            help="What to write: HR400001=4660, 'holding 0=1,2,3', 'coil 3=on', or the name of a "
+            "point and a value in its unit. References are those of mbtool read.",
+        ),
+    ],
+    *,
+    ask: AskOptions,
+    yes: Annotated[
+        bool, typer.Option("--yes", help="Write without asking, where a terminal would be asked.")
+    ] = False,
+    format_: Annotated[Format, typer.Option("--format", help="How to print.")] = Format.TABLE,
+    table: TableOptionGroup,
+) -> None:
+    """Write to a slave, once, as its master.
+
+    At a terminal it shows what it will write, and asks. Each REFERENCE=VALUE is one request. Exit 1
+    when a request gets an exception or no answer, or when you say no.
+    """
+    asked, options = ask.read(link), table.read()
+    requests = [asked.wording.write(each) for each in values]
+    if not yes and sys.stdin is not None and sys.stdin.isatty():
+        _demand_consent(asked, values)
+    _ask_all(asked, requests, format_, options)
+
+
+def _demand_consent(asked: AskedSlave, values: Sequence[str]) -> None:
+    """Ask the user at the terminal. Raises typer.Exit if the answer is no."""
+    from mbtool.cli.talk import say
+
+    say(f"write {'; '.join(values)} to unit {asked.unit} at {asked.link}")
+    if not typer.confirm("really?", err=True):
+        say("nothing is written")
+        raise typer.Exit(exit_codes.NO)
+
+
+def _ask_all(
+    asked: AskedSlave, requests: Sequence[bytes], format_: Format, options: TableOptions
+) -> None:
+    """Send the requests, and print what came of them. Exits with 1 if one fails."""
+    from mbtool.cli.ask_options import print_asked
+    from mbtool.workflows.ask import ANSWERED_OUTCOMES
+
+    with asked.open(format_, options) as (asker, out):
+        done = [print_asked(asker, out, pdu) for pdu in requests]
+    if any(one.outcome not in ANSWERED_OUTCOMES for one in done):
+        raise typer.Exit(exit_codes.NO)

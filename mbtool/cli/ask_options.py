@@ -1,0 +1,151 @@
+"""The arguments and options that `read`, `write` and `poll` share."""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from mbtool.cli.option_groups import OptionGroup
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from mbtool.cli.options import Format
+    from mbtool.cli.output import RecordOutput
+    from mbtool.core import LinkSpec
+    from mbtool.devices import NamedTransaction, Profile
+    from mbtool.views.table_options import TableOptions
+    from mbtool.workflows.ask import Asker
+    from mbtool.workflows.shared.questions import Wording
+
+LinkArgument = Annotated[
+    str,
+    typer.Argument(
+        metavar="LINK",
+        help="Where the slave is: rtu:PORT@19200-8E1, ascii:PORT@9600-7E1, tcp:HOST:PORT or "
+        "rtu+tcp:HOST:PORT.",
+    ),
+]
+ReferencesArgument = Annotated[
+    list[str],
+    typer.Argument(
+        metavar="REFERENCE",
+        help="What to read: HR400001..400010 or the name of a point, as the device's manual writes "
+        "them (with --device); 'holding 0..9', 'coil 3', 'hr 0x10' by the address on the wire; "
+        "0..9 with --function.",
+    ),
+]
+
+
+@dataclass(frozen=True, slots=True)
+class AskOptions(OptionGroup):
+    """Who is asked, and how."""
+
+    unit: Annotated[str, typer.Option("--unit", metavar="UNIT", help="The unit to ask.")] = "1"
+    device: Annotated[
+        str | None,
+        typer.Option(
+            "--device",
+            metavar="PROFILE",
+            help="The device's profile: a built-in name (see mbtool devices) or the path of a TOML "
+            "file. It gives references, names, limits and meanings; 5=PROFILE does, too.",
+        ),
+    ] = None
+    function: Annotated[
+        str | None,
+        typer.Option(
+            "--function",
+            metavar="CODE",
+            help="The function to use: 1 to 4 to read, 5, 6, 15 or 16 to write. A REFERENCE may "
+            "then be an address alone. [default: the one for the table]",
+        ),
+    ] = None
+    timeout: Annotated[
+        float,
+        typer.Option(
+            "--timeout",
+            metavar="S",
+            min=0.001,
+            max=3600,
+            help="How long to wait for an answer, in seconds.",
+        ),
+    ] = 1.0
+
+    def read(self, link_text: str) -> AskedSlave:
+        """Read the link and the options. Raises UsageError for what is not understood."""
+        from mbtool.core import parse_link
+        from mbtool.core.link_spec import ANSWERED
+        from mbtool.core.numbers import UNITS, parse_number, parse_unit
+        from mbtool.workflows.ask import transport_of
+        from mbtool.workflows.shared.questions import Wording
+
+        link = parse_link(link_text, ANSWERED)
+        unit = parse_unit(self.unit, "--unit")
+        profile = self._profile(unit)
+        if profile is not None:
+            profile = profile.in_mode(transport_of(link))
+        code = None
+        if self.function is not None:
+            code = parse_number(self.function, "function code", UNITS, "--function")
+        return AskedSlave(link, unit, profile, Wording(profile, code), round(self.timeout * 1e9))
+
+    def _profile(self, unit: int) -> Profile | None:
+        from mbtool.core import UsageError
+        from mbtool.devices import load_profile, parse_assignment
+
+        if self.device is None:
+            return None
+        if "=" not in self.device:
+            return load_profile(self.device)
+        assignment = parse_assignment(self.device)
+        if assignment.who.unit not in (None, unit):
+            raise UsageError(f"--device {self.device}: unit {unit} is asked; see --unit")
+        return assignment.profile
+
+
+@dataclass(frozen=True, slots=True)
+class AskedSlave:
+    """The slave that is asked, with everything that the options say about it."""
+
+    link: LinkSpec
+    unit: int
+    profile: Profile | None
+    wording: Wording
+    timeout_ns: int
+
+    @contextmanager
+    def open(
+        self, format_: Format, table: TableOptions, *, is_summed: bool = True
+    ) -> Iterator[tuple[Asker, RecordOutput]]:
+        """Open the link and standard output. Raises LinkError if the slave cannot be reached."""
+        from mbtool.cli.options import condition
+        from mbtool.cli.output import open_output
+        from mbtool.cli.talk import say
+        from mbtool.master.links import open_master
+        from mbtool.workflows.ask import Asker
+
+        with open_master(self.link, self.timeout_ns, say) as master:
+            asker = Asker(master, self.link, self.unit, self.profile)
+            with open_output(
+                None,
+                format_,
+                None,
+                asker.profile_for,
+                condition(None),
+                table=table,
+                is_summed=is_summed,
+            ) as out:
+                yield asker, out
+
+
+def print_asked(asker: Asker, out: RecordOutput, pdu: bytes) -> NamedTransaction:
+    """Ask, and print the transaction, after bytes that came and are no response."""
+    transaction, events = asker.ask(pdu)
+    for event in events:
+        out.add(event)
+    out.add(transaction)
+    out.wait()
+    return transaction

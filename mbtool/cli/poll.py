@@ -1,0 +1,136 @@
+"""mbtool poll: read again and again, and show what changes."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from mbtool.cli import exit_codes
+from mbtool.cli.ask_options import AskOptions, LinkArgument, ReferencesArgument
+from mbtool.cli.option_groups import takes_groups
+from mbtool.cli.options import Format, TableOptionGroup
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from mbtool.cli.output import RecordOutput
+    from mbtool.cli.talk import Interrupt
+    from mbtool.workflows.ask import Asker, Changes, PollTally
+
+_LEAST_NS = 1_000_000
+
+
+@takes_groups
+def poll(
+    link: LinkArgument,
+    references: ReferencesArgument,
+    *,
+    every: Annotated[
+        str, typer.Option("--every", metavar="TIME", help="How often to read: 1s, 250ms, 1m30s.")
+    ] = "1s",
+    count: Annotated[
+        int | None,
+        typer.Option("--count", metavar="N", min=1, help="Stop after so many rounds."),
+    ] = None,
+    all_: Annotated[
+        bool, typer.Option("--all", help="Show each answer, and not only those that differ.")
+    ] = False,
+    ask: AskOptions,
+    format_: Annotated[Format, typer.Option("--format", help="How to print.")] = Format.TABLE,
+    table: TableOptionGroup,
+) -> None:
+    """Read from a slave again and again, as its master, until Ctrl-C.
+
+    The first answers are shown whole; from then on a row says which values have changed. At the end
+    there is a summary. With --count, exit 1 when a request gets an exception or no answer.
+    """
+    from mbtool.cli.talk import interruptible, say
+    from mbtool.workflows.ask import Changes, PollTally
+
+    period_ns = _period_ns(every)
+    asked, options = ask.read(link), table.read()
+    requests = [pdu for each in references for pdu in asked.wording.reads(each)]
+    tally = PollTally()
+    changes = None if all_ else Changes(asked.profile)
+    with (
+        interruptible() as interrupt,
+        asked.open(format_, options, is_summed=False) as (asker, out),
+    ):
+        say(f"asking unit {asked.unit} at {asked.link} every {every}; Ctrl-C ends")
+        polling = Polling(asker, out, requests, changes, tally, is_table=format_ is Format.TABLE)
+        polling.run(interrupt, period_ns, count)
+    say(tally.sentence())
+    if interrupt.asked:
+        raise typer.Exit(exit_codes.INTERRUPTED)
+    if tally.failed:
+        raise typer.Exit(exit_codes.NO)
+
+
+class Polling:
+    """Sends the same requests once in a period, and prints what came of them."""
+
+    def __init__(
+        self,
+        asker: Asker,
+        out: RecordOutput,
+        requests: Sequence[bytes],
+        changes: Changes | None,
+        tally: PollTally,
+        *,
+        is_table: bool,
+    ) -> None:
+        """`changes` is None to print every answer."""
+        self._asker = asker
+        self._out = out
+        self._requests = requests
+        self._changes = changes
+        self._tally = tally
+        self._is_table = is_table
+
+    def run(self, interrupt: Interrupt, period_ns: int, count: int | None) -> None:
+        """Poll until Ctrl-C, or for `count` rounds.
+
+        A round that takes longer than the period delays the next one; those missed are left out.
+        """
+        due_ns = time.monotonic_ns()
+        rounds = 0
+        while not interrupt.asked and rounds != count:
+            for pdu in self._requests:
+                if not interrupt.asked:
+                    self._ask(pdu)
+            self._out.wait()
+            rounds += 1
+            now_ns = time.monotonic_ns()
+            due_ns = max(due_ns + period_ns, now_ns)
+            if rounds != count:
+                interrupt.wait((due_ns - now_ns) / 1e9)
+
+    def _ask(self, pdu: bytes) -> None:
+        transaction, events = self._asker.ask(pdu)
+        self._tally.add(transaction)
+        for event in events:
+            self._out.add(event)
+        if self._changes is None:
+            self._out.add(transaction)
+            return
+        changed = self._changes.since_last(pdu, transaction)
+        if changed is None:
+            self._out.skip()
+        else:
+            self._out.add(changed if self._is_table else transaction)
+
+
+def _period_ns(text: str) -> int:
+    """Read --every. Raises UsageError for a text that is no time of 1 ms or longer."""
+    from mbtool.core import UsageError
+    from mbtool.core.moments import parse_moment
+
+    try:
+        period = parse_moment(text, "--every")
+    except UsageError:
+        period = None
+    if period is None or period.is_absolute or period.ns < _LEAST_NS:
+        raise UsageError(f"--every {text[:40]!r}: write a time such as 1s, 250ms or 1m30s")
+    return period.ns

@@ -1,0 +1,253 @@
+"""Makes requests of what a user writes: `HR400001..400010`, `holding 0`, `HR400001=4660`."""
+
+# What is read or written is named by
+#
+#     a reference             HR400001..400010, X0..XF, in the notation of the device's profile
+#     the name of a point     "CH1 digital value"; also a reference where a point begins. All its
+#                             registers are read; a value to write is in the point's unit.
+#     a table and an address  holding 0..9, hr 0x10, coil 3; addresses as on the wire, 0-based
+#     six digits              400001 (or HR400001) is holding 0, 300001 input 0, 100001 discrete 0,
+#                             000001 coil 0; only without a profile, as vendors count otherwise
+#     an address alone        0x10..0x1f, with a function, which says the table
+#
+# A range that is longer than the device or the standard allows is read with several requests. They
+# do not divide a value of several registers, as long as it fits into one request. A write is never
+# divided: a device must not have one half of it.
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from mbtool.core import Direction, UsageError
+from mbtool.devices import Profile, parse_span
+from mbtool.modbus import FUNCTIONS, encode_pdu
+from mbtool.modbus.tables import Table
+from mbtool.slave.device.value_targets import ValueTarget, ValueTargets
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from mbtool.devices import Span
+
+_READS = {
+    Table.COILS: 0x01,
+    Table.DISCRETE_INPUTS: 0x02,
+    Table.HOLDING_REGISTERS: 0x03,
+    Table.INPUT_REGISTERS: 0x04,
+}
+_WRITES = {Table.COILS: (0x05, 0x0F), Table.HOLDING_REGISTERS: (0x06, 0x10)}
+"""The functions that write one value, and several."""
+READ_FUNCTIONS = tuple(_READS.values())
+WRITE_FUNCTIONS = tuple(sorted(code for codes in _WRITES.values() for code in codes))
+
+_SIX_DIGITS = re.compile(r"(?:HR|IR|I|C)?([0134])(\d{5})", re.ASCII | re.IGNORECASE)
+_DIGIT_TABLES = {
+    "0": Table.COILS,
+    "1": Table.DISCRETE_INPUTS,
+    "3": Table.INPUT_REGISTERS,
+    "4": Table.HOLDING_REGISTERS,
+}
+_WORDS = {
+    Table.COILS: "coil",
+    Table.DISCRETE_INPUTS: "discrete",
+    Table.HOLDING_REGISTERS: "holding",
+    Table.INPUT_REGISTERS: "input",
+}
+_ADDRESS = re.compile(r"\d{1,5}|0x[0-9a-f]{1,4}", re.ASCII | re.IGNORECASE)
+_INTEGER = re.compile(r"[+-]?(?:\d{1,20}|0x[0-9a-f]{1,16})", re.ASCII | re.IGNORECASE)
+_BIT_WORDS = {"on": 1, "true": 1, "off": 0, "false": 0}
+
+
+@dataclass(frozen=True, slots=True)
+class Wording:
+    """How references are to be understood: with which profile, and for which function."""
+
+    profile: Profile | None = None
+    """The profile of the device in the mode of the link, which decides the limits."""
+    function: int | None = None
+    """The function to use; None for the one that the table needs."""
+
+    def __post_init__(self) -> None:
+        known = (*READ_FUNCTIONS, *WRITE_FUNCTIONS)
+        if self.function is not None and self.function not in known:
+            raise UsageError(
+                f"--function {self.function}: write one of {', '.join(map(str, known))}"
+            )
+
+    def reads(self, text: str) -> list[bytes]:
+        """The PDUs of the requests that read what `text` names.
+
+        Raises UsageError if it names nothing, or nothing that the function can read.
+        """
+        table, span = self._range(text)
+        code = self._code(text, table, (_READS[table],))
+        return [
+            encode_pdu(code, Direction.REQUEST, address=part.start, quantity=len(part))
+            for part in self._parts(code, table, span)
+        ]
+
+    def write(self, text: str) -> bytes:
+        """The PDU of the request for `REFERENCE=VALUE` or `REFERENCE=VALUE,VALUE`.
+
+        Raises UsageError for another form, for what cannot be written, for a value that does not
+        fit, and for more values than the device takes in one request.
+        """
+        name, equals, values_text = text.rpartition("=")
+        if not equals or not name.strip() or not values_text.strip():
+            raise UsageError(
+                f"{text!r}: write REFERENCE=VALUE, for example 'holding 0=4660', or several values "
+                "with commas: 'holding 0=1,2,3'"
+            )
+        target = self._target(name.strip())
+        if not target.table.is_writable:
+            raise UsageError(f"{name.strip()!r}: {_WORDS[target.table]}s can only be read")
+        try:
+            values = target.all_registers(_value(values_text, target))
+        except UsageError as error:
+            raise UsageError(f"{text!r}: {error}") from error
+        code = self._write_code(text, target.table, len(values))
+        if len(values) > self._limit(code):
+            raise UsageError(
+                f"{text!r}: {len(values)} values, and one request writes at most "
+                f"{self._limit(code)}; a write is not divided"
+            )
+        if code in (0x05, 0x06):
+            value = values[0] if code == 0x06 else 0xFF00 * values[0]
+            return encode_pdu(code, Direction.REQUEST, address=target.address, value=value)
+        return encode_pdu(code, Direction.REQUEST, address=target.address, values=tuple(values))
+
+    def _range(self, text: str) -> tuple[Table, range]:
+        """The table and the addresses that `text` names."""
+        if ".." in text:
+            try:
+                span = self._span(text)
+            except UsageError:
+                if self.profile is None:
+                    raise
+                named = _named(self.profile, text)  # The name of a point may have dots in it.
+                if named is None:
+                    raise
+                return named.table, _addresses(named)
+            return span.table, range(span.first, span.last + 1)
+        target = self._target(text)
+        return target.table, _addresses(target)
+
+    def _target(self, text: str) -> ValueTarget:
+        neutral = self._neutral(text)
+        if self.profile is not None:
+            return ValueTargets(self.profile).find(neutral)
+        span = self._span(text)
+        if span.last > span.first:
+            raise UsageError(f"{text!r}: name the first address, and list the values behind it")
+        return ValueTarget(span.table, span.first, None)
+
+    def _span(self, text: str) -> Span:
+        own = () if self.profile is None else (self.profile,)
+        return parse_span(self._neutral(text), own)
+
+    def _neutral(self, text: str) -> str:
+        """Six digits, and an address alone, in the neutral notation; any other text unchanged."""
+        begin, dots, end = text.strip().partition("..")
+        if self.function is not None and _ADDRESS.fullmatch(begin):
+            table = FUNCTIONS[self.function].table
+            assert table is not None
+            return f"{_WORDS[table]} {begin}{dots}{end}"
+        digits = _SIX_DIGITS.fullmatch(begin) if self.profile is None else None
+        if digits is None or digits[2] == "00000":
+            return text
+        if dots and (last := _SIX_DIGITS.fullmatch(end)) is not None and last[1] == digits[1]:
+            end = str(int(last[2]) - 1)
+        elif dots:
+            return text
+        return f"{_WORDS[_DIGIT_TABLES[digits[1]]]} {int(digits[2]) - 1}{dots}{end}"
+
+    def _code(self, text: str, table: Table, usual: Sequence[int]) -> int:
+        """The function that the user chose, or the first of the usual ones."""
+        if self.function is None:
+            return usual[0]
+        if self.function not in usual:
+            fitting = " or ".join(map(str, usual))
+            raise UsageError(
+                f"--function {self.function} does not fit {text!r}, for which it is {fitting}"
+            )
+        return self.function
+
+    def _write_code(self, text: str, table: Table, count: int) -> int:
+        one, several = _WRITES[table]
+        if count > 1:
+            return self._code(text, table, (several,))
+        lacks_one = self.profile is not None and self.profile.rule(one) is None
+        has_several = self.profile is not None and self.profile.rule(several) is not None
+        return self._code(
+            text, table, (several, one) if lacks_one and has_several else (one, several)
+        )
+
+    def _limit(self, code: int) -> int:
+        """The most registers or bits that one request may read or write."""
+        rule = None if self.profile is None else self.profile.rule(code)
+        own = None if rule is None else rule.limit
+        return FUNCTIONS[code].limit if own is None else min(own, FUNCTIONS[code].limit)
+
+    def _parts(self, code: int, table: Table, span: range) -> Iterator[range]:
+        """Divide a range into parts that one request each can read."""
+        limit, inside = self._limit(code), self._inside(table)
+        start = span.start
+        while span.stop - start > limit:
+            end = start + limit
+            while end in inside and end > start:
+                end -= 1
+            end = end if end > start else start + limit
+            yield range(start, end)
+            start = end
+        yield range(start, span.stop)
+
+    def _inside(self, table: Table) -> set[int]:
+        """The addresses of registers that are not the first of their value."""
+        if self.profile is None:
+            return set()
+        return {
+            at
+            for point in self.profile.points
+            if point.table is table and point.words > 1 and point.block is None
+            for first in point.addresses
+            for at in range(first + 1, first + point.words)
+        }
+
+
+def _named(profile: Profile, name: str) -> ValueTarget | None:
+    try:
+        return ValueTargets(profile).find(name)
+    except UsageError:
+        return None
+
+
+def _addresses(target: ValueTarget) -> range:
+    """The addresses to read for a target; a point of a block is read from the block's beginning."""
+    first = target.address
+    if target.point is not None and target.point.block is not None:
+        first = target.point.block
+    return range(first, target.address + target.words)
+
+
+def _value(text: str, target: ValueTarget) -> object:
+    """A value, or a list of them, as the user has written it."""
+    point = target.point
+    if point is not None and text.strip() in point.texts.values():
+        return text.strip()
+    if point is not None and point.length is not None and target.is_named:
+        return text  # A string may contain commas.
+    parts = [_number(part.strip(), is_bit=target.table.is_bits) for part in text.split(",")]
+    return parts[0] if len(parts) == 1 else parts
+
+
+def _number(text: str, *, is_bit: bool) -> object:
+    if is_bit and text.lower() in _BIT_WORDS:
+        return _BIT_WORDS[text.lower()]
+    if _INTEGER.fullmatch(text):
+        return int(text, 16 if "x" in text.lower() else 10)
+    try:
+        return float(text)
+    except ValueError:
+        return text

@@ -1,0 +1,82 @@
+"""What a master knows of a request and its response."""
+
+from __future__ import annotations
+
+import socket
+from concurrent.futures import ThreadPoolExecutor
+
+from mbtool.core import Endpoint, SerialLink, TcpLink
+from mbtool.master.links import open_master
+from mbtool.modbus import Response, mbap_adu, rtu_adu
+from mbtool.modbus.adu import Transport
+from mbtool.slave.shells import SerialSlave, TcpSlave
+from mbtool.sources.virtual_line import VirtualLine
+from tests.slave.scripted import PATIENCE_S, Scripted
+from tests.workflows.bench import ANY, FAST
+from tests.workflows.evidence import READ, VALUES, WRITE
+
+SHORT_NS = 200_000_000
+
+
+def test_both_adus_are_kept_as_they_were_on_the_wire() -> None:
+    script = Scripted(lambda _unit, _pdu: Response(VALUES))
+    with TcpSlave(TcpLink(ANY), script) as slave, open_master(TcpLink(slave.endpoint)) as master:
+        first, second = master.exchange(1, READ), master.exchange(5, READ)
+    assert first.response is not None
+    assert first.request.raw == mbap_adu(1, 1, READ)
+    assert first.response.raw == mbap_adu(1, 1, VALUES)
+    assert (second.request.transaction_id, second.request.unit) == (2, 5)
+    assert first.request.end_ns <= first.response.start_ns <= first.response.end_ns
+    assert first.unread == ()
+
+
+def test_rtu_over_tcp_has_no_transaction_id() -> None:
+    script = Scripted(lambda _unit, _pdu: Response(VALUES))
+    with (
+        TcpSlave(TcpLink(ANY, rtu=True), script) as slave,
+        open_master(TcpLink(slave.endpoint, rtu=True)) as master,
+    ):
+        done = master.exchange(1, READ)
+    assert (done.request.transport, done.request.transaction_id) == (Transport.RTU_TCP, None)
+    assert done.request.raw == rtu_adu(1, READ)
+
+
+def test_bytes_that_are_no_response_are_kept_beside_it() -> None:
+    wrong = b"\xff\x00\xff"  # As a line at another baud rate gives.
+    with (
+        socket.create_server(("127.0.0.1", 0)) as server,
+        open_master(TcpLink(Endpoint(*server.getsockname()), rtu=True)) as master,
+        ThreadPoolExecutor() as pool,
+        server.accept()[0] as accepted,
+    ):
+        waiting = pool.submit(master.exchange, 1, READ)
+        assert accepted.recv(256) == rtu_adu(1, READ)
+        accepted.sendall(wrong + rtu_adu(1, VALUES))
+        done = waiting.result(PATIENCE_S)
+    assert done.response is not None
+    assert done.response.raw == rtu_adu(1, VALUES)
+    assert b"".join(one.raw for one in done.unread) == wrong
+
+
+def test_a_broadcast_on_a_line_is_not_waited_for() -> None:
+    script = Scripted(lambda _unit, _pdu: None)
+    with VirtualLine(ends=2, format=FAST) as line:
+        slave, ours = (SerialLink(port, FAST) for port in line.ports)
+        with SerialSlave(slave, script), open_master(ours, 3600 * 1_000_000_000) as master:
+            done = master.exchange(0, WRITE)
+            script.await_asked(1)
+    assert done.response is None
+    assert script.asked == [(0, WRITE)]
+
+
+def test_a_late_response_is_not_taken_for_that_of_the_next_request() -> None:
+    late = Response(VALUES, delay_ns=2 * SHORT_NS)
+    script = Scripted(lambda _unit, pdu: late if pdu == READ else Response(pdu))
+    with VirtualLine(ends=2, format=FAST) as line:
+        slave, ours = (SerialLink(port, FAST) for port in line.ports)
+        with SerialSlave(slave, script), open_master(ours, SHORT_NS) as master:
+            assert master.exchange(1, READ).response is None
+            master.receive(20 * SHORT_NS)  # Until the late one has come.
+            done = master.exchange(1, WRITE)
+    assert done.response is not None
+    assert done.response.pdu == WRITE
