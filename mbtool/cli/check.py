@@ -11,7 +11,14 @@ from typing import TYPE_CHECKING, Annotated, TextIO
 import typer
 
 from mbtool.cli.option_groups import takes_groups
-from mbtool.cli.options import DeviceOption, RawOption, SilenceOptions, SourceOptions
+from mbtool.cli.options import (
+    DeviceOption,
+    EndOption,
+    RawOption,
+    SilenceOptions,
+    SourceOptions,
+    StartOption,
+)
 
 if TYPE_CHECKING:
     from mbtool.workflows.check import CheckRun, FileFinding
@@ -53,6 +60,8 @@ def check(
             "one counts.",
         ),
     ] = None,
+    start: StartOption = None,
+    end: EndOption = None,
     limit: Annotated[
         list[str] | None,
         typer.Option(
@@ -102,10 +111,12 @@ def check(
     from mbtool.cli.talk import interruptible
     from mbtool.devices.checking.security_limits import SecurityLimits
     from mbtool.workflows.check import CheckRun, CodeFilter
+    from mbtool.workflows.shared.time_window import TimeWindow
 
     options = source.read(device, raw=raw, silences=silences)
     codes = CodeFilter.parse(select or (), ignore or ())
-    run = CheckRun(files, options, codes, SecurityLimits.parse(limit or ()))
+    window = TimeWindow.parse(start, end)
+    run = CheckRun(files, options, codes, SecurityLimits.parse(limit or ()), window)
     run.demand_codes()
     demand_other_file(files, output)
     path = named_file(output)

@@ -10,9 +10,8 @@ if TYPE_CHECKING:
     from mbtool.cli.options import PortOptions, TcpPorts
     from mbtool.core import LinkSpec
     from mbtool.decode.line_timing import LineTiming
-    from mbtool.logs import LogWriter, RotatingLog
     from mbtool.ports.allowed_peers import AllowedPeers
-    from mbtool.workflows.sniff import Sniffer
+    from mbtool.workflows.sniff import Log, Sniffer
 
 
 def heard_ports(links: Sequence[LinkSpec], options: PortOptions) -> TcpPorts:
@@ -52,7 +51,7 @@ def sniffer_of(
     timing: LineTiming,
     ports: TcpPorts,
     allowed: AllowedPeers,
-    begin: Callable[[], LogWriter | RotatingLog] | None = None,
+    begin: Callable[[], Log] | None = None,
 ) -> Sniffer:
     """Make a sniffer that prints a message to the user when something goes wrong."""
     from mbtool.cli.talk import say

@@ -114,6 +114,15 @@ class TcpPorts(NamedTuple):
     any_port: bool
     """True to look for Modbus/TCP and RTU over TCP on all other ports, too."""
 
+    @property
+    def expected(self) -> frozenset[int] | None:
+        """The ports that should carry Modbus; None if mbtool looks at no others."""
+        from mbtool.core.link_spec import MODBUS_PORT
+
+        if not self.any_port:
+            return None
+        return frozenset((*self.ports, *self.rtu_ports, MODBUS_PORT))
+
 
 @dataclass(frozen=True, slots=True)
 class PortOptions(OptionGroup):

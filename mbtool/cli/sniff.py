@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from mbtool.cli.talk import Interrupt
     from mbtool.core import SerialLink
     from mbtool.devices import Assignments
-    from mbtool.workflows.sniff import Sniffer
+    from mbtool.workflows.sniff import Log, Sniffer
 
 
 @takes_groups
@@ -94,6 +94,7 @@ def sniff(
     from mbtool.logs import Rotation
     from mbtool.logs.opening import check_log_path, create_log
     from mbtool.logs.rotation import part_path
+    from mbtool.workflows.shared.checked_log import begin_checked
     from mbtool.workflows.sniff import serial_lines, with_settings
 
     if rotate is not None and write is None:
@@ -111,9 +112,9 @@ def sniff(
     if write is not None:
         check_log_path(write, overwrite=overwrite)
     specs = timing.given(with_settings(specs, say))
-    begin = None
+    begin: Callable[[], Log] | None = None
     if write is not None:
-        begin = partial(
+        create = partial(
             create_log,
             write,
             specs,
@@ -122,6 +123,7 @@ def sniff(
             overwrite=overwrite,
             **tcp_ports._asdict(),
         )
+        begin = partial(begin_checked, create, timing, serial_lines(specs), tcp_ports.expected)
     sniffer = sniffer_of(specs, timing, tcp_ports, allowed, begin)
     with interruptible() as interrupt, never_waiting(), ExitStack() as opened:
         live = partial(LiveOutput, is_kept=write is not None, is_hurried=lambda: interrupt.asked)

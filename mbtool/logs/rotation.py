@@ -21,6 +21,7 @@ from mbtool.logs.writer import LogWriter
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
+    from mbtool.devices.checking.finding import Finding
     from mbtool.logs.messages import LogItem
 
 _PATTERN = re.compile(r"(?P<number>\d{1,9})(?P<suffix>[A-Za-z]{1,2})", re.ASCII)
@@ -94,6 +95,10 @@ class RotatingLog(ClosesOnExit):
     def write(self, item: LogItem) -> None:
         self._rotate_if_due()
         self._writer.write(item)
+        self._is_empty = False
+
+    def add_finding(self, finding: Finding, known_ns: int) -> None:
+        self._writer.add_finding(finding, known_ns)
         self._is_empty = False
 
     def add_link(self, name: str, settings: Mapping[str, str]) -> None:

@@ -134,12 +134,12 @@ _DESCRIPTIONS: dict[type, dict[str, str]] = {
         **_POINT,
     },
     LogMessage: {
-        "timestamp": "When the transaction that broke the rule was complete",
+        "timestamp": "When the rule was broken, for the first time if it was several times",
         "level": "How grave it is",
         "message": "The code, the rule, and what broke it",
         "name": "The rule's code",
         "file": "The link",
-        "line": "The unit id",
+        "line": "The unit id; 0 if the finding concerns no unit",
     },
     LogTime: {"sec": "Seconds since 1970, UTC", "nsec": "Nanoseconds of the second"},
 }

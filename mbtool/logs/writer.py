@@ -47,6 +47,8 @@ from mbtool.version import __version__
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from mbtool.devices.checking.finding import Finding
+
 FLUSH_AFTER_NS = 500_000_000
 MAX_LINKS = 10_000
 OTHER_LINKS = "others"
@@ -108,6 +110,24 @@ class LogWriter(ClosesOnExit):
         else:
             topic = self._topic(item.link, "events", schemas.WIRE_EVENT)
             self._add(topic, item.ts_ns, item.ts_ns, EventMessage.of(item))
+
+    def add_finding(self, finding: Finding, known_ns: int) -> None:
+        """Add a finding that needed several records; it is certain since `known_ns`, UTC ns.
+
+        Findings about one transaction are written with it.
+        """
+        sec, nsec = divmod(max(finding.ts_ns, 0), 1_000_000_000)
+        place = finding.link if finding.unit is None else f"{finding.link} unit {finding.unit}"
+        times = f" ({finding.count} times)" if finding.count > 1 else ""
+        message = LogMessage(
+            timestamp=LogTime(sec=sec, nsec=nsec),
+            level=_LEVELS[finding.severity],
+            message=f"{finding.code} {place}: {finding.message}{times}",
+            name=finding.code,
+            file=finding.link,
+            line=finding.unit or 0,
+        )
+        self._add(self._topic("", "findings", schemas.LOG), known_ns, finding.ts_ns, message)
 
     def add_link(self, name: str, settings: Mapping[str, str]) -> None:
         """Add a link's settings as metadata: its link spec and its TCP ports."""

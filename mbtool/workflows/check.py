@@ -4,6 +4,9 @@
 # that only the live sources knew. But its transactions get their names again, from the profiles of
 # the user and of the log, so that the rules of today's profiles apply. Each capture is checked
 # separately; the files of a rotated capture are checked as one.
+#
+# Of a part of the files (a window of time), the transactions and events in it are checked as if
+# there were no others, but for the connections that were opened before.
 
 from __future__ import annotations
 
@@ -11,7 +14,7 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from mbtool.core import InputError, UsageError, WireEvent
+from mbtool.core import EventKind, InputError, UsageError, WireEvent
 from mbtool.core.link_spec import MODBUS_PORT
 from mbtool.devices import Namer, builtin_profiles, load_profile
 from mbtool.devices.checking.capture_context import CaptureContext
@@ -20,9 +23,11 @@ from mbtool.devices.checking.finding import Finding, event_finding
 from mbtool.devices.checking.rules import RULES
 from mbtool.devices.checking.security_limits import SecurityLimits
 from mbtool.devices.profile_checks import finding_prefix
+from mbtool.sources.files import STANDARD_INPUT
 from mbtool.workflows.shared.log_records import profiles_of_logs
 from mbtool.workflows.shared.model_hints import ModelHints
 from mbtool.workflows.shared.reading import Reading
+from mbtool.workflows.shared.time_window import TimeWindow
 from mbtool.workflows.shared.unreadable_lines import UnreadableLines
 
 if TYPE_CHECKING:
@@ -32,6 +37,8 @@ if TYPE_CHECKING:
     from mbtool.decode.decoder import Record
     from mbtool.devices import Profile
     from mbtool.workflows.shared.reading import ReadingOptions
+
+_CONNECTIONS = frozenset((EventKind.OPENED, EventKind.CLOSED))
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,10 +98,13 @@ class CheckRun:
         options: ReadingOptions,
         codes: CodeFilter | None = None,
         limits: SecurityLimits | None = None,
+        window: TimeWindow | None = None,
     ) -> None:
         self._codes = codes or CodeFilter()
         self._limits = limits or SecurityLimits()
+        self._window = window or TimeWindow(None, None)
         self._paths = paths
+        self._options = options
         self._line = options.line
         self.reading = Reading(paths, options)
         self._ports: frozenset[int] | None = None
@@ -138,6 +148,7 @@ class CheckRun:
         InputError is raised after all findings.
         """
         try:
+            self._find_first_request()
             for record in self.reading.records():
                 if self._checker is None or self.reading.captures != self._captures:
                     yield from self._end_capture()
@@ -148,6 +159,17 @@ class CheckRun:
             yield from self._end_capture()
             raise
         yield from self._end_capture()
+
+    def _find_first_request(self) -> None:
+        """Read the beginning of the files if the window counts from their first request."""
+        if not self._window.is_relative:
+            return
+        if STANDARD_INPUT in self._paths:
+            raise UsageError(
+                "--start and --end of standard input: give dates, such as 2026-11-22T09:14, "
+                "as it cannot be read twice"
+            )
+        next(self._window.begun(Reading(self._paths, self._options).records()), None)
 
     def _begin_capture(self) -> None:
         reading = self.reading
@@ -177,6 +199,12 @@ class CheckRun:
     def _check(self, record: Record) -> Iterator[FileFinding]:
         if self._checker is None or self._lines is None:
             return
+        if record not in self._window:
+            # Rules about connections need to know which are open when the window begins.
+            if isinstance(record, WireEvent) and record.kind in _CONNECTIONS:
+                for _ in self._checker.feed(record):
+                    pass
+            return
         self._lines.note(record)
         if not isinstance(record, WireEvent):
             self.transactions += 1
@@ -190,7 +218,7 @@ class CheckRun:
 
     def _chosen(self, findings: Iterator[Finding]) -> Iterator[FileFinding]:
         for finding in findings:
-            if self._codes.takes(finding.code):
+            if self._codes.takes(finding.code) and not self._window.is_before_ns(finding.ts_ns):
                 self.counts[finding.code] += finding.count
                 yield FileFinding(finding, self._file)
 

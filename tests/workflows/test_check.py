@@ -11,6 +11,7 @@ from mbtool.devices import Assignments, load_profile, parse_assignment, profile_
 from mbtool.logs import LogWriter
 from mbtool.workflows.check import CheckRun, CodeFilter
 from mbtool.workflows.shared.reading import ReadingOptions
+from mbtool.workflows.shared.time_window import TimeWindow
 from tests.golden.findings_captures import Bus, Net
 
 if TYPE_CHECKING:
@@ -52,6 +53,47 @@ def test_the_users_profiles_replace_those_of_the_log() -> None:
     log = FOLDER / "ft1a-touch-line.mcap"
     found = codes(log, devices=["1=idec-ft1a-smartaxis"])
     assert not [code for code in found if code.startswith("FT1A")]
+
+
+# The capture has three polls a second, a write in second 5, and a repeated request in second 7.
+def in_part(path: Path, start: str | None = None, end: str | None = None) -> CheckRun:
+    return CheckRun([str(path)], ReadingOptions(), window=TimeWindow.parse(start, end))
+
+
+@pytest.mark.parametrize(
+    ("start", "end", "transactions", "found"),
+    [
+        (None, None, 63, ["MB-402"]),
+        ("7", None, 41, ["MB-402"]),
+        ("8.5", None, 35, []),
+        (None, "7", 22, []),
+        ("2026-01-01T00:00:07", "2026-01-01T00:00:08.100", 6, ["MB-402"]),
+        ("2026-01-01T00:00:08.100", None, 35, []),
+        ("1h", None, 0, []),
+    ],
+)
+def test_only_a_part_of_a_capture_is_checked(
+    start: str | None, end: str | None, transactions: int, found: list[str]
+) -> None:
+    run = in_part(FOLDER / "plant.pcap", start, end)
+    assert [one.finding.code for one in run.findings()] == found
+    assert run.transactions == transactions
+
+
+def test_a_connection_that_was_opened_before_the_part_is_known() -> None:
+    """The third connection to a module that has two is at 0.011 s."""
+    devices = Assignments([parse_assignment("10.0.0.2=fa3-at1m8x")])
+    options = ReadingOptions(assignments=devices)
+    for start, found in (("2026-01-01T00:00:00.010", ["FA3-X2"]), ("2026-01-01T00:00:00.012", [])):
+        window = TimeWindow.parse(start, None)
+        run = CheckRun([str(FINDINGS / "FA3-X2.pcap")], options, window=window)
+        assert [one.finding.code for one in run.findings()] == found
+
+
+def test_a_part_of_standard_input_needs_dates() -> None:
+    run = CheckRun(["-"], ReadingOptions(), window=TimeWindow.parse("5", None))
+    with pytest.raises(UsageError, match="give dates"):
+        list(run.findings())
 
 
 def test_findings_are_counted_and_placed() -> None:

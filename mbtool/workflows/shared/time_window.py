@@ -49,13 +49,18 @@ class TimeWindow:
         """True if the window is the whole capture."""
         return self.start is None and self.end is None
 
+    @property
+    def is_relative(self) -> bool:
+        """True if the window's beginning or end counts from the capture's first request."""
+        return any(one is not None and not one.is_absolute for one in (self.start, self.end))
+
     def begun(self, records: Iterable[Record], *, at_once: bool = False) -> Iterator[Record]:
         """Yield all records, but hold them back until the first request is known.
 
         With `at_once`, no record is held back, for live captures: the first transaction that is
         decoded counts as the first request.
         """
-        if not any(one is not None and not one.is_absolute for one in (self.start, self.end)):
+        if not self.is_relative:
             return iter(records)
         return self._held_back(records, at_once)
 
@@ -79,11 +84,19 @@ class TimeWindow:
 
     def contains_ns(self, ts_ns: int) -> bool:
         """True if a time in UTC ns is in the window, once `begun` has yielded a record."""
-        since_ns = max(ts_ns - (self._first_ns or 0), 0)
-        start, end = self.start, self.end
-        if start is not None and (ts_ns if start.is_absolute else since_ns) < start.ns:
+        return not self._is_before(ts_ns, self.start) and (
+            self.end is None or self._is_before(ts_ns, self.end)
+        )
+
+    def is_before_ns(self, ts_ns: int) -> bool:
+        """True if a time in UTC ns is before the window, once `begun` has yielded a record."""
+        return self._is_before(ts_ns, self.start)
+
+    def _is_before(self, ts_ns: int, point: TimePoint | None) -> bool:
+        if point is None:
             return False
-        return end is None or (ts_ns if end.is_absolute else since_ns) < end.ns
+        since_ns = max(ts_ns - (self._first_ns or 0), 0)
+        return (ts_ns if point.is_absolute else since_ns) < point.ns
 
     def _note(self, record: Record) -> int:
         """Note a record that comes before the first request is known; return its time in ns."""

@@ -1,0 +1,75 @@
+"""A log of `sniff` that also gets the findings which need several transactions."""
+
+# The writer itself writes the findings about one transaction, as their codes are in it. Everything
+# that is logged goes to the same rules as in `check`. The rules hold no more than their modules
+# say. Findings that summarise a capture are written when the log is closed.
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from mbtool.core import WireEvent
+from mbtool.devices import NamedTransaction
+from mbtool.devices.checking.capture_context import CaptureContext
+from mbtool.devices.checking.checker import Checker
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping
+
+    from mbtool.core import Chunk, Packet, SerialLink
+    from mbtool.decode.line_timing import LineTiming
+    from mbtool.devices.checking.finding import Finding
+    from mbtool.logs import LogWriter, RotatingLog
+
+
+def begin_checked(
+    begin: Callable[[], LogWriter | RotatingLog],
+    timing: LineTiming,
+    lines: Mapping[str, SerialLink],
+    ports: frozenset[int] | None,
+) -> CheckedLog:
+    """Create a log with `begin`.
+
+    `lines` are the serial links by their names; `ports` are the TCP ports that should carry Modbus,
+    None for all ports.
+    """
+    formats = {name: timing.format_of(line) for name, line in lines.items()}
+    return CheckedLog(begin(), CaptureContext(timing.assignments, formats.get, ports=ports))
+
+
+class CheckedLog:
+    """Passes everything on to a log, and adds the findings."""
+
+    def __init__(self, log: LogWriter | RotatingLog, context: CaptureContext) -> None:
+        self._log = log
+        self._checker = Checker(context)
+        self._last_ns = 0
+
+    def write(self, item: Chunk | Packet | NamedTransaction | WireEvent) -> None:
+        """Write an item, and then the findings that are certain because of it.
+
+        Raises OutputError if the log cannot be written.
+        """
+        self._log.write(item)
+        if isinstance(item, NamedTransaction):
+            known_ns = item.start_ns if item.response_ns is None else item.response_ns
+            written = item.findings
+        elif isinstance(item, WireEvent):
+            known_ns, written = item.ts_ns, []
+        else:
+            return
+        self._last_ns = max(self._last_ns, known_ns)
+        self._add((one for one in self._checker.feed(item) if one.code not in written), known_ns)
+
+    def tick(self, now_ns: int) -> None:
+        self._log.tick(now_ns)
+
+    def close(self, final: Mapping[str, str]) -> None:
+        try:
+            self._add(self._checker.close(), self._last_ns)
+        finally:
+            self._log.close(final)
+
+    def _add(self, findings: Iterable[Finding], known_ns: int) -> None:
+        for finding in findings:
+            self._log.add_finding(finding, known_ns)
