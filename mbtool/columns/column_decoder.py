@@ -17,11 +17,11 @@ from __future__ import annotations
 
 import heapq
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from mbtool.columns.arrays import Bools, Int64s, Octets, gather, pieces, ranges
+from mbtool.columns.arrays import Bools, Int64s, Octets, gather, ranges
 from mbtool.columns.flows import UNKNOWN, FlowNumbers
 from mbtool.columns.headers import read_headers
 from mbtool.columns.packet_block import PacketBlock
@@ -44,9 +44,6 @@ if TYPE_CHECKING:
 
 _LINK_HEADER = np.dtype("V32")
 """The first 32 bytes of a packet: more than the link layer headers that headers.py reads."""
-_SMALLEST_ADU = 8
-_LAST_ADUS = RECENT_BYTES // _SMALLEST_ADU
-"""This many ADUs have at least RECENT_BYTES bytes."""
 
 
 @dataclass(slots=True)
@@ -54,6 +51,8 @@ class PlainRows:
     """Transactions that were read from arrays. Each array has one element per transaction."""
 
     block: PacketBlock
+    data: Octets
+    """The data of the block, and behind it the ADUs that came in pieces."""
     connections: list[Connection]
     """The connection of each stretch."""
     addresses: list[tuple[LinkAddresses | None, LinkAddresses | None]]
@@ -69,7 +68,7 @@ class PlainRows:
     """The index of the request's packet in the block."""
     response: Int64s
     request_begin: Int64s
-    """The offset of the request's ADU in the data of the block."""
+    """The offset of the request's ADU in `data`."""
     request_size: Int64s
     response_begin: Int64s
     response_size: Int64s
@@ -179,7 +178,7 @@ class _BlockPass:
 
     def run(self) -> DecodedBlock:
         index = self._segments.index
-        begins = self._rows.request_packet[self._stretches.bounds[:-1]].tolist()
+        begins = self._rows.first_packet[self._stretches.bounds[:-1]].tolist()
         due = [(packet, number, -1) for number, packet in enumerate(begins)]
         due += [(packet, -1, place) for packet, place in self._fed_segments()]
         apart = {*self._headers.hidden.tolist(), *self._headers.apart.tolist()}
@@ -198,7 +197,7 @@ class _BlockPass:
             for one in self._rows.packets(at, until, bounds[number + 1]):
                 heapq.heappush(due, (int(index[one]), -1, int(one)))
             if until < bounds[number + 1]:
-                begin = int(self._rows.request_packet[until])
+                begin = int(self._rows.first_packet[until])
                 heapq.heappush(due, (begin, number, until))
         self._pass_times(len(self._times))
         self._note_used(len(self._times))
@@ -214,7 +213,7 @@ class _BlockPass:
         """The packet index and the segment index of each segment that is in no stretch."""
         order, bounds = self._stretches.order, self._stretches.bounds
         change = np.zeros(len(order) + 1, np.int64)
-        change[self._rows.request_place[bounds[:-1]]] += 1
+        change[self._rows.first_place[bounds[:-1]]] += 1
         change[self._rows.response_place[bounds[1:] - 1] + 1] -= 1
         places = order[np.cumsum(change[:-1]) == 0]
         packets = self._segments.index[places]
@@ -244,18 +243,14 @@ class _BlockPass:
 
     def _note_used(self, until: int) -> None:
         """Mark the connections of the segments before `until` as used, in the segments' order."""
-        some = self._numbers[self._used : until]
+        newest_first = dict.fromkeys(self._numbers[self._used : until][::-1].tolist())
         self._used = max(self._used, until)
-        last = np.full(len(self._flows.ends), -1)
-        last[some] = np.arange(len(some))  # Of equal indices numpy keeps the last value.
-        flows = np.flatnonzero(last >= 0)
-        last_used = flows[np.argsort(last[flows])].tolist()
-        self._decoder.reassembler.note_used(self._flows.ends[flow] for flow in last_used)
+        self._decoder.reassembler.note_used(self._flows.ends[one] for one in reversed(newest_first))
 
     def _take(self, at: int, end: int) -> bool:
         """Take the transactions from `at` to `end` if their connection is at rest at the first."""
         rows = self._rows
-        place = int(self._stretches.order[rows.request_place[at]])
+        place = int(self._stretches.order[rows.first_place[at]])
         ends = self._flows.ends[int(self._numbers[place])]
         resting = self._decoder.at_rest(ends, self._times[place])
         if resting is None:
@@ -263,11 +258,28 @@ class _BlockPass:
         sequences = self._segments.sequence[place], self._segments.acknowledged[place]
         if sequences != (resting.place.request_sequence, resting.place.response_sequence):
             return False
-        stretch = rows.stretch(self._block, at, end)
+        stretch = rows.stretch(at, end)
         resting.pass_plain(stretch)
         self._ends_ns[resting.connection] = stretch.responses.last_ns
         self._taken.append((at, end, resting.connection.identity))
         return True
+
+
+class _Lists(NamedTuple):
+    """The same as the arrays of these names: of a few elements lists are read faster."""
+
+    first_place: list[int]
+    request_place: list[int]
+    response_place: list[int]
+    request_ns: list[int]
+    response_ns: list[int]
+    latency_ns: list[int]
+    request_begin: list[int]
+    request_size: list[int]
+    response_begin: list[int]
+    response_size: list[int]
+    transaction_id: list[int]
+    code: list[int]
 
 
 class _TransactionArrays:
@@ -277,56 +289,82 @@ class _TransactionArrays:
         found, order = stretches.transactions, stretches.order
         self._found = found
         self._order = order
-        self.request_place, self.response_place = found.request, found.response
-        """For each transaction, the index of its request's and response's segment in `order`."""
+        self._data = stretches.data
+        self.first_place, self._request_place = found.request_first, found.request
+        """For each transaction, the index in `order` of its request's first and last segment."""
+        self.response_place = found.response
         requests, responses = order[found.request], order[found.response]
-        self.request_packet = segments.index[requests]
+        self.first_packet = segments.index[order[found.request_first]]
+        self._request_packet = segments.index[requests]
         self._response_packet = segments.index[responses]
-        self._request_begin = segments.begin[requests]
-        self._response_begin = segments.begin[responses]
-        self._request_size = segments.size[requests]
-        self._response_size = segments.size[responses]
         self._request_ip_at = segments.ip_at[requests]
         self._response_ip_at = segments.ip_at[responses]
         self._request_ns = segments.ts_ns[requests]
         self._response_ns = segments.ts_ns[responses]
+        self._lists = _Lists(
+            first_place=self.first_place.tolist(),
+            request_place=self._request_place.tolist(),
+            response_place=self.response_place.tolist(),
+            request_ns=self._request_ns.tolist(),
+            response_ns=self._response_ns.tolist(),
+            latency_ns=(self._response_ns - self._request_ns).tolist(),
+            request_begin=found.request_begin.tolist(),
+            request_size=found.request_size.tolist(),
+            response_begin=found.response_begin.tolist(),
+            response_size=found.response_size.tolist(),
+            transaction_id=found.transaction_id.tolist(),
+            code=found.code.tolist(),
+        )
 
     def packets(self, at: int, until: int, end: int) -> Int64s:
         """The segments of transaction `at`, with those before `until` unless that is `end`."""
-        stop = self.response_place[at] + 1 if until == end else self.request_place[until]
-        return self._order[self.request_place[at] : stop]
+        stop = self.response_place[at] + 1 if until == end else self.first_place[until]
+        return self._order[self.first_place[at] : stop]
 
-    def stretch(self, block: PacketBlock, at: int, end: int) -> PlainStretch:
+    def stretch(self, at: int, end: int) -> PlainStretch:
         """The transactions from `at` to `end` in the form in which the Decoder takes them."""
-        some = slice(at, end)
-        first, last = int(self.request_place[at]), int(self.response_place[end - 1])
-        codes, latency_ns = self._found.code[some], self._response_ns[some] - self._request_ns[some]
-        latencies = {}
-        for code in [int(codes[0])] if (codes == codes[0]).all() else np.unique(codes).tolist():
-            latencies[code] = latency_ns[codes == code].tolist()
-        tail = slice(max(at, end - _LAST_ADUS), end)
+        some, last, lists = slice(at, end), end - 1, self._lists
+        first_place = lists.first_place[at]
+        codes, latencies_ns = lists.code[some], lists.latency_ns[some]
+        kinds = set(codes)
+        latencies = {next(iter(kinds)): latencies_ns} if len(kinds) == 1 else {}
+        if len(kinds) > 1:
+            for code, latency_ns in zip(codes, latencies_ns, strict=True):
+                latencies.setdefault(code, []).append(latency_ns)
+        begins, sizes = lists.request_begin, lists.request_size
         return PlainStretch(
             requests=PlainBytes(
-                int(self._request_size[some].sum()),
-                _tail(block, self._request_begin[tail], self._request_size[tail]),
-                int(self.request_place[end - 1]) - first + 1,
-                int(self._request_ns[end - 1]),
+                sum(sizes[some]),
+                self._tail(begins, sizes, at, end),
+                lists.request_place[last] - first_place + 1,
+                lists.request_ns[last],
             ),
             responses=PlainBytes(
-                int(self._response_size[some].sum()),
-                _tail(block, self._response_begin[tail], self._response_size[tail]),
-                last - first + 1,
-                int(self._response_ns[end - 1]),
+                sum(lists.response_size[some]),
+                self._tail(lists.response_begin, lists.response_size, at, end),
+                lists.response_place[last] - first_place + 1,
+                lists.response_ns[last],
             ),
-            last_requests=[self._request(block, one) for one in range(max(at, end - 2), end)],
-            last_response_size=int(self._response_size[end - 1]),
-            transaction_ids=self._found.transaction_id[some].tolist(),
+            last_requests=[
+                self._bytes(begins[one], sizes[one]) for one in range(max(at, end - 2), end)
+            ],
+            last_response_size=lists.response_size[last],
+            transaction_ids=lists.transaction_id[some],
             latencies=latencies,
         )
 
-    def _request(self, block: PacketBlock, index: int) -> bytes:
-        begin = int(self._request_begin[index])
-        return block.data[begin : begin + int(self._request_size[index])].tobytes()
+    def _bytes(self, begin: int, size: int) -> bytes:
+        return self._data[begin : begin + size].tobytes()
+
+    def _tail(self, begins: list[int], sizes: list[int], at: int, end: int) -> bytes:
+        """The last bytes of the ADUs from `at` to `end`: RECENT_BYTES, or all if they are fewer."""
+        adus: list[bytes] = []
+        room = RECENT_BYTES
+        while end > at and room > 0:
+            end -= 1
+            adus.append(self._bytes(begins[end], sizes[end]))
+            room -= sizes[end]
+        return b"".join(reversed(adus))[-RECENT_BYTES:]
 
     @staticmethod
     def _link_headers(block: PacketBlock, packets: Int64s, ip_at: Int64s) -> Octets:
@@ -343,14 +381,14 @@ class _TransactionArrays:
         sizes = np.array([end - first for first, end, _ in taken])
         chosen = ranges(firsts, sizes)
         connection = np.repeat(np.arange(len(taken)), sizes)
-        requests = self._link_headers(block, self.request_packet, self._request_ip_at)
+        requests = self._link_headers(block, self._request_packet, self._request_ip_at)
         responses = self._link_headers(block, self._response_packet, self._response_ip_at)
         like = np.repeat(firsts, sizes)
         has_addresses = (requests[chosen] == requests[like]).all(axis=1)
         has_addresses &= (responses[chosen] == responses[like]).all(axis=1)
         addresses = [
             (
-                link_addresses_of(block, self.request_packet[first], self._request_ip_at[first]),
+                link_addresses_of(block, self._request_packet[first], self._request_ip_at[first]),
                 link_addresses_of(block, self._response_packet[first], self._response_ip_at[first]),
             )
             for first in firsts.tolist()
@@ -359,18 +397,19 @@ class _TransactionArrays:
         chosen = chosen[order]
         return PlainRows(
             block=block,
+            data=self._data,
             connections=[one for _, _, one in taken],
             addresses=addresses,
             connection=connection[order],
             has_addresses=has_addresses[order],
             request_ip_at=self._request_ip_at[chosen],
             response_ip_at=self._response_ip_at[chosen],
-            request=self.request_packet[chosen],
+            request=self._request_packet[chosen],
             response=self._response_packet[chosen],
-            request_begin=self._request_begin[chosen],
-            request_size=self._request_size[chosen],
-            response_begin=self._response_begin[chosen],
-            response_size=self._response_size[chosen],
+            request_begin=self._found.request_begin[chosen],
+            request_size=self._found.request_size[chosen],
+            response_begin=self._found.response_begin[chosen],
+            response_size=self._found.response_size[chosen],
             request_ns=self._request_ns[chosen],
             response_ns=self._response_ns[chosen],
             transaction_id=self._found.transaction_id[chosen],
@@ -385,7 +424,3 @@ def link_addresses_of(block: PacketBlock, packet: int, ip_at: int) -> LinkAddres
     start = int(block.starts[packet])
     _, link_type = block.links[0 if block.interfaces is None else block.interfaces[packet]]
     return link_addresses(link_type, block.data[start : start + ip_at].tobytes())
-
-
-def _tail(block: PacketBlock, begins: Int64s, sizes: Int64s) -> bytes:
-    return pieces(block.data, begins, sizes)[-RECENT_BYTES:].tobytes()

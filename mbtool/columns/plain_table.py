@@ -194,7 +194,7 @@ def _words_or_none(texts: Sequence[str | None], indices: Int64s) -> pa.Array:
 
 def _raw(rows: PlainRows, begins: Int64s, sizes: Int64s) -> pa.Array:
     offsets = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int32)
-    data: Octets = pieces(rows.block.data, begins, sizes)
+    data: Octets = pieces(rows.data, begins, sizes)
     buffers = [None, pa.py_buffer(offsets), pa.py_buffer(data)]
     return pa.Array.from_buffers(pa.binary(), len(sizes), buffers)
 

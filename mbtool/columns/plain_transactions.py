@@ -66,7 +66,7 @@ class _Half(NamedTuple):
 def _adu(rows: PlainRows, direction: Direction, index: int, half: _Half) -> Adu:
     packet, ip_at, begin, size, ts_ns = (int(values[index]) for values in half)
     block = rows.block
-    raw = block.data[begin : begin + size].tobytes()
+    raw = rows.data[begin : begin + size].tobytes()
     addresses = link_addresses_of(block, packet, ip_at)
     return Adu(
         start_ns=ts_ns,

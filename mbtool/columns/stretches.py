@@ -6,6 +6,11 @@
 # whatever came before. Only the decoder knows if the connection is at rest where a stretch begins.
 #
 # A hidden packet (headers.py) may belong to any connection, so every stretch ends before it.
+#
+# Two kinds of disorder may be within a stretch. A segment that is sent again right after its first
+# copy, or after the response to it, with equal bytes and numbers, changes nothing (sent_again.py).
+# A request may come in two segments; its bytes are then put together behind the block's data, and
+# its time is that of the second one.
 
 from __future__ import annotations
 
@@ -13,8 +18,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 
-from mbtool.columns.arrays import Bools, Int64s, gather
+from mbtool.columns.arrays import Bools, Int64s, Octets, gather, pieces
+from mbtool.columns.packet_block import SPARE
+from mbtool.columns.sent_again import is_sent_again
 from mbtool.decode.network_pairing import TIMEOUT_NS
 from mbtool.framing.mbap import MAX_LENGTH, MIN_LENGTH
 from mbtool.modbus.adu_bytes import MBAP_BYTES
@@ -22,7 +30,6 @@ from mbtool.modbus.functions import EXCEPTION_BIT
 from mbtool.packets.segment import ACK
 
 if TYPE_CHECKING:
-    from mbtool.columns.arrays import Octets
     from mbtool.columns.headers import Headers, Segments
 
 _PSH = 0x08
@@ -40,9 +47,16 @@ class PlainTransactions:
     Each array has one element per transaction.
     """
 
+    request_first: Int64s
+    """The index in `Stretches.order` of the first segment with bytes of the request."""
     request: Int64s
-    """The index of the request's segment in `Stretches.order`."""
+    """The index of the segment that completed the request; mostly the same one."""
     response: Int64s
+    request_begin: Int64s
+    """The offset of the request's ADU in `Stretches.data`."""
+    request_size: Int64s
+    response_begin: Int64s
+    response_size: Int64s
     transaction_id: Int64s
     unit: Int64s
     code: Int64s
@@ -61,6 +75,25 @@ class Stretches:
     transactions: PlainTransactions
     bounds: Int64s
     """The index of each stretch's first transaction; last, the number of transactions."""
+    data: Octets
+    """The data of the block, and behind it the requests that were put together."""
+
+
+@dataclass(slots=True)
+class _Payloads:
+    """Bytes of one segment, or of two that hold one request. Each array has one element for each.
+
+    `first` and `last` are the indices of the first and the last segment in `Stretches.order`.
+    """
+
+    first: Int64s
+    last: Int64s
+    begin: Int64s
+    size: Int64s
+    ts_ns: Int64s
+    from_master: Bools
+    run: Int64s
+    """Equal for payloads between which each segment follows the one before it."""
 
 
 def find_stretches(headers: Headers, flows: Int64s, data: Octets) -> Stretches:
@@ -68,10 +101,24 @@ def find_stretches(headers: Headers, flows: Int64s, data: Octets) -> Stretches:
     segments = headers.segments
     order = np.argsort(flows, kind="stable")
     flows = flows[order]
-    breaks = np.cumsum(~_follows(segments, order, flows, headers.hidden), dtype=np.int64)
-    transactions, starts = _pair(segments, order, breaks, data)
+    kept = np.flatnonzero(~is_sent_again(segments, order, flows, data))
+    chosen = order[kept]
+    runs = np.cumsum(~_follows(segments, chosen, flows[kept], headers.hidden), dtype=np.int64)
+    places = np.flatnonzero(segments.size[chosen] > 0)
+    chosen = chosen[places]
+    payloads = _Payloads(
+        first=kept[places],
+        last=kept[places],
+        begin=segments.begin[chosen],
+        size=segments.size[chosen],
+        ts_ns=segments.ts_ns[chosen],
+        from_master=segments.from_master[chosen],
+        run=runs[places],
+    )
+    payloads, data = _joined(payloads, data)
+    transactions, starts = _pair(payloads, data)
     bounds = np.concatenate([starts, [len(transactions.request)]])
-    return Stretches(order, flows, transactions, bounds.astype(np.int64))
+    return Stretches(order, flows, transactions, bounds.astype(np.int64), data)
 
 
 def _follows(segments: Segments, order: Int64s, flows: Int64s, hidden: Int64s) -> Bools:
@@ -99,15 +146,49 @@ def _follows(segments: Segments, order: Int64s, flows: Int64s, hidden: Int64s) -
     return follows
 
 
-def _pair(
-    segments: Segments, order: Int64s, breaks: Int64s, data: Octets
-) -> tuple[PlainTransactions, Int64s]:
-    """Join requests and responses; return transactions, and the indices that begin a stretch."""
-    places = np.flatnonzero(segments.size[order] > 0)
-    chosen = order[places]
-    size, from_master = segments.size[chosen], segments.from_master[chosen]
-    ts_ns = segments.ts_ns[chosen]
-    mbap = gather(data, segments.begin[chosen], _MBAP)
+def _joined(payloads: _Payloads, data: Octets) -> tuple[_Payloads, Octets]:
+    """Put requests together that came in two segments; return the data with their bytes."""
+    is_adu, _ = _whole_adus(payloads.begin, payloads.size, data)
+    size = payloads.size
+    may_be = payloads.from_master & ~is_adu & (size < MAX_LENGTH + _LENGTH_END)
+    first = np.flatnonzero(
+        may_be[:-1]
+        & may_be[1:]
+        & (payloads.run[:-1] == payloads.run[1:])
+        & (size[:-1] + size[1:] <= MAX_LENGTH + _LENGTH_END)
+    )
+    if not len(first):
+        return payloads, data
+    halves = np.stack([first, first + 1], axis=1).ravel()
+    sizes = size[first] + size[first + 1]
+    begins = len(data) - SPARE + np.cumsum(sizes) - sizes
+    more = pieces(data, payloads.begin[halves], size[halves])
+    data = np.concatenate([data[:-SPARE], more, np.zeros(SPARE, np.uint8)])
+    is_adu, _ = _whole_adus(begins, sizes, data)
+    # Of two requests that would share a segment, the later one is left to the decoder.
+    is_adu[1:] &= ~(is_adu[:-1] & (first[1:] == first[:-1] + 1))
+    first, sizes, begins = first[is_adu], sizes[is_adu], begins[is_adu]
+    last, begin, size = payloads.last.copy(), payloads.begin.copy(), size.copy()
+    ts_ns = payloads.ts_ns.copy()
+    last[first], ts_ns[first] = payloads.last[first + 1], payloads.ts_ns[first + 1]
+    begin[first], size[first] = begins, sizes
+    stays = np.ones(len(last), np.bool_)
+    stays[first + 1] = False
+    joined = _Payloads(
+        first=payloads.first[stays],
+        last=last[stays],
+        begin=begin[stays],
+        size=size[stays],
+        ts_ns=ts_ns[stays],
+        from_master=payloads.from_master[stays],
+        run=payloads.run[stays],
+    )
+    return joined, data
+
+
+def _whole_adus(begin: Int64s, size: Int64s, data: Octets) -> tuple[Bools, npt.NDArray[np.void]]:
+    """True for each payload that is one whole ADU; and the headers of all."""
+    mbap = gather(data, begin, _MBAP)
     length = mbap["length"].astype(np.int64)
     is_adu = (
         (mbap["protocol"] == 0)
@@ -115,12 +196,19 @@ def _pair(
         & (length >= MIN_LENGTH)
         & (length <= MAX_LENGTH)
     )
-    code, broken = mbap["code"], breaks[places]
-    is_pair = np.zeros(len(places), np.bool_)
+    return is_adu, mbap
+
+
+def _pair(payloads: _Payloads, data: Octets) -> tuple[PlainTransactions, Int64s]:
+    """Join requests and responses; return transactions, and the indices that begin a stretch."""
+    from_master, run, ts_ns = payloads.from_master, payloads.run, payloads.ts_ns
+    is_adu, mbap = _whole_adus(payloads.begin, payloads.size, data)
+    code = mbap["code"]
+    is_pair = np.zeros(len(run), np.bool_)
     is_pair[:-1] = (
         (from_master[:-1] & ~from_master[1:])
         & (is_adu[:-1] & is_adu[1:])
-        & (broken[:-1] == broken[1:])
+        & (run[:-1] == run[1:])
         & (mbap["id"][:-1] == mbap["id"][1:])
         & (mbap["unit"][:-1] == mbap["unit"][1:])
         & ((code[:-1] == code[1:]) | (code[:-1] | EXCEPTION_BIT == code[1:]))
@@ -128,10 +216,15 @@ def _pair(
     )
     first = np.flatnonzero(is_pair)
     goes_on = np.zeros(len(first), np.bool_)
-    goes_on[1:] = (first[1:] == first[:-1] + 2) & (broken[first[1:]] == broken[first[:-1]])
+    goes_on[1:] = (first[1:] == first[:-1] + 2) & (run[first[1:]] == run[first[:-1]])
     found = PlainTransactions(
-        request=places[first],
-        response=places[first + 1],
+        request_first=payloads.first[first],
+        request=payloads.last[first],
+        response=payloads.last[first + 1],
+        request_begin=payloads.begin[first],
+        request_size=payloads.size[first],
+        response_begin=payloads.begin[first + 1],
+        response_size=payloads.size[first + 1],
         transaction_id=mbap["id"][first].astype(np.int64),
         unit=mbap["unit"][first].astype(np.int64),
         code=code[first].astype(np.int64),

@@ -39,7 +39,7 @@ class UsualRows:
     """Finds the plain rows of usual form, and reads the fields of their PDUs."""
 
     def __init__(self, rows: PlainRows) -> None:
-        self._data = data = rows.block.data
+        self._data = data = rows.data
         self._code = code = rows.code
         self._request = rows.request_begin + MBAP_BYTES
         self._response = rows.response_begin + MBAP_BYTES
