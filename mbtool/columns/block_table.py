@@ -25,7 +25,8 @@ class TransactionBatch:
     table: pa.Table
     """All transactions, in order, with the columns of schema.py."""
     records: list[Record]
-    """The events, in order, and the transactions decoded one by one; the table has these too."""
+    """The events, in order, without the begins and ends of connections that were passed; and the
+    transactions decoded one by one, which the table has too."""
 
 
 class BlockTables:
@@ -35,7 +36,7 @@ class BlockTables:
         self._plain = PlainTables()
 
     def batch(self, decoded: DecodedBlock) -> TransactionBatch:
-        records = sorted(decoded.records, key=lambda one: one[0])
+        records = decoded.sorted_records()
         rows = [one for _, one in records if not isinstance(one, WireEvent)]
         if decoded.plain is None:
             return TransactionBatch(row_table(rows), [one for _, one in records])

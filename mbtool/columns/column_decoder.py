@@ -9,75 +9,45 @@
 # So the Decoder owns what is known of connections, and its results are the same as if it had been
 # fed every packet. The results of a block are sorted by the packet that completed them.
 #
+# A connection that is in the block from its SYN to its FINs, and plain, is read from the arrays
+# without the Decoder (whole_connections.py), which is told that it has ended.
+#
 # A block is fed to the Decoder packet by packet if times go back in it, or if a limit of the
-# reassembler (idle connections, their number) may be reached, since the order of all packets of all
-# connections counts there.
+# reassembler (idle connections, their number) may end an open connection, since the order of all
+# packets of all connections counts there. A block with many connections is read in parts, so that
+# none of them has ended another one of its part.
 
 from __future__ import annotations
 
 import heapq
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, NamedTuple
+from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbtool.columns.arrays import Bools, Int64s, Octets, gather, ranges
 from mbtool.columns.flows import UNKNOWN, FlowNumbers
 from mbtool.columns.headers import read_headers
-from mbtool.columns.packet_block import PacketBlock
+from mbtool.columns.passed_connections import PassedConnections, pass_whole
+from mbtool.columns.plain_rows import PlainRows, TransactionArrays
 from mbtool.columns.stretches import find_stretches
-from mbtool.core import Connection, LinkAddresses
 from mbtool.decode.decoder import Record
-from mbtool.decode.plain_stretch import PlainStretch
-from mbtool.packets.link_addresses import link_addresses
-from mbtool.packets.plain_bytes import PlainBytes
+from mbtool.packets.reassembler import MAX_CONNECTIONS
 from mbtool.packets.segment import RST, SYN
-from mbtool.packets.stream import RECENT_BYTES
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Iterator
 
+    from mbtool.columns.arrays import Bools, Int64s
     from mbtool.columns.headers import Headers, Segments
+    from mbtool.columns.packet_block import PacketBlock
     from mbtool.columns.stretches import Stretches
+    from mbtool.core import Connection
     from mbtool.decode.decoder import Decoder
     from mbtool.packets.connection import TcpConnection
 
-_LINK_HEADER = np.dtype("V32")
-"""The first 32 bytes of a packet: more than the link layer headers that headers.py reads."""
-
-
-@dataclass(slots=True)
-class PlainRows:
-    """Transactions that were read from arrays. Each array has one element per transaction."""
-
-    block: PacketBlock
-    data: Octets
-    """The data of the block, and behind it the ADUs that came in pieces."""
-    connections: list[Connection]
-    """The connection of each stretch."""
-    addresses: list[tuple[LinkAddresses | None, LinkAddresses | None]]
-    """The addresses on the link layer of the first request and response of each stretch."""
-    connection: Int64s
-    """The index of the transaction's stretch in `connections` and `addresses`."""
-    has_addresses: Bools
-    """True if request and response have the same addresses as the first ones of their stretch."""
-    request_ip_at: Int64s
-    """The length, in bytes, of the link layer header of the request's packet."""
-    response_ip_at: Int64s
-    request: Int64s
-    """The index of the request's packet in the block."""
-    response: Int64s
-    request_begin: Int64s
-    """The offset of the request's ADU in `data`."""
-    request_size: Int64s
-    response_begin: Int64s
-    response_size: Int64s
-    request_ns: Int64s
-    response_ns: Int64s
-    transaction_id: Int64s
-    unit: Int64s
-    code: Int64s
-    response_code: Int64s
+_FLOWS_AT_ONCE = MAX_CONNECTIONS // 2
+"""So many flows may be opened one after the other without dropping one that is in use."""
 
 
 @dataclass(slots=True)
@@ -88,6 +58,13 @@ class DecodedBlock:
     records: list[tuple[int, Record]] = field(default_factory=list)
     """The Decoder's records in order, each with a number that sorts it among the plain rows. A
     plain row has the number that `order_of` gives for its response's packet."""
+    passed: PassedConnections | None = None
+    """Connections that were read without the Decoder; `records` lacks their begins and ends."""
+
+    def sorted_records(self, *, with_passed: bool = False) -> list[tuple[int, Record]]:
+        """The records in order, if wanted with the begins and ends of `passed`."""
+        passed = self.passed.events() if with_passed and self.passed is not None else []
+        return sorted([*passed, *self.records], key=lambda one: one[0])
 
 
 def order_of(packets: Int64s) -> Int64s:
@@ -107,10 +84,22 @@ class ColumnDecoder:
         self.plain_rows = 0
         """The number of transactions read from arrays so far."""
 
-    def feed(self, block: PacketBlock) -> DecodedBlock:
+    def feed(self, block: PacketBlock) -> Iterator[DecodedBlock]:
+        """Give the results of a block, in one or more parts."""
         headers = read_headers(block, self._ports)
         segments = headers.segments
         numbers = self._flows.numbers(segments.lower, segments.upper)
+        cuts = _cuts(segments, numbers)
+        if not cuts:
+            yield self._feed(block, headers, numbers)
+            return
+        for begin, end in pairwise((0, *cuts, len(block))):
+            part = headers.part(begin, end)
+            first = int(np.searchsorted(segments.index, begin))
+            some = numbers[first : first + len(part.segments.index)]
+            yield self._feed(block.part(begin, end), part, some)
+
+    def _feed(self, block: PacketBlock, headers: Headers, numbers: Int64s) -> DecodedBlock:
         if not self._may_skip(block, headers, numbers):
             return self._fed(block)
         stretches = find_stretches(headers, numbers, block.data)
@@ -131,11 +120,10 @@ class ColumnDecoder:
             return False
         if (segments.flags & (SYN | RST) == SYN | RST).any():
             return False
-        more = (
-            int(np.count_nonzero(np.bincount(numbers))) + len(headers.hidden) + len(headers.apart)
-        )
+        flows = [self._flows.ends[one] for one in np.unique(numbers).tolist()]
+        more = len(headers.hidden) + len(headers.apart)
         last_ns = int(block.ts_ns.max())
-        return not self._decoder.reassembler.may_drop(last_ns, more)
+        return not self._decoder.reassembler.may_drop(last_ns, flows, more)
 
     def _fed(self, block: PacketBlock) -> DecodedBlock:
         decoded = DecodedBlock()
@@ -143,6 +131,15 @@ class ColumnDecoder:
             for record in self._decoder.feed(block.packet(index)):
                 decoded.records.append((2 * index + 1, record))
         return decoded
+
+
+def _cuts(segments: Segments, numbers: Int64s) -> list[int]:
+    """The indices of the packets before which a block with many flows is cut."""
+    _, firsts = np.unique(numbers, return_index=True)
+    if len(firsts) <= _FLOWS_AT_ONCE:
+        return []
+    cuts: list[int] = segments.index[np.sort(firsts)[_FLOWS_AT_ONCE::_FLOWS_AT_ONCE]].tolist()
+    return cuts
 
 
 class _BlockPass:
@@ -165,7 +162,7 @@ class _BlockPass:
         self._numbers = numbers
         self._stretches = stretches
         self._times: list[int] = self._segments.ts_ns.tolist()
-        self._rows = _TransactionArrays(stretches, self._segments)
+        self._rows = TransactionArrays(stretches, self._segments)
         self._passed = 0
         """The segments before this index were fed, or the Decoder was told of their times."""
         self._used = 0
@@ -178,9 +175,14 @@ class _BlockPass:
 
     def run(self) -> DecodedBlock:
         index = self._segments.index
-        begins = self._rows.first_packet[self._stretches.bounds[:-1]].tolist()
-        due = [(packet, number, -1) for number, packet in enumerate(begins)]
-        due += [(packet, -1, place) for packet, place in self._fed_segments()]
+        is_whole = self._pass_whole()
+        begins = self._rows.first_packet[self._stretches.bounds[:-1]]
+        asked = np.flatnonzero(~is_whole[self._stretch_flows()])
+        due = [
+            (packet, number, -1)
+            for number, packet in zip(asked.tolist(), begins[asked].tolist(), strict=True)
+        ]
+        due += [(packet, -1, place) for packet, place in self._fed_segments(is_whole)]
         apart = {*self._headers.hidden.tolist(), *self._headers.apart.tolist()}
         due += [(packet, -1, -1) for packet in apart]
         heapq.heapify(due)
@@ -201,6 +203,7 @@ class _BlockPass:
                 heapq.heappush(due, (begin, number, until))
         self._pass_times(len(self._times))
         self._note_used(len(self._times))
+        self._decoder.reassembler.forget_excess()
         self._decoder.note_time(int(self._block.ts_ns.max()))
         for connection, end_ns in self._ends_ns.items():
             # Since the stretch was taken, the connection may have been told earlier times, of
@@ -209,13 +212,34 @@ class _BlockPass:
         self._decoded.plain = self._rows.rows(self._block, self._taken) if self._taken else None
         return self._decoded
 
-    def _fed_segments(self) -> list[tuple[int, int]]:
-        """The packet index and the segment index of each segment that is in no stretch."""
+    def _pass_whole(self) -> Bools:
+        """Take the connections that are whole and plain; return True for each of their flows."""
+        is_whole = np.zeros(len(self._flows.ends), np.bool_)
+        passed = pass_whole(self._decoder, self._flows, self._headers, self._stretches)
+        if passed is not None:
+            is_whole[passed.flow] = True
+            bounds = self._stretches.bounds
+            firsts, ends = bounds[passed.stretch].tolist(), bounds[passed.stretch + 1].tolist()
+            self._taken += zip(firsts, ends, passed.connections, strict=True)
+            self._decoded.passed = passed
+        return is_whole
+
+    def _stretch_flows(self) -> Int64s:
+        """The number of the flow of each stretch."""
+        firsts = self._rows.first_place[self._stretches.bounds[:-1]]
+        flows: Int64s = self._stretches.flows[firsts]
+        return flows
+
+    def _fed_segments(self, is_whole: Bools) -> list[tuple[int, int]]:
+        """The packet index and the segment index of each segment that is in no stretch.
+
+        The flows are left out for which `is_whole` is True.
+        """
         order, bounds = self._stretches.order, self._stretches.bounds
         change = np.zeros(len(order) + 1, np.int64)
         change[self._rows.first_place[bounds[:-1]]] += 1
         change[self._rows.response_place[bounds[1:] - 1] + 1] -= 1
-        places = order[np.cumsum(change[:-1]) == 0]
+        places = order[(np.cumsum(change[:-1]) == 0) & ~is_whole[self._stretches.flows]]
         packets = self._segments.index[places]
         return list(zip(packets.tolist(), places.tolist(), strict=True))
 
@@ -263,164 +287,3 @@ class _BlockPass:
         self._ends_ns[resting.connection] = stretch.responses.last_ns
         self._taken.append((at, end, resting.connection.identity))
         return True
-
-
-class _Lists(NamedTuple):
-    """The same as the arrays of these names: of a few elements lists are read faster."""
-
-    first_place: list[int]
-    request_place: list[int]
-    response_place: list[int]
-    request_ns: list[int]
-    response_ns: list[int]
-    latency_ns: list[int]
-    request_begin: list[int]
-    request_size: list[int]
-    response_begin: list[int]
-    response_size: list[int]
-    transaction_id: list[int]
-    code: list[int]
-
-
-class _TransactionArrays:
-    """The arrays of the transactions in all stretches of a block."""
-
-    def __init__(self, stretches: Stretches, segments: Segments) -> None:
-        found, order = stretches.transactions, stretches.order
-        self._found = found
-        self._order = order
-        self._data = stretches.data
-        self.first_place, self._request_place = found.request_first, found.request
-        """For each transaction, the index in `order` of its request's first and last segment."""
-        self.response_place = found.response
-        requests, responses = order[found.request], order[found.response]
-        self.first_packet = segments.index[order[found.request_first]]
-        self._request_packet = segments.index[requests]
-        self._response_packet = segments.index[responses]
-        self._request_ip_at = segments.ip_at[requests]
-        self._response_ip_at = segments.ip_at[responses]
-        self._request_ns = segments.ts_ns[requests]
-        self._response_ns = segments.ts_ns[responses]
-        self._lists = _Lists(
-            first_place=self.first_place.tolist(),
-            request_place=self._request_place.tolist(),
-            response_place=self.response_place.tolist(),
-            request_ns=self._request_ns.tolist(),
-            response_ns=self._response_ns.tolist(),
-            latency_ns=(self._response_ns - self._request_ns).tolist(),
-            request_begin=found.request_begin.tolist(),
-            request_size=found.request_size.tolist(),
-            response_begin=found.response_begin.tolist(),
-            response_size=found.response_size.tolist(),
-            transaction_id=found.transaction_id.tolist(),
-            code=found.code.tolist(),
-        )
-
-    def packets(self, at: int, until: int, end: int) -> Int64s:
-        """The segments of transaction `at`, with those before `until` unless that is `end`."""
-        stop = self.response_place[at] + 1 if until == end else self.first_place[until]
-        return self._order[self.first_place[at] : stop]
-
-    def stretch(self, at: int, end: int) -> PlainStretch:
-        """The transactions from `at` to `end` in the form in which the Decoder takes them."""
-        some, last, lists = slice(at, end), end - 1, self._lists
-        first_place = lists.first_place[at]
-        codes, latencies_ns = lists.code[some], lists.latency_ns[some]
-        kinds = set(codes)
-        latencies = {next(iter(kinds)): latencies_ns} if len(kinds) == 1 else {}
-        if len(kinds) > 1:
-            for code, latency_ns in zip(codes, latencies_ns, strict=True):
-                latencies.setdefault(code, []).append(latency_ns)
-        begins, sizes = lists.request_begin, lists.request_size
-        return PlainStretch(
-            requests=PlainBytes(
-                sum(sizes[some]),
-                self._tail(begins, sizes, at, end),
-                lists.request_place[last] - first_place + 1,
-                lists.request_ns[last],
-            ),
-            responses=PlainBytes(
-                sum(lists.response_size[some]),
-                self._tail(lists.response_begin, lists.response_size, at, end),
-                lists.response_place[last] - first_place + 1,
-                lists.response_ns[last],
-            ),
-            last_requests=[
-                self._bytes(begins[one], sizes[one]) for one in range(max(at, end - 2), end)
-            ],
-            last_response_size=lists.response_size[last],
-            transaction_ids=lists.transaction_id[some],
-            latencies=latencies,
-        )
-
-    def _bytes(self, begin: int, size: int) -> bytes:
-        return self._data[begin : begin + size].tobytes()
-
-    def _tail(self, begins: list[int], sizes: list[int], at: int, end: int) -> bytes:
-        """The last bytes of the ADUs from `at` to `end`: RECENT_BYTES, or all if they are fewer."""
-        adus: list[bytes] = []
-        room = RECENT_BYTES
-        while end > at and room > 0:
-            end -= 1
-            adus.append(self._bytes(begins[end], sizes[end]))
-            room -= sizes[end]
-        return b"".join(reversed(adus))[-RECENT_BYTES:]
-
-    @staticmethod
-    def _link_headers(block: PacketBlock, packets: Int64s, ip_at: Int64s) -> Octets:
-        """One row per packet: its link layer header, padded with zeros, and the header's length."""
-        headers = gather(block.data, block.starts[packets], _LINK_HEADER).view(np.uint8)
-        headers = headers.reshape(len(packets), _LINK_HEADER.itemsize)
-        headers[np.arange(_LINK_HEADER.itemsize) >= ip_at[:, None]] = 0
-        headers[:, -1] = ip_at
-        return headers
-
-    def rows(self, block: PacketBlock, taken: list[tuple[int, int, Connection]]) -> PlainRows:
-        """The rows of the transactions that were taken, in the order of their responses."""
-        firsts = np.array([first for first, _, _ in taken])
-        sizes = np.array([end - first for first, end, _ in taken])
-        chosen = ranges(firsts, sizes)
-        connection = np.repeat(np.arange(len(taken)), sizes)
-        requests = self._link_headers(block, self._request_packet, self._request_ip_at)
-        responses = self._link_headers(block, self._response_packet, self._response_ip_at)
-        like = np.repeat(firsts, sizes)
-        has_addresses = (requests[chosen] == requests[like]).all(axis=1)
-        has_addresses &= (responses[chosen] == responses[like]).all(axis=1)
-        addresses = [
-            (
-                link_addresses_of(block, self._request_packet[first], self._request_ip_at[first]),
-                link_addresses_of(block, self._response_packet[first], self._response_ip_at[first]),
-            )
-            for first in firsts.tolist()
-        ]
-        order = np.argsort(self._response_packet[chosen], kind="stable")
-        chosen = chosen[order]
-        return PlainRows(
-            block=block,
-            data=self._data,
-            connections=[one for _, _, one in taken],
-            addresses=addresses,
-            connection=connection[order],
-            has_addresses=has_addresses[order],
-            request_ip_at=self._request_ip_at[chosen],
-            response_ip_at=self._response_ip_at[chosen],
-            request=self._request_packet[chosen],
-            response=self._response_packet[chosen],
-            request_begin=self._found.request_begin[chosen],
-            request_size=self._found.request_size[chosen],
-            response_begin=self._found.response_begin[chosen],
-            response_size=self._found.response_size[chosen],
-            request_ns=self._request_ns[chosen],
-            response_ns=self._response_ns[chosen],
-            transaction_id=self._found.transaction_id[chosen],
-            unit=self._found.unit[chosen],
-            code=self._found.code[chosen],
-            response_code=self._found.response_code[chosen],
-        )
-
-
-def link_addresses_of(block: PacketBlock, packet: int, ip_at: int) -> LinkAddresses | None:
-    """The addresses in the header of the link layer of a packet, which has `ip_at` bytes."""
-    start = int(block.starts[packet])
-    _, link_type = block.links[0 if block.interfaces is None else block.interfaces[packet]]
-    return link_addresses(link_type, block.data[start : start + ip_at].tobytes())

@@ -95,6 +95,19 @@ class Headers:
     apart: Int64s
     """The indices of packets in IPv6 that may be of followed connections."""
 
+    def part(self, begin: int, end: int) -> Headers:
+        """The headers of the packets from one index to another, counted from the first of them."""
+        index = self.segments.index
+        first, last = np.searchsorted(index, (begin, end)).tolist()
+        segments = Segments(
+            *(getattr(self.segments, name)[first:last] for name in Segments.__slots__)
+        )
+        segments.index = segments.index - begin
+        hidden, apart = (
+            some[(some >= begin) & (some < end)] - begin for some in (self.hidden, self.apart)
+        )
+        return Headers(segments, hidden, apart)
+
 
 def read_headers(block: PacketBlock, ports: Iterable[int]) -> Headers:
     """Sort the packets of a block by their kind; `ports` are the TCP ports that are followed."""

@@ -69,6 +69,21 @@ class PacketBlock:
     def __len__(self) -> int:
         return len(self.starts)
 
+    def part(self, begin: int, end: int) -> PacketBlock:
+        """The packets from one index to another."""
+        some = slice(begin, end)
+        return PacketBlock(
+            data=self.data,
+            starts=self.starts[some],
+            captured=self.captured[some],
+            original=self.original[some],
+            ts_ns=self.ts_ns[some],
+            file=self.file,
+            first_number=self.first_number + begin,
+            links=self.links,
+            interfaces=None if self.interfaces is None else self.interfaces[some],
+        )
+
     def packet(self, index: int) -> Packet:
         """One packet, as the readers of packets/ give it."""
         start, captured = int(self.starts[index]), int(self.captured[index])

@@ -26,7 +26,7 @@ from mbtool.modbus.transaction import Outcome
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from mbtool.columns.column_decoder import PlainRows
+    from mbtool.columns.plain_rows import PlainRows
 
 _PAIR = np.dtype(">u2")
 

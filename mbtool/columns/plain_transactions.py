@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from mbtool.columns.column_decoder import link_addresses_of
+from mbtool.columns.plain_rows import link_addresses_of
 from mbtool.core import Direction, Origin
 from mbtool.decode.transactions import Ends, add_origins, with_response
 from mbtool.modbus.adu import Adu, DirectionBy, Transport
 from mbtool.modbus.adu_bytes import MBAP_BYTES
+from mbtool.packets.link_addresses import MAX_CACHED_HEADERS
 
 if TYPE_CHECKING:
     from mbtool.columns.arrays import Int64s
-    from mbtool.columns.column_decoder import PlainRows
+    from mbtool.columns.plain_rows import PlainRows
     from mbtool.core import LinkAddresses
     from mbtool.modbus.transaction import Transaction
 
@@ -44,6 +46,7 @@ def plain_transaction(rows: PlainRows, index: int) -> Transaction:
     return with_response(ends, request, response, 0, ())
 
 
+@lru_cache(maxsize=MAX_CACHED_HEADERS)
 def origin_fields(
     request: LinkAddresses | None, response: LinkAddresses | None
 ) -> tuple[str | None, str | None, int | None]:

@@ -22,7 +22,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from mbtool.columns.arrays import Int64s
-    from mbtool.columns.column_decoder import DecodedBlock, PlainRows
+    from mbtool.columns.column_decoder import DecodedBlock
+    from mbtool.columns.plain_rows import PlainRows
     from mbtool.decode.decoder import Record
     from mbtool.devices import NamedTransaction
 
@@ -43,7 +44,7 @@ class PollRuns:
 
     def parts(self, decoded: DecodedBlock) -> Iterator[Record | AnsweredRun]:
         """The transactions and events of a block in order; those of usual form in runs."""
-        records = sorted(decoded.records, key=lambda one: one[0])
+        records = decoded.sorted_records(with_passed=True)
         rows = decoded.plain
         if rows is None:
             yield from (record for _, record in records)

@@ -59,4 +59,5 @@ def _are_equal(segments: Segments, first: Int64s, second: Int64s, data: Octets) 
         data, segments.begin[second], sizes
     )
     counts: Int64s = np.add.reduceat(differs.astype(np.int64), np.cumsum(sizes) - sizes)
-    return counts == 0
+    is_equal: Bools = counts == 0
+    return is_equal

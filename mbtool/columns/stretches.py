@@ -77,6 +77,8 @@ class Stretches:
     """The index of each stretch's first transaction; last, the number of transactions."""
     data: Octets
     """The data of the block, and behind it the requests that were put together."""
+    sent_again: Int64s
+    """The indices in `order` of the segments that only repeat one before them."""
 
 
 @dataclass(slots=True)
@@ -101,7 +103,8 @@ def find_stretches(headers: Headers, flows: Int64s, data: Octets) -> Stretches:
     segments = headers.segments
     order = np.argsort(flows, kind="stable")
     flows = flows[order]
-    kept = np.flatnonzero(~is_sent_again(segments, order, flows, data))
+    repeats = is_sent_again(segments, order, flows, data)
+    kept = np.flatnonzero(~repeats)
     chosen = order[kept]
     runs = np.cumsum(~_follows(segments, chosen, flows[kept], headers.hidden), dtype=np.int64)
     places = np.flatnonzero(segments.size[chosen] > 0)
@@ -118,7 +121,8 @@ def find_stretches(headers: Headers, flows: Int64s, data: Octets) -> Stretches:
     payloads, data = _joined(payloads, data)
     transactions, starts = _pair(payloads, data)
     bounds = np.concatenate([starts, [len(transactions.request)]])
-    return Stretches(order, flows, transactions, bounds.astype(np.int64), data)
+    sent_again = np.flatnonzero(repeats)
+    return Stretches(order, flows, transactions, bounds.astype(np.int64), data, sent_again)
 
 
 def _follows(segments: Segments, order: Int64s, flows: Int64s, hidden: Int64s) -> Bools:

@@ -22,7 +22,7 @@ from mbtool.modbus.functions import (
 from mbtool.modbus.layouts import COIL_VALUES
 
 if TYPE_CHECKING:
-    from mbtool.columns.column_decoder import PlainRows
+    from mbtool.columns.plain_rows import PlainRows
 
 WRITE_COIL, WRITE_COILS = 0x05, 0x0F
 READ_WORDS = READ_REGISTERS - {0x17}

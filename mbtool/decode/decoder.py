@@ -192,6 +192,12 @@ class Decoder:
             return None
         return RestingConnection(connection, decoder, place)
 
+    def opens_modbus_tcp(self, ends: FlowEnds) -> bool:
+        """True if a SYN between two ends opens a connection of Modbus/TCP, and ends none."""
+        known = self._reassembler.find(ends)
+        _, lower, _, upper = ends
+        return (known is None or known.closed) and self._rtu_ports.isdisjoint((lower, upper))
+
     def pass_times(
         self, times: Sequence[int], start: int, end: int
     ) -> list[tuple[int, list[Record]]]:
@@ -397,6 +403,18 @@ _HANDLERS: dict[type[Evidence], Callable[[Decoder, Any], list[Record]]] = {
     StreamOpened: Decoder._stream_opened,
     WireEvent: Decoder._wire_event,
 }
+
+
+def opening_event(ts_ns: int, connection: Connection) -> WireEvent:
+    """The event of a connection that begins with a SYN."""
+    opened = StreamOpened(ts_ns, connection, joined=False)
+    return _connection_event(opened, EventKind.OPENED, CONNECTION_OPENED)
+
+
+def closing_event(ts_ns: int, connection: Connection) -> WireEvent:
+    """The event of a connection that both ends have ended with a FIN."""
+    closed = StreamClosed(ts_ns, connection, CloseReason.FINISHED)
+    return _connection_event(closed, EventKind.CLOSED, f"connection closed: {closed.reason}")
 
 
 def _connection_event(

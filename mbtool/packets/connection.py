@@ -140,6 +140,13 @@ class TcpConnection:
         self.last_ns = self._now_ns = responses.last_ns
         self.unanswered_probes = 0
 
+    def end_at(self, begins: tuple[int, int], sizes: tuple[int, int]) -> None:
+        """Be a closed connection of so many bytes, from these sequence numbers on."""
+        for (stream, _), begin, size in zip(self._directions, begins, sizes, strict=True):
+            stream.begin(begin)
+            stream.position = size
+        self.closed = True
+
     def note_time(self, ts_ns: int) -> None:
         self._now_ns = max(self._now_ns, ts_ns)
 

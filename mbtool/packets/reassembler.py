@@ -28,6 +28,7 @@ from __future__ import annotations
 import struct
 from bisect import bisect_left
 from collections import OrderedDict
+from itertools import islice
 from typing import TYPE_CHECKING
 
 from mbtool.core import Connection, EventKind, Origin, Packet, WireEvent
@@ -48,6 +49,8 @@ from mbtool.packets.tunnels import GRE_IN_FRAGMENTS, MAX_TUNNELS, find_inner
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
+
+    from mbtool.packets.ended_connection import EndedConnection
 
 MODBUS_PORTS = frozenset((502,))
 MAX_CONNECTIONS = 4096
@@ -78,7 +81,7 @@ class TcpReassembler:
         """
         self._ports = ports
         self._across = across
-        self._connections: OrderedDict[_Key, TcpConnection] = OrderedDict()
+        self._connections: OrderedDict[_Key, TcpConnection | EndedConnection] = OrderedDict()
         self._holding: dict[_Key, TcpConnection] = {}
         """The connections that hold bytes back, in the order in which they began to do so."""
         self._opened = 0
@@ -119,15 +122,46 @@ class TcpReassembler:
         return self._take_out()
 
     def find(self, ends: FlowEnds) -> TcpConnection | None:
-        """The connection between two ends, if flows are followed across interfaces."""
-        return self._connections.get(("", *ends))
+        """The connection between two ends, if flows are followed across interfaces.
 
-    def may_drop(self, now_ns: int, more: int) -> bool:
-        """True if a connection may be dropped until `now_ns`, if at most `more` are opened."""
-        if len(self._connections) + more > MAX_CONNECTIONS:
+        None if it is unknown, or has ended and was read elsewhere.
+        """
+        found = self._connections.get(("", *ends))
+        return found if isinstance(found, TcpConnection) else None
+
+    def may_drop(self, now_ns: int, flows: Iterable[FlowEnds], more: int = 0) -> bool:
+        """True if it may matter that connections are dropped until `now_ns`.
+
+        That is so if a connection may be dropped that is open, or is one of `flows`, of which
+        segments come. At most `more` other connections are opened.
+        """
+        known = self._connections
+        used = {("", *ends) for ends in flows}
+        excess = len(known) + len(used - known.keys()) + more - MAX_CONNECTIONS
+        if excess > len(known):
             return True
-        oldest_ns = min((one.last_ns for one in self._connections.values()), default=now_ns)
-        return now_ns - oldest_ns >= IDLE_NS
+        if any(not one.closed or key in used for key, one in islice(known.items(), max(excess, 0))):
+            return True
+        return any(
+            now_ns - one.last_ns >= IDLE_NS and (not one.closed or key in used)
+            for key, one in known.items()
+        )
+
+    def number_next(self, count: int) -> int:
+        """The number of the first of some connections that are read elsewhere."""
+        first = self._opened
+        self._opened += count
+        return first
+
+    def take_ended(self, ended: Iterable[tuple[FlowEnds, EndedConnection]]) -> None:
+        """Take connections that were read elsewhere; `forget_excess` is called afterwards."""
+        for ends, connection in ended:
+            self._connections[("", *ends)] = connection
+
+    def forget_excess(self) -> None:
+        """Drop the least recently used of too many connections; all of them have ended."""
+        while len(self._connections) > MAX_CONNECTIONS:
+            self._connections.popitem(last=False)
 
     def pass_times(
         self, times: Sequence[int], start: int, end: int
@@ -254,6 +288,8 @@ class TcpReassembler:
                 return
             if connection is not None:
                 connection.close(ts_ns, CloseReason.REPLACED)
+            elif len(self._connections) >= MAX_CONNECTIONS:
+                self._drop_oldest(ts_ns, CloseReason.DISCARDED)
             connection = self._open(segment, ts_ns, from_lower)
             self._connections[key] = connection
         self._connections.move_to_end(key)
@@ -262,7 +298,8 @@ class TcpReassembler:
         if segment.payload and packet is not None:
             addresses = link_addresses(packet.link_type, packet.data[: self._ip_at])
             origin = Origin(packet.file, packet.number, addresses)
-        if connection.feed(segment, ts_ns, from_lower=from_lower, origin=origin):
+        holds_bytes = connection.feed(segment, ts_ns, from_lower=from_lower, origin=origin)
+        if holds_bytes and isinstance(connection, TcpConnection):
             # Connections that no longer hold bytes are removed by _advance.
             self._holding[key] = connection
             if len(self._holding) > MAX_HOLDING:
@@ -283,8 +320,6 @@ class TcpReassembler:
         return (scope, destination, destination_port, source, source_port), False
 
     def _open(self, segment: TcpSegment, ts_ns: int, from_lower: bool) -> TcpConnection:
-        if len(self._connections) >= MAX_CONNECTIONS:
-            self._drop_oldest(ts_ns, CloseReason.DISCARDED)
         from_master = _is_from_master(segment, self._ports)
         source = endpoint(segment.source, segment.source_port)
         destination = endpoint(segment.destination, segment.destination_port)

@@ -56,7 +56,7 @@ class _End:
         self.sequence = sequence
 
 
-class _Poll:
+class Poll:
     """A connection between a master and a slave."""
 
     def __init__(self, number: int, port: int, rng: random.Random) -> None:
@@ -85,8 +85,8 @@ class _Poll:
         data = self._rng.randbytes(2 * REGISTERS)
         return request[:2] + struct.pack(">HHBBB", 0, 3 + len(data), _UNIT, 3, len(data)) + data
 
-    def asks(self, data: bytes) -> bytes:
-        return self._send(self.master, data, ACK | PSH)
+    def asks(self, data: bytes, flags: int = ACK | PSH) -> bytes:
+        return self._send(self.master, data, flags)
 
     def answers(self, data: bytes) -> bytes:
         return self._send(self.slave, data, ACK | PSH)
@@ -120,7 +120,7 @@ def _frame(sender: _End, other: _End, acknowledged: int, flags: int, data: bytes
 
 def clean(packets: int, rng: random.Random) -> Iterator[tuple[bytes, int]]:
     """Polling in order: two packets for each transaction."""
-    polls = [_Poll(number, 40_000 + number, rng) for number in range(CONNECTIONS)]
+    polls = [Poll(number, 40_000 + number, rng) for number in range(CONNECTIONS)]
     for poll in polls:
         yield from ((frame, 0) for frame in poll.open())
     for number in range((packets - 3 * CONNECTIONS) // 2):
@@ -136,7 +136,7 @@ def dirty(packets: int, rng: random.Random) -> Iterator[tuple[bytes, int]]:
 
 
 def _cut_and_joined(packets: int, rng: random.Random) -> Iterator[tuple[bytes, int]]:
-    polls = [_Poll(number, 40_000 + number, rng) for number in range(CONNECTIONS)]
+    polls = [Poll(number, 40_000 + number, rng) for number in range(CONNECTIONS)]
     for poll in polls:
         yield from ((frame, 0) for frame in poll.open())
     for number in range((packets - 3 * CONNECTIONS) // 2):
@@ -178,7 +178,7 @@ def _disordered(
 def per_poll(packets: int, rng: random.Random) -> Iterator[tuple[bytes, int]]:
     """A connection of its own for each transaction."""
     for number in range(packets // 8):
-        poll = _Poll(number % CONNECTIONS, 1024 + number % 60_000, rng)
+        poll = Poll(number % CONNECTIONS, 1024 + number % 60_000, rng)
         yield from ((frame, 0) for frame in poll.open())
         request = poll.request()
         yield poll.asks(request), 0

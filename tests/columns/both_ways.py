@@ -1,7 +1,7 @@
 """Decodes a capture both ways: packet by packet, and with plain stretches read as arrays.
 
 `python -m tests.columns.both_ways --captures 1000` compares the two on so many generated captures,
-cut in blocks of several sizes.
+cut in blocks of several sizes: simulated plants and many short connections in turn.
 """
 
 from __future__ import annotations
@@ -24,12 +24,14 @@ from mbtool.decode.decoder import Decoder
 from mbtool.devices import Namer
 from mbtool.packets import read_capture
 from tests.adversary.network import ALL_LOSSES, MASTERS, simulate
+from tests.columns.disturbed_captures import disturbed
 from tests.packets.building import pcap
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from typing import BinaryIO
 
+    from mbtool.columns.column_decoder import DecodedBlock
     from mbtool.decode.decoder import Record
 
 PORTS = (502,)
@@ -64,20 +66,26 @@ def packet_by_packet(capture: bytes) -> Outcome:
 def as_arrays(capture: bytes, block_packets: int = packet_block.BLOCK_PACKETS) -> Outcome:
     decoder = ColumnDecoder(Decoder(Namer(), ports=PORTS, across=True), PORTS)
     tables = BlockTables()
-    batches = []
+    tables_made, events = [], []
+
+    def note(decoded: DecodedBlock) -> None:
+        tables_made.append(without_dictionaries(tables.batch(decoded).table))
+        for _, record in decoded.sorted_records(with_passed=True):
+            if isinstance(record, WireEvent):
+                events.append(record)
+
     error = None
     stream: BinaryIO = io.BufferedReader(io.BytesIO(capture))
     with patch.object(packet_block, "BLOCK_PACKETS", block_packets):
         try:
             for block in read_blocks(stream, NAME):
-                batches.append(tables.batch(decoder.feed(block)))
+                for decoded in decoder.feed(block):
+                    note(decoded)
         except InputError as one:
             error = str(one)
-    batches.append(tables.batch(decoder.close()))
-    table = pa.concat_tables([without_dictionaries(one.table) for one in batches])
-    records = [record for batch in batches for record in batch.records]
-    events = [one for one in records if isinstance(one, WireEvent)]
-    return Outcome(table.combine_chunks(), events, error, decoder.plain_rows)
+    note(decoder.close())
+    table = pa.concat_tables(tables_made).combine_chunks()
+    return Outcome(table, events, error, decoder.plain_rows)
 
 
 def without_dictionaries(table: pa.Table) -> pa.Table:
@@ -128,7 +136,7 @@ def main() -> None:
     plain = rows = differing = 0
     for number in range(options.first, options.first + options.captures):
         rng = random.Random(f"cut {number}")
-        capture = damaged(generated(number), rng)
+        capture = damaged(disturbed(number) if number % 2 else generated(number), rng)
         size = rng.choice((3, 17, 100, 65_536))
         found: Sequence[str] = differences(capture, size)
         read = as_arrays(capture, size)

@@ -6,6 +6,7 @@ import random
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from unittest.mock import patch
 
 import pytest
 from hypothesis import given, settings
@@ -15,6 +16,7 @@ from mbtool.core import Direction
 from mbtool.modbus import encode_pdu, exception_pdu, mbap_adu
 from tests.captures import public_folder
 from tests.columns.both_ways import as_arrays, damaged, differences, generated
+from tests.columns.disturbed_captures import disturbed
 from tests.packets.building import Pcapng, Talk, pcap
 
 if TYPE_CHECKING:
@@ -39,9 +41,55 @@ def poll(
 
 def test_a_clean_poll_is_read_as_arrays_but_for_its_beginning() -> None:
     talk = Talk()
-    capture = pcap([*talk.handshake(), *poll(talk, 50), *talk.goodbye()])
+    capture = pcap([*talk.handshake(), *poll(talk, 50)])
     assert differences(capture) == []
     assert as_arrays(capture).plain == 49
+
+
+def test_a_connection_that_the_capture_has_whole_is_read_as_arrays() -> None:
+    talk = Talk()
+    capture = pcap([*talk.handshake(), *poll(talk, 50), *talk.goodbye()])
+    assert differences(capture) == []
+    assert as_arrays(capture).plain == 50
+    assert differences(capture, 60) == []
+
+
+@pytest.mark.parametrize("flows_at_once", [3, 2048])
+def test_connections_of_one_poll_each_are_read_as_arrays(flows_at_once: int) -> None:
+    packets: list[Packet] = []
+    for number in range(40):
+        talk = Talk(ts_ns=1_000_000_000 * number)
+        talk.master.port += number % 12
+        talk.master.sequence += 70_000 * number
+        packets += [*talk.handshake(), *poll(talk, 1), *talk.goodbye()]
+    with patch("mbtool.columns.column_decoder._FLOWS_AT_ONCE", flows_at_once):
+        assert differences(pcap(packets)) == []
+        assert as_arrays(pcap(packets)).plain == 40
+
+
+def test_a_late_copy_of_a_packet_of_an_ended_connection_gives_equal_results() -> None:
+    talk = Talk()
+    whole = [*talk.handshake(), *poll(talk, 2), *talk.goodbye()]
+    for late in whole:
+        packets = [*whole, replace(late, ts_ns=whole[-1].ts_ns + 1000)]
+        assert differences(pcap(packets)) == []
+        assert differences(pcap(packets), len(whole)) == []
+        assert as_arrays(pcap(packets), len(whole)).plain == 2
+
+
+def test_a_request_in_two_segments_and_segments_sent_again_are_read_as_arrays() -> None:
+    talk = Talk()
+    packets = [*talk.handshake(), *poll(talk, 3)]
+    for cut in range(1, 12):
+        request = mbap_adu(cut, 17, READ)
+        packets += [talk.request(request[:cut]), talk.request(request[cut:])]
+        packets.append(talk.response(mbap_adu(cut, 17, VALUES)))
+    packets += poll(talk, 3)
+    assert differences(pcap(packets)) == []
+    assert as_arrays(pcap(packets)).plain == 16
+    again = [one for one in packets[3:] for _ in range(2)]
+    assert differences(pcap(packets[:3] + again)) == []
+    assert as_arrays(pcap(packets[:3] + again)).plain == 16 - 2  # A single byte may be a probe.
 
 
 MASKS = {"address": 7, "and_mask": 1, "or_mask": 2}
@@ -81,7 +129,7 @@ def test_each_form_of_pdu_gives_equal_columns(
     packets += poll(talk, 4, request, exception_pdu(code, 2) if refused else response)
     packets += [*poll(talk, 3), *talk.goodbye()]
     assert differences(pcap(packets)) == []
-    assert as_arrays(pcap(packets)).plain == 9
+    assert as_arrays(pcap(packets)).plain == 10
 
 
 @pytest.mark.parametrize(
@@ -100,6 +148,18 @@ def test_simulated_plants_give_equal_results(number: int) -> None:
     rng = random.Random(number)
     capture = damaged(generated(number), rng)
     assert differences(capture, rng.choice((3, 17, 100, 65_536))) == []
+
+
+@pytest.mark.parametrize("number", range(24))
+def test_many_short_connections_with_disorder_give_equal_results(number: int) -> None:
+    capture = disturbed(number)
+    limit = 10 if number % 3 else 4096
+    with (
+        patch("mbtool.packets.reassembler.MAX_CONNECTIONS", limit),
+        patch("mbtool.decode.decoder.MAX_CONNECTIONS", limit),
+        patch("mbtool.columns.column_decoder._FLOWS_AT_ONCE", limit // 2),
+    ):
+        assert differences(capture, 100 if number % 2 else 65_536) == []
 
 
 def test_a_connection_is_told_the_time_while_its_stretch_goes_on() -> None:

@@ -45,14 +45,14 @@ def _with(packet: Packet, data: bytes) -> Packet:
 @pytest.mark.parametrize(
     ("change", "plain"),
     [
-        (tagged, 19),
-        (lambda one: tagged(one, VLAN * 2), 19),
+        (tagged, 20),
+        (lambda one: tagged(one, VLAN * 2), 20),
         (lambda one: tagged(one, VLAN * 3), 0),
-        (cooked, 19),
-        (raw, 19),
+        (cooked, 20),
+        (raw, 20),
         (lambda one: _with(one, erspan(one.data)), 0),
         (lambda one: _with(one, vxlan(one.data)), 0),
-        (lambda one: _with(one, one.data + b"padding"), 19),
+        (lambda one: _with(one, one.data + b"padding"), 20),
         (lambda one: replace(one, link_type=108), 0),
     ],
     ids=["vlan", "two vlans", "three vlans", "cooked", "raw", "erspan", "vxlan", "padding", "loop"],
@@ -80,7 +80,7 @@ def test_a_segment_in_ipv6_is_apart_and_ends_no_stretch() -> None:
     assert headers.apart.tolist() == [12]
     assert headers.hidden.tolist() == []
     assert differences(pcap(packets)) == []
-    assert as_arrays(pcap(packets)).plain == 19
+    assert as_arrays(pcap(packets)).plain == 20
 
 
 def test_a_packet_that_is_cut_anywhere_in_its_headers_gives_equal_results() -> None:

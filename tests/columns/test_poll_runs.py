@@ -50,7 +50,8 @@ def in_runs(capture: bytes) -> Iterator[Record | AnsweredRun]:
     runs = PollRuns()
     try:
         for block in read_blocks(io.BufferedReader(io.BytesIO(capture)), NAME):
-            yield from runs.parts(decoder.feed(block))
+            for decoded in decoder.feed(block):
+                yield from runs.parts(decoded)
     except InputError:
         pass
     yield from runs.parts(decoder.close())

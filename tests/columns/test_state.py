@@ -24,6 +24,7 @@ from tests.packets.building import Talk
 def known(decoder: Decoder) -> dict[str, Any]:
     """All that a decoder with one connection knows of it."""
     (connection,) = decoder.reassembler._connections.values()
+    assert isinstance(connection, TcpConnection)
     (detector,) = decoder._detectors.values()
     inner = detector._candidates[0].decoder
     pairing = vars(inner._pairing) | {"_habits": vars(inner._pairing._habits)}
@@ -60,6 +61,6 @@ def test_the_decoder_knows_the_same(transactions: int, varied: bool) -> None:
     for packet in packets:
         one.feed(packet)
     columns = ColumnDecoder(other, PORTS)
-    columns.feed(_block_of(packets))
+    assert len([*columns.feed(_block_of(packets))]) == 1
     assert columns.plain_rows == transactions - 1 + 4 * varied
     assert known(one) == known(other)

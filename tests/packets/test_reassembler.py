@@ -3,6 +3,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import replace
 from typing import TYPE_CHECKING
+from unittest.mock import patch
 
 import pytest
 from hypothesis import given
@@ -177,6 +178,18 @@ def test_the_least_recently_used_connection_is_discarded_above_the_limit() -> No
     (closed,) = [item for item in items if isinstance(item, StreamClosed)]
     assert closed.reason is CloseReason.DISCARDED
     assert closed.connection.master.port == 10001
+
+
+def test_a_connection_that_replaces_another_takes_no_other_place() -> None:
+    reassembler = TcpReassembler()
+    items = []
+    with patch("mbtool.packets.reassembler.MAX_CONNECTIONS", 2):
+        for port, sequence in ((10000, 1000), (10001, 1000), (10001, 9000)):
+            talk = Talk(master=End(MASTER, port, sequence))
+            items += run_packets(talk.handshake(), reassembler, close=False)
+
+    (closed,) = [item for item in items if isinstance(item, StreamClosed)]
+    assert (closed.reason, closed.connection.master.port) == (CloseReason.REPLACED, 10001)
 
 
 def test_an_idle_connection_is_forgotten() -> None:

@@ -86,7 +86,8 @@ class ColumnReading(PartReading):
             try:
                 for block in capture.guarded(read_blocks(capture.stream, capture.name)):
                     self._note_block(capture, block)
-                    yield self._noted(columns.feed(block))
+                    for decoded in columns.feed(block):
+                        yield self._noted(decoded)
             except InputError as error:
                 broken = error
         yield columns.close()

@@ -1,0 +1,229 @@
+"""Holds the transactions in the plain stretches of a block as arrays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from mbtool.columns.arrays import Bools, Int64s, Octets, gather, ranges
+from mbtool.columns.packet_block import PacketBlock
+from mbtool.core import Connection, LinkAddresses
+from mbtool.decode.plain_stretch import PlainStretch
+from mbtool.packets.link_addresses import link_addresses
+from mbtool.packets.plain_bytes import PlainBytes
+from mbtool.packets.stream import RECENT_BYTES
+
+if TYPE_CHECKING:
+    from mbtool.columns.headers import Segments
+    from mbtool.columns.stretches import Stretches
+
+_LINK_HEADER = np.dtype("V32")
+"""The first 32 bytes of a packet: more than the link layer headers that headers.py reads."""
+
+
+@dataclass(slots=True)
+class PlainRows:
+    """Transactions that were read from arrays. Each array has one element per transaction."""
+
+    block: PacketBlock
+    data: Octets
+    """The data of the block, and behind it the ADUs that came in pieces."""
+    connections: list[Connection]
+    """The connection of each stretch."""
+    addresses: list[tuple[LinkAddresses | None, LinkAddresses | None]]
+    """The addresses on the link layer of the first request and response of each stretch."""
+    connection: Int64s
+    """The index of the transaction's stretch in `connections` and `addresses`."""
+    has_addresses: Bools
+    """True if request and response have the same addresses as the first ones of their stretch."""
+    request_ip_at: Int64s
+    """The length, in bytes, of the link layer header of the request's packet."""
+    response_ip_at: Int64s
+    request: Int64s
+    """The index of the request's packet in the block."""
+    response: Int64s
+    request_begin: Int64s
+    """The offset of the request's ADU in `data`."""
+    request_size: Int64s
+    response_begin: Int64s
+    response_size: Int64s
+    request_ns: Int64s
+    response_ns: Int64s
+    transaction_id: Int64s
+    unit: Int64s
+    code: Int64s
+    response_code: Int64s
+
+
+class _Lists(NamedTuple):
+    """The same as the arrays of these names: of a few elements lists are read faster."""
+
+    first_place: list[int]
+    request_place: list[int]
+    response_place: list[int]
+    request_ns: list[int]
+    response_ns: list[int]
+    latency_ns: list[int]
+    request_begin: list[int]
+    request_size: list[int]
+    response_begin: list[int]
+    response_size: list[int]
+    transaction_id: list[int]
+    code: list[int]
+
+
+class TransactionArrays:
+    """The arrays of the transactions in all stretches of a block."""
+
+    def __init__(self, stretches: Stretches, segments: Segments) -> None:
+        found, order = stretches.transactions, stretches.order
+        self._found = found
+        self._order = order
+        self._data = stretches.data
+        self.first_place, self._request_place = found.request_first, found.request
+        """For each transaction, the index in `order` of its request's first and last segment."""
+        self.response_place = found.response
+        requests, responses = order[found.request], order[found.response]
+        self.first_packet = segments.index[order[found.request_first]]
+        self._request_packet = segments.index[requests]
+        self._response_packet = segments.index[responses]
+        self._request_ip_at = segments.ip_at[requests]
+        self._response_ip_at = segments.ip_at[responses]
+        self._request_ns = segments.ts_ns[requests]
+        self._response_ns = segments.ts_ns[responses]
+        self._lists = _Lists(
+            first_place=self.first_place.tolist(),
+            request_place=self._request_place.tolist(),
+            response_place=self.response_place.tolist(),
+            request_ns=self._request_ns.tolist(),
+            response_ns=self._response_ns.tolist(),
+            latency_ns=(self._response_ns - self._request_ns).tolist(),
+            request_begin=found.request_begin.tolist(),
+            request_size=found.request_size.tolist(),
+            response_begin=found.response_begin.tolist(),
+            response_size=found.response_size.tolist(),
+            transaction_id=found.transaction_id.tolist(),
+            code=found.code.tolist(),
+        )
+
+    def packets(self, at: int, until: int, end: int) -> Int64s:
+        """The segments of transaction `at`, with those before `until` unless that is `end`."""
+        stop = self.response_place[at] + 1 if until == end else self.first_place[until]
+        return self._order[self.first_place[at] : stop]
+
+    def stretch(self, at: int, end: int) -> PlainStretch:
+        """The transactions from `at` to `end` in the form in which the Decoder takes them."""
+        some, last, lists = slice(at, end), end - 1, self._lists
+        first_place = lists.first_place[at]
+        codes, latencies_ns = lists.code[some], lists.latency_ns[some]
+        kinds = set(codes)
+        latencies = {next(iter(kinds)): latencies_ns} if len(kinds) == 1 else {}
+        if len(kinds) > 1:
+            for code, latency_ns in zip(codes, latencies_ns, strict=True):
+                latencies.setdefault(code, []).append(latency_ns)
+        begins, sizes = lists.request_begin, lists.request_size
+        return PlainStretch(
+            requests=PlainBytes(
+                sum(sizes[some]),
+                self._tail(begins, sizes, at, end),
+                lists.request_place[last] - first_place + 1,
+                lists.request_ns[last],
+            ),
+            responses=PlainBytes(
+                sum(lists.response_size[some]),
+                self._tail(lists.response_begin, lists.response_size, at, end),
+                lists.response_place[last] - first_place + 1,
+                lists.response_ns[last],
+            ),
+            last_requests=[
+                self._bytes(begins[one], sizes[one]) for one in range(max(at, end - 2), end)
+            ],
+            last_response_size=lists.response_size[last],
+            transaction_ids=lists.transaction_id[some],
+            latencies=latencies,
+        )
+
+    def _bytes(self, begin: int, size: int) -> bytes:
+        return self._data[begin : begin + size].tobytes()
+
+    def _tail(self, begins: list[int], sizes: list[int], at: int, end: int) -> bytes:
+        """The last bytes of the ADUs from `at` to `end`: RECENT_BYTES, or all if they are fewer."""
+        adus: list[bytes] = []
+        room = RECENT_BYTES
+        while end > at and room > 0:
+            end -= 1
+            adus.append(self._bytes(begins[end], sizes[end]))
+            room -= sizes[end]
+        return b"".join(reversed(adus))[-RECENT_BYTES:]
+
+    @staticmethod
+    def _link_headers(block: PacketBlock, packets: Int64s, ip_at: Int64s) -> Octets:
+        """One row per packet: its link layer header, padded with zeros, and the header's length."""
+        headers = gather(block.data, block.starts[packets], _LINK_HEADER).view(np.uint8)
+        headers = headers.reshape(len(packets), _LINK_HEADER.itemsize)
+        headers[np.arange(_LINK_HEADER.itemsize) >= ip_at[:, None]] = 0
+        headers[:, -1] = ip_at
+        return headers
+
+    def rows(self, block: PacketBlock, taken: list[tuple[int, int, Connection]]) -> PlainRows:
+        """The rows of the transactions that were taken, in the order of their responses."""
+        firsts = np.array([first for first, _, _ in taken])
+        sizes = np.array([end - first for first, end, _ in taken])
+        chosen = ranges(firsts, sizes)
+        connection = np.repeat(np.arange(len(taken)), sizes)
+        requests = self._link_headers(block, self._request_packet, self._request_ip_at)
+        responses = self._link_headers(block, self._response_packet, self._response_ip_at)
+        like = np.repeat(firsts, sizes)
+        has_addresses = (requests[chosen] == requests[like]).all(axis=1)
+        has_addresses &= (responses[chosen] == responses[like]).all(axis=1)
+        addresses = self._addresses(block, firsts, requests[firsts], responses[firsts])
+        order = np.argsort(self._response_packet[chosen], kind="stable")
+        chosen = chosen[order]
+        return PlainRows(
+            block=block,
+            data=self._data,
+            connections=[one for _, _, one in taken],
+            addresses=addresses,
+            connection=connection[order],
+            has_addresses=has_addresses[order],
+            request_ip_at=self._request_ip_at[chosen],
+            response_ip_at=self._response_ip_at[chosen],
+            request=self._request_packet[chosen],
+            response=self._response_packet[chosen],
+            request_begin=self._found.request_begin[chosen],
+            request_size=self._found.request_size[chosen],
+            response_begin=self._found.response_begin[chosen],
+            response_size=self._found.response_size[chosen],
+            request_ns=self._request_ns[chosen],
+            response_ns=self._response_ns[chosen],
+            transaction_id=self._found.transaction_id[chosen],
+            unit=self._found.unit[chosen],
+            code=self._found.code[chosen],
+            response_code=self._found.response_code[chosen],
+        )
+
+    def _addresses(
+        self, block: PacketBlock, firsts: Int64s, requests: Octets, responses: Octets
+    ) -> list[tuple[LinkAddresses | None, LinkAddresses | None]]:
+        """The addresses of some transactions; `requests` and `responses` are their headers."""
+        both = np.ascontiguousarray(np.concatenate([requests, responses], axis=1))
+        _, some, like = np.unique(
+            both.view(f"S{both.shape[1]}")[:, 0], return_index=True, return_inverse=True
+        )
+        found = [
+            (
+                link_addresses_of(block, self._request_packet[one], self._request_ip_at[one]),
+                link_addresses_of(block, self._response_packet[one], self._response_ip_at[one]),
+            )
+            for one in firsts[some].tolist()
+        ]
+        return [found[one] for one in like.tolist()]
+
+
+def link_addresses_of(block: PacketBlock, packet: int, ip_at: int) -> LinkAddresses | None:
+    """The addresses in the header of the link layer of a packet, which has `ip_at` bytes."""
+    start = int(block.starts[packet])
+    _, link_type = block.links[0 if block.interfaces is None else block.interfaces[packet]]
+    return link_addresses(link_type, block.data[start : start + ip_at].tobytes())
