@@ -42,6 +42,7 @@
 from __future__ import annotations
 
 from mbtool.core import Connection, Direction, EventKind, Origin, WireEvent
+from mbtool.packets.ended_connection import WINDOW, begins_another
 from mbtool.packets.plain_bytes import PlainBytes, RestPlace
 from mbtool.packets.segment import ACK, FIN, RST, SYN, TcpSegment
 from mbtool.packets.stream import LEAD, HeldBytes, Stream
@@ -61,8 +62,6 @@ PATIENCE_NS = 100_000_000
 """The longest time between two packets which the capture swapped, in ns."""
 HOLE_NS = 10_000_000_000
 """How long a hole may wait for a retransmission, in ns."""
-WINDOW = 1024 * 1024
-"""The largest distance of a segment in flight from the next expected byte, in bytes."""
 
 _STATE_FLAGS = ACK | FIN | RST | SYN
 """The flags of which a segment in the middle of a connection has only ACK."""
@@ -140,13 +139,6 @@ class TcpConnection:
         self.last_ns = self._now_ns = responses.last_ns
         self.unanswered_probes = 0
 
-    def end_at(self, begins: tuple[int, int], sizes: tuple[int, int]) -> None:
-        """Be a closed connection of so many bytes, from these sequence numbers on."""
-        for (stream, _), begin, size in zip(self._directions, begins, sizes, strict=True):
-            stream.begin(begin)
-            stream.position = size
-        self.closed = True
-
     def note_time(self, ts_ns: int) -> None:
         self._now_ns = max(self._now_ns, ts_ns)
 
@@ -155,20 +147,8 @@ class TcpConnection:
 
         `from_lower` is True if the lower end sent it, as in `feed`.
         """
-        flags = segment.flags
-        if not (self.closed or flags & SYN):
-            return False
         sender, _ = self._directions[from_lower != self._master_is_lower]
-        if flags & SYN:
-            known = sender.origin is not None
-            same = sender.begins_at(segment.sequence + 1 & 0xFFFFFFFF)
-            return (known and not same) or (self.closed and not flags & ACK)
-        if flags & RST or not (segment.payload or segment.missing):
-            return False
-        # These bytes come after the end of this connection. If they are not a second copy, either
-        # the RST that ended it was a stray one, or the SYN of the next one is not in the capture.
-        size = len(segment.payload) + segment.missing
-        return sender.is_new(segment.sequence, size, WINDOW)
+        return begins_another(segment, sender, is_closed=self.closed)
 
     def feed(
         self, segment: TcpSegment, ts_ns: int, *, from_lower: bool, origin: Origin | None = None

@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mbtool.core import Chunk, Connection, Direction, Endpoint, EventKind
-from mbtool.packets.connection import HOLE_NS, PATIENCE, PATIENCE_NS, WINDOW
+from mbtool.packets.connection import HOLE_NS, PATIENCE, PATIENCE_NS
+from mbtool.packets.ended_connection import WINDOW
 from mbtool.packets.reassembler import TcpReassembler
 from mbtool.packets.segment import ACK, FIN, RST, SYN
 from mbtool.packets.stream import MAX_HELD_BYTES, MAX_HELD_PIECES
