@@ -27,7 +27,8 @@ if TYPE_CHECKING:
 
     from mbtool.replay.steering import Progress
 
-KEYS = "space pauses, s steps, + and - change the speed, q ends"
+KEYS = ("space pauses, s steps, + and - change the speed, q ends", "keys: space s + - q")
+"""What the keys do, in words; and shorter, for a terminal of 80 columns."""
 
 _LOOK_S = 0.03
 """Time in s between two checks for keys: too short for a person to notice."""
@@ -86,7 +87,7 @@ class Keyboard:
             return
         self._drawn_s = now_s
         width = shutil.get_terminal_size().columns - 1
-        self._write(f"{_ERASE}{progress_line(progress)[:width]}")
+        self._write(f"{_ERASE}{progress_line(progress, width)}")
         self._is_drawn = True
 
     def wipe(self) -> None:
@@ -152,16 +153,22 @@ def _keys(text: str) -> Iterator[str]:
         place += size
 
 
-def progress_line(progress: Progress) -> str:
-    """The line that shows the progress of a player."""
+def progress_line(progress: Progress, width: int) -> str:
+    """The line that shows the progress of a player, with as much about the keys as has room."""
+    text = _progress_text(progress)
+    keys = next((keys for keys in KEYS if len(text) + 3 + len(keys) <= width), "")
+    return f"{text}   {keys}".rstrip()[:width]
+
+
+def _progress_text(progress: Progress) -> str:
     if progress.rate is None:
         state = "paused" if progress.is_paused else "playing"
-        return f"{state}, as fast as can be; {progress.done}   {KEYS}"
+        return f"{state}, as fast as can be; {progress.done}"
     state = "paused " if progress.is_paused else "waiting" if progress.is_waiting else "playing"
     place = f"{_clock(progress.position_ns)} of {_clock(progress.length_ns)}"
     lap = f", round {progress.lap + 1}" if progress.lap else ""
-    speed = f"x{float(progress.rate):g}"
-    return f"{state}  {place}{lap}  {speed}  {progress.done}   {KEYS}"
+    speed = f"x{float(progress.rate):.3g}"
+    return f"{state}  {place}{lap}  {speed}  {progress.done}"
 
 
 def _clock(time_ns: int) -> str:

@@ -15,6 +15,7 @@ import typer
 
 from mbtool.cli import exit_codes
 from mbtool.cli.options import EventChoice, Format, SortKey
+from mbtool.cli.record_order import SORTED
 from mbtool.cli.printers import ParquetPrinter, demand_columns, printer_for
 from mbtool.cli.talk import say
 from mbtool.core import EventKind, MbtoolError, OutputError, UsageError, WireEvent
@@ -25,7 +26,8 @@ from mbtool.views.table_options import TableOptions
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
-    from mbtool.cli.printers import Printer, ProfileFor
+    from mbtool.cli.record_order import SORTED
+from mbtool.cli.printers import Printer, ProfileFor
     from mbtool.columns.schema import Table
     from mbtool.decode.decoder import Record
     from mbtool.query.where import Where
@@ -68,32 +70,6 @@ _SUFFIXES = {
     ".parquet": Format.PARQUET,
     ".txt": Format.TABLE,
 }
-
-
-_SORTED: dict[SortKey, Callable[[tuple[Record, int]], Any]] = {
-    SortKey.TIME: lambda one: _start_ns(one[0]),
-    SortKey.LATENCY: lambda one: _latency_ns(one[0]),
-    SortKey.LINK: lambda one: one[0].link,
-    SortKey.UNIT: lambda one: _field_of(one[0], "unit") or 0,
-    SortKey.FUNCTION: lambda one: _field_of(one[0], "function") or 0,
-    SortKey.ADDRESS: lambda one: _field_of(one[0], "address") or 0,
-}
-
-
-def _latency_ns(record: Record) -> float:
-    """The negative latency in ns: sorting puts the slowest first, records without one last."""
-    latency_ns = _field_of(record, "latency_ns")
-    return inf if latency_ns is None else -latency_ns
-
-
-def _field_of(record: Record, field: str) -> int | None:
-    """A field of a transaction; None for an event."""
-    value: int | None = getattr(record, field, None)
-    return value
-
-
-def _start_ns(record: Record) -> int:
-    return record.ts_ns if isinstance(record, WireEvent) else record.start_ns
 
 
 class RecordOutput:
@@ -175,7 +151,7 @@ class RecordOutput:
         """Flush what has been printed, at the end."""
         if self._order is not None:
             held, self._held = self._held, []
-            for record, number in sorted(held, key=_SORTED[self._order]):
+            for record, number in sorted(held, key=SORTED[self._order]):
                 if self.is_full:
                     break
                 self._print(record, number)

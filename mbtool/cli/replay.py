@@ -16,6 +16,7 @@ from mbtool.cli.replay_options import (
     PaceOptions,
     SideOptions,
     demand_side,
+    one_link,
 )
 
 
@@ -39,7 +40,8 @@ def replay(
     """Play one side of a recording, or both.
 
     As the slaves: a request gets its next recorded answer; when there is no further one, the last
-    one again. Until Ctrl-C.
+    one again. Until Ctrl-C. --on WHO=LINK, repeated, plays several slaves, each on a link of its
+    own; --on all=tcp:127.0.0.0/24:1502 all of them.
 
     As the master: recorded requests at recorded times; each answer is compared with the recorded
     one. Exit 1 when one differs.
@@ -52,18 +54,20 @@ def replay(
     from mbtool.core import parse_link
     from mbtool.core.link_spec import ANSWERED
 
-    side, link_text = chosen.side_and_link()
+    side, links = chosen.side_and_links()
     demand_side(context, side)
     reading = source.read(device, raw=raw)
-    link = parse_link(link_text, ANSWERED)
     shared = pace.shared(reading, condition(where))
     if side == AS_SLAVE:
         from mbtool.cli.replay_slave import play_as_slave
         from mbtool.ports.allowed_peers import AllowedPeers
 
         slave_options = as_slave.read(shared, is_loop=pace.loop)
-        play_as_slave(file, link, slave_options, AllowedPeers.parse(allow or ()))
-    elif side == AS_BUS:
+        peers = AllowedPeers.parse(allow or ())
+        play_as_slave(file, links, slave_options, peers, prints=as_slave.print_)
+        return
+    link = parse_link(one_link(side, links), ANSWERED)
+    if side == AS_BUS:
         from mbtool.cli.replay_bus import play_as_bus
 
         play_as_bus(file, link, pace.as_bus(shared))

@@ -11,7 +11,7 @@ import typer
 from mbtool.cli.option_groups import OptionGroup
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
     from fractions import Fraction
 
     from mbtool.devices import NamedTransaction
@@ -58,12 +58,13 @@ class SideOptions(OptionGroup):
         ),
     ] = False
     on: Annotated[
-        str | None,
+        list[str] | None,
         typer.Option(
             "--on",
-            metavar="LINK",
+            metavar="[WHO=]LINK",
             help="Where to answer as the slave: rtu:PORT@19200-8E1, ascii:PORT@9600-7E1, "
-            "tcp:HOST:PORT or rtu+tcp:HOST:PORT; as the bus: one of the first two.",
+            "tcp:HOST:PORT or rtu+tcp:HOST:PORT; as the bus: one of the first two. As the slave "
+            "also for each: 192.168.1.101=tcp:127.0.0.11:1502, all=tcp:127.0.0.0/24:1502.",
         ),
     ] = None
     to: Annotated[
@@ -71,8 +72,8 @@ class SideOptions(OptionGroup):
         typer.Option("--to", metavar="LINK", help="Where the slave is that is asked, likewise."),
     ] = None
 
-    def side_and_link(self) -> tuple[str, str]:
-        """The chosen side, and the text of its link.
+    def side_and_links(self) -> tuple[str, list[str]]:
+        """The chosen side, and the texts of its links.
 
         Raises UsageError unless exactly one side is chosen with its own kind of link.
         """
@@ -86,12 +87,11 @@ class SideOptions(OptionGroup):
                 "or --as-bus --on LINK"
             )
         (side,) = sides
-        links = {"--on": self.on, "--to": self.to}
-        needed = "--to" if side == AS_MASTER else "--on"
-        link = links.pop(needed)
-        if link is None or any(other is not None for other in links.values()):
-            raise UsageError(f"{side} goes with {needed} LINK")
-        return side, link
+        on, to = self.on or [], [] if self.to is None else [self.to]
+        links, others = (to, on) if side == AS_MASTER else (on, to)
+        if not links or others:
+            raise UsageError(f"{side} goes with {'--to' if side == AS_MASTER else '--on'} LINK")
+        return side, links
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,6 +138,10 @@ class AsSlaveOptions(OptionGroup):
             "--faults-as-recorded",
             help="As the slave: also answer with a wrong check or in part where that was so.",
         ),
+    ] = False
+    print_: Annotated[
+        bool,
+        typer.Option("--print", help="As the slave: show each request and its answer."),
     ] = False
     fault: Annotated[
         Path | None,
@@ -326,6 +330,15 @@ _SIDE_OF_OPTION = {
 """The only side that an option can be used with, by the name of the option's parameter."""
 
 
+def one_link(side: str, links: Sequence[str]) -> str:
+    """The only link of a side that has one. Raises UsageError if there are several."""
+    from mbtool.core import UsageError
+
+    if len(links) > 1:
+        raise UsageError(f"--on {links[1]}: {side} has one link, here {links[0]}")
+    return links[0]
+
+
 def demand_side(context: typer.Context, side: str) -> None:
     """Raise UsageError if the user gave an option that is only for another side."""
     from mbtool.core import UsageError
@@ -333,4 +346,4 @@ def demand_side(context: typer.Context, side: str) -> None:
     for name, only in _SIDE_OF_OPTION.items():
         source = context.get_parameter_source(name)
         if only != side and source is not None and source.name == "COMMANDLINE":
-            raise UsageError(f"--{name.replace('_', '-')} goes with {only}, not {side}")
+            raise UsageError(f"--{name.strip('_').replace('_', '-')} goes with {only}, not {side}")

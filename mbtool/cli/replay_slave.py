@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import contextmanager, nullcontext
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import typer
@@ -9,41 +11,148 @@ import typer
 from mbtool.cli import exit_codes
 from mbtool.cli.keys import keyboard
 from mbtool.cli.progress import with_progress
+from mbtool.cli.record_order import start_ns
 from mbtool.cli.serve import serve
 from mbtool.cli.talk import say
 from mbtool.core.wording import plural
-from mbtool.slave.shells import slave_link
-from mbtool.workflows.replay_slave import SlaveRun
+from mbtool.replay import AnsweredFrom
+from mbtool.workflows.replay_site import SiteRun
 
 if TYPE_CHECKING:
-    from mbtool.core import LinkSpec
+    from collections.abc import Iterator, Sequence
+
+    from mbtool.cli.keys import Keyboard
     from mbtool.ports.allowed_peers import AllowedPeers
-    from mbtool.workflows.replay_slave import SlaveOptions
+    from mbtool.replay import Progress
+    from mbtool.slave.shells import OnExchange
+    from mbtool.workflows.replay_site import PlayedSite, SitePlayer
+    from mbtool.workflows.replay_slave import SlaveOptions, SlaveRun
+    from mbtool.workflows.shared.slave_monitor import SlaveMonitor
+
+_NAME_WIDTH = 21
+"""The width of an IPv4 address and a port."""
 
 
-def play_as_slave(file: str, on: LinkSpec, options: SlaveOptions, allowed: AllowedPeers) -> None:
-    """Answer a live master as the recorded slaves did, until Ctrl-C."""
-    slave_link(on)  # A link that no slave can use is an error before a long recording is read.
-    run = SlaveRun(file, options, say, with_progress)
-    played = run.on(on, allowed=allowed)
-    with keyboard() as keys:
+def play_as_slave(
+    file: str, on: Sequence[str], options: SlaveOptions, allowed: AllowedPeers, *, prints: bool
+) -> None:
+    """Answer a live master as the recorded slaves did, until Ctrl-C.
+
+    `on` are the texts of --on. With `prints`, each exchange is shown.
+    """
+    site = SiteRun(file, on, options, say, with_progress)
+    shown = Exchanges() if prints else None
+    played = site.play(
+        allowed=allowed, on_exchange=lambda one: None if shown is None else shown.of(one)
+    )
+    with keyboard() as keys, nullcontext() if shown is None else shown.open():
 
         def look() -> None:
-            if keys is None:
-                return
-            for control in keys.controls():
-                played.control(control)
-            keys.show(played.progress())
-            if keys.has_quit:
-                raise typer.Exit(exit_codes.INTERRUPTED)
+            if shown is not None:
+                shown.show()
+            if keys is not None:
+                _steer(keys, played)
 
-        serve(played.shell, _what_is_played(file, run), look)
+        try:
+            serve(played.shells, _what_is_played(file, site), look, lambda: _say_places(played))
+        finally:
+            _say_counts(played)
 
 
-def _what_is_played(file: str, run: SlaveRun) -> str:
+class Exchanges:
+    """Shows the requests to all slaves, and their answers."""
+
+    def __init__(self) -> None:
+        self._monitors: dict[str, SlaveMonitor] = {}
+        """By the name of the slave, which is the link of its rows."""
+
+    def of(self, player: SitePlayer) -> OnExchange:
+        from mbtool.workflows.shared.slave_monitor import SlaveMonitor
+
+        monitor = SlaveMonitor(None, player.link, player.run.profile_of)
+        monitor.on_link(player.name)
+        self._monitors[player.name] = monitor
+        return monitor.take
+
+    @contextmanager
+    def open(self) -> Iterator[None]:
+        """Open standard output for the rows."""
+        from mbtool.cli.options import condition
+        from mbtool.cli.output import open_output
+
+        with open_output(
+            None,
+            None,
+            None,
+            lambda one: self._monitors[one.link].profile_for(one),
+            condition(None),
+            is_summed=False,
+        ) as self._out:
+            yield
+
+    def show(self) -> None:
+        """Print the exchanges since the last call, in the order of their requests."""
+        records = [record for one in self._monitors.values() for record in one.records()]
+        missed = sum(one.missed() for one in self._monitors.values())
+        for record in sorted(records, key=start_ns):
+            self._out.add(record)
+        self._out.wait()
+        if missed:
+            say(f"mbtool: {missed} requests not shown: they come faster than they can be printed")
+
+
+def _steer(keys: Keyboard, played: PlayedSite) -> None:
+    """Apply the user's keys to all slaves, and show how far they are."""
+    for control in keys.controls():
+        for _, slave in played.played:
+            slave.control(control)
+    keys.show(_progress([slave.progress() for _, slave in played.played], played))
+    if keys.has_quit:
+        raise typer.Exit(exit_codes.INTERRUPTED)
+
+
+def _progress(each: Sequence[Progress], played: PlayedSite) -> Progress:
+    """The progress of all slaves: the farthest of them, and the requests to all."""
+    farthest = max(each, key=lambda one: (one.lap, one.position_ns))
+    if len(each) == 1:
+        return farthest
+    counts = [slave.counts() for _, slave in played.played]
+    asked = sum(one.total() for one in counts)
+    lacking = asked - sum(one[AnsweredFrom.RECORDED] for one in counts)
+    done = f"{asked:,} asked" + (f", {lacking:,} not recorded" if lacking else "")
+    return replace(farthest, done=done)
+
+
+def _what_is_played(file: str, site: SiteRun) -> str:
+    if len(site.players) == 1:
+        return f"{file}: {_requests(site.players[0].run)}"
+    return f"{file}: {len(site.players)} slaves"
+
+
+def _requests(run: SlaveRun) -> str:
     count = len(run.recording.answers)
     requests = "1 request" if count == 1 else f"{count:,} different requests"
     units = sorted(run.recording.units)
     if not units:
-        return f"{file}: {requests}; no intact response to any of them was recorded"
-    return f"{file}: {requests} to {plural(len(units), 'unit')} {', '.join(map(str, units))}"
+        return f"{requests}; no intact response to any of them was recorded"
+    return f"{requests} to {plural(len(units), 'unit')} {', '.join(map(str, units))}"
+
+
+def _say_places(played: PlayedSite) -> None:
+    """Say which slave answers where, if there are several."""
+    if len(played.played) > 1:
+        for player, slave in played.played:
+            say(f"{player.name}: {_requests(player.run)} on {slave.shell.place}")
+
+
+def _say_counts(played: PlayedSite) -> None:
+    """Say how many requests each slave got, and where their answers came from."""
+    counts = [(player.name, slave.counts()) for player, slave in played.played]
+    if not any(each.total() for _, each in counts):
+        return
+    kinds = list(AnsweredFrom)
+    titles = "".join(f"{one:>{len(one) + 2}}" for one in kinds)
+    say(f"{'slave':{_NAME_WIDTH}}{'asked':>8}{titles}")
+    for name, each in counts:
+        cells = "".join(f"{each[one]:>{len(one) + 2},}" for one in kinds)
+        say(f"{name:{_NAME_WIDTH}}{each.total():>8,}{cells}")

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from mbtool.slave.shells import Shell
+    from mbtool.slave.shells.shell_group import ShellGroup
 
 
 _LOOK_EVERY_S = 0.2
@@ -21,12 +22,19 @@ _SILENT_LOOKS = 50
 the loop later (50 x 0.2 s = 10 s), as a refused master usually connects again at once."""
 
 
-def serve(shell: Shell, who: str, look: Callable[[], None] = lambda: None) -> None:
+def serve(
+    shell: Shell | ShellGroup,
+    who: str,
+    look: Callable[[], None] = lambda: None,
+    say_more: Callable[[], None] = lambda: None,
+) -> None:
     """Answer until Ctrl-C; `look` is called every 0.2 s and at the end.
 
-    Raises LinkError when the link is lost, and the errors of `look`.
+    `say_more` is called once the shell has started, before the user is told so. Raises LinkError
+    when the link is lost, and the errors of `look`.
     """
     with interruptible() as interrupt, shell:
+        say_more()
         say(f"{who} on {shell.place}; Ctrl-C ends")
         said, silent = 0, 0
         while not interrupt.asked:

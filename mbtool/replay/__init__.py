@@ -7,7 +7,7 @@ from mbtool.replay.conductor import Conductor
 from mbtool.replay.judging import Judge, RequestReport, Tolerance
 from mbtool.replay.latency import FixedLatency, LatencyModel, RecordedLatency, SampledLatency
 from mbtool.replay.matching import MatchStrategy, OnEnd
-from mbtool.replay.player import Device, OnMiss, RecordedSlave
+from mbtool.replay.player import AnsweredFrom, Device, OnMiss, RecordedSlave
 from mbtool.replay.recording import RecordedAnswer, Recording
 from mbtool.replay.script import Script, Step
 from mbtool.replay.steering import Control, PlayerControls, Progress, Steering
@@ -15,6 +15,7 @@ from mbtool.replay.time_range import TimeRange
 from mbtool.replay.traffic import Traffic
 
 __all__ = [
+    "AnsweredFrom",
     "BusPlayer",
     "ByteRun",
     "Conductor",

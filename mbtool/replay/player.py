@@ -24,6 +24,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 from enum import StrEnum
 from fractions import Fraction
@@ -67,6 +68,19 @@ class OnMiss(StrEnum):
     """A response from the register image or the device, else an exception response."""
     EXCEPTION = "exception"
     SILENT = "silent"
+
+
+class AnsweredFrom(StrEnum):
+    """Where the answer to a live request comes from."""
+
+    RECORDED = "recorded"
+    """A recorded answer, or recorded silence."""
+    IMAGE = "image"
+    """The values of the registers in the recording."""
+    PROFILE = "profile"
+    """The simulated device."""
+    NOWHERE = "never recorded"
+    """The request got an exception or silence, as nothing is known about it."""
 
 
 class Device(Protocol):
@@ -126,25 +140,40 @@ class RecordedSlave:
         self._lap = 0
         """Number of times that the recording has begun again: by the clock, or in the answers."""
         self._writes = LiveWrites(recording)
-        self.asked = 0
-        """Number of requests that the live master has sent."""
+        self.answered_from: Counter[AnsweredFrom] = Counter()
+        """Number of requests that the live master has sent, by the source of their answer."""
         self.missed = 0
         """Number of live requests without an answer in the recording."""
 
+    @property
+    def asked(self) -> int:
+        """Number of requests that the live master has sent."""
+        return self.answered_from.total()
+
+    def begin(self, now_ns: int) -> None:
+        """Start the clock, if it has not been started; the first request does so, too."""
+        self._steering.begin(now_ns)
+
     def respond(self, unit: int, pdu: bytes, now_ns: int) -> Response | None:
         self._steering.begin(now_ns)
-        self.asked += 1
         found = self._matcher.find((unit, pdu), self._moment(now_ns))
+        if isinstance(found, Found) or found is NoAnswer.SILENCE:
+            self.answered_from[AnsweredFrom.RECORDED] += 1
         if self._is_broadcast(unit):
             request = parse_pdu(pdu, Direction.REQUEST)
             for each in self._recording.units:
                 self._keep_write(each, request)
             if isinstance(found, Found):
                 self._go_to(found)
+            elif found is not NoAnswer.SILENCE:
+                self.answered_from[AnsweredFrom.NOWHERE] += 1
             return None
         if isinstance(found, Found):
             return self._play(unit, pdu, found)
-        if unit not in self._recording.units or not pdu or found is NoAnswer.SILENCE:
+        if found is NoAnswer.SILENCE:
+            return None
+        if unit not in self._recording.units or not pdu:
+            self.answered_from[AnsweredFrom.NOWHERE] += 1
             return None
         if found is NoAnswer.MISS:
             self.missed += 1
@@ -161,7 +190,7 @@ class RecordedSlave:
             position_ns = self._clock.position(now_ns)
         done = f"{self.asked:,} asked"
         if self.missed:
-            done = f"{done}, {self.missed:,} not in the recording"
+            done = f"{done}, {self.missed:,} not recorded"
         return self._steering.progress(position_ns, done)
 
     def _moment(self, now_ns: int) -> Moment:
@@ -247,10 +276,13 @@ class RecordedSlave:
             delay_ns = self._delay_ns(unit, pdu[0], None)
             from_image = self._from_image(unit, request, access, pdu)
             if from_image is not None:
+                self.answered_from[AnsweredFrom.IMAGE] += 1
                 return Response(from_image, delay_ns)
             if unit in self._devices:
+                self.answered_from[AnsweredFrom.PROFILE] += 1
                 response = self._from_device(unit, request, access, pdu, now_ns)
                 return None if response is None else replace(response, delay_ns=delay_ns)
+        self.answered_from[AnsweredFrom.NOWHERE] += 1
         if self._on_miss is OnMiss.SILENT:
             return None
         code = _Code.ILLEGAL_DATA_ADDRESS

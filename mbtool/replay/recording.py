@@ -81,15 +81,19 @@ class Recording:
         transactions: Iterable[Transaction],
         part: TimeRange = _ALL,
         events: Iterable[WireEvent] = (),
+        origin_ns: int | None = None,
     ) -> Self:
         """Build a recording; the transactions may come in any order.
 
-        Only requests inside the time range `part` get answers. The bytes of damaged responses are
-        taken from `events`, the events of the same links.
+        Only requests inside the time range `part` get answers. Its times are counted from
+        `origin_ns`, in UTC ns; without it, from the first request. The bytes of damaged responses
+        are taken from `events`, the events of the same links.
         """
         recording = cls()
         asked = sorted(filter(_is_asked, transactions), key=lambda one: one.start_ns)
         first_ns = asked[0].start_ns if asked else 0
+        if origin_ns is not None:
+            first_ns = origin_ns
         recording.begin_ns = first_ns + part.start_ns
         recording.units = {
             one.unit for one in asked if whole_pdu(one.transport, one.response_raw) is not None

@@ -33,12 +33,13 @@ from mbtool.workflows.shared.read_all import unwatched
 from mbtool.workflows.shared.recorded import PlayOptions, read_recorded, where_none
 
 if TYPE_CHECKING:
+    from collections import Counter
     from collections.abc import Callable
 
     from mbtool.core import LinkSpec, TcpLink
     from mbtool.devices import Profile
     from mbtool.modbus import Responder, Response, Table
-    from mbtool.replay import Control, Progress
+    from mbtool.replay import AnsweredFrom, Control, Progress
     from mbtool.slave.shells import OnExchange, Shell
     from mbtool.workflows.shared.read_all import Watch
     from mbtool.workflows.shared.recorded import Recorded
@@ -75,9 +76,14 @@ class SlaveRun:
         options: SlaveOptions,
         on_remark: Callable[[str], None] = lambda _: None,
         watch: Watch = unwatched,
+        *,
+        recorded: Recorded | None = None,
+        origin_ns: int | None = None,
     ) -> None:
         """Read the recording. If it is cut or damaged, use the part that can be read.
 
+        `recorded` is what to play if the file was read before, and `origin_ns` the time in UTC ns
+        from which --start and --end are counted; without it, it is that of the first request.
         Raises InputError if the file cannot be read or has no request to answer, and UsageError if
         the options contradict each other or do not fit the recording.
         """
@@ -88,9 +94,10 @@ class SlaveRun:
             )
         self._fixed_ns = _fixed_latency_ns(options.latency)
         self._options = options
-        recorded = read_recorded(path, options, on_remark, watch)
+        if recorded is None:
+            recorded = read_recorded(path, options, on_remark, watch)
         events = recorded.damage if options.with_damage else ()
-        self.recording = Recording.of(recorded.transactions, options.window, events)
+        self.recording = Recording.of(recorded.transactions, options.window, events, origin_ns)
         # Keep only the profiles: the transactions take several times the memory of the recording.
         self._profiles = recorded.assignments.profiles
         self._profile_of = _profile_of_units(recorded)
@@ -165,12 +172,25 @@ class PlayedSlave:
         self._slave = slave
         self._responder = responder
         self._lock = threading.Lock()
+        self.before_request: Callable[[], None] = lambda: None
+        """Called before each request is answered, in the shell's thread."""
         self.shell: Shell = open_shell(link, self, allowed=allowed, on_exchange=on_exchange)
 
     def respond(self, unit: int, pdu: bytes, now_ns: int) -> Response | None:
+        self.before_request()
         with self._lock:
             # Use the clock that is also used for the user's keys.
             return self._responder.respond(unit, pdu, time.monotonic_ns())
+
+    def begin(self) -> None:
+        """Start the recording's clock, if it has not been started."""
+        with self._lock:
+            self._slave.begin(time.monotonic_ns())
+
+    def counts(self) -> Counter[AnsweredFrom]:
+        """The number of requests so far, by the source of their answer."""
+        with self._lock:
+            return self._slave.answered_from.copy()
 
     def control(self, control: Control) -> None:
         """Apply a key that the user has pressed: pause, step, faster or slower."""

@@ -101,7 +101,8 @@ def test_a_unit_on_several_links_is_refused_with_what_would_be_right(tmp_path: P
         _recording(path)
     assert str(caught.value) == (
         f"{path}: unit 1 is on several links (10.0.0.2, 10.0.0.3); "
-        "choose one with --where 'link == \"10.0.0.2\"'"
+        "choose one with --where 'link == \"10.0.0.2\"', or, as the slave, give each a link of "
+        "its own: --on WHO=LINK, or --on all=tcp:127.0.0.0/24:1502"
     )
     recording, _ = _recording(path, "unit == 2 or link == '10.0.0.2'")
     assert set(recording.answers) == {(1, WRITE), (2, READ)}

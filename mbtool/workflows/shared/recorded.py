@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import TYPE_CHECKING, NamedTuple
@@ -46,12 +46,14 @@ def read_recorded(
     options: PlayOptions,
     on_remark: Callable[[str], None] = lambda _: None,
     watch: Watch = unwatched,
+    *,
+    may_repeat_units: bool = False,
 ) -> Recorded:
     """Read the transactions of a capture or a log, in the order in which they ended.
 
     If the file is cut or damaged, `on_remark` gets a line, and the readable part is returned.
     Raises InputError if the file cannot be read at all, and UsageError for a unit that is on
-    several links.
+    several links, unless `may_repeat_units`.
     """
     transactions: list[NamedTransaction] = []
     damage: list[WireEvent] = []
@@ -62,7 +64,8 @@ def read_recorded(
                 damage.append(record)
         elif options.wanted(record):
             transactions.append(record)
-    _demand_one_slave_each(path, transactions)
+    if not may_repeat_units:
+        demand_one_slave_each(path, transactions)
     return Recorded(transactions, reading.assignments, damage)
 
 
@@ -90,7 +93,7 @@ def where_none(window: TimeRange) -> str:
     return f" in the part {window}; give another --start and --end"
 
 
-def _demand_one_slave_each(path: str, transactions: list[NamedTransaction]) -> None:
+def demand_one_slave_each(path: str, transactions: Sequence[NamedTransaction]) -> None:
     """Raise UsageError if a unit is on several links, as one unit cannot play two slaves."""
     links: dict[int, set[str]] = defaultdict(set)
     for one in transactions:
@@ -102,5 +105,6 @@ def _demand_one_slave_each(path: str, transactions: list[NamedTransaction]) -> N
             more = f" and {len(names) - len(few)} more" if len(names) > len(few) else ""
             raise UsageError(
                 f"{path}: unit {unit} is on several links ({', '.join(few)}{more}); "
-                f"choose one with --where 'link == \"{few[0]}\"'"
+                f"choose one with --where 'link == \"{few[0]}\"', or, as the slave, give each a "
+                "link of its own: --on WHO=LINK, or --on all=tcp:127.0.0.0/24:1502"
             )
