@@ -7,16 +7,15 @@ import sys
 from collections import Counter
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from math import inf
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TextIO, TypeVar
+from typing import TYPE_CHECKING, TextIO, TypeVar
 
 import typer
 
 from mbtool.cli import exit_codes
 from mbtool.cli.options import EventChoice, Format, SortKey
-from mbtool.cli.record_order import SORTED
 from mbtool.cli.printers import ParquetPrinter, demand_columns, printer_for
+from mbtool.cli.record_order import SORTED
 from mbtool.cli.talk import say
 from mbtool.core import EventKind, MbtoolError, OutputError, UsageError, WireEvent
 from mbtool.core.wording import plural
@@ -26,8 +25,7 @@ from mbtool.views.table_options import TableOptions
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
-    from mbtool.cli.record_order import SORTED
-from mbtool.cli.printers import Printer, ProfileFor
+    from mbtool.cli.printers import Printer, ProfileFor
     from mbtool.columns.schema import Table
     from mbtool.decode.decoder import Record
     from mbtool.query.where import Where
