@@ -17,6 +17,7 @@ from urllib.parse import quote
 import msgspec
 
 from mbtool.devices.checking.rules import rule_of
+from mbtool.views.tables import printable_json
 
 if TYPE_CHECKING:
     from mbtool.devices.checking.finding import Finding
@@ -175,7 +176,7 @@ def _uri(file: str) -> str:
 
 
 def _json(value: Any) -> str:
-    return msgspec.json.encode(_clean(value)).decode()
+    return printable_json(msgspec.json.encode(_clean(value)).decode())
 
 
 def _clean(value: Any) -> Any:

@@ -18,6 +18,7 @@ import msgspec
 from mbtool.overview.inventory_ranges import MAX_RANGES, ranges_text
 from mbtool.overview.inventory_rows import Role, iso_time
 from mbtool.views.inventory_table import function_label, identity_text
+from mbtool.views.tables import printable_json
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -48,7 +49,8 @@ def inventory_json(
         )
     if changes is not None:
         fields["changes"] = msgspec.to_builtins(changes)
-    return msgspec.json.format(msgspec.json.encode(fields), indent=2).decode() + "\n"
+    text = msgspec.json.format(msgspec.json.encode(fields), indent=2).decode()
+    return printable_json(text) + "\n"
 
 
 def inventory_csv(document: InventoryDocument) -> str:

@@ -2,8 +2,19 @@
 
 from __future__ import annotations
 
+import json
+
 from rich.table import Table
 from rich.text import Text
+
+
+def printable_json(text: str) -> str:
+    """A JSON text in which characters that cannot be printed are written as JSON escapes."""
+    if text.isascii():
+        return text
+    return "".join(
+        one if one.isprintable() or one == "\n" else json.dumps(one)[1:-1] for one in text
+    )
 
 
 def printable(text: str) -> str:

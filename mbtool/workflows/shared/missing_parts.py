@@ -1,10 +1,10 @@
-"""Counts packets that were captured incompletely, and requests that the decoder dropped."""
+"""Notes what is missing: cut packets, requests that the decoder dropped, messages left out."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, TypeVar
 
-from mbtool.core import Packet
+from mbtool.core import EventKind, Packet, WireEvent
 from mbtool.core.limits import MAX_OPEN_REQUESTS
 from mbtool.core.wording import counted
 from mbtool.modbus import Transaction, Verdict
@@ -16,13 +16,14 @@ _Item = TypeVar("_Item")
 
 
 class MissingParts:
-    """Counts cut packets and dropped requests, which explain why transactions are incomplete."""
+    """Notes cut packets, dropped requests and messages of a log that were left out."""
 
     def __init__(self) -> None:
         self._cut = 0
         self._shortest = self._longest = 0
         """The lengths in bytes of the shortest and the longest cut packet."""
         self._dropped = 0
+        self._left_out: list[str] = []
 
     def note_item(self, item: object) -> None:
         """Look at the next item of a source; only packets are counted."""
@@ -43,13 +44,20 @@ class MissingParts:
             yield item
 
     def note_record(self, record: object) -> None:
-        """Look at the next decoded record; only requests dropped by a limit are counted."""
-        if isinstance(record, Transaction) and Verdict.OVER_LIMIT in record.verdicts:
-            self._dropped += record.request_raw is not None
+        """Look at the next decoded record.
+
+        Only requests dropped by a limit are counted, and events of a log (they have no link) that
+        tell of messages which were left out.
+        """
+        if isinstance(record, Transaction):
+            if Verdict.OVER_LIMIT in record.verdicts:
+                self._dropped += record.request_raw is not None
+        elif isinstance(record, WireEvent) and _is_of_the_log(record):
+            self._left_out.append(record.message)
 
     @property
     def remarks(self) -> list[str]:
-        """Lines for the user: one if packets were cut, and one if requests were dropped.
+        """Lines for the user: if packets were cut, requests dropped, or messages left out.
 
         If all cut packets have the same length, it is the snapshot length of the capture.
         """
@@ -63,4 +71,9 @@ class MissingParts:
                 f"{counted(self._dropped, 'request')} not joined with the answer: "
                 f"more than {MAX_OPEN_REQUESTS} were open at once"
             )
-        return remarks
+        return remarks + self._left_out
+
+
+def _is_of_the_log(event: WireEvent) -> bool:
+    """True for an event that tells of messages of a log which were left out."""
+    return event.kind is EventKind.UNREADABLE and not event.link
