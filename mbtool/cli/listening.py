@@ -11,7 +11,8 @@ if TYPE_CHECKING:
     from mbtool.core import LinkSpec
     from mbtool.decode.line_timing import LineTiming
     from mbtool.ports.allowed_peers import AllowedPeers
-    from mbtool.workflows.sniff import Log, Sniffer
+    from mbtool.workflows.shared.recorder import Log
+    from mbtool.workflows.sniff import Sniffer
 
 
 def heard_ports(links: Sequence[LinkSpec], options: PortOptions) -> TcpPorts:

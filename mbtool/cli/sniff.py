@@ -30,7 +30,8 @@ if TYPE_CHECKING:
     from mbtool.cli.talk import Interrupt
     from mbtool.core import SerialLink
     from mbtool.devices import Assignments
-    from mbtool.workflows.sniff import Log, Sniffer
+    from mbtool.workflows.shared.recorder import Log
+    from mbtool.workflows.sniff import Sniffer
 
 
 @takes_groups
@@ -126,7 +127,8 @@ def sniff(
         begin = partial(begin_checked, create, timing, serial_lines(specs), tcp_ports.expected)
     sniffer = sniffer_of(specs, timing, tcp_ports, allowed, begin)
     with interruptible() as interrupt, never_waiting(), ExitStack() as opened:
-        live = partial(LiveOutput, is_kept=write is not None, is_hurried=lambda: interrupt.asked)
+        is_hurried = partial(getattr, interrupt, "asked")
+        live = partial(LiveOutput, is_kept=write is not None, is_hurried=is_hurried)
         opened.enter_context(sniffer)
         # The sniffer is opened first and closed first: the log is complete before the output waits
         # for its reader.
@@ -145,7 +147,8 @@ def sniff(
             opened.pop_all(),
         ):
             say(f"listening on {', '.join(sniffer.places)}; Ctrl-C ends")
-            _show(sniffer, out, devices, serial_lines(specs), _end(interrupt, out, duration))
+            ends = _end(interrupt, out, duration)
+            _show(sniffer, out, devices, serial_lines(specs), ends, is_hurried)
         if write is not None:
             first = part_path(Path(write), 1)
             say(f"log: {write if rotation is None else f'{first} and those behind it'}")
@@ -174,6 +177,7 @@ def _show(
     devices: Assignments,
     lines: Mapping[str, SerialLink],
     ends: Callable[[int], bool],
+    is_hurried: Callable[[], bool],
 ) -> None:
     """Print records as they come, with messages about models of devices and unreadable lines."""
     from mbtool.cli.talk import say
@@ -182,7 +186,7 @@ def _show(
 
     hints = ModelHints(devices.profile_for)
     unreadable = UnreadableLines(lines.get, is_live=True)
-    for record in sniffer.records(ends):
+    for record in sniffer.records(ends, is_hurried):
         for remark in (hints.note(record), unreadable.note(record)):
             if remark is not None:
                 say(f"mbtool: {remark}")

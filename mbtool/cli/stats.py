@@ -211,7 +211,7 @@ def _listen(
         say(f"listening on {', '.join(sniffer.places)}; Ctrl-C ends")
         with _view(shown, live.statistics) as refresh:
             ends = _end(interrupt, duration_s, live, refresh)
-            for record in sniffer.records(ends):
+            for record in sniffer.records(ends, lambda: interrupt.asked):
                 live.add(record)
     live.statistics.settle()
     shown.print(live.statistics)

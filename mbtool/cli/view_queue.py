@@ -15,6 +15,7 @@ import os
 from collections import deque
 from io import UnsupportedOperation
 from threading import Condition, Thread
+from time import monotonic
 from typing import TYPE_CHECKING, TextIO, cast
 
 if TYPE_CHECKING:
@@ -24,6 +25,8 @@ MAX_WAITING = 2**20
 """Bytes of text that may wait: about 10,000 rows."""
 STUCK_S = 0.5
 """A reader that takes nothing for so many seconds is not waited for at the end of a hurried run."""
+HURRY_S = 1.0
+"""The longest wait in seconds for a reader at the end of a hurried run."""
 _LOOK_S = 0.05
 _PIECE = 2**12
 """Bytes of one write: what a pipe with any room takes at once."""
@@ -80,14 +83,19 @@ class ViewQueue:
     def drain(self, is_hurried: Callable[[], bool]) -> bool:
         """Wait until all text is written; return True if it is.
 
-        Once `is_hurried` is true, stop waiting when the reader takes nothing for STUCK_S. Raises
-        the OSError of a write.
+        Once `is_hurried` is true, stop waiting after HURRY_S, or sooner when the reader takes
+        nothing for STUCK_S. Raises the OSError of a write.
         """
-        looks, written = 0, -1
+        stuck_s, hurried_s, written = 0.0, 0.0, -1
         with self._changed:
-            while not self._is_idle and self._error is None and looks * _LOOK_S < STUCK_S:
+            while not self._is_idle and self._error is None:
+                if stuck_s >= STUCK_S or hurried_s >= HURRY_S:
+                    break
+                begin_s = monotonic()
                 self._changed.wait(_LOOK_S)
-                looks = looks + 1 if is_hurried() and written == self._written else 0
+                passed_s = monotonic() - begin_s
+                stuck_s = stuck_s + passed_s if is_hurried() and written == self._written else 0
+                hurried_s += passed_s if is_hurried() else 0
                 written = self._written
         self.flush()
         return self._is_idle

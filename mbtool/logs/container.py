@@ -75,9 +75,9 @@ class Container:
         self._metadata: list[MetadataIndex] = []
 
     @property
-    def pending(self) -> bool:
-        """True if anything was added since the last flush to the file."""
-        return bool(self._chunk or self._sealed)
+    def pending(self) -> int:
+        """Number of bytes that were added since the last flush to the file."""
+        return len(self._chunk) + len(self._sealed)
 
     def add_topic(self, name: str, schema_name: str, schema: bytes) -> Topic:
         """Add a topic of JSON messages, with its JSON schema; at most MAX_CHANNELS topics."""

@@ -28,6 +28,8 @@ CAPTURE = "mbtool.capture"
 LINK = "mbtool.link"
 DEVICE = "mbtool.device"
 RECOVERED = "mbtool.recovered"
+DECODING_TOPIC = "decoding"
+"""The topic, without its slash, of the marks that say how far the decoder is behind."""
 PROFILE_MEDIA_TYPE = "application/json"
 
 RECORD_HEAD = struct.Struct("<BQ")
@@ -71,6 +73,7 @@ TAIL_SIZE = DATA_END_SIZE + FOOTER_SIZE
 __all__ = [
     "CAPTURE",
     "DATA_END_SIZE",
+    "DECODING_TOPIC",
     "DEVICE",
     "FOOTER_SIZE",
     "FORMAT_VERSION",

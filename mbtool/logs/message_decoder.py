@@ -23,7 +23,7 @@ from mbtool.devices import NamedTransaction
 from mbtool.logs import schemas
 from mbtool.logs.impossible import ImpossibleItems
 from mbtool.logs.layout import MESSAGE_HEAD, RECORD_HEAD, Opcode
-from mbtool.logs.messages import ChunkMessage, EventMessage
+from mbtool.logs.messages import ChunkMessage, DecodingMark, EventMessage
 from mbtool.logs.records import McapRecord
 
 if TYPE_CHECKING:
@@ -39,7 +39,10 @@ _TYPES: dict[str, Any] = {
     schemas.CHUNK: ChunkMessage,
     schemas.TRANSACTION: NamedTransaction,
     schemas.WIRE_EVENT: EventMessage,
+    schemas.DECODING: DecodingMark,
 }
+_ARE_ITEMS = frozenset({schemas.TRANSACTION, schemas.DECODING})
+"""Schemas whose messages are items themselves."""
 # Making a decoder takes longer than reading a small log, so all readers share these.
 _DECODERS: dict[str, msgspec.json.Decoder[Any]] = {
     name: msgspec.json.Decoder(type_) for name, type_ in _TYPES.items()
@@ -48,6 +51,7 @@ _LIST_DECODERS: dict[str, msgspec.json.Decoder[Any]] = {
     schemas.CHUNK: msgspec.json.Decoder(list[ChunkMessage]),
     schemas.TRANSACTION: msgspec.json.Decoder(list[NamedTransaction]),
     schemas.WIRE_EVENT: msgspec.json.Decoder(list[EventMessage]),
+    schemas.DECODING: msgspec.json.Decoder(list[DecodingMark]),
 }
 # The fields of a Chunk have the same names in the log, so a Chunk is decoded directly, without a
 # ChunkMessage. Only a Packet has a link type; inside a text, the quotes around that name would be
@@ -157,7 +161,7 @@ class MessageDecoder:
             found = _CHUNKS_DECODER.decode(array)
         else:
             found = _LIST_DECODERS[schema].decode(array)
-            if schema != schemas.TRANSACTION:
+            if schema not in _ARE_ITEMS:
                 found = [message.item() for message in found]
         if len(found) != len(raw):
             raise ValueError("a message that is not one JSON value")
@@ -167,7 +171,7 @@ class MessageDecoder:
         for schema, data in zip(batch.order, batch.raw, strict=True):
             try:
                 message: Any = _DECODERS[schema].decode(data)
-                item = message if schema == schemas.TRANSACTION else message.item()
+                item = message if schema in _ARE_ITEMS else message.item()
             except _NOT_DECODABLE as error:
                 if self.impossible.note(error, data):
                     continue

@@ -103,6 +103,17 @@ class PointMessage(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True
     unit: str | None = None
 
 
+class DecodingMark(msgspec.Struct, frozen=True, kw_only=True):
+    """Says how far the decoder is behind the evidence; an item and its message at once."""
+
+    ts_ns: int
+    waiting: int
+    """Number of chunks and packets that are in the log and that the decoder still has to decode;
+    0 if it has caught up."""
+    dropped: int
+    """Number of chunks and packets, since the mark before, that the decoder will not decode."""
+
+
 class Level(IntEnum):
     """The level of a message in Foxglove's Log schema."""
 

@@ -35,6 +35,7 @@ from mbtool.logs.healing import Hole, SoundRecords
 from mbtool.logs.layout import FORMAT_VERSION, LIBRARY, PROFILE, Opcode
 from mbtool.logs.log_end import check_end, is_open_end
 from mbtool.logs.message_decoder import MessageDecoder
+from mbtool.logs.messages import DecodingMark
 from mbtool.logs.records import RecordStream
 
 if TYPE_CHECKING:
@@ -136,6 +137,30 @@ class LogReader(ClosesOnExit):
             for item in batch:
                 if not isinstance(item, NamedTransaction):
                     yield item
+
+    def heard(self) -> Iterator[Chunk | Packet | WireEvent]:
+        """Give the captured bytes and the events, in the order in which they were written.
+
+        A log is read once: call only one of `items`, `transactions`, `evidence` and this.
+        """
+        for batch in self._read(frozenset({schemas.CHUNK, schemas.WIRE_EVENT})):
+            for item in batch:
+                if not isinstance(item, NamedTransaction):
+                    yield item
+
+    def undecoded(self) -> int:
+        """The number of chunks and packets that were not decoded when the log was made.
+
+        This reads the log; call nothing else before or after it. An estimate for a log whose
+        recorder still writes or was killed: the last moments are not counted.
+        """
+        waiting = dropped = 0
+        for batch in self._read(frozenset({schemas.DECODING})):
+            for mark in batch:
+                if isinstance(mark, DecodingMark):
+                    waiting = mark.waiting
+                    dropped += mark.dropped
+        return waiting + dropped
 
     def close(self) -> None:
         self._stream.close()

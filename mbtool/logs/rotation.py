@@ -14,8 +14,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
+import msgspec
+
 from mbtool.core import UsageError
 from mbtool.core.closing import ClosesOnExit
+from mbtool.logs.messages import DecodingMark
 from mbtool.logs.writer import LogWriter
 
 if TYPE_CHECKING:
@@ -78,6 +81,8 @@ class RotatingLog(ClosesOnExit):
         self._replace = replace
         self._number = 1
         self._metadata: list[Callable[[LogWriter], None]] = []
+        self._mark: DecodingMark | None = None
+        """The last mark; a new file begins with it if the decoder is behind."""
         self._began_ns: int | None = None
         self._now_ns: int | None = None
         self._writer = self._open()
@@ -92,8 +97,10 @@ class RotatingLog(ClosesOnExit):
     def size(self) -> int:
         return self._writer.size
 
-    def write(self, item: LogItem) -> None:
+    def write(self, item: LogItem | DecodingMark) -> None:
         self._rotate_if_due()
+        if isinstance(item, DecodingMark):
+            self._mark = item
         self._writer.write(item)
         self._is_empty = False
 
@@ -136,6 +143,8 @@ class RotatingLog(ClosesOnExit):
             self._writer = self._open()
             for add in self._metadata:
                 add(self._writer)
+            if self._mark is not None and self._mark.waiting:
+                self._writer.write(msgspec.structs.replace(self._mark, dropped=0))
 
     def _is_due(self) -> bool:
         if self._is_empty:

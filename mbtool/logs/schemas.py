@@ -16,7 +16,14 @@ from msgspec import inspect
 
 from mbtool.core import Connection, Endpoint
 from mbtool.devices import NamedTransaction, PointValue
-from mbtool.logs.messages import ChunkMessage, EventMessage, LogMessage, LogTime, PointMessage
+from mbtool.logs.messages import (
+    ChunkMessage,
+    DecodingMark,
+    EventMessage,
+    LogMessage,
+    LogTime,
+    PointMessage,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -26,6 +33,7 @@ TRANSACTION = "mbtool.Transaction"
 WIRE_EVENT = "mbtool.WireEvent"
 POINT_VALUE = "mbtool.PointValue"
 LOG = "foxglove.Log"
+DECODING = "mbtool.Decoding"
 
 MESSAGE_TYPES: dict[str, type] = {
     CHUNK: ChunkMessage,
@@ -33,6 +41,7 @@ MESSAGE_TYPES: dict[str, type] = {
     WIRE_EVENT: EventMessage,
     POINT_VALUE: PointMessage,
     LOG: LogMessage,
+    DECODING: DecodingMark,
 }
 
 _TITLES = {
@@ -41,6 +50,7 @@ _TITLES = {
     WIRE_EVENT: "Something on a link that is no transaction",
     POINT_VALUE: "A named value that has changed",
     LOG: "A broken rule",
+    DECODING: "How far the decoder is behind the captured bytes",
 }
 
 _POINT = {
@@ -140,6 +150,11 @@ _DESCRIPTIONS: dict[type, dict[str, str]] = {
         "name": "The rule's code",
         "file": "The link",
         "line": "The unit id; 0 if the finding concerns no unit",
+    },
+    DecodingMark: {
+        "ts_ns": "When this was so, UTC nanoseconds",
+        "waiting": "How many chunks before this message are not yet decoded; 0: none",
+        "dropped": "How many chunks since the mark before this one will not be decoded",
     },
     LogTime: {"sec": "Seconds since 1970, UTC", "nsec": "Nanoseconds of the second"},
 }

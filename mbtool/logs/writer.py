@@ -4,7 +4,8 @@
 # comes before the transactions decoded from it.
 #
 # The writer has no clock: `tick` gives it the time. It flushes once something may have been in
-# memory for FLUSH_AFTER_NS, so with ten ticks a second at most 0.6 s of a capture are in memory.
+# memory for FLUSH_AFTER_NS, so with ten ticks a second at most 0.6 s of a capture are in memory. If
+# that is LARGE bytes or more, it flushes after FLUSH_LARGE_AFTER_NS: large chunks pack well anyway.
 # Such a flush is synced to the disk. The flush of a full chunk is not, so that a fast capture does
 # not sync more often than a slow one; the sync of the next tick covers it. A log that is made from
 # a file needs no ticks.
@@ -31,6 +32,7 @@ from mbtool.logs.container import Container, Topic
 from mbtool.logs.creating import create_file
 from mbtool.logs.layout import (
     CAPTURE,
+    DECODING_TOPIC,
     DEVICE,
     FORMAT_VERSION,
     LIBRARY,
@@ -40,7 +42,15 @@ from mbtool.logs.layout import (
     PROFILE_MEDIA_TYPE,
     packed,
 )
-from mbtool.logs.messages import ChunkMessage, EventMessage, Level, LogItem, LogMessage, LogTime
+from mbtool.logs.messages import (
+    ChunkMessage,
+    DecodingMark,
+    EventMessage,
+    Level,
+    LogItem,
+    LogMessage,
+    LogTime,
+)
 from mbtool.logs.points import PointChanges
 from mbtool.version import __version__
 
@@ -50,6 +60,8 @@ if TYPE_CHECKING:
     from mbtool.devices.checking.finding import Finding
 
 FLUSH_AFTER_NS = 500_000_000
+FLUSH_LARGE_AFTER_NS = 150_000_000
+LARGE = 32 * 1024
 MAX_LINKS = 10_000
 OTHER_LINKS = "others"
 
@@ -100,13 +112,16 @@ class LogWriter(ClosesOnExit):
         """Return a second handle of the file, which keeps the file locked until it is closed."""
         return self._file.hold()
 
-    def write(self, item: LogItem) -> None:
+    def write(self, item: LogItem | DecodingMark) -> None:
         """Add one item. Raises OutputError if it cannot be written."""
         if isinstance(item, NamedTransaction):
             self._write_transaction(item)
         elif isinstance(item, Chunk | Packet):
             topic = self._topic(item.link, "chunks", schemas.CHUNK)
             self._add(topic, item.ts_ns, item.ts_ns, ChunkMessage.of(item))
+        elif isinstance(item, DecodingMark):
+            topic = self._topic("", DECODING_TOPIC, schemas.DECODING)
+            self._add(topic, item.ts_ns, item.ts_ns, item)
         else:
             topic = self._topic(item.link, "events", schemas.WIRE_EVENT)
             self._add(topic, item.ts_ns, item.ts_ns, EventMessage.of(item))
@@ -147,9 +162,11 @@ class LogWriter(ClosesOnExit):
 
         Raises OutputError if the file cannot be written.
         """
-        if not self._container.pending:
+        pending = self._container.pending
+        after_ns = FLUSH_AFTER_NS if pending < LARGE else FLUSH_LARGE_AFTER_NS
+        if not pending:
             self._flushed_ns = now_ns
-        elif not 0 <= now_ns - self._flushed_ns < FLUSH_AFTER_NS:
+        elif not 0 <= now_ns - self._flushed_ns < after_ns:
             self._container.flush(sync=True)
             self._flushed_ns = now_ns
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
+from time import monotonic_ns
 from time import time_ns as now_ns  # noqa: TID251 - the clock for bytes that are captured live
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-__all__ = ["now_ns", "steady_clock"]
+__all__ = ["monotonic_ns", "now_ns", "steady_clock"]
 
 
 def steady_clock() -> Callable[[], int]:

@@ -1,5 +1,8 @@
-"""The queue from the live sources to the consumer, which decodes chunks and packets."""
+"""The queue from the live sources to the consumer of chunks and packets."""
 
+# The consumer is the recorder (workflows/shared/recorder.py), which passes the items on to the
+# decoder in a second Inbox; without a log it is the decoder itself.
+#
 # Any number of sources, each in a thread of its own, put items (chunks, packets, events) into one
 # Inbox, and one consumer takes them out. The items of one source come out in the order in which the
 # source put them.
@@ -16,7 +19,8 @@
 # Sources and consumer share one interpreter. A busy consumer would slow down a capture: each system
 # call of the capture releases the interpreter's lock and gets it back only milliseconds later. So a
 # source fetches from the kernel inside the context `first`. Meanwhile the consumer waits, for at
-# most STANDSTILL_S at a time, but not if the inbox is half full.
+# most STANDSTILL_S at a time, but not if the inbox is half full. The consumer of a second Inbox,
+# made with `behind`, waits for the same sources.
 #
 # StreamOpened and StreamClosed, with its gaps, are accepted up to twice the limit, so that the
 # consumer knows which connections are open; Ended is always accepted. A new Quiet replaces the
@@ -57,14 +61,21 @@ Item = StreamItem | Packet | Quiet | Ended
 class Sink(Protocol):
     """Something that a source can put its items into, such as an Inbox."""
 
-    def put(self, item: Item) -> None: ...
+    def put(self, item: Item) -> object: ...
 
 
 class Inbox:
     """A bounded queue from many sources to one consumer. Any thread may use it."""
 
-    def __init__(self, limit: int = DEFAULT_LIMIT) -> None:
+    def __init__(self, limit: int = DEFAULT_LIMIT, *, behind: Inbox | None = None) -> None:
+        """`behind` is the inbox whose items, once recorded, are put into this one.
+
+        Then what this one discards is in the log, and its DISCARDED events say so and count no
+        loss.
+        """
         self._limit = limit
+        self._filled_by_sources = self if behind is None else behind
+        self._is_recorded = behind is not None
         self._items: deque[Item] = deque()
         self._held = 0
         self._losses: dict[str, _Loss] = {}
@@ -79,18 +90,25 @@ class Inbox:
         """The size of the items in the inbox: their bytes plus ITEM_COST for each."""
         return self._held
 
-    def put(self, item: Item) -> None:
-        """Put an item, without waiting. The top of this file says what a full inbox does."""
+    def __len__(self) -> int:
+        return len(self._items)
+
+    def put(self, item: Item) -> bool:
+        """Put an item, without waiting; return False if it was discarded.
+
+        The top of this file says what a full inbox does.
+        """
         with self._changed:
             if isinstance(item, Ended):
                 self._tell_losses()
             elif not self._has_room(item):
                 self._lose(item)
-                return
+                return False
             elif isinstance(item, StreamClosed):
                 self._tell_gaps(item.connection)
             self._append(item)
             self._changed.notify()
+            return True
 
     @contextmanager
     def first(self) -> Iterator[None]:
@@ -114,8 +132,7 @@ class Inbox:
 
         Without a timeout this waits until an item comes.
         """
-        if not self._calm.is_set() and self._held <= self._limit // 2:
-            self._calm.wait(STANDSTILL_S)
+        self._let_sources_go_first()
         with self._changed:
             if not self._items:
                 self._changed.wait_for(lambda: bool(self._items), timeout)
@@ -126,6 +143,24 @@ class Inbox:
             if self._losses and self._held <= self._limit // 2:
                 self._tell_losses()
             return item
+
+    def take(self, timeout: float, most: int) -> list[Item]:
+        """Take out up to `most` items; an empty list if none comes in `timeout` seconds."""
+        self._let_sources_go_first()
+        with self._changed:
+            if not self._items:
+                self._changed.wait_for(lambda: bool(self._items), timeout)
+            count = min(most, len(self._items))
+            items = [self._items.popleft() for _ in range(count)]
+            self._held -= sum(map(_cost, items))
+            if self._losses and self._held <= self._limit // 2:
+                self._tell_losses()
+            return items
+
+    def _let_sources_go_first(self) -> None:
+        calm = self._filled_by_sources._calm
+        if not calm.is_set() and self._held <= self._limit // 2:
+            calm.wait(STANDSTILL_S)
 
     def _has_room(self, item: Item) -> bool:
         if isinstance(item, StreamOpened | StreamClosed):
@@ -165,6 +200,7 @@ class Inbox:
             self._append(gap)
 
     def _tell_losses(self) -> None:
+        where = "are in the log, but not shown" if self._is_recorded else "were not recorded"
         for link, loss in self._losses.items():
             self._append(
                 WireEvent(
@@ -172,9 +208,9 @@ class Inbox:
                     link=link,
                     kind=EventKind.DISCARDED,
                     message=f"decoding fell behind: {loss.items} pieces with {loss.size} bytes "
-                    f"were not recorded{loss.dropped_text}",
-                    missing=loss.size,
-                    packets=loss.packets + loss.dropped,
+                    f"{where}{loss.dropped_text}",
+                    missing=0 if self._is_recorded else loss.size,
+                    packets=0 if self._is_recorded else loss.packets + loss.dropped,
                 )
             )
             for connection in [connection for connection, _ in loss.streams]:

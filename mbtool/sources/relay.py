@@ -39,6 +39,9 @@ if TYPE_CHECKING:
 
 CONNECT_S = 10.0
 """Timeout in seconds for the target to accept, and for the master to complete a TLS handshake."""
+MAX_PIECE = 2**13
+"""The most bytes of a chunk. One read may bring 256 KiB, that is 20,000 pipelined requests, which
+take the decoder a second; nothing else, such as the end of the run, happens within a chunk."""
 MAX_WAITING = 2**16
 """While more bytes than this wait to be sent to one side, the relay does not read the other side.
 
@@ -114,16 +117,17 @@ class TcpRelay:
 
     def received(self, side: _RelaySide, ts_ns: int, data: bytes) -> None:
         self.active_s = asyncio.get_running_loop().time()
-        self._inbox.put(
-            Chunk(
-                ts_ns=ts_ns,
-                link=self._link,
-                data=data,
-                direction=side.direction,
-                stamp=Stamp.AT_ONCE,
-                connection=self._connection,
+        for at in range(0, len(data), MAX_PIECE):
+            self._inbox.put(
+                Chunk(
+                    ts_ns=ts_ns,
+                    link=self._link,
+                    data=data[at : at + MAX_PIECE],
+                    direction=side.direction,
+                    stamp=Stamp.AT_ONCE,
+                    connection=self._connection,
+                )
             )
-        )
 
     def lost(self, side: _RelaySide, error: Exception | None) -> None:
         """Called when the connection of `side` has ended: close the other side, too.

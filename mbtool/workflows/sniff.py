@@ -1,16 +1,19 @@
 """Captures from links, decodes bytes and packets, and logs them with the decoded records."""
 
-# One loop serves all sources. Each item (bytes, a packet, a silence) is written to the log before
-# it is decoded, and each record is written to the log before the caller gets it.
+# One loop serves all sources. With a log, a thread of its own (shared/recorder.py) writes each item
+# (bytes, a packet) to the log and only then gives it to the loop, which decodes it. So evidence is
+# logged however late the decoder and the caller are.
 #
 # Order at the start: open all sources, begin the log, let taps accept connections. So a link that
 # cannot be opened leaves no log behind, and connections cannot use up the file descriptors that the
-# log needs. Order at the end: close the sources, decode what they had received, complete the log.
+# log needs. Order at the end: close the sources, log and decode what they had received, complete
+# the log. A caller who is in a hurry waits at most HURRY_NS for the decoding; reading the log
+# decodes the rest.
 
 from __future__ import annotations
 
 from contextlib import ExitStack
-from typing import TYPE_CHECKING, Any, Protocol, Self, TypeGuard
+from typing import TYPE_CHECKING, Any, Self, TypeGuard
 
 from mbtool.core import (
     AutoLink,
@@ -22,39 +25,32 @@ from mbtool.core import (
     UsageError,
     WireEvent,
 )
+from mbtool.core.wording import counted
 from mbtool.modbus import Outcome
 from mbtool.ports.allowed_peers import THIS_MACHINE, AllowedPeers
-from mbtool.ports.clock import now_ns
+from mbtool.ports.clock import monotonic_ns, now_ns
 from mbtool.sources.inbox import Ended, Inbox
 from mbtool.sources.line_guess import guess_line
 from mbtool.sources.live import live_source
 from mbtool.workflows.shared.missing_parts import MissingParts
+from mbtool.workflows.shared.recorder import Recorder
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from mbtool.core import LinkSpec
     from mbtool.decode.decoder import Decoder, Evidence, Record
-    from mbtool.devices import NamedTransaction
+    from mbtool.sources.inbox import Item
     from mbtool.sources.source import LiveSource
+    from mbtool.workflows.shared.recorder import Log
 
+HURRY_NS = 500_000_000
+"""The longest time in ns that a caller in a hurry waits for the decoding at the end."""
 POLL_S = 0.1
 """The longest wait for an item, in seconds, before the loop reads the clock again."""
 MAX_REASONS = 64
 """The most reasons for refusals that are told to the user for one link. There must be a limit, as
 part of the reason may be text from a master."""
-
-
-class Log(Protocol):
-    """The part of a log writer that a Sniffer uses."""
-
-    def write(self, item: Chunk | Packet | NamedTransaction | WireEvent) -> None: ...
-
-    def tick(self, now_ns: int) -> None:
-        """Called regularly with the time in ns: write items that have been waiting in memory."""
-
-    def close(self, final: Mapping[str, str]) -> None:
-        """Complete the log; `final` holds values that are only known at the end of a run."""
 
 
 class Sniffer:
@@ -74,25 +70,28 @@ class Sniffer:
 
         A link is lost while others remain open. A source has lost bytes or packets, so that the log
         lacks them. A tap refuses a master (reported once for each reason, until a master is served
-        again). At the end: packets were cut, or requests were dropped by a limit.
+        again). At the end: packets were cut, requests were dropped by a limit, or a part of what
+        was heard is not decoded.
         """
         self._links = links
         self._decoder = decoder
         self._begin_log = begin_log
-        self._log: Log | None = None
+        self._recorder: Recorder | None = None
         self._ports = ports
         self._allowed = allowed
         self._on_remark = on_remark
         self._refusals = Refusals()
         self._missing = MissingParts()
         self._inbox = Inbox()
+        """What the sources hear."""
+        self._undecoded = self._inbox
+        """What is to be decoded; with a log, what has been recorded."""
         self._open_sources = ExitStack()
         self.sources: list[LiveSource[Any]] = []
         """One source for each link, in the same order; empty until the context is entered."""
         self._open = 0
-        self._discarded_packets = 0
-        self._discarded_bytes = 0
-        """Number of bytes that the sources lost, without packets that the kernel dropped."""
+        self._is_complete = False
+        """True once everything that was heard has been decoded or left."""
 
     @property
     def places(self) -> list[str]:
@@ -106,35 +105,38 @@ class Sniffer:
                 source = live_source(link, self._inbox, ports=self._ports, allowed=self._allowed)
                 self.sources.append(opened.enter_context(source))
             if self._begin_log is not None:
-                self._log = self._begin_log()
+                self._recorder = Recorder(self._inbox, self._begin_log(), now_ns)
+                self._undecoded = self._recorder.undecoded
+                self._recorder.start()
             for source in self.sources:
                 source.accept()
             self._open_sources = opened.pop_all()
         self._open = len(self._links)
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, *error: object) -> None:
+        is_interrupted = error[:1] == (KeyboardInterrupt,)
         try:
-            for _record in self._rest():
+            for _record in self._rest(lambda: is_interrupted):
                 pass  # Nobody reads the record, but _rest has written it to the log.
         finally:
-            if self._log is not None:
-                self._log.close(
-                    {
-                        "discarded_packets": str(self._discarded_packets),
-                        "discarded_bytes": str(self._discarded_bytes),
-                    }
-                )
+            if self._recorder is not None:
+                self._recorder.close()
 
-    def records(self, stop: Callable[[int], bool]) -> Iterator[Record]:
+    def records(
+        self, stop: Callable[[int], bool], is_hurried: Callable[[], bool] = lambda: False
+    ) -> Iterator[Record]:
         """Yield records as they are decoded, until `stop` returns True or all links are lost.
 
-        `stop` is called with the time (ns) at least ten times a second. Raises LinkError when the
-        last link is lost, OutputError when the log cannot be written.
+        `stop` is called with the time (ns) at least ten times a second. At the end everything that
+        was heard is decoded; once `is_hurried` returns True, for at most HURRY_NS. Raises LinkError
+        when the last link is lost, OutputError when the log cannot be written.
         """
         lost: LinkError | None = None
         while self._open and not stop(now_ns()):
-            item = self._inbox.get(POLL_S)
+            item = self._undecoded.get(POLL_S)
+            if self._recorder is not None:
+                self._recorder.check()
             if isinstance(item, Ended):
                 self._open -= 1
                 lost = item.error or lost
@@ -142,44 +144,73 @@ class Sniffer:
                     self._on_remark(str(item.error))
             elif item is not None:
                 yield from self._take(item)
-            if self._log is not None:
-                self._log.tick(now_ns())
-        yield from self._rest()
+        yield from self._rest(is_hurried)
         for remark in self._missing.remarks:
             self._on_remark(remark)
         if lost is not None and not self._open:
             raise lost
 
-    def _take(self, item: Evidence) -> Iterator[Record]:
-        if self._log is not None and isinstance(item, Chunk | Packet):
-            self._log.write(item)
+    def _take(self, item: Evidence) -> list[Record]:
+        """Decode an item; return its records, which the log has or gets."""
         self._missing.note_item(item)
         if isinstance(item, WireEvent) and item.kind is EventKind.DISCARDED:
-            self._discarded_packets += item.packets
-            self._discarded_bytes += item.missing
-            if item.packets or item.missing:
-                self._on_remark(f"{item.link}: {item.message}")
-        yield from self._logged(self._decoder.feed(item))
+            self._tell_loss(item)
+        records = self._logged(self._decoder.feed(item))
+        if self._recorder is not None:
+            self._recorder.note_decoded(item)
+        return records
 
-    def _rest(self) -> Iterator[Record]:
+    def _tell_loss(self, event: WireEvent) -> None:
+        if event.packets or event.missing:
+            self._on_remark(f"{event.link}: {event.message}")
+
+    def _rest(self, is_hurried: Callable[[], bool]) -> Iterator[Record]:
         """Close the sources, and yield the records of all bytes that they had received.
 
         A second call yields nothing.
         """
         self._open_sources.close()
-        while (item := self._inbox.get(0)) is not None:
+        if self._recorder is not None:
+            self._recorder.stop()
+        end_ns = monotonic_ns() + HURRY_NS
+        while (item := self._undecoded.get(0)) is not None:
+            if is_hurried() and monotonic_ns() > end_ns:
+                self._leave([item, *self._undecoded.take(0, len(self._undecoded))])
+                return
             if not isinstance(item, Ended):
                 yield from self._take(item)
-        yield from self._logged(self._decoder.close())
+        if not self._is_complete:
+            self._is_complete = True
+            yield from self._logged(self._decoder.close())
+            self._tell_undecoded(self._recorder.dropped if self._recorder is not None else 0)
 
-    def _logged(self, records: list[Record]) -> Iterator[Record]:
+    def _leave(self, items: Sequence[Item]) -> None:
+        """Leave items undecoded. The log has the bytes and packets, and gets the events."""
+        self._is_complete = True
+        left = 0
+        for item in items:
+            left += isinstance(item, Chunk | Packet)
+            if isinstance(item, WireEvent) and self._recorder is not None:
+                self._recorder.write(item)
+        if self._recorder is not None:
+            left += self._recorder.dropped
+        self._tell_undecoded(left)
+
+    def _tell_undecoded(self, count: int) -> None:
+        if count:
+            then = "; reading the log decodes all of it" if self._recorder is not None else ""
+            self._on_remark(
+                f"{counted(count, 'piece')} of what was heard not decoded, for lack of time{then}"
+            )
+
+    def _logged(self, records: list[Record]) -> list[Record]:
         for record in records:
             self._missing.note_record(record)
-            if self._log is not None:
-                self._log.write(record)
+            if self._recorder is not None:
+                self._recorder.write(record)
             if self._refusals.is_news(record):
                 self._on_remark(f"a master was turned away: {record.message}")
-        yield from records
+        return records
 
 
 def serial_lines(links: Sequence[LinkSpec]) -> dict[str, SerialLink]:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
 
-    from mbtool.logs.messages import LogItem
+    from mbtool.logs.messages import DecodingMark, LogItem
 
 START_NS = 1_700_000_000_000_000_000
 
@@ -105,7 +105,7 @@ NAMED = transaction(
 ONE_OF_EACH: tuple[LogItem, ...] = (chunk(), transaction(), EVENT, PACKET, SEGMENT, NAMED)
 
 
-def write_log(path: Path, items: Iterable[LogItem]) -> Path:
+def write_log(path: Path, items: Iterable[LogItem | DecodingMark]) -> Path:
     """A closed log of these items, with a link and a profile."""
     with LogWriter(path, capture={"host": "bench"}) as log:
         log.add_link("rs485", {"spec": "rtu:/dev/ttyUSB0@19200-8E1"})

@@ -7,6 +7,7 @@ import socket
 from collections import Counter
 from contextlib import suppress
 from functools import partial
+from itertools import islice
 from threading import Thread
 from typing import TYPE_CHECKING
 from unittest.mock import Mock
@@ -14,6 +15,7 @@ from unittest.mock import Mock
 import pytest
 
 from mbtool.core import (
+    Chunk,
     Direction,
     Endpoint,
     EventKind,
@@ -32,7 +34,7 @@ from mbtool.core import (
 from mbtool.core.limits import MAX_OPEN_REQUESTS
 from mbtool.decode.decoder import Decoder
 from mbtool.devices import Assignments, NamedTransaction, Namer
-from mbtool.logs import LogReader
+from mbtool.logs import LogReader, follow
 from mbtool.logs.opening import create_log
 from mbtool.modbus import Outcome, Verdict, encode_pdu, mbap_adu
 from mbtool.sources.serial_capture import SerialSource
@@ -40,6 +42,7 @@ from mbtool.sources.tap import TapSource
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
 from mbtool.workflows.sniff import Sniffer, serial_lines
 from tests.certificates import CA, STRANGER, slave_context
+from tests.cli.program import patient
 from tests.records import without_origins
 from tests.sources.live_helpers import PATIENCE_S, stop_marking
 from tests.workflows.bench import ANY, Bench, ask, call_in_vain, speak, until
@@ -49,8 +52,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
     from pathlib import Path
 
-    from mbtool.core import Chunk, Packet
     from mbtool.decode.decoder import Record
+    from mbtool.logs.messages import DecodingMark, LogItem
 
 
 @pytest.fixture
@@ -270,6 +273,44 @@ def test_a_reader_that_leaves_in_the_rest_leaves_a_complete_log(
     assert len(_transactions(logged)) == 20
 
 
+def test_a_caller_in_a_hurry_leaves_the_decoding_to_whoever_reads_the_log(
+    bench: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("mbtool.workflows.sniff.HURRY_NS", -1)
+    whole, left = tmp_path / "whole.mcap", tmp_path / "left.mcap"
+    told: list[str] = []
+    for path, is_hurried in ((whole, False), (left, True)):
+        with _sniffer(bench.tap(), log=path, on_remark=told.append) as sniffer:
+            ask(sniffer, WRITE, count=20)
+            given = list(sniffer.records(lambda _: True, partial(bool, is_hurried)))
+            assert bool(given) is not is_hurried
+    assert told == [
+        "40 pieces of what was heard not decoded, for lack of time; "
+        "reading the log decodes all of it"
+    ]
+    reading = Reading([str(left)], ReadingOptions())
+    found = list(reading.records())
+    assert reading.remarks == [
+        f"{left}: 40 pieces not decoded when it was made; it is decoded again"
+    ]
+    expected = list(Reading([str(whole)], ReadingOptions()).records())
+    assert [one.request_values for one in _transactions(found)] == [[7]] * 20
+    assert len(_transactions(found)) == len(_transactions(expected))
+    with LogReader.open(left) as log:
+        assert not list(log.transactions())
+        assert log.capture["undecoded_pieces"] == "40"
+
+
+def test_a_link_is_recorded_though_nobody_asks_for_records(bench: Bench, tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with _sniffer(bench.tap(), log=path) as sniffer:
+        ask(sniffer, WRITE, count=20)
+        heard = (item for item in follow(path, patient()) if isinstance(item, Chunk))
+        assert len(list(islice(heard, 40))) == 40
+    logged = list(Reading([str(path)], ReadingOptions()).records())
+    assert len(_transactions(logged)) == 20
+
+
 def test_an_exception_of_the_reader_leaves_a_complete_log(bench: Bench, tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
 
@@ -363,7 +404,7 @@ class _Log:
         self.ticks = 0
         self.final: Mapping[str, str] | None = None
 
-    def write(self, item: Chunk | Packet | NamedTransaction | WireEvent) -> None:
+    def write(self, item: LogItem | DecodingMark) -> None:
         if self._room == 0:
             raise OutputError("a.mcap: the disk is full")
         self._room -= 1

@@ -16,10 +16,11 @@ from mbtool.devices.checking.checker import Checker
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
 
-    from mbtool.core import Chunk, Packet, SerialLink
+    from mbtool.core import SerialLink
     from mbtool.decode.line_timing import LineTiming
     from mbtool.devices.checking.finding import Finding
     from mbtool.logs import LogWriter, RotatingLog
+    from mbtool.logs.messages import DecodingMark, LogItem
 
 
 def begin_checked(
@@ -45,7 +46,7 @@ class CheckedLog:
         self._checker = Checker(context)
         self._last_ns = 0
 
-    def write(self, item: Chunk | Packet | NamedTransaction | WireEvent) -> None:
+    def write(self, item: LogItem | DecodingMark) -> None:
         """Write an item, and then the findings that are certain because of it.
 
         Raises OutputError if the log cannot be written.

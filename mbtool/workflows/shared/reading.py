@@ -2,7 +2,8 @@
 
 # A packet capture is decoded. A file with the bytes of a serial line is decoded as one line. From a
 # log, the stored transactions and events are read; with `raw` its packets and bytes are decoded
-# again, with the line settings and profiles in the log, unless the user gives others.
+# again, with the line settings and profiles in the log, unless the user gives others. If a log says
+# that some evidence was not decoded, all logs are decoded again (undecoded_logs.py).
 #
 # Files that are parts of one capture (capture_parts.py), named in their order, are decoded as one,
 # since a connection may begin in one part and end in the next. If a part is cut or damaged, a GAP
@@ -46,7 +47,6 @@ from mbtool.logs.links import (
 )
 from mbtool.packets import reads_of, serial_pieces
 from mbtool.sources.files import PACKET_KINDS, CaptureKind, open_capture, place_of
-from mbtool.views.cells import clock_time, day
 from mbtool.workflows.shared.capture_parts import Part, Seam
 from mbtool.workflows.shared.exact_times import ExactTimes
 from mbtool.workflows.shared.file_results import FileResults
@@ -54,6 +54,7 @@ from mbtool.workflows.shared.heard_line import HeardLine, heard_remarks, serial_
 from mbtool.workflows.shared.log_records import log_records
 from mbtool.workflows.shared.missing_parts import MissingParts
 from mbtool.workflows.shared.reading_options import ReadingOptions
+from mbtool.workflows.shared.undecoded_logs import LogRemarks, heard
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -97,7 +98,7 @@ class Reading:
         self._heard: list[HeardLine] = []
         """For each file that does not tell the baud rate, a check of the assumed baud rate."""
         self._missing = MissingParts()
-        self._unclosed_logs: list[str] = []
+        self._logs = LogRemarks(paths)
         self._results = FileResults(paths)
         self._misordered: list[str] = []
         self._kinds: set[CaptureKind] = set()
@@ -182,7 +183,7 @@ class Reading:
             remarks.append("--link has no effect: these are packets of a network")
         if self._has_found and self._is_complete:
             remarks += self._options.assignments.remarks
-        return remarks + self._misordered + self._unclosed_logs + self._results.table()
+        return remarks + self._misordered + self._logs.remarks + self._results.table()
 
     def demand_files(self) -> None:
         """Check that each file exists, is named once, and is of a kind that can be read.
@@ -400,14 +401,16 @@ class Reading:
                 f"{capture.name}: a log holds what was decoded when it was made; "
                 "--t1-5, --t3-5 and --response-timeout need --raw, which decodes it again"
             )
+        elif self._logs.are_undecoded:
+            self.assignments = all_assignments(log, self._options.assignments)
+            yield from self._decoded_again(log, heard(log), Part.of_log(log))
         else:
             part = Part.of_log(log)
             if not part.follows(self._part):
                 yield from self._end_capture()
             self._part = part
             self._enter(is_log=True)
-            # The transactions in the log already have names and times. So errors in the log's
-            # profiles or links are ignored.
+            # The log has names and times, so errors in its profiles or links are ignored.
             with suppress(UsageError):
                 self.assignments = all_assignments(log, self._options.assignments)
             lines: dict[str, SerialLink] = {}
@@ -419,10 +422,7 @@ class Reading:
             yield from log_records(
                 self._missing.noted(log.items()), self._options.assignments, capture.name
             )
-        if not log.closed:
-            end = f"ends at {day(log.end_ns)} {clock_time(log.end_ns)} UTC"
-            end = end if log.end_ns else "holds nothing"
-            self._unclosed_logs.append(f"{capture.name}: was not closed; it {end}")
+        self._logs.note(log, capture.name)
 
     def _decoded_again(
         self, log: LinkMetadata, evidence: Iterator[Evidence], part: Part

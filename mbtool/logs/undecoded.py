@@ -1,0 +1,99 @@
+"""Finds out if a log holds evidence that was not decoded when the log was made."""
+
+# A recorder writes a mark (DecodingMark) when its decoder falls behind, and one when it has caught
+# up. Few logs have any. A closed log lists its topics in its summary, so that only a log that has
+# marks, or was not closed, is read for them.
+
+from __future__ import annotations
+
+import os
+import struct
+from io import BytesIO
+from typing import TYPE_CHECKING
+
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.records import Channel, Footer, SummaryOffset
+
+from mbtool.core import InputError
+from mbtool.logs.layout import (
+    DECODING_TOPIC,
+    FOOTER_SIZE,
+    MAGIC,
+    MAX_RECORD,
+    RECORD_HEAD,
+    Opcode,
+)
+from mbtool.logs.reader import LogReader
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+    from typing import BinaryIO
+
+
+def undecoded_pieces(path: str | Path) -> int:
+    """The number of chunks and packets of a log that were not decoded when it was made.
+
+    0 for a file that is damaged or no log: what can be read of it is read as it is.
+    """
+    try:
+        with open(path, "rb") as stream:
+            if not _may_have_marks(stream):
+                return 0
+            stream.seek(0)
+            return LogReader(stream, str(path)).undecoded()
+    except (OSError, InputError):
+        return 0
+
+
+def _may_have_marks(stream: BinaryIO) -> bool:
+    """True if the summary of a log lists the topic of the marks, or if there is no summary."""
+    end = stream.seek(0, os.SEEK_END)
+    if end < FOOTER_SIZE + len(MAGIC):
+        return False
+    try:
+        offsets_start = _footer(stream, end).summary_offset_start
+        if not 0 < offsets_start <= end:
+            return True
+        for opcode, content in _records(stream, offsets_start, end - FOOTER_SIZE):
+            group = SummaryOffset.read(ReadDataStream(BytesIO(content)))
+            if opcode == Opcode.SUMMARY_OFFSET and group.group_opcode == Opcode.CHANNEL:
+                return _has_topic(stream, group)
+    except (McapError, ValueError, struct.error):
+        return True
+    return False
+
+
+def _footer(stream: BinaryIO, end: int) -> Footer:
+    ((_, content),) = _records(stream, end - FOOTER_SIZE, end - len(MAGIC))
+    footer: Footer = Footer.read(ReadDataStream(BytesIO(content)))
+    return footer
+
+
+def _has_topic(stream: BinaryIO, group: SummaryOffset) -> bool:
+    start = group.group_start
+    return any(
+        Channel.read(ReadDataStream(BytesIO(content))).topic == f"/{DECODING_TOPIC}"
+        for _, content in _records(stream, start, start + group.group_length)
+    )
+
+
+def _records(stream: BinaryIO, start: int, end: int) -> Iterator[tuple[int, bytes]]:
+    """The opcode and the content of each record in a part of a file.
+
+    Raises ValueError if it does not consist of whole records.
+    """
+    if not 0 <= end - start <= MAX_RECORD:
+        raise ValueError("a part of a summary that is too long")
+    stream.seek(start)
+    data = stream.read(end - start)
+    at = 0
+    while at < len(data):
+        if at + RECORD_HEAD.size > len(data):
+            raise ValueError("a part of a record")
+        opcode, length = RECORD_HEAD.unpack_from(data, at)
+        at += RECORD_HEAD.size + length
+        if at > len(data):
+            raise ValueError("a part of a record")
+        yield opcode, data[at - length : at]

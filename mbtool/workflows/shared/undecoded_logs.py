@@ -1,0 +1,88 @@
+"""Knows which logs hold evidence that was not decoded when they were made."""
+
+# Such a log is decoded again from its beginning, as what a packet or a byte means depends on what
+# came before it. Its records are left out, but not the events that its evidence cannot give: what
+# drivers, taps and interfaces told.
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+from mbtool.core import EventKind, WireEvent
+from mbtool.core.wording import counted
+from mbtool.logs.links import SPEC
+from mbtool.logs.undecoded import undecoded_pieces
+from mbtool.sources.files import place_of
+from mbtool.views.cells import clock_time, day
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from mbtool.core import Chunk, Packet
+    from mbtool.logs import LogReader
+
+_OF_SOURCES = frozenset({EventKind.LINE_ERROR, EventKind.REFUSED})
+_OF_TAPS = frozenset({EventKind.OPENED, EventKind.CLOSED})
+"""Only a tap tells that a connection was opened or closed; packets show it."""
+
+_LOSSES_OF_SOURCES = ("not recorded", "turned away")
+
+
+class LogRemarks:
+    """Tells which logs among some files are not decoded to their end, or were not closed."""
+
+    def __init__(self, paths: Sequence[str]) -> None:
+        self._paths = paths
+        self._unread: dict[str, int] = {}
+        """The number of undecoded chunks and packets of logs that can be read only once: pipes and
+        compressed files."""
+        self._unclosed: list[str] = []
+
+    @property
+    def are_undecoded(self) -> bool:
+        """True if all logs among the files are to be decoded again."""
+        return bool(self._counts)
+
+    def note(self, log: LogReader, name: str) -> None:
+        """Take a log that has been read to its end."""
+        text = log.capture.get("undecoded_pieces", "0")
+        if not self._counts and text.isdecimal() and len(text) <= 9 and int(text):
+            self._unread[name] = int(text)
+        if not log.closed:
+            end = f"ends at {day(log.end_ns)} {clock_time(log.end_ns)} UTC"
+            end = end if log.end_ns else "holds nothing"
+            self._unclosed.append(f"{name}: was not closed; it {end}")
+
+    @property
+    def remarks(self) -> list[str]:
+        """Lines for the user about these logs."""
+        told = ((self._counts, "it is decoded again"), (self._unread, "--raw decodes it again"))
+        return self._unclosed + [
+            f"{path}: {counted(count, 'piece')} not decoded when it was made; {then}"
+            for counts, then in told
+            for path, count in counts.items()
+        ]
+
+    @cached_property
+    def _counts(self) -> Mapping[str, int]:
+        """The number of undecoded chunks and packets, by path."""
+        counts = {path: undecoded_pieces(path) for path in self._paths if not place_of(path)[1]}
+        return {path: count for path, count in counts.items() if count}
+
+
+def heard(log: LogReader) -> Iterator[Chunk | Packet | WireEvent]:
+    """The evidence of a log, and the events that its evidence cannot give."""
+    taps = {name for name, one in log.links.items() if one.get(SPEC, "").startswith("tap:")}
+    for item in log.heard():
+        if not isinstance(item, WireEvent) or _is_of_source(item, taps):
+            yield item
+
+
+def _is_of_source(event: WireEvent, taps: set[str]) -> bool:
+    if event.kind in _OF_TAPS:
+        return event.link in taps
+    if event.kind is EventKind.DISCARDED:
+        # The decoder tells what it gave up itself, and will again.
+        return bool(event.packets) or any(text in event.message for text in _LOSSES_OF_SOURCES)
+    return event.kind in _OF_SOURCES or (event.kind is EventKind.GAP and not event.link)
