@@ -19,12 +19,13 @@
 # as masters and slaves begin and end their ADUs with a segment:
 #
 # - In step, a length of up to LONGEST_LENGTH is possible if the ADU ends with a segment, or if the
-# next header follows. Schneider's UMAS (function 5AH) sends such ADUs. - Out of step, an ADU of an
-# unknown function, or a longer one, is accepted if it also begins with a segment. An ADU of a known
-# function must begin with a segment, or end like the ADUs accepted in step. - While such an ADU is
-# incomplete, a whole ADU behind its header that begins and ends with a segment shows that it is no
-# header. If the header's function is known, whose PDU has another length, any whole ADU that ends
-# with a segment shows it.
+#   next header follows. Schneider's UMAS (function 5AH) sends such ADUs.
+# - Out of step, an ADU of an unknown function, or a longer one, is accepted if it also begins with
+#   a segment. An ADU of a known function must begin with a segment, or end like the ADUs accepted
+#   in step. If its PDU has not the form of its function, it must be one whole segment.
+# - While such an ADU is incomplete, a whole ADU behind its header that begins and ends with a
+#   segment shows that it is no header. If the header's function is known, whose PDU has another
+#   length, any whole ADU that ends with a segment shows it.
 #
 # Without `by_segments`, which bytes are dropped depends on the bytes only, never on the ends of
 # chunks.
@@ -148,9 +149,11 @@ class MbapSplitter:
         if length <= MAX_LENGTH:
             pdu_size = pdu_length(self._buffer.peek(length - 1, MBAP_BYTES), self._direction)
             if pdu_size is None:
-                return None if len(self._buffer) < size else 0
+                return None if len(self._buffer) < size else self._whole_segment(size)
             if pdu_size:
-                return self._known_size(size) if pdu_size == length - 1 else 0
+                return (
+                    self._known_size(size) if pdu_size == length - 1 else self._whole_segment(size)
+                )
         return self._size_by_segments(size)
 
     def _known_size(self, size: int) -> int | None:
@@ -160,6 +163,11 @@ class MbapSplitter:
         if len(self._buffer) < size:
             return None
         return size if self._may_end_at(size) else 0
+
+    def _whole_segment(self, size: int) -> int:
+        """The size of an ADU whose PDU is malformed if it is one whole segment; else 0."""
+        is_whole = self._by_segments and self._buffer.is_seam(0) and len(self._buffer) == size
+        return size if is_whole else 0
 
     def _size_by_segments(self, size: int) -> int | None:
         """The size of an ADU that only the ends of segments confirm, as `_first_size` gives it."""

@@ -247,6 +247,7 @@ def main() -> None:
 
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=20, help="how many seeds for each cell")
+    parser.add_argument("--first-seed", type=int, default=0, help="the first of these seeds")
     parser.add_argument("--requests", type=int, default=60, help="how many requests for each seed")
     parser.add_argument("--master", choices=MASTERS, action="append", help="only this master")
     parser.add_argument("--no-pairs", action="store_true", help="leave pairs of losses out")
@@ -268,7 +269,7 @@ def main() -> None:
             if options.no_pairs and len(losses) > 1:
                 continue
             row = dict.fromkeys(columns, 0)
-            for seed in range(options.seeds):
+            for seed in range(options.first_seed, options.first_seed + options.seeds):
                 found = judge(simulate(master, losses, seed, options.requests)).counts()
                 row = {column: row[column] + found[column] for column in columns}
             for column in columns:

@@ -33,6 +33,8 @@ BLOCK = 1000
 NEAR_BYTES = 3000
 """The parts of an ADU that is cut over segments are at most this far apart in the stream."""
 ALL_UNDER, SAMPLE = 2000, 500
+COPY_NS = 10_000_000_000
+"""Equal segments that follow each other sooner, in ns, are copies: seen twice, or retransmitted."""
 
 Half = tuple[bytes, int]
 """The bytes of an ADU, and the place of the packet that completed it."""
@@ -82,17 +84,12 @@ class Block:
         self._packets = packets
         self._ports = ports
         self._parts = [part_of(packet) for packet in packets]
-        self._copies: Counter[tuple[object, ...]] = Counter()
         self._at: defaultdict[int, list[int]] = defaultdict(list)
-        for place, (packet, part) in enumerate(zip(packets, self._parts, strict=True)):
+        for place, packet in enumerate(packets):
             self._at[packet.ts_ns].append(place)
-            if part is not None and part.payload:
-                self._copies[_content(part)] += 1
-        self._places: dict[tuple[object, ...], int] = {}
-        """The place of the first of equal segments."""
-        for place, part in enumerate(self._parts):
-            if part is not None and part.payload:
-                self._places.setdefault(_content(part), place)
+        self._first_copies = self._find_copies()
+        """For each place of a segment with data, the place of its first copy."""
+        self._copies = Counter(self._first_copies.values())
         self._whole = self._read(packets)
 
     def remove(self, place: int, found: Removals, number: int) -> None:
@@ -157,12 +154,23 @@ class Block:
                 and raw[-1:] in part.payload
                 and (raw in part.payload or _ends_within(raw, part.payload))
             ):
-                return raw, self._places[_content(part)]
+                return raw, self._first_copies[place]
         return raw, self._at[ts_ns][0] if self._at[ts_ns] else -1
 
     def _has_copy(self, place: int) -> bool:
-        part = self._parts[place]
-        return part is not None and self._copies[_content(part)] > 1
+        return self._copies[self._first_copies.get(place, -1)] > 1
+
+    def _find_copies(self) -> dict[int, int]:
+        first_copies: dict[int, int] = {}
+        latest: dict[tuple[object, ...], int] = {}
+        for place, part in enumerate(self._parts):
+            if part is None or not part.payload:
+                continue
+            before = latest.get(_content(part), place)
+            is_copy = self._packets[place].ts_ns - self._packets[before].ts_ns < COPY_NS
+            first_copies[place] = first_copies.get(before, place) if is_copy else place
+            latest[_content(part)] = place
+        return first_copies
 
     def _hits(self, place: int, half: Half) -> bool:
         """True if an ADU may have bytes in the packet at a place, and in no copy of it."""

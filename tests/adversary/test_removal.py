@@ -15,12 +15,8 @@ if TYPE_CHECKING:
 SAMPLE = 25
 
 PUBLIC = (
-    pytest.param(
-        "digitalbond__Quickdraw-Snort/modbus_test_data_part2.pcap",
-        marks=pytest.mark.xfail(
-            strict=True, reason="behind a gap no ADU is found that lacks the form of its function"
-        ),
-    ),
+    "digitalbond__Quickdraw-Snort/modbus_test_data_part2.pcap",
+    "camp0__aiengine/pcapfiles__modbus_five_flows.pcap",
     "ntop__nDPI/modbus.pcap",
     "cisagov__icsnpp-modbus/testing__traces__modbus_example.pcap",
     "derived/reseg5_suricata.pcap",

@@ -10,6 +10,7 @@ import os
 import threading
 import time
 from contextlib import ExitStack
+from itertools import groupby
 from typing import TYPE_CHECKING
 
 import pytest
@@ -24,6 +25,7 @@ from tests.end_to_end.programs import answering, decoded, sniffing, tcp_port
 from tests.sources.live_helpers import wait_for_end
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
     from pathlib import Path
 
 SECOND_NS = 1_000_000_000
@@ -107,12 +109,22 @@ def assert_nothing_is_missing(log: Path, answered_ns: list[int], killed_ns: int)
             Draft202012Validator(json.loads(schema.data)).validate(body)
             if channel.topic.endswith("/transactions"):
                 in_stock_reader.append(body["request_values"])
+    in_stock_reader = without_repetitions(in_stock_reader)
     expected = [[value] for value in range(len(answered_ns))]
     assert in_stock_reader == expected[: len(in_stock_reader)]
     assert len(in_stock_reader) >= old
     for options in ((), ("--raw",)):
-        found = [one["request_values"] for one in decoded(log, *options)]
+        found = without_repetitions(one["request_values"] for one in decoded(log, *options))
         assert found[:old] == expected[:old]
+
+
+def without_repetitions(values: Iterable[list[int]]) -> list[list[int]]:
+    """Each run of equal values once.
+
+    A write equals its response: where a busy machine delays one of the two, the line looks as if
+    the master had repeated the request.
+    """
+    return [each for each, _ in groupby(values)]
 
 
 def children(pid: int) -> list[int]:

@@ -176,6 +176,18 @@ def in_segments(*segments: bytes) -> list[Adu | Skipped]:
     return [event for segment in segments for event in splitter.feed(segment, 1)]
 
 
+def test_out_of_step_a_malformed_adu_is_one_whole_segment() -> None:
+    # An exception has two bytes: function and code. This one has three.
+    malformed = bytes.fromhex("0001 0000 0004 0A 81 06 00")
+    splitter = MbapSplitter(Direction.RESPONSE, by_segments=True)
+    assert splitter.gap(10) == []
+    assert raw(adus(splitter.feed(malformed, 0))) == malformed
+    for rest in (malformed + b"\0" * 3, malformed[:-1]):
+        splitter = MbapSplitter(Direction.RESPONSE, by_segments=True)
+        assert splitter.gap(10) == []
+        assert adus(splitter.feed(rest, 0)) == []
+
+
 def test_out_of_step_an_unknown_function_begins_and_ends_with_a_segment() -> None:
     (adu,) = adus(in_segments(UNKNOWN))
     assert (adu.pdu.hex(), adu.verdicts) == ("630102", (Verdict.RESYNCHRONISED,))
