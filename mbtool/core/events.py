@@ -38,6 +38,8 @@ class EventKind(StrEnum):
     """Requests on a serial line come while others wait for their response. Said once for a line."""
     SPOILT = "spoilt"
     """This program, playing the slave, distorted a response on purpose."""
+    CLOCK_STEP = "clock-step"
+    """Somebody set the system's clock while it was recorded. The times in the log do not step."""
     CUT = "cut"
     """The file ends in the middle of a record, or the capture kept only part of a packet."""
 

@@ -49,7 +49,8 @@ def create_log(
         "host": platform.node(),
         "system": platform.platform(),
         "command": shlex.join(["mbtool", *sys.argv[1:]]),
-        "clock": "the host's system clock, UTC nanoseconds, read right after each read",
+        "clock": "the host's system clock at the start, plus the time that passed since, "
+        "UTC nanoseconds, read right after each read",
     }
     log: LogWriter | RotatingLog
     if rotation is None:

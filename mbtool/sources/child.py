@@ -17,26 +17,39 @@ In the main process the decoder is busy, which would make the times wrong.
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
+
+from mbtool.ports.clock import share_clock
 
 GRACE_S = 5.0
 """A child that does not end within this time, in seconds, is killed."""
 
 
 def start_child(module: str, *arguments: str) -> subprocess.Popen[bytes]:
-    """Run a module of this package as a child, with pipes for its standard input and output."""
+    """Run a module of this package as a child, with pipes for its standard input and output.
+
+    Its clock tells the same time as the parent's.
+    """
     command = [sys.executable, "-P", "-m", module, *arguments]
+    environment = share_clock(dict(os.environ))
     if sys.platform == "win32":
         return subprocess.Popen(
             command,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             bufsize=0,
+            env=environment,
             creationflags=subprocess.CREATE_NEW_PROCESS_GROUP,
         )
     return subprocess.Popen(
-        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0, process_group=0
+        command,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        bufsize=0,
+        env=environment,
+        process_group=0,
     )
 
 

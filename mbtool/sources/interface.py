@@ -4,12 +4,13 @@
 # kernel has removed back into the packet; it decodes nothing. The filter is our own
 # (port_filter.py), so neither libpcap nor tcpdump is needed. Linux only.
 #
-# The kernel notes the time of a packet. scapy returns it as a float, exact to 0.25 us. At the
-# beginning of a capture it can be some 30 us late (seen on the loopback). The kernel buffers
-# packets until the thread here fetches them: 32 MiB if the process has the privilege, else
-# net.core.rmem_max. The kernel counts packets that do not fit. The count is read every second and
-# at the end, and reported as an event. Each packet that passed the filter is either fetched or
-# counted, so the sum is exact.
+# The kernel notes the time of a packet by the system's clock, which may be set during a capture. So
+# how far that clock is ahead of `now_ns` is measured before each fetch, and subtracted from the
+# times. scapy returns the time as a float, exact to 0.25 us. At the beginning of a capture it can
+# be some 30 us late (seen on the loopback). The kernel buffers packets until the thread here
+# fetches them: 32 MiB if the process has the privilege, else net.core.rmem_max. The kernel counts
+# packets that do not fit. The count is read every second and at the end, and reported as an event.
+# Each packet that passed the filter is either fetched or counted, so the sum is exact.
 #
 # net:any uses the same kind of socket, bound to no interface. With each packet comes the kind of
 # the interface that received it; packets of kinds that cannot be read are left out, with one event
@@ -41,7 +42,7 @@ from typing import TYPE_CHECKING, Any
 from mbtool.core import EventKind, InterfaceLink, LinkError, Packet, Quiet, WireEvent
 from mbtool.core.link_spec import ANY_INTERFACE, MODBUS_PORT
 from mbtool.core.local_ports import Trouble
-from mbtool.ports.clock import now_ns
+from mbtool.ports.clock import ClockWatch, now_ns
 from mbtool.sources.inbox import Ended, Inbox
 from mbtool.sources.port_filter import drop_everything, port_filter
 from mbtool.sources.source import LiveSource
@@ -118,6 +119,7 @@ class InterfaceSource(LiveSource[InterfaceLink]):
         super().__init__(link, inbox)
         self._ports = ports
         self._captures: list[_Capture] = []
+        self._clocks = ClockWatch()
         self._told: set[int] = set()
         """The hardware types already reported as unreadable."""
         self._alarm: tuple[int, int] | None = None
@@ -177,6 +179,7 @@ class InterfaceSource(LiveSource[InterfaceLink]):
                 is_running = told not in ready
                 asked_ns = now_ns()
                 with self._inbox.first():
+                    self._clocks.look()
                     more = self._fetch()
                     for _ in range(0 if is_running else _LAST_FETCHES):
                         more = more and self._fetch()
@@ -225,6 +228,7 @@ class InterfaceSource(LiveSource[InterfaceLink]):
     def _receive(self, capture: _Capture) -> tuple[list[Packet], bool]:
         """Fetch at most _FETCH packets of an interface, and true if more may be waiting."""
         packets: list[Packet] = []
+        asked_ns, from_system = now_ns(), self._clocks.from_system
         with suppress(BlockingIOError):
             for _ in range(_FETCH):
                 link_type = capture.link_type
@@ -238,11 +242,11 @@ class InterfaceSource(LiveSource[InterfaceLink]):
                     )
                     link_type = _LINK_TYPES.get(heard_by[3])
                     if link_type is None:
-                        self._tell_unreadable(heard_by[0], heard_by[3], round(seconds * 1e9))
+                        self._tell_unreadable(heard_by[0], heard_by[3], asked_ns)
                         continue
                 packets.append(
                     Packet(
-                        ts_ns=round(seconds * 1e9),
+                        ts_ns=from_system(round(seconds * 1e9), asked_ns),
                         link=self.link,
                         link_type=link_type,
                         data=data,

@@ -28,7 +28,7 @@ from mbtool.core import (
 from mbtool.core.wording import counted
 from mbtool.modbus import Outcome
 from mbtool.ports.allowed_peers import THIS_MACHINE, AllowedPeers
-from mbtool.ports.clock import monotonic_ns, now_ns
+from mbtool.ports.clock import ClockWatch, begun_run, monotonic_ns, now_ns
 from mbtool.sources.inbox import Ended, Inbox
 from mbtool.sources.line_guess import guess_line
 from mbtool.sources.live import live_source
@@ -46,6 +46,8 @@ if TYPE_CHECKING:
 
 HURRY_NS = 500_000_000
 """The longest time in ns that a caller in a hurry waits for the decoding at the end."""
+CLOCK_LOOK_NS = 100_000_000
+"""Time in ns between two looks at the system's clock."""
 POLL_S = 0.1
 """The longest wait for an item, in seconds, before the loop reads the clock again."""
 MAX_REASONS = 64
@@ -89,6 +91,8 @@ class Sniffer:
         self._open_sources = ExitStack()
         self.sources: list[LiveSource[Any]] = []
         """One source for each link, in the same order; empty until the context is entered."""
+        self._clocks = ClockWatch()
+        self._looked_ns = 0
         self._open = 0
         self._is_complete = False
         """True once everything that was heard has been decoded or left."""
@@ -101,6 +105,8 @@ class Sniffer:
     def __enter__(self) -> Self:
         """Open the links and begin the log. Raises LinkError, and the errors of `begin_log`."""
         with ExitStack() as opened:
+            opened.enter_context(begun_run())
+            self._clocks = ClockWatch()
             for link in self._links:
                 source = live_source(link, self._inbox, ports=self._ports, allowed=self._allowed)
                 self.sources.append(opened.enter_context(source))
@@ -135,6 +141,7 @@ class Sniffer:
         lost: LinkError | None = None
         while self._open and not stop(now_ns()):
             item = self._undecoded.get(POLL_S)
+            self._tell_clock_step()
             if self._recorder is not None:
                 self._recorder.check()
             if isinstance(item, Ended):
@@ -149,6 +156,20 @@ class Sniffer:
             self._on_remark(remark)
         if lost is not None and not self._open:
             raise lost
+
+    def _tell_clock_step(self) -> None:
+        """Put an event into the inbox if somebody has set the system's clock."""
+        at_ns = now_ns()
+        if at_ns - self._looked_ns < CLOCK_LOOK_NS:
+            return
+        self._looked_ns = at_ns
+        step_ns = self._clocks.take_step()
+        if step_ns:
+            way = "forward" if step_ns > 0 else "back"
+            message = f"the system's clock was set {way} by {abs(step_ns) / 1e9:.3f} s"
+            self._inbox.put(
+                WireEvent(ts_ns=at_ns, link="", kind=EventKind.CLOCK_STEP, message=message)
+            )
 
     def _take(self, item: Evidence) -> list[Record]:
         """Decode an item; return its records, which the log has or gets."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import socket
+import time
 from collections import Counter
 from contextlib import suppress
 from functools import partial
@@ -477,6 +478,35 @@ def test_evidence_that_only_the_decoder_dropped_is_not_counted_as_lost(bench: Be
             pass
     assert log.final == {"discarded_packets": "0", "discarded_bytes": "0"}
     assert not told
+
+
+@pytest.mark.parametrize(("by_ns", "way"), [(3600 * 10**9, "forward"), (-3600 * 10**9, "back")])
+def test_a_step_of_the_system_s_clock_is_an_event_and_changes_no_time(
+    bench: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, by_ns: int, way: str
+) -> None:
+    path = tmp_path / "a.mcap"
+    records: list[Record] = []
+    times: list[int] = []
+
+    def has_step(found: list[Record]) -> bool:
+        return any(getattr(one, "kind", None) is EventKind.CLOCK_STEP for one in found)
+
+    enough = until(records, has_step)
+
+    def stop(at_ns: int) -> bool:
+        times.append(at_ns)
+        return enough(at_ns)
+
+    with _sniffer(bench.tap(), log=path) as sniffer:
+        ask(sniffer, WRITE)
+        monkeypatch.setattr("mbtool.ports.clock.system_ns", lambda: time.time_ns() + by_ns)
+        for record in sniffer.records(stop):
+            records.append(record)
+    (step,) = (one for one in records if isinstance(one, WireEvent) and not one.link)
+    assert step.message.startswith(f"the system's clock was set {way} by 3600.0")
+    assert times == sorted(times)
+    assert times[-1] - times[0] < 1000 * 10**9
+    assert step in list(Reading([str(path)], ReadingOptions()).records())
 
 
 def test_an_endpoint_cannot_be_listened_to() -> None:
