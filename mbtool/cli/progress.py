@@ -10,6 +10,8 @@ import time
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, TypeVar
 
+from mbtool.cli.talk import escaped
+
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
@@ -29,6 +31,7 @@ def with_progress(reading: Reading, records: Iterator[T]) -> Iterator[T]:
 
 def _shown(reading: Reading, records: Iterator[T]) -> Iterator[T]:
     from rich.console import Console
+    from rich.markup import escape
     from rich.progress import Progress
 
     bar = Progress(console=Console(stderr=True), transient=True)
@@ -40,7 +43,7 @@ def _shown(reading: Reading, records: Iterator[T]) -> Iterator[T]:
             if number % _SHOW_EVERY == 0 and time.monotonic() - began_s >= _APPEARS_S:
                 rate = number / (time.monotonic() - began_s)
                 told = f"{reading.progress_text}, {rate:,.0f} rows/s"
-                bar.update(task, completed=reading.fraction, description=told)
+                bar.update(task, completed=reading.fraction, description=escape(escaped(told)))
                 if not is_shown:
                     shown.enter_context(bar)
                     is_shown = True

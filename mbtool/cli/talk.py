@@ -49,14 +49,27 @@ def _has_room(timeout_s: float) -> bool:
 
 
 def say(text: str) -> None:
-    """Print a message to standard error, if it is still open."""
+    """Print a message to standard error, if it is still open.
+
+    Characters that a terminal would obey, such as those in a file's name, are escaped.
+    """
     for wipe in _wipes:
         wipe()
     if _Waiting.patience_s is not None and not _has_room(_Waiting.patience_s):
         _Waiting.patience_s = 0.0
         return
     with suppress(OSError):
-        print(text, file=sys.stderr, flush=True)  # noqa: T201 - the one place that talks
+        print(escaped(text), file=sys.stderr, flush=True)  # noqa: T201 - the one place that talks
+
+
+def escaped(text: str) -> str:
+    r"""The text with \x1b and the like in place of characters that cannot be shown."""
+    if text.isprintable():
+        return text
+    return "".join(
+        one if one.isprintable() or one == "\n" else one.encode("unicode_escape").decode()
+        for one in text
+    )
 
 
 @contextmanager

@@ -27,6 +27,7 @@ from mbtool.packets.pcap import (
     cut_error,
     read_pcap_form,
     too_long_error,
+    zeros_error,
 )
 
 if TYPE_CHECKING:
@@ -185,6 +186,8 @@ class _PcapBlocks:
             elif too_long:
                 raise too_long_error(self._name, self._number, too_long)
             else:
+                if self._has_zeros(data):
+                    raise zeros_error(self._name, self._number)
                 self._source.raise_error()
                 raise cut_error(self._name, self._number)
         self._source.raise_error()
@@ -204,11 +207,15 @@ class _PcapBlocks:
             if captured > MAX_CAPTURED:
                 return places, at, captured
             behind += captured
-            if behind > end:
+            if behind > end or (not captured and self._has_zeros(data, at)):
                 break
             append(at)
             at = behind
         return places, at, 0
+
+    def _has_zeros(self, data: bytes, at: int = 0) -> bool:
+        """True if the four fields of the record header at an offset are zero."""
+        return data.startswith(bytes(16), at)
 
     def _block(self, data: bytes, heads: list[int]) -> PacketBlock:
         octets = np.frombuffer(data, np.uint8)

@@ -12,7 +12,8 @@
 #
 # Each file is checked key by key before it is merged, so that an error names the right file.
 #
-# Limits: 1 MiB for each file; a chain of 8 files that extend one another.
+# Limits: 1 MiB for each file; a chain of 8 files that extend one another; 8 MiB for a profile in a
+# log; in both the depth of core/nesting.py.
 
 from __future__ import annotations
 
@@ -30,6 +31,7 @@ from typing import Any, TypeVar
 import msgspec
 
 from mbtool.core.errors import InputError, ProfileError, UsageError
+from mbtool.core.nesting import why_too_deep
 from mbtool.devices.model import AnswerWord, Area, Exceptions, FunctionRule, Point, Profile, Timing
 from mbtool.devices.schema import description
 from mbtool.devices.toml_file import TomlError, read_toml
@@ -37,6 +39,7 @@ from mbtool.devices.validation import validate
 
 MAX_FILE_BYTES = 1 << 20
 MAX_EXTENDED = 8
+MAX_JSON_BYTES = MAX_EXTENDED * MAX_FILE_BYTES
 _MAX_EXAMPLES = 8
 
 _BUILT_IN = Path(__file__).parent / "profiles"
@@ -72,11 +75,17 @@ def profile_to_json(profile: Profile) -> bytes:
 def profile_from_json(data: bytes, file: str) -> Profile:
     """Make a profile from the JSON that profile_to_json makes. `file` is the name for messages.
 
-    Raises ProfileError if the data is no JSON object, or has mistakes.
+    Raises ProfileError if the data is no JSON object, is too large or nests too deep, or has
+    mistakes.
     """
+    if len(data) > MAX_JSON_BYTES:
+        raise ProfileError(file, "size", f"more than {MAX_JSON_BYTES} bytes are no profile")
     try:
-        keys = json.loads(data)
-    except (ValueError, RecursionError) as error:
+        text = data.decode("utf-8")
+        if too_deep := why_too_deep(text):
+            raise ProfileError(file, "JSON", too_deep)
+        keys = json.loads(text)
+    except ValueError as error:
         raise ProfileError(file, "JSON", f"cannot be read: {error}") from error
     if not isinstance(keys, dict):
         raise ProfileError(file, "JSON", "expected an object")

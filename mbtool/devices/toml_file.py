@@ -8,6 +8,7 @@ import tomllib
 from typing import TYPE_CHECKING, Any
 
 from mbtool.core.errors import InputError
+from mbtool.core.nesting import why_too_deep
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -38,8 +39,9 @@ class TomlError(InputError):
 def read_toml(path: Path, max_bytes: int, what: str, hint: str = "") -> dict[str, Any]:
     """Read the keys of a file, in the order of the file.
 
-    Raises TomlError if the file cannot be read, is longer than `max_bytes`, or is not TOML. `what`
-    names the kind of file in messages; `hint` is appended to the parser's message about a line.
+    Raises TomlError if the file cannot be read, is longer than `max_bytes`, nests too deep, or is
+    not TOML. `what` names the kind of file in messages; `hint` is appended to the parser's message
+    about a line.
     """
     file = str(path)
     try:
@@ -50,12 +52,13 @@ def read_toml(path: Path, max_bytes: int, what: str, hint: str = "") -> dict[str
     if len(data) > max_bytes:
         raise TomlError(file, "size", f"more than {max_bytes} bytes are no {what}")
     try:
-        return tomllib.loads(data.decode("utf-8-sig"))  # Some editors write a byte order mark.
+        text = data.decode("utf-8-sig")  # Some editors write a byte order mark.
+        if too_deep := why_too_deep(text):
+            raise TomlError(file, "TOML", too_deep)
+        return tomllib.loads(text)
     except UnicodeDecodeError as error:
         problem = "not UTF-8, so not TOML; save it as UTF-8"
         raise TomlError(file, f"byte {error.start}", problem) from error
-    except RecursionError as error:
-        raise TomlError(file, "TOML", "nested too deep") from error
     except ValueError as error:
         problem, at, place = str(error).rpartition(" (at ")
         problem = problem if at else str(error)

@@ -34,8 +34,7 @@ class ImpossibleItems:
             return False
         self._count += 1
         if self._count == 1:
-            value = msgspec.json.decode(data)[match[1]]
-            shown = "" if match[2] else f" {value!r}"[:_SHOWN]
+            shown = "" if match[2] else f" {_field(data, match[1])!r}"[:_SHOWN]
             self._first = f"{match[1]}{shown}, {str(error).partition(' - at ')[0]}"
         return True
 
@@ -48,3 +47,11 @@ class ImpossibleItems:
             )
             self._count = 0
             yield WireEvent(ts_ns=ts_ns, link="", kind=EventKind.UNREADABLE, message=text)
+
+
+def _field(data: bytes, name: str) -> object:
+    """The value of a field of a message; "too deep" if other fields keep it from being read."""
+    try:
+        return msgspec.json.decode(data, type=dict[str, object])[name]
+    except RecursionError:
+        return "too deep"

@@ -12,6 +12,9 @@
 # CRC, so no wrong item is returned. Damage that costs no item is reported as well: the CRC of the
 # data section and that of the summary show it at the end.
 #
+# Metadata and attachments are kept in memory, MAX_KEPT bytes of them; what comes later is told as
+# damage and left out.
+#
 # Values that nothing on a wire can have, such as unit -5: the item is left out, and one UNREADABLE
 # event at the end counts such items.
 #
@@ -44,6 +47,7 @@ if TYPE_CHECKING:
     from mbtool.logs.messages import LogItem
     from mbtool.logs.records import ByteStream, McapRecord
 
+MAX_KEPT = 32 << 20
 _ITEMS = frozenset({schemas.CHUNK, schemas.TRANSACTION, schemas.WIRE_EVENT})
 _ITEM_OPCODES = frozenset({Opcode.CHUNK, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE})
 """Records that hold items, or define their types."""
@@ -79,6 +83,8 @@ class LogReader(ClosesOnExit):
         self._messages = MessageDecoder(self._records, self._damage)
         self._crc_holds = True
         """False once a part of the stream was read twice: then the CRC of its bytes is unknown."""
+        self._kept = 0
+        """The number of bytes of metadata and attachments so far."""
         self.capture = {}
         self.links = {}
         self.devices = {}
@@ -236,6 +242,11 @@ class LogReader(ClosesOnExit):
         return True
 
     def _learn_from(self, record: McapRecord) -> None:
+        if record.opcode in (Opcode.METADATA, Opcode.ATTACHMENT):
+            self._kept += len(record.content)
+            if self._kept > MAX_KEPT:
+                what = f"more than {MAX_KEPT} bytes of metadata and profiles"
+                raise self._records.damaged(record.offset, what)
         match record.opcode:
             case Opcode.METADATA:
                 metadata = self._records.parse(record, Metadata.read)

@@ -1,7 +1,10 @@
 """Reads transactions and events from the lines that exports.py writes as jsonl."""
 
+# Limit: a line of at most MAX_LINE bytes; that of the longest transaction has some kilobytes.
+
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -11,20 +14,25 @@ from mbtool.devices import NamedTransaction
 from mbtool.logs.messages import EventMessage
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterator
+    from typing import BinaryIO
 
     from mbtool.core import WireEvent
 
+MAX_LINE = 1 << 20
 _HEX_FIELDS = ("request_raw", "response_raw", "raw")
 _decode = msgspec.json.Decoder(dict).decode
 
 
-def read_jsonl(lines: Iterable[bytes], name: str) -> Iterator[NamedTransaction | WireEvent]:
-    """Give the transactions and events of jsonl lines; `name` is the file's.
+def read_jsonl(file: BinaryIO, name: str) -> Iterator[NamedTransaction | WireEvent]:
+    """Give the transactions and events of a file of jsonl lines; `name` is the file's.
 
     Raises InputError for a line that is neither.
     """
+    lines = iter(partial(file.readline, MAX_LINE + 1), b"")
     for number, line in enumerate(lines, 1):
+        if len(line) > MAX_LINE:
+            raise InputError(f"{name}: line {number} has more than {MAX_LINE} bytes")
         if not line.strip():
             continue
         try:
@@ -36,7 +44,7 @@ def read_jsonl(lines: Iterable[bytes], name: str) -> Iterator[NamedTransaction |
                 yield msgspec.convert(fields, EventMessage).item()
             else:
                 yield msgspec.convert(fields, NamedTransaction)
-        except (msgspec.MsgspecError, ValueError, TypeError) as error:
+        except (msgspec.MsgspecError, ValueError, TypeError, RecursionError) as error:
             raise InputError(
                 f"{name}: line {number} is no transaction and no event of "
                 f"`mbtool decode --format jsonl`: {error}"

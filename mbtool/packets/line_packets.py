@@ -179,8 +179,8 @@ class LineReader:
         """
         try:
             wire = msgspec.json.decode(mark, type=WireReads)
-        except (msgspec.DecodeError, ValueError):  # ValueError: text that is no UTF-8.
-            return packet
+        except (msgspec.DecodeError, ValueError, RecursionError):
+            return packet  # ValueError: text that is no UTF-8.
         header = _PAYLOAD_AT if packet.link_type == RAW_IPV4 else RTAC_HEADER
         data = packet.data[header + max(wire.skip, 0) :] if wire.raw is None else wire.raw
         place = None

@@ -11,6 +11,9 @@
 # The fraction counts microseconds or nanoseconds, as the magic says. The modified format of old
 # Linux patches (magic a1b2cd34) has eight more bytes in each record's header, which are skipped.
 #
+# A record header of zeros is the end: a recorder whose machine lost power leaves a file that ends
+# in zeros, and a gigabyte of them takes some kilobytes in a packed file.
+#
 # Limit: libpcap captures at most MAX_CAPTURED bytes of a packet, so a longer one is damage.
 
 from __future__ import annotations
@@ -72,6 +75,8 @@ def read_pcap(stream: BinaryIO, magic: bytes, name: str) -> Iterator[Packet]:
         seconds, fraction, captured, original = record.unpack(record_header)
         if captured > MAX_CAPTURED:
             raise too_long_error(name, number, captured)
+        if not (captured or original or seconds or fraction):
+            raise zeros_error(name, number)
         data = stream.read(captured)
         if len(data) < captured:
             raise cut_error(name, number)
@@ -107,6 +112,13 @@ def too_long_error(name: str, number: int, captured: int) -> InputError:
     return InputError(
         f"{name}: damaged after packet {number}: the next claims {captured} bytes, "
         f"more than {MAX_CAPTURED}"
+    )
+
+
+def zeros_error(name: str, number: int) -> CutError:
+    """The error for a file that has zeros in place of a record behind packet `number`."""
+    return CutError(
+        f"{name}: zeros after {number} whole packets, so the file was not written to its end"
     )
 
 

@@ -212,8 +212,8 @@ class _Reader:
         """Read the description of links that `convert` has written; ignore any other block."""
         try:
             head = msgspec.json.decode(body.rstrip(b"\0"), type=CaptureHead)
-        except (msgspec.DecodeError, ValueError):  # ValueError: text that is no UTF-8.
-            return
+        except (msgspec.DecodeError, ValueError, RecursionError):
+            return  # ValueError: text that is no UTF-8.
         self._lines = self._lines or LineReader()
         self._on_head(head)
 

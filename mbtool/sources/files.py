@@ -8,8 +8,10 @@
 # digits are in separate pairs. The byte order mark that some programs put before a text is skipped.
 #
 # Limits: a compressed stream is unpacked INPUT_BYTES at a time, so the memory it needs is bounded
-# (zlib 0.5 MiB; zstd 16 MiB at most, plus a window of at most MAX_WINDOW). If a stream ends before
-# its end mark, all bytes that can be unpacked are read, then CutError is raised.
+# (zlib 0.5 MiB; zstd 16 MiB at most, plus a window of at most MAX_WINDOW). A small file cannot cost
+# hours: it may unpack to FREE_BYTES, and further to MAX_RATIO times its bytes read so far. Captures
+# are packed to a 3rd or a 10th, a log, whose chunks are packed, hardly. If a stream ends before its
+# end mark, all bytes that can be unpacked are read, then CutError is raised.
 
 from __future__ import annotations
 
@@ -44,6 +46,10 @@ _Item = TypeVar("_Item")
 STANDARD_INPUT = "-"
 INPUT_BYTES = 512
 MAX_WINDOW = 128 * 1024 * 1024
+MAX_RATIO = 100
+FREE_BYTES = 64 * 1024 * 1024
+FREE_BYTES_OF_LOG = 4 * 1024 * 1024
+"""Less than FREE_BYTES, as the chunks in a log may unpack to many times their bytes again."""
 
 _HEAD = 64
 _BUFFER = 64 * 1024
@@ -202,7 +208,9 @@ def open_capture(path: str | Path, line: LineSettings | None = None) -> CaptureF
         head, stream = _peek(file)
         unpacked = _unpacked(name, head, stream)
         if unpacked is not None:
-            head, stream = _peek(unpacked)
+            head, stream = _peek(io.BufferedReader(unpacked, _BUFFER))
+            if head.startswith(_MCAP):
+                unpacked.is_log()
         if not head and line is None:
             raise InputError(f"{name}: empty; a capture has at least a header")
         kind = _kind(name, head, line)
@@ -287,6 +295,12 @@ class _Unpacked(io.RawIOBase):
         self._name = name
         self._unpacker: _Unpacker | None = None
         self._ready = memoryview(b"")
+        self._left = FREE_BYTES
+        """The number of bytes that may still be unpacked."""
+
+    def is_log(self) -> None:
+        """Lower the limit to that of a log."""
+        self._left -= FREE_BYTES - FREE_BYTES_OF_LOG
 
     def readable(self) -> bool:
         return True
@@ -305,6 +319,12 @@ class _Unpacked(io.RawIOBase):
                 raise InputError(
                     f"{self._name}: damaged, it cannot be unpacked: {error}"
                 ) from error
+            self._left += MAX_RATIO * len(data) - len(self._ready)
+        if self._left < 0:
+            raise InputError(
+                f"{self._name}: unpacks to more than {MAX_RATIO} times its size, so it is read no "
+                "further; if it is a capture all the same, unpack it first"
+            )
         count = min(len(view), len(self._ready))
         view[:count] = self._ready[:count]
         self._ready = self._ready[count:]
@@ -326,19 +346,17 @@ class _Unpacked(io.RawIOBase):
         return b"".join(unpacked)
 
 
-def _unpacked(name: str, head: bytes, stream: io.BufferedIOBase) -> io.BufferedIOBase | None:
+def _unpacked(name: str, head: bytes, stream: io.BufferedIOBase) -> _Unpacked | None:
     """Return the unpacked content of a stream; None if the stream is not compressed."""
     if head.startswith(_GZIP):
         gzip_window = 16 + zlib.MAX_WBITS
-        raw = _Unpacked(stream, lambda: zlib.decompressobj(gzip_window), zlib.error, name)
-    elif head.startswith(_ZSTD):
+        return _Unpacked(stream, lambda: zlib.decompressobj(gzip_window), zlib.error, name)
+    if head.startswith(_ZSTD):
         import zstandard  # Imported here, since few files need it.
 
         context = zstandard.ZstdDecompressor(max_window_size=MAX_WINDOW)
-        raw = _Unpacked(stream, context.decompressobj, zstandard.ZstdError, name)
-    else:
-        return None
-    return io.BufferedReader(raw, _BUFFER)
+        return _Unpacked(stream, context.decompressobj, zstandard.ZstdError, name)
+    return None
 
 
 def _kind(name: str, head: bytes, line: LineSettings | None) -> CaptureKind:

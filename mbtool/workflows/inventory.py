@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 WatchParts = Callable[[Reading, Iterator[Record | AnsweredRun]], Iterator[Record | AnsweredRun]]
 """A function that passes on what is read; it may show how much of the files has been read."""
 _DOCUMENT_BEGINS = b"{"
+MAX_DOCUMENT_BYTES = 256 << 20
+"""The most bytes of a stored inventory; one of 65,536 units has some tens of megabytes."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -114,8 +116,12 @@ def _is_stored(path: str) -> bool:
 
 def _stored(path: str) -> InventoryDocument:
     try:
-        document = msgspec.json.decode(Path(path).read_bytes(), type=InventoryDocument)
-    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
+        with Path(path).open("rb") as file:
+            data = file.read(MAX_DOCUMENT_BYTES + 1)
+        if len(data) > MAX_DOCUMENT_BYTES:
+            raise InputError(f"{path}: more than {MAX_DOCUMENT_BYTES} bytes are no inventory")
+        document = msgspec.json.decode(data, type=InventoryDocument)
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         raise InputError(f"{path}: is no inventory as --format json writes it: {error}") from error
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error

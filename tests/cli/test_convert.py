@@ -92,10 +92,18 @@ def test_what_cannot_be_converted_is_one_clear_line(
     assert not [*tmp_path.iterdir()]
 
 
+@pytest.mark.parametrize("line", ['{"what": 1}', '{"what": ' + "[" * 100_000])
 def test_a_line_of_jsonl_that_is_no_transaction_is_told(
-    mbtool: CommandLine, tmp_path: Path
+    mbtool: CommandLine, tmp_path: Path, line: str
 ) -> None:
-    (tmp_path / "x.jsonl").write_text('{"what": 1}\n')
+    (tmp_path / "x.jsonl").write_text(f"{line}\n")
     told = mbtool("convert", tmp_path / "x.jsonl", tmp_path / "x.mcap")
     assert told.code == exit_codes.UNREADABLE
     assert "x.jsonl: line 1 is no transaction" in told.err
+
+
+def test_a_line_of_jsonl_without_end_is_told(mbtool: CommandLine, tmp_path: Path) -> None:
+    (tmp_path / "x.jsonl").write_text("{" + " " * (1 << 20))
+    told = mbtool("convert", tmp_path / "x.jsonl", tmp_path / "x.mcap")
+    assert told.code == exit_codes.UNREADABLE
+    assert "x.jsonl: line 1 has more than 1048576 bytes" in told.err

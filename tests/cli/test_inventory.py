@@ -6,6 +6,8 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import pytest
+
 from mbtool.cli import exit_codes
 from tests.workflows.evidence import capture_of
 
@@ -91,6 +93,17 @@ def test_what_is_new_since_the_baseline_is_printed_and_the_exit_code_is_1(
     assert [one["kind"] for one in data["changes"]] == ["new writer"]
     table = mbtool("inventory", new, "--baseline", old, "--format", "csv")
     assert table.lines[0].startswith("kind,host,port,unit,text")
+
+
+@pytest.mark.parametrize("text", ["{", '{"x": ' + "[" * 100_000])
+def test_a_baseline_that_is_no_inventory_is_one_line(
+    mbtool: CommandLine, tmp_path: Path, text: str
+) -> None:
+    (tmp_path / "old.json").write_text(text)
+    told = mbtool("inventory", FA3, "--baseline", tmp_path / "old.json")
+    assert told.code == exit_codes.UNREADABLE
+    assert told.err.count("\n") == 1
+    assert "old.json: is no inventory as --format json writes it" in told.err
 
 
 def test_a_graph_has_no_changes(mbtool: CommandLine) -> None:

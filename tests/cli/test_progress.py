@@ -38,7 +38,15 @@ class Halfway:
     progress_text = "file 1 of 2"
 
 
-def _passed(monkeypatch: pytest.MonkeyPatch, screen: Screen, *times_s: float) -> list[int]:
+class Strange(Halfway):
+    """A reading of a file whose name has markup of the bar, and orders for the terminal."""
+
+    progress_text = "[/] [red] a\x1b]0;title\x07.pcap"
+
+
+def _passed(
+    monkeypatch: pytest.MonkeyPatch, screen: Screen, *times_s: float, reading: Any = None
+) -> list[int]:
     """What comes of MANY records, where the clock is looked at at these times, then at the last."""
     left = list(times_s)
     clock = SimpleNamespace(monotonic=lambda: left.pop(0) if len(left) > 1 else left[0])
@@ -46,8 +54,16 @@ def _passed(monkeypatch: pytest.MonkeyPatch, screen: Screen, *times_s: float) ->
     monkeypatch.setattr("sys.stderr", screen)
     monkeypatch.setenv("TERM", "xterm")
     records: Any = iter(range(MANY))
-    reading: Any = Halfway()
-    return [*with_progress(reading, records)]
+    shown: Any = reading or Halfway()
+    return [*with_progress(shown, records)]
+
+
+def test_a_files_name_is_no_markup_and_no_order_for_the_terminal(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    screen = Screen(is_terminal=True)
+    _passed(monkeypatch, screen, 10.0, 10.5, 11.0, reading=Strange())
+    assert "[/] [red] a\\x1b]0;title\\x07.pcap" in screen.getvalue()
 
 
 def test_after_a_second_a_terminal_shows_how_far_reading_has_come(

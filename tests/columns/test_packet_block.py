@@ -79,6 +79,15 @@ def test_a_file_that_is_cut_anywhere_gives_the_same_packets_and_error() -> None:
         assert key(in_blocks(capture[:end])) == key(one_by_one(capture[:end])), end
 
 
+@pytest.mark.parametrize("zeros", [16, 40, 100_000])
+def test_zeros_in_place_of_a_record_give_the_same_packets_and_error(zeros: int) -> None:
+    capture = pcap(packets(3)) + bytes(zeros)
+    assert in_blocks(capture)[1].endswith(
+        "zeros after 3 whole packets, so the file was not written to its end"
+    )
+    assert key(in_blocks(capture)) == key(one_by_one(capture))
+
+
 def test_a_record_of_an_impossible_length_comes_behind_the_packets_before_it() -> None:
     capture = bytearray(pcap(packets(3)))
     capture[24 + 8 : 24 + 12] = bytes.fromhex("00000500")

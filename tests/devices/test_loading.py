@@ -12,6 +12,7 @@ from mbtool.core.errors import InputError, ProfileError, UsageError
 from mbtool.devices.assignment import Assignment, Assignments, Who
 from mbtool.devices.loading import (
     MAX_EXTENDED,
+    MAX_JSON_BYTES,
     builtin_profiles,
     load_profile,
     profile_from_json,
@@ -164,7 +165,9 @@ def test_a_profile_survives_json(name: str) -> None:
     assert profile_from_json(profile_to_json(profile), "log") == profile
 
 
-@pytest.mark.parametrize("data", [b"", b"[]", b"\xff", b"{", b"[" * 100_000, b"{}"])
+@pytest.mark.parametrize(
+    "data", [b"", b"[]", b"\xff", b"{", b"[" * 100_000, b"{}", b" " * (MAX_JSON_BYTES + 1)]
+)
 def test_json_that_is_no_profile_is_refused(data: bytes) -> None:
     with pytest.raises(ProfileError, match=r"^log: "):
         profile_from_json(data, "log")

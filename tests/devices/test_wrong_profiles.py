@@ -350,7 +350,9 @@ def test_each_mistake_has_its_own_message() -> None:
         (b"name = \xff", "byte 7: not UTF-8, so not TOML; save it as UTF-8"),
         (PUMP.encode("utf-16"), "byte 0: not UTF-8, so not TOML; save it as UTF-8"),
         ("#" * (MAX_FILE_BYTES + 1), "size: more than 1048576 bytes are no profile"),
-        ("a = " + "[" * 100_000, "TOML: nested too deep"),
+        ("a = " + "[" * 100_000, "TOML: nested too deep: more than 16 levels of brackets"),
+        ("a." * 20_000 + "a = 1",
+         "TOML: nested too deep: a key of more than 16 parts with dots between"),
         ("just words", "line 1, column 6: not TOML: Expected '=' after a key in a key/value pair; "
          "write key = value, and quotes around a key with spaces"),
         ('extends = "pump.toml"', "extends: 'pump.toml' is this file, or extends it in turn; one "

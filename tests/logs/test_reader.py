@@ -15,12 +15,14 @@ from mcap.writer import CompressionType, Writer
 
 from mbtool.core import Chunk, CutError, DamageError, EventKind, InputError, WireEvent
 from mbtool.devices import NamedTransaction
+from mbtool.logs import reader
 from mbtool.logs.layout import DATA_END_SIZE, FOOTER_SIZE, Opcode
 from mbtool.logs.message_decoder import BATCH
 from mbtool.logs.reader import LogReader, follow, read_log
 from mbtool.logs.writer import LogWriter
 from tests.logs.samples import (
     ONE_OF_EACH,
+    START_NS,
     changed,
     chunk,
     items,
@@ -514,3 +516,31 @@ def test_an_impossible_number_costs_its_message_and_is_counted(
     assert event.kind is EventKind.UNREADABLE
     assert event.message.startswith("2 messages of the log left out, ")
     assert first in event.message
+
+
+def test_an_impossible_number_in_a_message_that_nests_too_deep_is_counted(tmp_path: Path) -> None:
+    path = tmp_path / "x.mcap"
+    with LogWriter(path, capture={}) as log:
+        log.write(transaction(0))
+        data = b'{"request_ns": -1, "x": ' + b"[" * 100_000
+        log._container.add_message(next(iter(log._topics.values())), START_NS, START_NS, data)
+    *items, event = read_log(path)
+    assert items == [transaction(0)]
+    assert isinstance(event, WireEvent)
+
+
+def test_metadata_and_profiles_are_kept_up_to_a_limit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(reader, "MAX_KEPT", 10_000)
+    path = tmp_path / "x.mcap"
+    with LogWriter(path, capture={}) as log:
+        for number in range(100):
+            log.add_profile(f"pump{number}", bytes(1_000))
+        log.write(chunk(0))
+    with LogReader.open(path) as log:
+        items = log.items()
+        assert next(items) == chunk(0)
+        assert len(log.profiles) < 10
+        with pytest.raises(DamageError, match="more than 10000 bytes of metadata and profiles"):
+            list(items)

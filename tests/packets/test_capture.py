@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 _MAKE = Pcapng()
-_PCAP = pcap([packet(b"one", 1), packet(b"four", 2), packet(b"", 3)])
+_PCAP = pcap([packet(b"one", 1000), packet(b"four", 2000), packet(b"", 3000)])
 _PCAPNG = (
     _MAKE.section()
     + _MAKE.interface(options={2: b"eth0"})
@@ -194,7 +194,7 @@ _IPV6_WITH_ROUTING = ethernet(
         _patched(16, b"\xff\xff\xff\xff"),
         _patched(16, bytes(4)),
         _patched(24 + 12, b"\xff\xff\xff\xff"),
-        pcap([packet(b"", 1), *_said(), packet(b"", 2)]),
+        pcap([packet(b"", 1000), *_said(), packet(b"", 2000)]),
         pcap(_wrapped(lambda data: data[:12] + _TAGS + data[12:])),
         pcap(_wrapped(erspan)),
         pcap(_wrapped(vxlan)),

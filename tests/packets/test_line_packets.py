@@ -150,6 +150,7 @@ def test_two_sides_of_a_tap_are_joined_apart() -> None:
         b'{"reads":[[-5,-9],[9999,99999999999999999999]],"skip":-3}',
         b'{"reads":[[4,5]],"skip":99,"is_open":true}',
         b'{"reads":[[4,5]],"raw":"!"}',
+        b'{"x":' + b"[" * 60_000,
     ],
 )
 def test_no_mark_makes_the_reader_raise(mark: bytes) -> None:
@@ -157,7 +158,9 @@ def test_no_mark_makes_the_reader_raise(mark: bytes) -> None:
     assert packet.data == REQUEST
 
 
-@pytest.mark.parametrize("head", [b"", b"\xff\xff", b"[1]", b'{"links":7}'])
+@pytest.mark.parametrize(
+    "head", [b"", b"\xff\xff", b"[1]", b'{"links":7}', b'{"x":' + b"[" * 60_000]
+)
 def test_a_block_that_is_no_head_is_skipped(head: bytes) -> None:
     stream = io.BytesIO()
     writer = PcapngWriter(stream)

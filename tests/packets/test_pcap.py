@@ -71,3 +71,18 @@ def test_another_version_is_named() -> None:
 
     with pytest.raises(InputError, match=r"version 9\.4 is unknown"):
         list(read_capture(io.BytesIO(bytes(file))))
+
+
+def test_zeros_in_place_of_a_record_are_the_end() -> None:
+    file = pcap(_PACKETS[:1]) + bytes(40)
+    packets = read_capture(io.BytesIO(file), "line.pcap")
+
+    assert next(packets).data == b"first"
+    with pytest.raises(CutError, match=r"^line\.pcap: zeros after 1 whole packets"):
+        next(packets)
+
+
+def test_an_empty_packet_with_a_time_is_a_packet() -> None:
+    file = pcap([packet(b"", 1_000_000_000), *_PACKETS])
+
+    assert [each.data for each in read_capture(io.BytesIO(file))] == [b"", b"first", b"second"]

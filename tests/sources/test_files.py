@@ -13,6 +13,7 @@ import pytest
 import zstandard
 
 from mbtool.core import Chunk, CutError, InputError, Packet, parse_line
+from mbtool.sources import files
 from mbtool.sources.files import CaptureKind, open_capture
 from tests.captures import read_packets
 from tests.packets.building import Pcapng, packet, pcap
@@ -479,3 +480,28 @@ def test_standard_input_that_is_closed_is_an_error(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(sys, "stdin", None)
     with pytest.raises(InputError, match="standard input: closed; name a file"):
         open_capture("-", None)
+
+
+@pytest.mark.parametrize("pack", [gzip.compress, zstandard.compress])
+def test_a_small_file_cannot_unpack_to_gigabytes(
+    tmp_path: Path, pack: Callable[[bytes], bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(files, "FREE_BYTES", 100_000)
+    empty = packet(b"", 1_000_000_000)
+    path = tmp_path / "bomb"
+    path.write_bytes(pack(pcap([empty] * 5_000)))
+    assert len([*read_packets(path)]) == 5_000
+    path.write_bytes(pack(pcap([empty] * 50_000)))
+    with pytest.raises(InputError, match="unpacks to more than 100 times its size"):
+        list(read_packets(path))
+
+
+def test_a_packed_log_may_unpack_to_less_as_it_holds_packed_chunks(tmp_path: Path) -> None:
+    data = b"\x89MCAP0\r\n" + bytes(2 * files.FREE_BYTES_OF_LOG)
+    path = tmp_path / "bomb.mcap.zst"
+    path.write_bytes(zstandard.compress(data))
+    with (
+        open_capture(path) as capture,
+        pytest.raises(InputError, match="unpacks to more than 100 times its size"),
+    ):
+        capture.stream.read(len(data))

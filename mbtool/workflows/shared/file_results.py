@@ -95,7 +95,8 @@ class FileResults:
                 results.append(self._opened[name])
         rows = [("file", "transactions", "events", "")]
         rows += [
-            (one.name, f"{one.transactions:,}", f"{one.events:,}", one.remark) for one in results
+            (" ".join(one.name.split()), f"{one.transactions:,}", f"{one.events:,}", one.remark)
+            for one in results
         ]
         name_width, *widths = (max(len(row[column]) for row in rows) for column in range(3))
         return [

@@ -552,10 +552,10 @@ def test_says_as_what_line_serial_bytes_are_taken_and_doubts_a_wrong_rate(tmp_pa
         (b"", RTU),
         (b"# nothing\n", RTU),
         (b"t_start_s,t_end_s,byte_hex\n", None),
-        (pcap([packet(b"", 0, link_type=147)]), None),
-        (pcap([packet(b"", 0, link_type=147)]), RTU),
+        (pcap([packet(b"", 1000, link_type=147)]), None),
+        (pcap([packet(b"", 1000, link_type=147)]), RTU),
         (pcap([packet(bytes(12), 0, link_type=250)]), None),
-        (pcap([packet(b"", 0, link_type=150)]), RTU),
+        (pcap([packet(b"", 1000, link_type=150)]), RTU),
     ],
 )
 @pytest.mark.parametrize("any_port", [False, True])
@@ -572,7 +572,7 @@ def test_without_a_byte_of_a_line_there_is_no_talk_of_networks_nor_of_baud_rates
 
 def test_beside_packets_of_a_network_other_ports_are_worth_a_try(tmp_path: Path) -> None:
     one, other = tmp_path / "serial.pcap", tmp_path / "network.pcap"
-    one.write_bytes(pcap([packet(b"", 0, link_type=147)]))
+    one.write_bytes(pcap([packet(b"", 1000, link_type=147)]))
     other.write_bytes(capture_file())
     reading = Reading([str(one), str(other)], ReadingOptions(ports=(1502,)))
     assert list(reading.records()) == []

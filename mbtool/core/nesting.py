@@ -1,0 +1,40 @@
+"""Tells if a TOML or JSON text nests too deep, before a parser reads it."""
+
+# The parser of TOML needs memory that grows with the square of the parts of a dotted key: 40 kB of
+# a.a.a...=1 take 1.6 GB. Parsers of JSON and of arrays call themselves once for each level. No
+# file that mbtool reads has more than five levels.
+#
+# A text that is neither TOML nor JSON passes or is refused; no text takes longer than its length
+# explains: each character is looked at a fixed number of times.
+
+from __future__ import annotations
+
+import re
+
+MAX_DEPTH = 16
+"""The most levels of brackets, and the most parts of a dotted key."""
+
+_QUOTED_OR_COMMENT = re.compile(
+    r'"""(?:[^\\"]|\\.|"(?!""))*+(?:"""|\\?\Z)'
+    r"|'''(?:[^']|'(?!''))*+(?:'''|\Z)"
+    r'|"(?:[^"\\\n]|\\.)*+"?'
+    r"|'[^'\n]*+'?"
+    r"|\#[^\n]*+",
+    re.DOTALL,
+)
+"""A text in quotes, whether the closing quotes are there or not; or a comment of TOML."""
+_BETWEEN_KEYS = re.compile(r"[=\n,\[\]{}]")
+_BRACKET = re.compile(r"[\[\]{}]")
+
+
+def why_too_deep(text: str) -> str | None:
+    """Say why a TOML or JSON text is refused, on one line; None if it is not."""
+    bare = _QUOTED_OR_COMMENT.sub("_", text)
+    depth = 0
+    for bracket in _BRACKET.finditer(bare):
+        depth += 1 if bracket[0] in "[{" else -1
+        if depth > MAX_DEPTH:
+            return f"nested too deep: more than {MAX_DEPTH} levels of brackets"
+    if any(part.count(".") >= MAX_DEPTH for part in _BETWEEN_KEYS.split(bare)):
+        return f"nested too deep: a key of more than {MAX_DEPTH} parts with dots between"
+    return None
