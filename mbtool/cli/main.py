@@ -28,6 +28,7 @@ from mbtool.cli.decode import decode
 from mbtool.cli.demo import demo
 from mbtool.cli.devices import devices
 from mbtool.cli.diff import diff
+from mbtool.cli.extcap import extcap
 from mbtool.cli.inventory import inventory
 from mbtool.cli.leaving import leave
 from mbtool.cli.line import line
@@ -84,6 +85,10 @@ for command in (
     demo,
 ):
     app.command(cls=Command)(command)
+# Wireshark gives options of its newer versions, too.
+app.command(
+    cls=Command, context_settings={"ignore_unknown_options": True, "allow_extra_args": True}
+)(extcap)
 app.add_typer(devices, name="devices")
 
 

@@ -40,6 +40,7 @@ COMMANDS = (
     "links",
     "line",
     "demo",
+    "extcap",
 )
 
 

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from collections.abc import Set as AbstractSet
 
     from mbtool.decode.decoder import Evidence
-    from mbtool.devices import NamedTransaction
+    from mbtool.devices import NamedTransaction, Profile
     from mbtool.workflows.shared.reading import ReadingOptions
 
 
@@ -120,7 +120,7 @@ class EvidenceReading(Reading):
 
     def _note_transaction(self, one: NamedTransaction, number: int, *, is_kept: bool) -> None:
         marks = self.marks
-        about = self._comments(one)
+        about = comments_of(one, self.profile_for(one) if one.findings else None)
         numbers = [each for each in (one.request_packet, one.response_packet) if each]
         marks.used.update(numbers)
         if is_kept:
@@ -136,9 +136,12 @@ class EvidenceReading(Reading):
             key = key or StreamKey(one.link, Direction.UNKNOWN, None)
             marks.frames.setdefault(key, []).append(frame)
 
-    def _comments(self, one: NamedTransaction) -> list[str]:
-        profile = self.profile_for(one) if one.findings else None
-        return [f"{code}: {finding_text(code, profile)}" for code in one.findings] + remarks_on(one)
+
+def comments_of(one: NamedTransaction, profile: Profile | None) -> list[str]:
+    """The findings of a transaction, in the words of its slave's profile, and what else there is to
+    remark.
+    """
+    return [f"{code}: {finding_text(code, profile)}" for code in one.findings] + remarks_on(one)
 
 
 def remarks_on(one: NamedTransaction) -> list[str]:

@@ -73,52 +73,32 @@ class Converted:
     transactions: int = 0
 
 
-class PcapngOutput:
-    """Writes packets and pieces as pcapng."""
+class PieceWriter:
+    """Writes the frames of links, and the bytes between them, as packets."""
 
-    def __init__(self, stream: BinaryIO, groups: Sequence[InputGroup], head: CaptureHead) -> None:
-        self._writer = PcapngWriter(stream)
-        self._head = head
-        self._groups = groups
-        self._numbers: dict[str, int] = {}
+    def __init__(self, stream: BinaryIO, head: CaptureHead) -> None:
+        self.writer = PcapngWriter(stream)
+        self.head = head
+        self.numbers: dict[str, int] = {}
         """The numbers of the links whose frames become packets."""
         self._ports: dict[Connection, int] = {}
-        self._done = Converted()
 
-    def write(self, shown: Iterable[Shown]) -> Converted:
-        self._number_links()
-        is_plain = not self._numbers and not self._head.devices and not self._head.links
-        if not is_plain or any(group.is_log for group in self._groups):
-            self._writer.write_block(LOCAL_BLOCK, msgspec.json.encode(self._head))
-        self._writer.write_names(self._names())
-        for one in shown:
-            if isinstance(one, NumberedPacket):
-                self._writer.write(one.packet, comments=one.comments)
-            else:
-                self._write_piece(one)
-            self._done.packets += 1
-        return self._done
+    def add_link(self, link: str) -> None:
+        """Give a link its number, if it has none."""
+        if link not in self.numbers:
+            self.numbers[link] = len(self.numbers) % MAX_LINK_NUMBER + 1
 
-    def _number_links(self) -> None:
-        links = [link for group in self._groups for link in group.marks.spans]
-        links += [key.link for group in self._groups for key in group.marks.frames]
-        for link in links:
-            if link not in self._numbers:
-                self._numbers[link] = len(self._numbers) % MAX_LINK_NUMBER + 1
-
-    def _names(self) -> dict[bytes, str]:
-        """The names of all masters and slaves, by IPv4 address."""
+    def names(self, link: str, units: Iterable[int]) -> dict[bytes, str]:
+        """The names of a link's master and slaves, by IPv4 address."""
         names: dict[bytes, str] = {}
-        for group in self._groups:
-            for key, frames in group.marks.frames.items():
-                link = "".join(one if one.isalnum() else "-" for one in PurePath(key.link).name)
-                for unit in sorted({frame.unit for frame in frames}):
-                    ends = LineEnds.of(self._numbers[key.link], unit)
-                    names[ends.master] = f"master.{link}"
-                    names[ends.slave] = f"unit{unit}.{link}"
+        name = "".join(one if one.isalnum() else "-" for one in PurePath(link).name)
+        for unit in sorted(set(units)):
+            ends = LineEnds.of(self.numbers[link], unit)
+            names[ends.master] = f"master.{name}"
+            names[ends.slave] = f"unit{unit}.{name}"
         return names
 
-    def _write_piece(self, piece: WirePiece) -> None:
+    def write_piece(self, piece: WirePiece) -> None:
         shown = None if piece.frame is None else self._datagram(piece.key, piece.frame)
         if shown is None or piece.frame is None:
             self._write_bytes(piece)
@@ -126,7 +106,7 @@ class PcapngOutput:
         frame = piece.frame
         reads = self._reads(piece, skip=shown.skip, raw=shown.raw)
         direction = SENT if frame.is_request else RECEIVED
-        self._describe(piece.key.link, RAW_IPV4)
+        self.describe(piece.key.link, RAW_IPV4)
         self._write_packet(piece, RAW_IPV4, shown.data, frame.comments, direction, reads)
 
     def _write_bytes(self, piece: WirePiece) -> None:
@@ -136,7 +116,7 @@ class PcapngOutput:
         data = rtac_packet(piece.ts_ns, piece.data, by_master=by_master)
         comments = () if skipped is None else (skipped.message,)
         is_damaged = skipped is not None and skipped.kind is EventKind.BAD_CHECK
-        self._describe(piece.key.link, RTAC_SERIAL)
+        self.describe(piece.key.link, RTAC_SERIAL)
         flags = CRC_ERROR if is_damaged else 0
         self._write_packet(piece, RTAC_SERIAL, data, comments, flags, self._reads(piece))
 
@@ -157,7 +137,7 @@ class PcapngOutput:
             original_length=len(data),
         )
         local = {LOCAL_OPTION: msgspec.json.encode(reads)}
-        self._writer.write(packet, comments=comments, flags=flags, local=local)
+        self.writer.write(packet, comments=comments, flags=flags, local=local)
 
     def _reads(self, piece: WirePiece, skip: int = 0, raw: bytes | None = None) -> WireReads:
         return WireReads(
@@ -183,7 +163,7 @@ class PcapngOutput:
             payload, original = with_mbap(frame.number, read.body, check), raw
         else:
             payload = with_mbap(frame.number, raw[:-2], raw[-2:])
-        ends = LineEnds.of(self._numbers[key.link], frame.unit, self._master_port(key))
+        ends = LineEnds.of(self.numbers[key.link], frame.unit, self._master_port(key))
         data = line_datagram(ends, frame.number, payload, is_request=frame.is_request)
         return _Datagram(data, skip, original)
 
@@ -194,13 +174,52 @@ class PcapngOutput:
         count = len(self._ports)
         return self._ports.setdefault(key.connection, MASTER_PORT + count % 40_000)
 
-    def _describe(self, link: str, link_type: int) -> None:
-        if self._writer.knows(link, link_type):
+    def describe(self, link: str, link_type: int) -> None:
+        """Describe an interface of a link, if it is not described yet."""
+        if self.writer.knows(link, link_type):
             return
-        spec = self._head.links.get(link, {}).get(SPEC, link)
+        spec = self.head.links.get(link, {}).get(SPEC, link)
         what = "frames as Modbus over UDP" if link_type == RAW_IPV4 else "bytes that are no frame"
         settings = InterfaceSettings(f"{spec}: {what}", _baud(spec))
-        self._writer.add_interface(link, link_type, settings)
+        self.writer.add_interface(link, link_type, settings)
+
+
+class PcapngOutput:
+    """Writes packets and pieces of captures as pcapng."""
+
+    def __init__(self, stream: BinaryIO, groups: Sequence[InputGroup], head: CaptureHead) -> None:
+        self._pieces = PieceWriter(stream, head)
+        self._groups = groups
+        self._done = Converted()
+
+    def write(self, shown: Iterable[Shown]) -> Converted:
+        self._number_links()
+        pieces, writer = self._pieces, self._pieces.writer
+        is_plain = not pieces.numbers and not pieces.head.devices and not pieces.head.links
+        if not is_plain or any(group.is_log for group in self._groups):
+            writer.write_block(LOCAL_BLOCK, msgspec.json.encode(pieces.head))
+        writer.write_names(self._names())
+        for one in shown:
+            if isinstance(one, NumberedPacket):
+                writer.write(one.packet, comments=one.comments)
+            else:
+                pieces.write_piece(one)
+            self._done.packets += 1
+        return self._done
+
+    def _number_links(self) -> None:
+        for link in [link for group in self._groups for link in group.marks.spans]:
+            self._pieces.add_link(link)
+        for link in [key.link for group in self._groups for key in group.marks.frames]:
+            self._pieces.add_link(link)
+
+    def _names(self) -> dict[bytes, str]:
+        """The names of all masters and slaves, by IPv4 address."""
+        names: dict[bytes, str] = {}
+        for group in self._groups:
+            for key, frames in group.marks.frames.items():
+                names |= self._pieces.names(key.link, (frame.unit for frame in frames))
+        return names
 
 
 class _Datagram(NamedTuple):
