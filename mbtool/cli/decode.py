@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import stat
+import sys
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,6 +14,7 @@ from mbtool.cli.option_groups import takes_groups
 from mbtool.cli.options import (
     DeviceOption,
     EndOption,
+    EventChoice,
     EventsOption,
     Format,
     RawOption,
@@ -26,14 +28,18 @@ from mbtool.cli.options import (
 from mbtool.cli.progress import with_progress
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
+    from mbtool.cli.output import RecordOutput
+    from mbtool.cli.talk import Interrupt
     from mbtool.decode.decoder import Record
     from mbtool.workflows.shared.column_reading import ColumnReading
     from mbtool.workflows.shared.model_hints import ModelHints
     from mbtool.workflows.shared.reading import Reading, ReadingOptions
 
 STANDARD_INPUT = "-"
+_WORTH_BYTES = 1024 * 1024
+"""Of smaller files importing numpy takes longer than it saves."""
 _LOOK_AGAIN_S = 0.2
 """With --follow, the time in s between two attempts to read on in the log."""
 
@@ -105,7 +111,7 @@ def decode(
     wanted = fits if window.is_whole else lambda one: one in window and fits(one)
     options = source.read(device, raw=raw, silences=silences)
     is_whole = where is None and window.is_whole and limit is None and sort is None and not follow
-    columns = _columns(files, options) if is_whole and _is_parquet(format_, output) else None
+    columns = _columns(files, options, format_, output, events) if is_whole else None
     reading = columns or Reading(files, options)
     hints = ModelHints(reading.profile_for)
     with (
@@ -144,10 +150,7 @@ def decode(
 
         if columns is not None:
             records = iter(())
-            for batch in interrupt.breakable(columns.batches()):
-                for record in batch.records:
-                    note(record)
-                out.add_table(batch.table)
+            _print_columns(columns, out, note, interrupt)
         if not (follow or out.on_terminal):
             records = with_progress(reading, records)
         for record in window.begun(records, at_once=follow or is_live):
@@ -167,20 +170,47 @@ def decode(
         say_if_empty(reading)
 
 
-def _is_parquet(format_: Format | None, output: str | None) -> bool:
-    if format_ is not None:
-        return format_ is Format.PARQUET
-    return output is not None and output.lower().endswith(".parquet")
-
-
-def _columns(files: list[str], options: ReadingOptions) -> ColumnReading | None:
-    """A pass over the files that gives tables; None if they are read one by one."""
+def _columns(
+    files: list[str],
+    options: ReadingOptions,
+    format_: Format | None,
+    output: str | None,
+    events: EventChoice | None,
+) -> ColumnReading | None:
+    """A pass over the files that gives many transactions at once; None to read them one by one."""
+    from mbtool.cli.output import OUTPUT_FORMATS
     from mbtool.cli.printers import demand_columns
+    from mbtool.workflows.shared.reading_choice import column_reading
 
-    demand_columns()
-    from mbtool.workflows.shared.column_reading import ColumnReading, can_read_columns
+    suffix = os.path.splitext(output or "")[1].lower()
+    match format_ or OUTPUT_FORMATS.get(suffix):
+        case Format.PARQUET:
+            demand_columns()
+            return column_reading(files, options)
+        case Format.JSONL | Format.CSV if events in (None, EventChoice.NONE):
+            is_shown = output is None and sys.stdout is not None and sys.stdout.isatty()
+            return None if is_shown else column_reading(files, options, at_least=_WORTH_BYTES)
+    return None
 
-    return ColumnReading(files, options) if can_read_columns(files, options) else None
+
+def _print_columns(
+    columns: ColumnReading,
+    out: RecordOutput,
+    note: Callable[[Record], None],
+    interrupt: Interrupt,
+) -> None:
+    """Print all transactions, those of many packets at once."""
+    if out.takes_tables:
+        for batch in interrupt.breakable(columns.batches()):
+            for record in batch.records:
+                note(record)
+            out.add_table(batch.table)
+        return
+    printer = out.lines
+    for lines in interrupt.breakable(columns.lines(printer.line_of, printer.separator)):
+        for record in lines.records:
+            note(record)
+        out.add_lines(lines)
 
 
 @contextmanager

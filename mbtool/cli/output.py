@@ -14,7 +14,7 @@ import typer
 
 from mbtool.cli import exit_codes
 from mbtool.cli.options import EventChoice, Format, SortKey
-from mbtool.cli.printers import ParquetPrinter, demand_columns, printer_for
+from mbtool.cli.printers import LinesPrinter, ParquetPrinter, demand_columns, printer_for
 from mbtool.cli.record_order import SORTED
 from mbtool.cli.talk import say
 from mbtool.core import EventKind, MbtoolError, OutputError, UsageError, WireEvent
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from mbtool.cli.printers import Printer, ProfileFor
+    from mbtool.columns.plain_lines import LineBatch
     from mbtool.columns.schema import Table
     from mbtool.decode.decoder import Record
     from mbtool.query.where import Where
@@ -62,7 +63,7 @@ _WORDS = {
     Outcome.MALFORMED: "malformed",
 }
 
-_SUFFIXES = {
+OUTPUT_FORMATS = {
     ".jsonl": Format.JSONL,
     ".csv": Format.CSV,
     ".parquet": Format.PARQUET,
@@ -131,6 +132,11 @@ class RecordOutput:
         """Count a transaction that is not printed."""
         self._read += 1
 
+    @property
+    def takes_tables(self) -> bool:
+        """True if `add_table` prints; else `add_lines` does, if the output is one of lines."""
+        return isinstance(self._printer, ParquetPrinter)
+
     def add_table(self, table: Table) -> None:
         """Print a table of transactions, without the filter and the limit."""
         assert isinstance(self._printer, ParquetPrinter)
@@ -138,6 +144,22 @@ class RecordOutput:
         self._tally.add_table(table)
         with told_as_lost(self._name):
             self._printer.print_table(table)
+
+    @property
+    def lines(self) -> LinesPrinter:
+        """The printer of an output of lines."""
+        assert isinstance(self._printer, LinesPrinter)
+        return self._printer
+
+    def add_lines(self, batch: LineBatch) -> None:
+        """Print the lines of transactions, without the filter and the limit."""
+        self._tally.outcomes += batch.outcomes
+        for record in batch.records:
+            if not isinstance(record, WireEvent):
+                self._tally.add(record)
+        self._read += batch.outcomes.total()
+        with told_as_lost(self._name):
+            self.lines.print_lines(batch.text)
 
     def wait(self) -> None:
         """Flush what has been printed, as the next record may take a while."""
@@ -203,7 +225,7 @@ def open_output(
     log keeps the records.
     """
     path = named_file(path)
-    chosen = format_ or format_by_name(path, _SUFFIXES, Format.TABLE)
+    chosen = format_ or format_by_name(path, OUTPUT_FORMATS, Format.TABLE)
     shown = events or (EventChoice.TROUBLE if chosen is Format.TABLE else EventChoice.NONE)
     if table not in (None, TableOptions()) and chosen is not Format.TABLE:
         raise UsageError("--time, --columns, --hex, --wide and --full go with --format table")

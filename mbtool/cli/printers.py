@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, TextIO
 
 from mbtool.cli.options import Format
 from mbtool.core import UsageError, WireEvent
-from mbtool.logs import CsvWriter, event_to_jsonl, transaction_to_jsonl
+from mbtool.logs import CsvWriter, csv_line, event_to_jsonl, transaction_to_jsonl
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -69,9 +69,29 @@ class _TablePrinter(Printer):
         self._table.flush()
 
 
-class _JsonLinesPrinter(Printer):
+class LinesPrinter(Printer):
+    """Prints each transaction as a line of text that depends on nothing before it."""
+
+    separator: str
+    """What stands between the numbers of a list of values."""
+
     def __init__(self, file: TextIO) -> None:
         self._file = file
+
+    @abstractmethod
+    def line_of(self, transaction: NamedTransaction) -> str:
+        """The line of a transaction."""
+
+    def print_lines(self, lines: str) -> None:
+        """Print the lines of some transactions."""
+        self._file.write(lines)
+
+
+class _JsonLinesPrinter(LinesPrinter):
+    separator = ","
+
+    def line_of(self, transaction: NamedTransaction) -> str:
+        return transaction_to_jsonl(transaction).decode()
 
     def print(self, record: Record, number: int) -> None:
         if isinstance(record, WireEvent):
@@ -80,9 +100,15 @@ class _JsonLinesPrinter(Printer):
             self._file.write(transaction_to_jsonl(record).decode())
 
 
-class _CsvPrinter(Printer):
+class _CsvPrinter(LinesPrinter):
+    separator = " "
+
     def __init__(self, file: TextIO) -> None:
+        super().__init__(file)
         self._writer = CsvWriter(file)
+
+    def line_of(self, transaction: NamedTransaction) -> str:
+        return csv_line(transaction)
 
     def print(self, record: Record, number: int) -> None:
         if not isinstance(record, WireEvent):

@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pyarrow as pa
 
-from mbtool.columns.arrays import Bools, Int64s, Octets, gather, pieces, ranges
+from mbtool.columns.arrays import Bools, Int64s, Octets, pieces
 from mbtool.columns.plain_transactions import origin_fields, plain_transaction
 from mbtool.columns.row_table import row_table
 from mbtool.columns.schema import SCHEMA
-from mbtool.columns.usual_rows import COUNTED, WRITE_COIL, WRITE_WORD, UsualRows
+from mbtool.columns.usual_values import UsualValues, ValueLists
 from mbtool.devices import NamedTransaction, Namer
 from mbtool.modbus.adu import DirectionBy, Transport
 from mbtool.modbus.functions import exception_name
@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from mbtool.columns.plain_rows import PlainRows
-
-_PAIR = np.dtype(">u2")
 
 
 class PlainTables:
@@ -41,7 +39,7 @@ class PlainTables:
 
     def table(self, rows: PlainRows) -> tuple[pa.Table, list[NamedTransaction]]:
         """The table of all rows, and again the transactions among them that are of unusual form."""
-        usual = _UsualValues(rows)
+        usual = UsualValues(rows)
         chosen = np.flatnonzero(usual.is_usual)
         others = np.flatnonzero(~usual.is_usual).tolist()
         made = [self._named(rows, index) for index in others]
@@ -55,7 +53,7 @@ class PlainTables:
     def _named(self, rows: PlainRows, index: int) -> NamedTransaction:
         return self._namer.name(plain_transaction(rows, index))
 
-    def _usual_table(self, rows: PlainRows, usual: _UsualValues, chosen: Int64s) -> pa.Table:
+    def _usual_table(self, rows: PlainRows, usual: UsualValues, chosen: Int64s) -> pa.Table:
         names, name = self._names_of(rows, usual, chosen)
         ends = rows.connection[chosen]
         connections = rows.connections
@@ -75,8 +73,8 @@ class PlainTables:
             "function_name": _words([one.function_name for one in names], name),
             "address": usual.address[chosen],
             "quantity": usual.quantity[chosen],
-            "request_values": usual.request_values(chosen),
-            "response_values": usual.response_values(chosen),
+            "request_values": _list(usual.request_values(chosen)),
+            "response_values": _list(usual.response_values(chosen)),
             "exception": pa.array(exception, mask=~is_exception).cast(pa.uint8()),
             "exception_name": _words(
                 [exception_name(code) for code in codes.tolist()],
@@ -110,7 +108,7 @@ class PlainTables:
         )
 
     def _names_of(
-        self, rows: PlainRows, usual: _UsualValues, chosen: Int64s
+        self, rows: PlainRows, usual: UsualValues, chosen: Int64s
     ) -> tuple[list[NamedTransaction], Int64s]:
         """A named row for each function, address and quantity; by row, the index of its name."""
         keys = rows.code[chosen] << 32 | usual.address[chosen] << 16 | usual.quantity[chosen]
@@ -119,53 +117,6 @@ class PlainTables:
             if key not in self._names:
                 self._names[key] = self._named(rows, index)
         return [self._names[key] for key in kinds.tolist()], like
-
-
-class _UsualValues(UsualRows):
-    """The registers and bits of usual rows."""
-
-    def request_values(self, chosen: Int64s) -> pa.Array:
-        """The values that the requests write; null for reads."""
-        code, value = self._code[chosen], self._value[chosen]
-        words, bits = self._writes_words[chosen], self._writes_bits[chosen]
-        single = np.isin(code, [WRITE_COIL, *WRITE_WORD])
-        begin = self._request[chosen] + np.where(single, 3, COUNTED)
-        words = words | single
-        counts = np.where(single, 1, value)
-        values = self._values(begin, counts, words, bits)
-        if (code == WRITE_COIL).any():
-            numbers, offsets = values
-            coils = offsets[:-1][code == WRITE_COIL]
-            numbers[coils] = numbers[coils] != 0  # FF00H is 1 (layouts.COIL_VALUES).
-        return _list(*values, ~(words | bits))
-
-    def response_values(self, chosen: Int64s) -> pa.Array:
-        """The values in the responses; null for writes and exception responses."""
-        is_ok = self.exception[chosen] < 0
-        words, bits = self._reads_words[chosen] & is_ok, self._reads_bits[chosen] & is_ok
-        begin = self._response[chosen] + 2
-        return _list(*self._values(begin, self._value[chosen], words, bits), ~(words | bits))
-
-    def _values(
-        self, begin: Int64s, counts: Int64s, words: Bools, bits: Bools
-    ) -> tuple[Any, Int64s]:
-        """The registers and bits of all rows in one array, and the index where each row begins."""
-        counts = np.where(words | bits, counts, 0)
-        offsets = np.concatenate([[0], np.cumsum(counts)])
-        if not bits.any():
-            places = ranges(begin[words], 2 * counts[words])
-            return self._data[places].view(_PAIR).astype(np.uint16), offsets
-        numbers = np.zeros(int(offsets[-1]), np.uint16)
-        for chosen, is_bits in ((words, False), (bits, True)):
-            row = np.flatnonzero(chosen)
-            inside = ranges(np.zeros(len(row), np.int64), counts[row])
-            starts = np.repeat(begin[row], counts[row])
-            targets = np.repeat(offsets[row], counts[row]) + inside
-            if is_bits:
-                numbers[targets] = self._data[starts + inside // 8] >> (inside % 8) & 1
-            else:
-                numbers[targets] = gather(self._data, starts + 2 * inside, _PAIR)
-        return numbers, offsets
 
 
 def _column(field: pa.Field, values: Any, count: int) -> pa.Array:
@@ -199,9 +150,11 @@ def _raw(rows: PlainRows, begins: Int64s, sizes: Int64s) -> pa.Array:
     return pa.Array.from_buffers(pa.binary(), len(sizes), buffers)
 
 
-def _list(numbers: Any, offsets: Int64s, missing: Bools) -> pa.Array:
+def _list(lists: ValueLists) -> pa.Array:
     return pa.ListArray.from_arrays(
-        pa.array(offsets.astype(np.int32)), pa.array(numbers), mask=pa.array(missing)
+        pa.array(lists.offsets.astype(np.int32)),
+        pa.array(lists.numbers),
+        mask=pa.array(lists.missing),
     )
 
 

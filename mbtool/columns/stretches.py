@@ -24,7 +24,7 @@ from mbtool.columns.arrays import Bools, Int64s, Octets, gather, pieces
 from mbtool.columns.packet_block import SPARE
 from mbtool.columns.sent_again import is_sent_again
 from mbtool.decode.network_pairing import TIMEOUT_NS
-from mbtool.framing.mbap import MAX_LENGTH, MIN_LENGTH
+from mbtool.framing.mbap import MAX_LENGTH, MAX_REQUEST_NS, MIN_LENGTH
 from mbtool.modbus.adu_bytes import MBAP_BYTES
 from mbtool.modbus.functions import EXCEPTION_BIT
 from mbtool.packets.segment import ACK
@@ -160,6 +160,7 @@ def _joined(payloads: _Payloads, data: Octets) -> tuple[_Payloads, Octets]:
         & may_be[1:]
         & (payloads.run[:-1] == payloads.run[1:])
         & (size[:-1] + size[1:] <= MAX_LENGTH + _LENGTH_END)
+        & (payloads.ts_ns[1:] - payloads.ts_ns[:-1] <= MAX_REQUEST_NS)
     )
     if not len(first):
         return payloads, data

@@ -1,6 +1,12 @@
 """Writes and reads logs (MCAP files of evidence and its decoding), and exports jsonl and CSV."""
 
-from mbtool.logs.exports import CSV_COLUMNS, CsvWriter, event_to_jsonl, transaction_to_jsonl
+from mbtool.logs.exports import (
+    CSV_COLUMNS,
+    CsvWriter,
+    csv_line,
+    event_to_jsonl,
+    transaction_to_jsonl,
+)
 from mbtool.logs.messages import LogItem
 from mbtool.logs.reader import LogReader, follow, read_log
 from mbtool.logs.rotation import RotatingLog, Rotation
@@ -16,6 +22,7 @@ __all__ = [
     "LogWriter",
     "RotatingLog",
     "Rotation",
+    "csv_line",
     "event_to_jsonl",
     "follow",
     "json_schema",

@@ -16,6 +16,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
 from datetime import datetime, timedelta
 from functools import lru_cache
@@ -118,6 +119,13 @@ class CsvWriter:
 
     def write(self, transaction: NamedTransaction) -> None:
         self._writer.writerow(csv_row(transaction))
+
+
+def csv_line(transaction: NamedTransaction) -> str:
+    """Return a transaction as one line of CSV, as `CsvWriter` writes it."""
+    line = io.StringIO()
+    csv.writer(line, lineterminator="\n").writerow(csv_row(transaction))
+    return line.getvalue()
 
 
 def csv_row(transaction: NamedTransaction) -> list[str | int | float | None]:

@@ -18,10 +18,12 @@ from mbtool.columns import packet_block
 from mbtool.columns.block_table import BlockTables
 from mbtool.columns.column_decoder import ColumnDecoder
 from mbtool.columns.packet_block import read_blocks
+from mbtool.columns.plain_lines import BlockLines
 from mbtool.columns.row_table import row_table
 from mbtool.core import InputError, WireEvent
 from mbtool.decode.decoder import Decoder
 from mbtool.devices import Namer
+from mbtool.logs import csv_line, transaction_to_jsonl
 from mbtool.packets import read_capture
 from tests.adversary.network import ALL_LOSSES, MASTERS, simulate
 from tests.columns.disturbed_captures import disturbed
@@ -33,6 +35,7 @@ if TYPE_CHECKING:
 
     from mbtool.columns.column_decoder import DecodedBlock
     from mbtool.decode.decoder import Record
+    from mbtool.devices import NamedTransaction
 
 PORTS = (502,)
 NAME = "a.pcap"
@@ -49,6 +52,14 @@ class Outcome(NamedTuple):
 
 
 def packet_by_packet(capture: bytes) -> Outcome:
+    records, error = records_of(capture)
+    rows = [one for one in records if not isinstance(one, WireEvent)]
+    events = [one for one in records if isinstance(one, WireEvent)]
+    return Outcome(without_dictionaries(row_table(rows)), events, error)
+
+
+def records_of(capture: bytes) -> tuple[list[Record], str | None]:
+    """What the decoder makes of the packets one by one, and the error that ends the capture."""
     decoder = Decoder(Namer(), ports=PORTS, across=True)
     records: list[Record] = []
     error = None
@@ -57,35 +68,36 @@ def packet_by_packet(capture: bytes) -> Outcome:
             records += decoder.feed(packet)
     except InputError as one:
         error = str(one)
-    records += decoder.close()
-    rows = [one for one in records if not isinstance(one, WireEvent)]
-    events = [one for one in records if isinstance(one, WireEvent)]
-    return Outcome(without_dictionaries(row_table(rows)), events, error)
+    return records + decoder.close(), error
 
 
 def as_arrays(capture: bytes, block_packets: int = packet_block.BLOCK_PACKETS) -> Outcome:
-    decoder = ColumnDecoder(Decoder(Namer(), ports=PORTS, across=True), PORTS)
+    blocks, error, plain = blocks_of(capture, block_packets)
     tables = BlockTables()
-    tables_made, events = [], []
-
-    def note(decoded: DecodedBlock) -> None:
-        tables_made.append(without_dictionaries(tables.batch(decoded).table))
+    made, events = [], []
+    for decoded in blocks:
+        made.append(without_dictionaries(tables.batch(decoded).table))
         for _, record in decoded.sorted_records(with_passed=True):
             if isinstance(record, WireEvent):
                 events.append(record)
+    return Outcome(pa.concat_tables(made).combine_chunks(), events, error, plain)
 
+
+def blocks_of(
+    capture: bytes, block_packets: int = packet_block.BLOCK_PACKETS
+) -> tuple[list[DecodedBlock], str | None, int]:
+    """The results of all blocks, the error that ends the capture, and how many rows are plain."""
+    decoder = ColumnDecoder(Decoder(Namer(), ports=PORTS, across=True), PORTS)
+    blocks: list[DecodedBlock] = []
     error = None
     stream: BinaryIO = io.BufferedReader(io.BytesIO(capture))
     with patch.object(packet_block, "BLOCK_PACKETS", block_packets):
         try:
             for block in read_blocks(stream, NAME):
-                for decoded in decoder.feed(block):
-                    note(decoded)
+                blocks += decoder.feed(block)
         except InputError as one:
             error = str(one)
-    note(decoder.close())
-    table = pa.concat_tables(tables_made).combine_chunks()
-    return Outcome(table, events, error, decoder.plain_rows)
+    return [*blocks, decoder.close()], error, decoder.plain_rows
 
 
 def without_dictionaries(table: pa.Table) -> pa.Table:
@@ -113,6 +125,24 @@ def differences(capture: bytes, block_packets: int = packet_block.BLOCK_PACKETS)
     ]
 
 
+def differing_texts(capture: bytes, block_packets: int = packet_block.BLOCK_PACKETS) -> list[str]:
+    """The formats whose lines of a capture differ by one byte or more."""
+    records, _ = records_of(capture)
+    blocks, _, _ = blocks_of(capture, block_packets)
+    rows = [one for one in records if not isinstance(one, WireEvent)]
+    found = []
+    for name, line_of, separator in (("jsonl", jsonl_line, ","), ("csv", csv_line, " ")):
+        lines = BlockLines(line_of, separator)
+        text = "".join([lines.batch(one).text for one in blocks])
+        if text != "".join(map(line_of, rows)):
+            found.append(name)
+    return found
+
+
+def jsonl_line(transaction: NamedTransaction) -> str:
+    return transaction_to_jsonl(transaction).decode()
+
+
 def generated(number: int, requests: int = 60) -> bytes:
     """A simulated plant's capture: every kind of master and of loss in turn."""
     rng = random.Random(number)
@@ -138,7 +168,7 @@ def main() -> None:
         rng = random.Random(f"cut {number}")
         capture = damaged(disturbed(number) if number % 2 else generated(number), rng)
         size = rng.choice((3, 17, 100, 65_536))
-        found: Sequence[str] = differences(capture, size)
+        found: Sequence[str] = [*differences(capture, size), *differing_texts(capture, size)]
         read = as_arrays(capture, size)
         plain, rows = plain + read.plain, rows + read.table.num_rows
         differing += bool(found)

@@ -116,14 +116,21 @@ FORMS: tuple[tuple[int, dict[str, Any], dict[str, Any]], ...] = (
 )  # fmt: skip
 
 
-@pytest.mark.parametrize("form", FORMS, ids=str)
-@pytest.mark.parametrize("refused", [False, True])
-def test_each_form_of_pdu_gives_equal_columns(
-    form: tuple[int, dict[str, Any], dict[str, Any]], refused: bool
-) -> None:
+Form = tuple[int, dict[str, Any], dict[str, Any]]
+
+
+def encoded(form: Form) -> tuple[bytes, bytes]:
+    """The PDUs of a request and its response."""
     code, asked, answered = form
     request = encode_pdu(code, Direction.REQUEST, **asked)
-    response = encode_pdu(code, Direction.RESPONSE, **answered)
+    return request, encode_pdu(code, Direction.RESPONSE, **answered)
+
+
+@pytest.mark.parametrize("form", FORMS, ids=str)
+@pytest.mark.parametrize("refused", [False, True])
+def test_each_form_of_pdu_gives_equal_columns(form: Form, refused: bool) -> None:
+    code = form[0]
+    request, response = encoded(form)
     talk = Talk()
     packets = [*talk.handshake(), *poll(talk, 3)]
     packets += poll(talk, 4, request, exception_pdu(code, 2) if refused else response)
@@ -148,6 +155,17 @@ def test_simulated_plants_give_equal_results(number: int) -> None:
     rng = random.Random(number)
     capture = damaged(generated(number), rng)
     assert differences(capture, rng.choice((3, 17, 100, 65_536))) == []
+
+
+@pytest.mark.parametrize("apart_ns", [30_000_000_000, 30_000_000_001])
+def test_the_parts_of_a_request_may_come_late(apart_ns: int) -> None:
+    talk = Talk()
+    packets = [*talk.handshake(), *poll(talk, 3)]
+    request = mbap_adu(3, 17, READ)
+    packets.append(talk.request(request[:5]))
+    talk.ts_ns += apart_ns - 1_000_000
+    packets += [talk.request(request[5:]), talk.response(mbap_adu(3, 17, VALUES)), *poll(talk, 3)]
+    assert differences(pcap(packets, magic=0xA1B23C4D)) == []
 
 
 @pytest.mark.parametrize("number", range(24))

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from mbtool.columns.column_decoder import ColumnDecoder
 from mbtool.columns.packet_block import read_blocks
+from mbtool.columns.plain_lines import BlockLines
 from mbtool.columns.poll_runs import PollRuns
 from mbtool.core import CutError, DamageError, InputError, WireEvent
 from mbtool.overview.answered_run import AnsweredRun
@@ -20,12 +21,14 @@ from mbtool.workflows.shared.part_reading import PartReading
 from mbtool.workflows.shared.reading import UNDECODABLE_EVENTS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from mbtool.columns.block_table import TransactionBatch
     from mbtool.columns.column_decoder import DecodedBlock
     from mbtool.columns.packet_block import PacketBlock
+    from mbtool.columns.plain_lines import LineBatch
     from mbtool.decode.decoder import Record
+    from mbtool.devices import NamedTransaction
     from mbtool.sources.files import CaptureFile
     from mbtool.workflows.shared.reading import ReadingOptions
 
@@ -60,6 +63,20 @@ class ColumnReading(PartReading):
         tables = BlockTables()
         for block in self._blocks():
             batch = tables.batch(block)
+            for record in batch.records:
+                self._note(record)
+            yield batch
+
+    def lines(
+        self, line_of: Callable[[NamedTransaction], str], separator: str
+    ) -> Iterator[LineBatch]:
+        """Yield the lines of the transactions, as a text for each block of packets.
+
+        The arguments are those of BlockLines. Raises as `batches` does.
+        """
+        lines = BlockLines(line_of, separator)
+        for block in self._blocks():
+            batch = lines.batch(block)
             for record in batch.records:
                 self._note(record)
             yield batch

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from contextlib import suppress
 from importlib.util import find_spec
 from typing import TYPE_CHECKING
@@ -12,6 +13,7 @@ from mbtool.workflows.shared.part_reading import PartReading
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from mbtool.workflows.shared.column_reading import ColumnReading
     from mbtool.workflows.shared.reading import ReadingOptions
 
 
@@ -22,11 +24,32 @@ def part_reading(
 
     `is_filtered` is True if some transactions are left out, by what each of them holds.
     """
-    if is_filtered or find_spec("numpy") is None:
+    if is_filtered:
         return PartReading(paths, options)
+    return column_reading(paths, options) or PartReading(paths, options)
+
+
+def column_reading(
+    paths: Sequence[str], options: ReadingOptions, *, at_least: int = 0
+) -> ColumnReading | None:
+    """A pass over a file as arrays; None if it cannot be read so.
+
+    None also for a file of fewer bytes than `at_least`; compressed ones count ten times.
+    """
+    if len(paths) != 1 or find_spec("numpy") is None or _size(paths[0]) < at_least:
+        return None
     from mbtool.workflows.shared.column_reading import ColumnReading, can_read_columns
 
     with suppress(InputError):  # Reading the file will raise the error.
         if can_read_columns(paths, options):
             return ColumnReading(paths, options)
-    return PartReading(paths, options)
+    return None
+
+
+def _size(path: str) -> int:
+    """About how many bytes a file has once it is unpacked; 0 if it cannot be told."""
+    try:
+        size = os.stat(path).st_size
+    except (OSError, ValueError):
+        return 0
+    return size * 10 if path.endswith((".gz", ".zst")) else size

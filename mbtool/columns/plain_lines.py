@@ -1,0 +1,239 @@
+"""Makes lines of text, such as jsonl or CSV, from the transactions of blocks."""
+
+# The caller's function makes the line of one transaction. Of usual rows (usual_rows.py) that differ
+# only in time, ends, transaction id, values, bytes and packet numbers, it makes one line, with a
+# mark in the place of each of these fields. The line of each row has the row's own text there. So
+# the lines are those that the function would make of each transaction.
+#
+# Memory: at most MAX_LINES lines with marks; beyond that all are forgotten, and made anew.
+
+from __future__ import annotations
+
+import secrets
+from collections import Counter
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import numpy as np
+
+from mbtool.columns.arrays import pieces
+from mbtool.columns.column_decoder import order_of
+from mbtool.columns.plain_transactions import plain_transaction
+from mbtool.columns.usual_values import UsualValues
+from mbtool.core import WireEvent
+from mbtool.decode.decoder import Record
+from mbtool.devices import Namer
+from mbtool.modbus.transaction import Outcome
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from mbtool.columns.arrays import Int64s
+    from mbtool.columns.column_decoder import DecodedBlock
+    from mbtool.columns.plain_rows import PlainRows
+    from mbtool.columns.usual_values import ValueLists
+    from mbtool.devices import NamedTransaction
+
+MAX_LINES = 65_536
+
+_TEXTS = ("link", "source", "destination")
+_NUMBERS = ("transaction_id", "response_ns", "latency_ns", "request_packet", "response_packet")
+_LISTS = ("request_values", "response_values")
+_RAW = ("request_raw", "response_raw")
+_TIMES = ("request_ns", "time")
+# Random, so that no name of a file holds a mark.
+_MARKS = {name: f"<{secrets.token_hex(8)}:{name}>" for name in (*_TEXTS, *_NUMBERS, *_LISTS, *_RAW)}
+"""A text for each field that stands nowhere else in a line."""
+_MARK_NS = 10**18 + secrets.randbelow(10**18)
+_MARK_TIME = str(np.datetime_as_string(np.datetime64(_MARK_NS, "ns"), unit="ns"))
+_WIDTHS = np.array([len(str(number)) + 1 for number in range(1 << 16)])
+"""The length of each number with a separator behind it."""
+
+
+@dataclass(slots=True)
+class LineBatch:
+    """The lines of the transactions that some packets completed."""
+
+    text: str
+    """All lines, in order."""
+    outcomes: Counter[Outcome]
+    """How many transactions ended how, of those that are not in `records`."""
+    records: list[Record]
+    """The events, in order, without the begins and ends of connections that were passed; and the
+    transactions decoded one by one."""
+
+
+class BlockLines:
+    """Makes the lines of the blocks of a capture that has no device profiles."""
+
+    def __init__(self, line_of: Callable[[NamedTransaction], str], separator: str) -> None:
+        """Prepare the lines.
+
+        `line_of` gives the line of a transaction. `separator`, one ASCII character, stands between
+        its values.
+        """
+        self._line_of = line_of
+        self._words = np.array([f"{number}{separator}".encode() for number in range(1 << 16)])
+        """Each number with a separator behind it, filled up with zeros."""
+        self._namer = Namer()
+        self._forms: dict[tuple[object, ...], str] = {}
+        """A line with the place of each field that varies, by all other fields."""
+        self._order: list[str] = []
+        """The fields that vary in the order of the line."""
+
+    def batch(self, decoded: DecodedBlock) -> LineBatch:
+        records = decoded.sorted_records()
+        made = [one for _, one in records]
+        rows = [(place, one) for place, one in records if not isinstance(one, WireEvent)]
+        lines, order = [self._line_of(one) for _, one in rows], [place for place, _ in rows]
+        plain = decoded.plain
+        if plain is None:
+            return LineBatch("".join(lines), Counter(), made)
+        usual = UsualValues(plain)
+        chosen = np.flatnonzero(usual.is_usual)
+        others = np.flatnonzero(~usual.is_usual).tolist()
+        unusual = [self._named(plain, index) for index in others]
+        usual_lines = self._lines(plain, usual, chosen)
+        refused = int(np.count_nonzero(usual.exception[chosen] >= 0))
+        outcomes = Counter({Outcome.OK: len(chosen) - refused, Outcome.EXCEPTION: refused})
+        if not (lines or unusual):
+            return LineBatch("".join(usual_lines), outcomes, made)
+        places = order_of(plain.response)
+        lines += [self._line_of(one) for one in unusual] + usual_lines
+        places = np.concatenate([np.array(order, np.int64), places[others], places[chosen]])
+        ordered = [lines[one] for one in np.argsort(places, kind="stable").tolist()]
+        return LineBatch("".join(ordered), outcomes, [*made, *unusual])
+
+    def _named(self, rows: PlainRows, index: int) -> NamedTransaction:
+        return self._namer.name(plain_transaction(rows, index))
+
+    def _lines(self, rows: PlainRows, usual: UsualValues, chosen: Int64s) -> list[str]:
+        if not len(chosen):
+            return []
+        forms, kinds = self._forms_of(rows, usual, chosen)
+        fields = self._fields(rows, usual, chosen)
+        texts = zip(*(fields[name] for name in self._order), strict=True)
+        return [forms[kind] % some for kind, some in zip(kinds, texts, strict=True)]
+
+    def _forms_of(
+        self, rows: PlainRows, usual: UsualValues, chosen: Int64s
+    ) -> tuple[list[str], list[int]]:
+        """The forms of the lines, and the index of each row's form."""
+        numbers: dict[object, int] = {}
+        place_of = np.array([numbers.setdefault(one, len(numbers)) for one in rows.addresses])
+        places = [*numbers]
+        asked = usual.exception + 1 << 48 | rows.code << 40 | rows.unit << 32
+        asked = (asked | usual.address << 16 | usual.quantity)[chosen]
+        distinct, like = np.unique(asked, return_inverse=True)
+        both = place_of[rows.connection[chosen]] * len(distinct) + like
+        _, first, kinds = np.unique(both, return_index=True, return_inverse=True)
+        if len(self._forms) > MAX_LINES:
+            self._forms.clear()
+        forms = []
+        for one in first.tolist():
+            index = int(chosen[one])
+            place = places[place_of[rows.connection[index]]]
+            key = rows.block.file, place, int(asked[one])
+            if key not in self._forms:
+                self._forms[key] = self._form(self._named(rows, index))
+            forms.append(self._forms[key])
+        return forms, kinds.tolist()
+
+    def _form(self, like: NamedTransaction) -> str:
+        """The line of transactions like one, with %s in the place of each field that varies."""
+        if not self._order:
+            line = self._line_of(_marked(like, is_full=True))
+            places = {name: line.index(_mark_of(name)) for name in (*_MARKS, *_TIMES)}
+            self._order = sorted(places, key=places.__getitem__)
+        line = self._line_of(_marked(like, is_full=False)).replace("%", "%%")
+        for name in (*_NUMBERS, *_LISTS):
+            # Numbers stand in no quotes, where texts do.
+            line = line.replace(f'"{_MARKS[name]}"', _MARKS[name])
+        form = ""
+        for name in self._order:
+            before, mark, after = line.partition(_mark_of(name))
+            form += f"{before}%s" if mark else "%.0s"
+            line = after if mark else before
+        return form + line
+
+    def _fields(
+        self, rows: PlainRows, usual: UsualValues, chosen: Int64s
+    ) -> dict[str, Sequence[object]]:
+        """The texts or numbers of the fields that vary, each in a list with one for each row."""
+        ends = rows.connection[chosen].tolist()
+        request_ns, response_ns = rows.request_ns[chosen], rows.response_ns[chosen]
+        first = rows.block.first_number
+        links, masters, slaves = (
+            [text(one) for one in rows.connections]
+            for text in (
+                lambda one: one.link,
+                lambda one: str(one.master),
+                lambda one: str(one.slave),
+            )
+        )
+        return {
+            "link": [links[one] for one in ends],
+            "source": [masters[one] for one in ends],
+            "destination": [slaves[one] for one in ends],
+            "transaction_id": rows.transaction_id[chosen].tolist(),
+            "request_ns": request_ns.tolist(),
+            "response_ns": response_ns.tolist(),
+            "latency_ns": (response_ns - request_ns).tolist(),
+            "request_packet": (first + rows.request[chosen]).tolist(),
+            "response_packet": (first + rows.response[chosen]).tolist(),
+            "request_values": self._texts(usual.request_values(chosen)),
+            "response_values": self._texts(usual.response_values(chosen)),
+            "request_raw": _hex(rows, rows.request_begin[chosen], rows.request_size[chosen]),
+            "response_raw": _hex(rows, rows.response_begin[chosen], rows.response_size[chosen]),
+            "time": np.datetime_as_string(request_ns.view("datetime64[ns]"), unit="ns").tolist(),
+        }
+
+    def _texts(self, lists: ValueLists) -> list[str]:
+        """The numbers of each row with separators between them; none for a missing list."""
+        padded = self._words[lists.numbers].view(np.uint8)
+        text = padded[padded != 0].tobytes().decode()
+        ends = np.concatenate([[0], np.cumsum(_WIDTHS[lists.numbers])])[lists.offsets]
+        # Without the separator behind the last number of a row.
+        stops = np.maximum(ends[1:] - 1, ends[:-1])
+        return [
+            text[begin:end] for begin, end in zip(ends[:-1].tolist(), stops.tolist(), strict=True)
+        ]
+
+
+class _HexMark:
+    """Stands for bytes, and gives a mark as their hexadecimal text."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def hex(self) -> str:
+        return _MARKS[self._name]
+
+
+def _mark_of(name: str) -> str:
+    if name == "time":
+        return _MARK_TIME
+    return str(_MARK_NS) if name == "request_ns" else _MARKS[name]
+
+
+def _marked(like: NamedTransaction, *, is_full: bool) -> NamedTransaction:
+    """A transaction with marks; `is_full` is True to mark also the lists that it lacks."""
+    fields: dict[str, Any] = {name: _MARKS[name] for name in (*_TEXTS, *_NUMBERS)}
+    fields |= {name: _HexMark(name) for name in _RAW}
+    for name in _LISTS:
+        if is_full or getattr(like, name) is not None:
+            fields[name] = [_MARKS[name]]
+    return msgspec.structs.replace(like, request_ns=_MARK_NS, **fields)
+
+
+def _hex(rows: PlainRows, begins: Int64s, sizes: Int64s) -> list[str]:
+    """The bytes of pieces of a block's data as hexadecimal text."""
+    text = pieces(rows.data, begins, sizes).tobytes().hex()
+    return [*_cut(text, 2 * sizes)]
+
+
+def _cut(text: str, sizes: Int64s) -> Iterator[str]:
+    ends = np.cumsum(sizes)
+    for begin, end in zip((ends - sizes).tolist(), ends.tolist(), strict=True):
+        yield text[begin:end]

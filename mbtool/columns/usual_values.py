@@ -1,0 +1,72 @@
+"""Reads the registers and bits of plain rows of usual form."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from mbtool.columns.arrays import Bools, Int64s, gather, ranges
+from mbtool.columns.usual_rows import COUNTED, WRITE_COIL, WRITE_WORD, UsualRows
+
+Words = npt.NDArray[np.uint16]
+_PAIR = np.dtype(">u2")
+
+
+class ValueLists(NamedTuple):
+    """A list of numbers for each row."""
+
+    numbers: Words
+    """The numbers of all rows, one row after the other."""
+    offsets: Int64s
+    """The index in `numbers` where each row begins; last, the number of all."""
+    missing: Bools
+    """True for a row that has no list."""
+
+
+class UsualValues(UsualRows):
+    """The registers and bits of usual rows."""
+
+    def request_values(self, chosen: Int64s) -> ValueLists:
+        """The values that the requests write; none for reads."""
+        code, value = self._code[chosen], self._value[chosen]
+        words, bits = self._writes_words[chosen], self._writes_bits[chosen]
+        single = np.isin(code, [WRITE_COIL, *WRITE_WORD])
+        begin = self._request[chosen] + np.where(single, 3, COUNTED)
+        words = words | single
+        counts = np.where(single, 1, value)
+        values = self._values(begin, counts, words, bits)
+        if (code == WRITE_COIL).any():
+            numbers, offsets = values
+            coils = offsets[:-1][code == WRITE_COIL]
+            numbers[coils] = numbers[coils] != 0  # FF00H is 1 (layouts.COIL_VALUES).
+        return ValueLists(*values, ~(words | bits))
+
+    def response_values(self, chosen: Int64s) -> ValueLists:
+        """The values in the responses; none for writes and exception responses."""
+        is_ok = self.exception[chosen] < 0
+        words, bits = self._reads_words[chosen] & is_ok, self._reads_bits[chosen] & is_ok
+        begin = self._response[chosen] + 2
+        return ValueLists(*self._values(begin, self._value[chosen], words, bits), ~(words | bits))
+
+    def _values(
+        self, begin: Int64s, counts: Int64s, words: Bools, bits: Bools
+    ) -> tuple[Words, Int64s]:
+        """The registers and bits of all rows in one array, and the index where each row begins."""
+        counts = np.where(words | bits, counts, 0)
+        offsets = np.concatenate([[0], np.cumsum(counts)])
+        if not bits.any():
+            places = ranges(begin[words], 2 * counts[words])
+            return self._data[places].view(_PAIR).astype(np.uint16), offsets
+        numbers = np.zeros(int(offsets[-1]), np.uint16)
+        for chosen, is_bits in ((words, False), (bits, True)):
+            row = np.flatnonzero(chosen)
+            inside = ranges(np.zeros(len(row), np.int64), counts[row])
+            starts = np.repeat(begin[row], counts[row])
+            targets = np.repeat(offsets[row], counts[row]) + inside
+            if is_bits:
+                numbers[targets] = self._data[starts + inside // 8] >> (inside % 8) & 1
+            else:
+                numbers[targets] = gather(self._data, starts + 2 * inside, _PAIR)
+        return numbers, offsets

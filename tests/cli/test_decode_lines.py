@@ -1,0 +1,100 @@
+"""decode --format jsonl and csv of large captures: read as arrays, and printed as without them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from mbtool.cli import decode
+from mbtool.workflows.shared import reading_choice
+from mbtool.workflows.shared.column_reading import ColumnReading
+from tests.columns.disturbed_captures import disturbed
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from mbtool.columns.plain_lines import LineBatch
+    from tests.cli.program import CommandLine, Said
+
+OWN = Path(__file__).resolve().parents[2] / "captures"
+CAPTURES = sorted(path for kind in ("pcap", "pcapng") for path in OWN.glob(f"*.{kind}"))
+
+
+@pytest.fixture
+def in_arrays(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Reads small files as arrays, too; a list with one entry for each block read so."""
+    blocks: list[int] = []
+    lines = ColumnReading.lines
+
+    def counted(self: ColumnReading, *arguments: object) -> Iterator[LineBatch]:
+        for batch in lines(self, *arguments):  # type: ignore[arg-type]
+            blocks.append(1)
+            yield batch
+
+    monkeypatch.setattr(ColumnReading, "lines", counted)
+    monkeypatch.setattr(decode, "_WORTH_BYTES", 0)
+    return blocks
+
+
+def row_by_row(mbtool: CommandLine, monkeypatch: pytest.MonkeyPatch, *arguments: object) -> Said:
+    with monkeypatch.context() as patched:
+        patched.setattr(decode, "_WORTH_BYTES", 1 << 40)
+        return mbtool(*arguments)
+
+
+@pytest.mark.parametrize("path", CAPTURES, ids=lambda one: one.name)
+@pytest.mark.parametrize("format_", ["jsonl", "csv"])
+def test_the_captures_of_the_repository_are_printed_as_row_by_row(
+    path: Path,
+    format_: str,
+    mbtool: CommandLine,
+    monkeypatch: pytest.MonkeyPatch,
+    in_arrays: list[int],
+) -> None:
+    arguments = ("decode", path, "--format", format_)
+    assert mbtool(*arguments) == row_by_row(mbtool, monkeypatch, *arguments)
+
+
+@pytest.mark.parametrize("name", ["a.jsonl", "a.csv"])
+@pytest.mark.parametrize("cut", [0, 5])
+def test_a_file_is_written_as_row_by_row(
+    name: str,
+    cut: int,
+    mbtool: CommandLine,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    in_arrays: list[int],
+) -> None:
+    capture = disturbed(5)
+    (tmp_path / "a.pcap").write_bytes(capture[: len(capture) - cut])
+    arguments = ("decode", tmp_path / "a.pcap", "--overwrite", "-o", tmp_path / name)
+    rows = row_by_row(mbtool, monkeypatch, *arguments)
+    assert not in_arrays
+    text = (tmp_path / name).read_bytes()
+    assert mbtool(*arguments) == rows
+    assert in_arrays
+    assert (tmp_path / name).read_bytes() == text
+    assert rows.code == (3 if cut else 0)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [("--events", "all"), ("--limit", "3"), ("--where", "unit == 1"), ("--sort", "time")],
+)
+def test_what_arrays_cannot_give_is_read_row_by_row(
+    arguments: tuple[str, ...], mbtool: CommandLine, tmp_path: Path, in_arrays: list[int]
+) -> None:
+    (tmp_path / "a.pcap").write_bytes(disturbed(5))
+    assert mbtool("decode", tmp_path / "a.pcap", "--format", "jsonl", *arguments).code == 0
+    assert not in_arrays
+
+
+def test_without_the_extra_lines_are_read_row_by_row(
+    mbtool: CommandLine, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, in_arrays: list[int]
+) -> None:
+    monkeypatch.setattr(reading_choice, "find_spec", lambda _: None)
+    (tmp_path / "a.pcap").write_bytes(disturbed(5))
+    assert mbtool("decode", tmp_path / "a.pcap", "--format", "jsonl").code == 0
+    assert not in_arrays
