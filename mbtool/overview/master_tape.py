@@ -5,9 +5,10 @@
 from __future__ import annotations
 
 from collections import deque
+from itertools import repeat
 from typing import TYPE_CHECKING, NamedTuple
 
-from mbtool.overview.poll_cycle import Asked, PollLists, find_lists, response_timeout
+from mbtool.overview.poll_cycle import Asked, PollLists, find_lists
 
 if TYPE_CHECKING:
     from mbtool.overview.poll_statistics import PollStatistics
@@ -77,20 +78,16 @@ class MasterTape:
         self._last = None
 
     def __len__(self) -> int:
-        self._join()
-        return len(self._asked)
+        return min(len(self._asked) + sum(len(at_ns) for at_ns, _, _ in self._later), MAX_ASKED)
 
     def lists(self) -> PollLists[PollStatistics]:
-        return find_lists(self._in_order())
+        return find_lists(self._requests())
 
-    def timeout_ns(self) -> int | None:
-        """How long (ns) the master waits for an answer; None if no answer is missing."""
-        return response_timeout(self._in_order())
-
-    def _in_order(self) -> list[Asked[PollStatistics]]:
-        self._join()
+    def _requests(self) -> list[Asked[PollStatistics]]:
         asked = [
             Asked(one.poll, one.at_ns - one.wire_ns, one.end_ns, one.is_missing)
             for one in self._asked
         ]
-        return sorted(asked, key=lambda one: one.begin_ns)
+        for at_ns, polls, ends_ns in self._later:
+            asked += map(Asked, polls, at_ns, ends_ns, repeat(False))
+        return asked[-MAX_ASKED:]

@@ -182,6 +182,8 @@ def response_timeout(in_order: Sequence[Asked[P]]) -> int | None:
 
 
 def _without_repetitions(asked: Sequence[Asked[P]], timeout_ns: int) -> list[PollStart[P]]:
+    if not any(one.is_missing for one in asked):
+        return [PollStart(*one) for one in asked]
     starts: list[PollStart[P]] = []
     was_missing = False
     for one in asked:

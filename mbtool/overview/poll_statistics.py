@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
+from operator import sub
 from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.overview.distribution import Distribution
@@ -83,7 +83,7 @@ class PollStatistics:
     def begin_all(self, times_ns: Sequence[int]) -> None:
         """Note that the poll is asked at these times; they are in order."""
         self.begin(times_ns[0])
-        self.period.add_all([after - before for before, after in pairwise(times_ns)])
+        self.period.add_all(list(map(sub, times_ns[1:], times_ns)))
         self._last_ns = times_ns[-1]
 
     def cut(self) -> None:

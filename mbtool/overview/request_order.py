@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from heapq import heappop, heappush
-from itertools import count
+from itertools import count, repeat
 from operator import sub
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -93,33 +93,37 @@ class RequestOrder:
             for at_ns, kind, end_ns in zip(run.request_ns, run.kind, run.response_ns, strict=True):
                 self.add(at_ns, polls[kind], end_ns, 0, is_missing=False)
             return
-        self._heap = [
-            TapedRequest(
-                asked.at_ns[one],
-                self._taken + one,
-                asked.polls[one],
-                asked.ends_ns[one],
-                is_missing=False,
-                wire_ns=0,
+        last = order[-WINDOW:]
+        self._heap = list(
+            map(
+                TapedRequest,
+                map(asked.at_ns.__getitem__, last),
+                map(self._taken.__add__, last),
+                map(asked.polls.__getitem__, last),
+                map(asked.ends_ns.__getitem__, last),
+                repeat(False),
+                repeat(0),
             )
-            for one in order[-WINDOW:]
-        ]
+        )
         self._taken += len(order)
         self._order_all(asked, order[:-WINDOW])
 
     def _order_all(self, asked: _AskedColumns, order: list[int]) -> None:
         """Take answered requests in order of time, with the same result as one by one."""
-        by_poll: dict[PollStatistics, list[int]] = {poll: [] for poll in asked.polls}
+        by_poll: dict[PollStatistics, list[int]] = {poll: [] for poll in dict.fromkeys(asked.polls)}
         by_tape: dict[tuple[str, str], list[int]] = {}
-        lists = {
-            poll: (times, by_tape.setdefault((poll.key.link, poll.key.master), []))
+        notes = {
+            poll: (
+                times.append,
+                by_tape.setdefault((poll.key.link, poll.key.master), []).append,
+            )
             for poll, times in by_poll.items()
         }
         at_ns, polls = asked.at_ns, asked.polls
         for one in order:
-            times, places = lists[polls[one]]
-            times.append(at_ns[one])
-            places.append(one)
+            note_time, note_place = notes[polls[one]]
+            note_time(at_ns[one])
+            note_place(one)
         self._ordered_ns = at_ns[order[-1]]
         by_link: dict[str, list[int]] = {}
         for poll, times in by_poll.items():
@@ -133,9 +137,9 @@ class RequestOrder:
         for _, _, key in sorted(used):
             places = by_tape[key]
             self._tape(*key).add_answered(
-                [at_ns[one] for one in places],
-                [polls[one] for one in places],
-                [asked.ends_ns[one] for one in places],
+                list(map(at_ns.__getitem__, places)),
+                list(map(polls.__getitem__, places)),
+                list(map(asked.ends_ns.__getitem__, places)),
             )
 
     def _can_tape_all(self, keys: Set[tuple[str, str]]) -> bool:

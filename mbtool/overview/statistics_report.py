@@ -104,7 +104,8 @@ def _link_report(
 ) -> LinkReport:
     link = statistics.links[name]
     tapes = {master: tape for (of, master), tape in statistics.tapes.items() if of == name}
-    timeouts = {master: tape.timeout_ns() or 0 for master, tape in tapes.items()}
+    lists = {master: tape.lists() for master, tape in tapes.items()}
+    timeouts = {master: found.timeout_ns or 0 for master, found in lists.items()}
     functions = _functions(statistics, name, polls, groups)
     tally = merged([one.tally for one in functions])
     load = bus_load(tally, link, max(timeouts.values(), default=0))
@@ -130,7 +131,7 @@ def _link_report(
             for poll in polls
         ],
         masters=[
-            MasterReport(master=master, requests=len(tape), lists=tape.lists())
+            MasterReport(master=master, requests=len(tape), lists=lists[master])
             for master, tape in tapes.items()
         ],
         connections=[
