@@ -53,8 +53,12 @@ def sniffer_of(
     ports: TcpPorts,
     allowed: AllowedPeers,
     begin: Callable[[], Log] | None = None,
+    on_remark: Callable[[str], None] | None = None,
 ) -> Sniffer:
-    """Make a sniffer that prints a message to the user when something goes wrong."""
+    """Make a sniffer that gives `on_remark` a message when something goes wrong.
+
+    Without `on_remark`, the message is printed.
+    """
     from mbtool.cli.talk import say
     from mbtool.decode.decoder import Decoder
     from mbtool.devices import Namer
@@ -67,5 +71,5 @@ def sniffer_of(
         begin_log=begin,
         ports=[] if ports.any_port else [*ports.ports, *ports.rtu_ports],
         allowed=allowed,
-        on_remark=lambda text: say(f"mbtool: {text}"),
+        on_remark=on_remark or (lambda text: say(f"mbtool: {text}")),
     )

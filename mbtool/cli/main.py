@@ -44,6 +44,7 @@ from mbtool.cli.slave import slave
 from mbtool.cli.sniff import sniff
 from mbtool.cli.stats import stats
 from mbtool.cli.talk import say
+from mbtool.cli.watch import watch
 from mbtool.core import InputError, LinkError, MbtoolError, OutputError
 from mbtool.version import __version__
 
@@ -76,6 +77,7 @@ for command in (
     inventory,
     check,
     stats,
+    watch,
     convert,
     recover,
     replay,

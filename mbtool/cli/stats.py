@@ -84,7 +84,7 @@ def stats(
     """
     from mbtool.core import UsageError
 
-    live = [_is_link(one) for one in sources]
+    live = [is_link(one) for one in sources]
     if any(live) and not all(live):
         raise UsageError("name files or links, not both")
     if any(live) and (raw or source.link is not None):
@@ -98,7 +98,8 @@ def stats(
         _read(shown, source.read(device, raw=raw, silences=silences))
 
 
-def _is_link(text: str) -> bool:
+def is_link(text: str) -> bool:
+    """True for a link, False for a file, also if its name begins like a link."""
     return text.startswith(_LINK_KINDS) and not os.path.exists(text)
 
 

@@ -100,6 +100,14 @@ class Layout:
             raise ValueError(f"a field does not fit its width: {given}") from error
         return fixed + (self._tail.encode(fields) if self._tail is not None else b"")
 
+    @property
+    def heads(self) -> list[tuple[str, int]]:
+        """The name and width in bytes of each integer, and of the byte count behind them."""
+        widths = [1 if code == "B" else 2 for code in self._fixed.format[1:]]
+        heads = list(zip(self._names, widths, strict=True))
+        count = 1 if isinstance(self._tail, Bits) else getattr(self._tail, "count_width", 0)
+        return [*heads, ("byte_count", count)] if count else heads
+
     def _parse_short(self, pdu: bytes) -> Fields:
         fields: Fields = {}
         at = 1

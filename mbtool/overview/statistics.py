@@ -75,11 +75,12 @@ class Statistics:
         """How many transactions came too late to be put in order."""
         return self._order.late
 
-    def add(self, record: NamedTransaction | WireEvent) -> None:
+    def add(self, record: NamedTransaction | WireEvent) -> PollStatistics | None:
+        """Count a record; return the poll of a transaction, None if it belongs to none."""
         if isinstance(record, WireEvent):
             self._add_event(record)
-        else:
-            self._add_transaction(record)
+            return None
+        return self._add_transaction(record)
 
     def add_run(self, run: AnsweredRun) -> None:
         """Add requests, with the same result as one by one."""
@@ -106,25 +107,25 @@ class Statistics:
         """Put the waiting transactions in order: all, or those whose request came before a time."""
         self._order.settle(before_ns)
 
-    def _add_transaction(self, one: NamedTransaction) -> None:
+    def _add_transaction(self, one: NamedTransaction) -> PollStatistics | None:
         self.transactions += 1
         link = self._link(one.link)
         link.note(one)
         name = one.link if one.link in self.links else OTHER_LINKS
         if name != one.link or one.request_ns is None:
             self._group((name, one.unit, one.function)).add(one)
-            return
+            return None
         poll = self._poll(one)
         poll.tally.add(one)
-        if not link.has_times:
-            return
-        self._order.add(
-            one.request_ns,
-            poll,
-            max(one.response_ns or one.request_ns, one.request_ns),
-            link.wire_ns(len(one.request_raw or b"")),
-            is_missing=one.outcome is Outcome.NO_ANSWER,
-        )
+        if link.has_times:
+            self._order.add(
+                one.request_ns,
+                poll,
+                max(one.response_ns or one.request_ns, one.request_ns),
+                link.wire_ns(len(one.request_raw or b"")),
+                is_missing=one.outcome is Outcome.NO_ANSWER,
+            )
+        return poll
 
     def _has_room(self, run: AnsweredRun) -> bool:
         """True if a run needs no limit of links and polls, and its links have times."""

@@ -28,6 +28,7 @@ COMMANDS = (
     "inventory",
     "check",
     "stats",
+    "watch",
     "convert",
     "recover",
     "replay",

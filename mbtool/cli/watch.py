@@ -1,0 +1,287 @@
+"""mbtool watch: a live table of links, or of files that are played."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from mbtool.cli.option_groups import takes_groups
+from mbtool.cli.options import (
+    AllowOption,
+    DeviceOption,
+    RawOption,
+    SilenceOptions,
+    SourceOptions,
+    WhereOption,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from mbtool.cli.talk import Interrupt
+    from mbtool.decode.decoder import Record
+    from mbtool.workflows.shared.reading import ReadingOptions
+    from mbtool.workflows.watch import WatchFeed
+    from mbtool.workflows.watch_saving import Saver
+
+_MODES_OFF = "\x1b[?1000l\x1b[?1002l\x1b[?1003l\x1b[?1006l\x1b[?1015l\x1b[?2004l\x1b[?1004l"
+"""Ends what a full screen switches on: reports of the mouse, of pasted text and of the focus."""
+_RESTORE = f"{_MODES_OFF}\x1b[<u\x1b[?1049l\x1b[?25h\x1b[0m"
+"""Then ends the protocol of keys and the second screen, and shows the cursor."""
+
+
+@takes_groups
+def watch(
+    sources: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="LINK|FILE",
+            help="Links to listen on, as for sniff; or captures and logs, as for decode.",
+        ),
+    ],
+    *,
+    write: Annotated[
+        str | None,
+        typer.Option("--write", "-w", metavar="FILE.mcap", help="Log all that is heard."),
+    ] = None,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace the log if there is one of that name.")
+    ] = False,
+    device: DeviceOption = None,
+    where: WhereOption = None,
+    play: Annotated[
+        bool, typer.Option("--play", help="Play a file from its beginning, as it was recorded.")
+    ] = False,
+    duration: Annotated[
+        float | None,
+        typer.Option("--duration", metavar="S", min=0, help="Leave after so many seconds."),
+    ] = None,
+    raw: RawOption = False,
+    source: SourceOptions,
+    silences: SilenceOptions,
+    allow: AllowOption = None,
+) -> None:
+    """Watch links or files on a full screen.
+
+    It shows polls, points, transactions, events, slaves and the bus load as they come; ? shows the
+    keys, and docs/watch.md explains each view. It needs mbtool[watch].
+    """
+    from mbtool.cli.options import condition
+    from mbtool.cli.stats import is_link
+    from mbtool.core import UsageError
+
+    _demand_textual()
+    condition(where)
+    live = [is_link(one) for one in sources]
+    if any(live) and not all(live):
+        raise UsageError("name files or links, not both")
+    if any(live) and (raw or play or source.link is not None):
+        raise UsageError("--raw, --link and --play go with files")
+    if not any(live) and (write is not None or overwrite or allow):
+        raise UsageError("--write, --overwrite and --allow go with a link")
+    if not (sys.stdin.isatty() and sys.stdout.isatty()):
+        raise UsageError("watch needs a terminal; into a pipe or file, use sniff, decode or stats")
+    if any(live):
+        _watch_links(sources, write, device, where, source, silences, allow, duration, overwrite)
+    else:
+        options = source.read(device, raw=raw, silences=silences)
+        _watch_files(sources, options, where, duration, plays=play)
+
+
+def _demand_textual() -> None:
+    try:
+        import textual  # noqa: F401 - only if it is there
+    except ImportError:
+        from mbtool.core import UsageError
+
+        raise UsageError("watch needs textual: pip install 'mbtool[watch]'") from None
+
+
+def _watch_links(
+    sources: Sequence[str],
+    write: str | None,
+    device: list[str] | None,
+    where: str | None,
+    ports: SourceOptions,
+    silences: SilenceOptions,
+    allow: list[str] | None,
+    duration: float | None,
+    overwrite: bool,
+) -> None:
+    from collections import deque
+
+    from mbtool.cli.listening import allowed_networks, heard_ports, sniffer_of
+    from mbtool.cli.options import assignments
+    from mbtool.cli.talk import interruptible, say
+    from mbtool.core import parse_link
+    from mbtool.core.link_spec import HEARD
+    from mbtool.decode.line_timing import LineTiming
+    from mbtool.logs.opening import check_log_path, create_log
+    from mbtool.workflows.shared.checked_log import begin_checked
+    from mbtool.workflows.shared.model_hints import ModelHints
+    from mbtool.workflows.shared.unreadable_lines import UnreadableLines
+    from mbtool.workflows.sniff import serial_lines, with_settings
+    from mbtool.workflows.watch import MAX_REMARKS, LinkFeed, make_watched
+    from mbtool.workflows.watch_saving import EvidenceSaver, FrameSaver
+
+    specs = [parse_link(link, HEARD) for link in sources]
+    allowed, tcp_ports = allowed_networks(specs, allow), heard_ports(specs, ports)
+    devices = assignments(device)
+    timing = LineTiming(devices, *silences.read())
+    serial_lines(specs)
+    if write is not None:
+        check_log_path(write, overwrite=overwrite)
+    specs = timing.given(with_settings(specs, say))
+    lines = serial_lines(specs)
+    begin = partial(
+        create_log, links=specs, assignments=devices, overwrite=overwrite, **tcp_ports._asdict()
+    )
+    checked = partial(begin_checked, partial(begin, write or ""), timing, lines, tcp_ports.expected)
+    remarks: deque[str] = deque(maxlen=MAX_REMARKS)
+    sniffer = sniffer_of(
+        specs,
+        timing,
+        tcp_ports,
+        allowed,
+        None if write is None else checked,
+        on_remark=remarks.append,
+    )
+    watched = make_watched(
+        lambda link: timing.format_of(lines[link]) if link in lines else None, devices.profile_for
+    )
+    hints, unreadable = ModelHints(devices.profile_for), UnreadableLines(lines.get, is_live=True)
+    saver = FrameSaver(begin) if write is None else EvidenceSaver([write])
+    with interruptible() as interrupt, ExitStack() as opened:
+        opened.enter_context(sniffer)
+        place = ", ".join(sniffer.places)
+        feed = LinkFeed(
+            sniffer,
+            opened.pop_all(),
+            watched,
+            ends=_end(interrupt, duration),
+            notes=(hints.note, unreadable.note),
+            remarks=remarks,
+        )
+        _show(feed, place, saver, write, where, _end(interrupt, duration), interrupt)
+    if write is not None:
+        say(f"log: {write}")
+
+
+def _watch_files(
+    files: Sequence[str],
+    options: ReadingOptions,
+    where: str | None,
+    duration: float | None,
+    *,
+    plays: bool,
+) -> None:
+    from mbtool.cli.talk import interruptible, say
+    from mbtool.workflows.shared.reading import Reading
+    from mbtool.workflows.watch import FileFeed, make_watched
+    from mbtool.workflows.watch_saving import EvidenceSaver
+
+    reading = Reading(files, options)
+    reading.demand_files()
+    readings = [reading]
+
+    def records() -> Iterator[Record]:
+        readings[0] = Reading(files, options)
+        return readings[0].records()
+
+    watched = make_watched(
+        lambda link: readings[0].format_of(link), lambda one: readings[0].profile_for(one)
+    )
+    feed = FileFeed(records, watched, plays=plays)
+    with interruptible() as interrupt:
+        place = ", ".join(files)
+        saver = EvidenceSaver(files, options)
+        _show(feed, place, saver, None, where, _end(interrupt, duration), interrupt)
+    for remark in readings[0].remarks:
+        say(remark)
+
+
+def _show(
+    feed: WatchFeed,
+    place: str,
+    saver: Saver,
+    recording: str | None,
+    where: str | None,
+    ends: Callable[[], bool],
+    interrupt: Interrupt,
+) -> None:
+    """Run the full screen until the user leaves it, then end the feed.
+
+    Raises typer.Exit with the exit code, or what ended the feed.
+    """
+    from mbtool.cli.options import condition
+    from mbtool.cli.watching.app import WatchApp
+
+    if where is not None:
+        feed.watched.set_filter(condition(where))
+    app = WatchApp(
+        feed, place, saver=saver, recording=recording, where=where or "", is_asked_to_end=ends
+    )
+    try:
+        with _ended_by_hangup(interrupt), restored_terminal():
+            code = app.run()
+    finally:
+        feed.stop()
+    if feed.error is not None:
+        raise feed.error
+    if interrupt.asked or code is None:
+        raise KeyboardInterrupt
+    if app.return_code:
+        raise typer.Exit(app.return_code)
+    raise typer.Exit(code)
+
+
+def _end(interrupt: Interrupt, duration_s: float | None) -> Callable[[], bool]:
+    """Return a function that is True once a signal has come or the duration is over."""
+    from math import inf
+
+    from mbtool.ports.clock import steady_clock
+
+    clock = steady_clock()
+    end_ns = inf if duration_s is None else clock() + duration_s * 1e9
+    return lambda: interrupt.asked or clock() >= end_ns
+
+
+@contextmanager
+def _ended_by_hangup(interrupt: Interrupt) -> Iterator[None]:
+    """While the context is open, a terminal that goes away ends the command, as SIGTERM does."""
+    hangup = getattr(signal, "SIGHUP", None)
+    if hangup is None:
+        yield
+        return
+    before = signal.signal(hangup, interrupt.ask)
+    try:
+        yield
+    finally:
+        signal.signal(hangup, before)
+
+
+@contextmanager
+def restored_terminal() -> Iterator[None]:
+    """Give the terminal back as it was, also after an error that the full screen did not expect."""
+    try:
+        import termios
+    except ImportError:
+        yield
+        return
+    descriptor = sys.stdin.fileno()
+    before = termios.tcgetattr(descriptor)
+    try:
+        yield
+    except BaseException:
+        with suppress(OSError):
+            sys.stdout.write(_RESTORE)
+            sys.stdout.flush()
+        raise
+    finally:
+        with suppress(termios.error):  # The terminal may be gone.
+            termios.tcsetattr(descriptor, termios.TCSANOW, before)

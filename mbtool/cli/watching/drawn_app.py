@@ -1,0 +1,258 @@
+"""Draws the full screen of `mbtool watch`; the keys are in app.py."""
+
+# The app only draws: a timer takes a snapshot of the view's rows under the feed's lock and draws
+# it, at most DRAWS_PER_S times a second, and less often where drawing takes long (_SHARE). While
+# the view is frozen, the rows of all views stay those of that moment.
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Any
+
+from rich.text import Text
+from textual.app import App
+from textual.containers import VerticalScroll
+from textual.widgets import Static
+
+from mbtool.cli import exit_codes
+from mbtool.cli.watching.live_table import LiveTable
+from mbtool.cli.watching.prompt import PromptLine
+from mbtool.cli.watching.spans import is_plain, style_of, text_of
+from mbtool.cli.watching.status_line import ScreenState, keys_line, status_text, tabs_text
+from mbtool.cli.watching.watch_settings import WatchSettings, load_settings, save_settings
+from mbtool.cli.watching.watch_views import VIEWS
+from mbtool.core import MbtoolError
+from mbtool.views.watch_columns import DrawContext, fitted
+from mbtool.views.watch_detail import record_detail, slave_detail
+from mbtool.watching.board_rows import WatchedSlaveRow
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from textual.app import ComposeResult
+
+    from mbtool.cli.watching.watch_views import WatchView
+    from mbtool.views.watch_columns import Spans
+    from mbtool.watching.board import Board
+    from mbtool.workflows.watch import WatchFeed
+    from mbtool.workflows.watch_saving import Saver
+
+DRAWS_PER_S = 5
+_SHARE = 8
+"""A pause is at least so many times as long as the drawing before it took."""
+_LONGEST_PAUSE_S = 2.0
+_TYPING_S = 0.15
+"""A filter is applied once nothing was typed for so long, in s."""
+_SEEK_NS = 10_000_000_000
+_TRANSACTIONS = 2
+
+
+class DrawnApp(App[int]):
+    """Draws what a feed gives. Its result is the exit code."""
+
+    TITLE = "mbtool watch"
+    ENABLE_COMMAND_PALETTE = True
+    CSS = """
+    #tabs, #status, #keys { height: 1; }
+    #detail { height: 10; display: none; border-top: solid $accent; }
+    #detail.open { display: block; }
+    #detail-text { height: auto; }
+    #note { height: auto; max-height: 2; display: none; }
+    #note.told { display: block; }
+    HelpPanel { width: 50; max-width: 70%; }
+    """
+
+    def __init__(
+        self,
+        feed: WatchFeed,
+        place: str,
+        *,
+        saver: Saver | None = None,
+        recording: str | None = None,
+        where: str = "",
+        is_asked_to_end: Callable[[], bool] = lambda: False,
+    ) -> None:
+        """`place` names what is watched; `recording` is the log that is written.
+
+        `is_asked_to_end` is asked at each drawing: True after a signal.
+        """
+        super().__init__()
+        self.feed = feed
+        self.place, self.recording = place, recording
+        self.where = where
+        self.filter_is_on = bool(where)
+        self.view_at = 0
+        self.frozen: list[Sequence[Any]] | None = None
+        """The rows of each view while the view is frozen; else None."""
+        self.settings: WatchSettings = load_settings()
+        self._saver = saver
+        self._is_asked_to_end = is_asked_to_end
+        self._found = ""
+        self._before_typing = where
+        self._typed_at = 0
+        self._contexts = [DrawContext() for _ in VIEWS]
+        self._next_draw_s = 0.0
+        self._frozen_ns = 0
+        self._told_remarks = 0
+        self._follows = True
+        self._cursor_keys: list[Any] = [None] * len(VIEWS)
+
+    def compose(self) -> ComposeResult:
+        yield Static(id="tabs", markup=False)
+        yield Static(id="status", markup=False)
+        yield LiveTable()
+        with VerticalScroll(id="detail", can_focus=False):
+            yield Static(id="detail-text", markup=False)
+        yield PromptLine()
+        yield Static(id="note", markup=False)
+        yield Static(id="keys", markup=False)
+
+    def on_mount(self) -> None:
+        self.table.focus()
+        self.set_interval(1 / DRAWS_PER_S, self._tick)
+        self.feed.start()
+        self.draw()
+
+    @property
+    def view(self) -> WatchView:
+        return VIEWS[self.view_at]
+
+    @property
+    def table(self) -> LiveTable:
+        return self.screen_stack[0].query_one(LiveTable)
+
+    @property
+    def context(self) -> DrawContext:
+        return self._contexts[self.view_at]
+
+    @property
+    def board(self) -> Board:
+        """The board that is shown; use it only while the feed's lock is held."""
+        watched = self.feed.watched
+        return watched.filtered if self.filter_is_on and watched.filtered else watched.whole
+
+    # Drawing.
+
+    @property
+    def is_up(self) -> bool:
+        """False while the screen is made or taken down: a timer may come then, too."""
+        return bool(self.screen_stack) and bool(self.screen_stack[0].query(LiveTable))
+
+    def _tick(self) -> None:
+        if not self.is_up:
+            return
+        if self._is_asked_to_end():
+            self.exit(exit_codes.INTERRUPTED)
+            return
+        self._tell_remarks()
+        if time.perf_counter() >= self._next_draw_s:
+            self.draw()
+
+    def draw(self) -> None:
+        """Draw the view as it is now."""
+        if not self.is_up:
+            return
+        began_s = time.perf_counter()
+        width = max(self.size.width, 20)
+        if self.frozen is not None:
+            rows, now_ns = self.frozen[self.view_at], self._frozen_ns
+        else:
+            with self.feed.lock:
+                now_ns = self.feed.now_ns()
+                rows = self.view.rows(self.board, width)
+        self.context.now_ns = now_ns
+        self.context.is_over = self.feed.is_over or not self.feed.is_live
+        self.context.marked = self.feed.watched.marked
+        name, descending = self._sorting
+        column = next((one for one in self.view.columns if one.name == name), None)
+        if column is not None:
+            rows = sorted(rows, key=column.sort, reverse=descending)
+        columns = fitted(self.view.columns, width, self.settings.columns.get(self.view.name))
+        table = self.table
+        table.can_follow = self.view.can_follow
+        table.show(rows, columns, self.context, (None if column is None else name, descending))
+        self._draw_lines(width)
+        self._draw_detail()
+        self.call_after_refresh(self._drawn, began_s)
+
+    def _drawn(self, began_s: float) -> None:
+        """Wait before the next drawing, by how long this one took."""
+        took_s = time.perf_counter() - began_s
+        pause_s = min(max(_SHARE * took_s, self.view.pause_s), _LONGEST_PAUSE_S)
+        self._next_draw_s = began_s + took_s + pause_s
+
+    def _draw_lines(self, width: int) -> None:
+        base = self.screen_stack[0]
+        state = ScreenState(
+            feed=self.feed,
+            place=self.place,
+            recording=self.recording,
+            is_frozen=self.frozen is not None,
+            where=self.where,
+            filter_is_on=self.filter_is_on,
+        )
+        base.query_one("#tabs", Static).update(text_of(tabs_text(VIEWS, self.view_at)))
+        base.query_one("#status", Static).update(text_of(status_text(state, width)))
+        keys = keys_line(width, is_of_files=not self.feed.is_live)
+        base.query_one("#keys", Static).update(text_of(keys))
+
+    def _draw_detail(self) -> None:
+        pane = self.screen_stack[0].query_one("#detail")
+        if not pane.has_class("open"):
+            return
+        lines = self.detail_lines(max(self.size.width - 2, 20))
+        text = Text("\n").join(text_of(line) for line in lines)
+        self.screen_stack[0].query_one("#detail-text", Static).update(text)
+
+    def detail_lines(self, width: int) -> list[Spans]:
+        """The lines about the row under the cursor."""
+        row = self.table.row
+        if isinstance(row, WatchedSlaveRow):
+            return slave_detail(row, width)
+        if row is None or row.kept is None:
+            return [[("no transaction here", "dim")]]
+        record = row.kept.record
+        profile = None
+        if hasattr(record, "outcome"):
+            profile = self.feed.watched.whole.profile_for(record)
+        return record_detail(row.kept, profile, width)
+
+    def tell(self, text: str, style: str = "") -> None:
+        """Show a line to the user, until the next one or escape; an empty text removes it."""
+        if not self.is_up:
+            return
+        note = self.screen_stack[0].query_one("#note", Static)
+        note.update(Text(text, style_of(style, plain=is_plain())))
+        note.set_class(bool(text), "told")
+
+    def _tell_remarks(self) -> None:
+        remarks = self.feed.remarks
+        if remarks and self._told_remarks != hash(remarks[-1]):
+            self._told_remarks = hash(remarks[-1])
+            self.tell(remarks[-1], "yellow")
+        error = self.feed.error
+        if isinstance(error, MbtoolError) and not self.screen_stack[0].query_one("#note").has_class(
+            "told"
+        ):
+            self.tell(f"{error}; q ends", "bold red")
+        elif error is not None and not isinstance(error, MbtoolError):
+            self.exit(exit_codes.UNREADABLE)
+
+    @property
+    def _sorting(self) -> tuple[str | None, bool]:
+        return self.settings.sorted_by.get(self.view.name, (None, False))
+
+    def _remember(self) -> None:
+        problem = save_settings(self.settings)
+        if problem is not None:
+            self.tell(problem, "yellow")
+        self.draw()
+
+    def action_freeze(self) -> None:
+        if self.frozen is not None:
+            self.frozen = None
+        else:
+            with self.feed.lock:
+                self._frozen_ns = self.feed.now_ns()
+                self.frozen = [view.rows(self.board, self.size.width) for view in VIEWS]
+        self.draw()

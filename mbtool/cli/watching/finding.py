@@ -1,0 +1,48 @@
+"""Finds rows by text, or by bytes in hexadecimal."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING, Any
+
+from mbtool.core import WireEvent
+from mbtool.views.watch_columns import DrawContext, row_text
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from mbtool.views.watch_columns import WatchColumn
+
+_HEX = re.compile(r"(?:0x)?((?:[0-9a-f]{2}[ :]?)+)", re.IGNORECASE)
+
+
+def find_row(
+    rows: Sequence[Any], columns: Sequence[WatchColumn], text: str, start: int, step: int
+) -> int | None:
+    """The index of the next row with a text, or with bytes that the text gives in hexadecimal.
+
+    The search begins beside `start`, goes up or down by `step` (1 or -1), and around the end.
+    """
+    wanted, data = text.lower(), hex_bytes(text)
+    context = DrawContext()
+    for distance in range(1, len(rows) + 1):
+        index = (start + step * distance) % len(rows)
+        row = rows[index]
+        if wanted in row_text(row, columns, context).lower() or (data and _has_bytes(row, data)):
+            return index
+    return None
+
+
+def hex_bytes(text: str) -> bytes:
+    """The bytes of `01 03`, `0103` or `0x0103`; empty for another text."""
+    match = _HEX.fullmatch(text.strip())
+    return bytes.fromhex(match[1].replace(":", " ")) if match is not None else b""
+
+
+def _has_bytes(row: Any, data: bytes) -> bool:
+    if row.kept is None:
+        return False
+    record = row.kept.record
+    if isinstance(record, WireEvent):
+        return data in record.raw
+    return data in (record.request_raw or b"") or data in (record.response_raw or b"")

@@ -1,0 +1,154 @@
+"""A table that draws only the rows on the screen."""
+
+# Rows and columns come from outside, many times a second. The cursor stays on its row, by the row's
+# key, wherever sorting or new rows move it. On the last row of a growing table the cursor follows
+# the end, until the user moves it up.
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from rich.segment import Segment
+from rich.style import Style
+from textual.message import Message
+from textual.strip import Strip
+from textual.widget import Widget
+
+from mbtool.cli.watching.spans import strip_of
+from mbtool.views.watch_columns import DrawContext, row_spans, title_spans
+
+if TYPE_CHECKING:
+    from collections.abc import Hashable, Sequence
+
+    from textual.events import Click, MouseScrollDown, MouseScrollUp
+
+    from mbtool.views.watch_columns import FittedColumn
+
+_CURSOR = Style(reverse=True)
+_WHEEL_ROWS = 3
+
+
+class LiveTable(Widget, can_focus=True):
+    """Rows of one view, with a cursor."""
+
+    DEFAULT_CSS = "LiveTable { height: 1fr; }"
+
+    class Moved(Message):
+        """The cursor has moved to another row."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.rows: Sequence[Any] = ()
+        self._columns: Sequence[FittedColumn] = ()
+        self._drawing = DrawContext()
+        self._sorted_by: tuple[str | None, bool] = (None, False)
+        self._top = 0
+        self._cursor = 0
+        self._key: Hashable = None
+        self.follows = False
+        """True if the cursor stays on the last row, whatever comes."""
+
+    @property
+    def row(self) -> Any | None:
+        """The row under the cursor; None if there is no row."""
+        return self.rows[self._cursor] if self._cursor < len(self.rows) else None
+
+    @property
+    def cursor(self) -> int:
+        """The index of the row under the cursor."""
+        return self._cursor
+
+    def show(
+        self,
+        rows: Sequence[Any],
+        columns: Sequence[FittedColumn],
+        context: DrawContext,
+        sorted_by: tuple[str | None, bool],
+    ) -> None:
+        """Draw these rows; the cursor stays on its row."""
+        self.rows, self._columns, self._drawing = rows, columns, context
+        self._sorted_by = sorted_by
+        self._cursor = len(rows) - 1 if self.follows else self._place_of_cursor(rows)
+        self._cursor = max(self._cursor, 0)
+        self._key = self.rows[self._cursor].key if self.rows else self._key
+        self._scroll()
+        self.refresh()
+
+    def begin_view(self, *, follows: bool, key: Hashable = None) -> None:
+        """Begin with the rows of another view; `key` is that of the row to go to."""
+        self.rows = ()
+        self._cursor = self._top = 0
+        self._key, self.follows = key, follows
+
+    def move(self, by: int) -> None:
+        self.go_to(self._cursor + by)
+
+    def go_to(self, index: int) -> None:
+        """Put the cursor on a row; behind the last one, on the last."""
+        if not self.rows:
+            return
+        grows = self._may_follow
+        self._cursor = min(max(index, 0), len(self.rows) - 1)
+        self._key = self.rows[self._cursor].key
+        self.follows = grows and self._cursor == len(self.rows) - 1
+        self._scroll()
+        self.refresh()
+        self.post_message(self.Moved())
+
+    @property
+    def _may_follow(self) -> bool:
+        """True if the rows are in the order in which they come, the last one at the end."""
+        return self.can_follow and self._sorted_by[0] is None
+
+    can_follow = False
+    """True for a view whose last row is the newest."""
+
+    @property
+    def page(self) -> int:
+        """The number of rows on the screen."""
+        return max(self.size.height - 1, 1)
+
+    def render_line(self, y: int) -> Strip:
+        width = self.size.width
+        if y == 0:
+            name, descending = self._sorted_by
+            strip = strip_of(title_spans(self._columns, name, descending=descending), width)
+            return strip.apply_style(self.rich_style)
+        index = self._top + y - 1
+        if index >= len(self.rows):
+            return Strip.blank(width, self.rich_style)
+        strip = strip_of(row_spans(self.rows[index], self._columns, self._drawing), width)
+        strip = strip.apply_style(self.rich_style)
+        if index == self._cursor and self.has_focus:
+            strip = Strip(Segment.apply_style(strip, None, _CURSOR), width)
+        return strip
+
+    def on_click(self, event: Click) -> None:
+        if event.y:
+            self.go_to(self._top + event.y - 1)
+
+    def on_mouse_scroll_down(self, event: MouseScrollDown) -> None:
+        event.stop()
+        self.move(_WHEEL_ROWS)
+
+    def on_mouse_scroll_up(self, event: MouseScrollUp) -> None:
+        event.stop()
+        self.move(-_WHEEL_ROWS)
+
+    def _place_of_cursor(self, rows: Sequence[Any]) -> int:
+        """Where the row of the cursor is now."""
+        at = self._cursor
+        if at < len(rows) and rows[at].key == self._key:
+            return at
+        for index, row in enumerate(rows):
+            if row.key == self._key:
+                return index
+        return min(at, len(rows) - 1)
+
+    def _scroll(self) -> None:
+        page = self.page
+        if self._cursor < self._top:
+            self._top = self._cursor
+        elif self._cursor >= self._top + page:
+            self._top = self._cursor - page + 1
+        self._top = max(min(self._top, len(self.rows) - page), 0)

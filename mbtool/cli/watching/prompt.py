@@ -1,0 +1,100 @@
+"""The line in which the user types a filter, a text to find, or a file name."""
+
+from __future__ import annotations
+
+import re
+from enum import StrEnum
+from typing import TYPE_CHECKING
+
+from textual.binding import Binding
+from textual.message import Message
+from textual.widgets import Input
+
+from mbtool.core import UsageError
+from mbtool.query.where import parse_where
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from mbtool.query.where import Where
+
+
+class Asking(StrEnum):
+    """What is being typed."""
+
+    FILTER = "filter"
+    FIND = "find"
+    SAVE = "save as"
+
+
+class PromptLine(Input):
+    """One line of input. Up and down go through earlier texts, escape leaves it."""
+
+    DEFAULT_CSS = """
+    PromptLine { height: 1; border: none; padding: 0; background: $surface; display: none; }
+    PromptLine:focus { border: none; }
+    PromptLine.asking { display: block; }
+    """
+    BINDINGS = [  # noqa: RUF012 - textual reads the list from the class
+        Binding("escape", "leave", "Leave"),
+        Binding("up", "earlier(1)", "Earlier"),
+        Binding("down", "earlier(-1)", "Later"),
+    ]
+
+    class Left(Message):
+        """The user left the line without entering it."""
+
+    def __init__(self) -> None:
+        super().__init__(compact=True)
+        self.asking = Asking.FILTER
+        self._earlier: Sequence[str] = ()
+        self._at = -1
+
+    def ask(self, asking: Asking, text: str, earlier: Sequence[str], hint: str) -> None:
+        """Begin with a text; `earlier` are texts to choose from, the newest first."""
+        self.asking, self._earlier, self._at = asking, earlier, -1
+        self.placeholder = hint
+        self.value = text
+        self.cursor_position = len(text)
+        self.add_class("asking")
+        self.focus()
+
+    def close(self) -> None:
+        self.remove_class("asking")
+
+    def action_leave(self) -> None:
+        self.post_message(self.Left())
+
+    def action_earlier(self, by: int) -> None:
+        at = self._at + by
+        if 0 <= at < len(self._earlier):
+            self._at = at
+            self.value = self._earlier[at]
+            self.cursor_position = len(self.value)
+
+
+def read_filter(text: str) -> Where | None:
+    """The filter of a text; None for an empty one.
+
+    Raises UsageError if it is wrong.
+    """
+    return parse_where(text) if text.strip() else None
+
+
+def why_wrong(text: str, error: UsageError) -> tuple[int, str]:
+    """Where in the text the error is, as far as it is known, and the reason."""
+    reason = str(error).partition(": ")[2] if ": " in str(error) else str(error)
+    if not str(error).startswith("--where"):
+        reason = str(error)
+    cause = error.__cause__
+    if isinstance(cause, SyntaxError):
+        # Python gives no place, or the first one, if a text ends too early.
+        offset = (cause.offset or 0) - 1
+        is_short = offset < 1 or offset >= len(text)
+        if is_short:
+            return len(text), "not complete, or not an expression"
+        return offset, "not an expression from here"
+    for word in re.findall(r"'([^']+)'", reason) + re.findall(r"^(\w+)", reason):
+        if word in text:
+            return text.index(word), reason
+    return len(text), reason

@@ -1,0 +1,139 @@
+"""What the user types on the full screen: a filter, a text to find, a file to save to."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from mbtool.cli.watching.drawn_app import DrawnApp
+from mbtool.cli.watching.finding import find_row
+from mbtool.cli.watching.prompt import Asking, PromptLine, read_filter, why_wrong
+from mbtool.core import MbtoolError, UsageError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+_TYPING_S = 0.15
+"""A filter is applied once nothing was typed for so long, in s."""
+
+
+class PromptedApp(DrawnApp):
+    """Adds the prompt line."""
+
+    @property
+    def prompt(self) -> PromptLine:
+        return self.screen_stack[0].query_one(PromptLine)
+
+    def action_ask_filter(self) -> None:
+        self._before_typing = self.where
+        hint = 'a filter, as of --where: unit == 5 and outcome != "ok"; up: earlier ones'
+        self.prompt.ask(Asking.FILTER, self.where, self.settings.filters, hint)
+
+    def action_toggle_filter(self) -> None:
+        if not self.where:
+            self.tell("there is no filter; / makes one")
+            return
+        self.filter_is_on = not self.filter_is_on
+        self._thaw()
+
+    def _thaw(self) -> None:
+        """Draw another board: what was frozen is of the board before."""
+        if self.frozen is not None:
+            self.frozen = None
+            self.action_freeze()
+        self.draw()
+
+    def on_input_changed(self, event: PromptLine.Changed) -> None:
+        if self.prompt.asking is Asking.FILTER and self.prompt.has_class("asking"):
+            self._typed_at += 1
+            self.set_timer(_TYPING_S, self._typed(self._typed_at, event.value))
+
+    def _typed(self, number: int, text: str) -> Callable[[], None]:
+        """Apply what was typed, unless more was typed since."""
+
+        def apply() -> None:
+            if number == self._typed_at:
+                self.apply_filter(text)
+
+        return apply
+
+    def apply_filter(self, text: str) -> bool:
+        """Filter by a text. If it is wrong, say where, and keep the filter as it is."""
+        try:
+            wanted = read_filter(text)
+        except UsageError as error:
+            at, reason = why_wrong(text, error)
+            self.tell(f"{' ' * min(at, max(self.size.width - 20, 0))}^ {reason}", "red")
+            return False
+        self.tell("")
+        if text.strip() != self.where or (wanted is None) != (self.feed.watched.filtered is None):
+            with self.feed.lock:
+                self.feed.watched.set_filter(wanted)
+            self.where = text.strip()
+        self.filter_is_on = wanted is not None
+        self._thaw()
+        return True
+
+    def on_input_submitted(self) -> None:
+        prompt, text = self.prompt, self.prompt.value
+        match prompt.asking:
+            case Asking.FILTER:
+                self._typed_at += 1
+                if not self.apply_filter(text):
+                    return
+                if self.where:
+                    self.settings.note_filter(self.where)
+                    self._remember()
+            case Asking.FIND:
+                self._found = text.strip()
+                self.action_find_next(1)
+            case Asking.SAVE:
+                self._save(text.strip())
+        self._leave_prompt()
+
+    def on_prompt_line_left(self) -> None:
+        if self.prompt.asking is Asking.FILTER:
+            self._typed_at += 1
+            self.apply_filter(self._before_typing)
+        self._leave_prompt()
+
+    def _leave_prompt(self) -> None:
+        self.prompt.close()
+        self.table.focus()
+
+    def action_ask_find(self) -> None:
+        hint = "a text, or bytes in hexadecimal: 01 03 00"
+        self.prompt.ask(Asking.FIND, self._found, (), hint)
+
+    def action_find_next(self, step: int) -> None:
+        if not self._found:
+            return
+        table = self.table
+        at = find_row(table.rows, self.view.columns, self._found, table.cursor, step)
+        if at is None:
+            self.tell(f"not found: {self._found}")
+        else:
+            self.tell(f"{self._found}: row {at + 1} of {len(table.rows)}; n next, N back")
+            table.go_to(at)
+
+    def action_ask_save(self) -> None:
+        if self._saver is None:
+            self.tell("there is nothing to save from")
+            return
+        what = self._saver.what(self.feed.watched, is_filtered=self.filter_is_on)
+        self.prompt.ask(Asking.SAVE, "", (), f"save {what} as FILE.mcap or FILE.pcapng")
+
+    def _save(self, name: str) -> None:
+        if not name or self._saver is None:
+            return
+        with self.feed.lock:
+            job = self._saver.job(self.feed.watched, is_filtered=self.filter_is_on, out=name)
+        self.tell(f"saving {name} ...")
+        self.run_worker(lambda: self._saved(job), thread=True)
+
+    def _saved(self, job: Callable[[], str]) -> None:
+        try:
+            said = job()
+        except (MbtoolError, OSError) as error:
+            self.call_from_thread(self.tell, str(error), "bold red")
+        else:
+            self.call_from_thread(self.tell, said, "green")

@@ -1,0 +1,119 @@
+"""The lines above and below the table."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from mbtool.views.tables import printable
+from mbtool.views.watch_columns import cut_spans
+from mbtool.workflows.watch import FileFeed
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from mbtool.cli.watching.watch_views import WatchView
+    from mbtool.views.watch_columns import Spans
+    from mbtool.workflows.watch import WatchFeed
+
+_KEYS = (
+    ("?", "keys"),
+    ("q", "quit"),
+    ("1-6", "view"),
+    ("/", "filter"),
+    ("\\", "off/on"),
+    ("space", "freeze"),
+    ("enter", "detail"),
+    ("f", "find"),
+    ("m", "mark"),
+    ("s", "save"),
+    ("o", "sort"),
+    ("c", "columns"),
+    ("x", "format"),
+)
+_FILE_KEYS = (
+    ("p", "play"),
+    ("+-", "speed"),
+    ("<>", "ends"),
+    (".", "step"),
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ScreenState:
+    """What the lines tell."""
+
+    feed: WatchFeed
+    place: str
+    """What is watched."""
+    recording: str | None
+    """The log that is written; None if there is none."""
+    is_frozen: bool
+    where: str
+    """The text of the filter; empty if there is none."""
+    filter_is_on: bool
+
+
+def tabs_text(views: Sequence[WatchView], shown: int) -> Spans:
+    """The views with their keys; the one that is shown is reversed."""
+    spans: Spans = []
+    for at, view in enumerate(views):
+        title = f" {at + 1} {view.name} "
+        spans.append((title, "bold reverse" if at == shown else ""))
+    return spans
+
+
+def status_text(state: ScreenState, width: int) -> Spans:
+    """What is watched, how much was heard, and what is set."""
+    board = state.feed.watched.whole
+    spans: Spans = []
+    if state.is_frozen:
+        spans.append((" FROZEN ", "bold reverse"))
+        spans.append((" ", ""))
+    if state.recording is not None:
+        spans.append((f"rec {printable(state.recording)}  ", "bold red"))
+    if isinstance(state.feed, FileFeed):
+        spans.append((f"{_position(state.feed)}  ", "bold"))
+    heard = f"{board.transactions:,} transactions, {board.events:,} events"
+    spans.append((heard, ""))
+    marked = len(state.feed.watched.marked)
+    if marked:
+        spans.append((f", {marked} marked", "green"))
+    if state.where:
+        shown = state.feed.watched.filtered
+        if state.filter_is_on and shown is not None:
+            spans.append((f"  {shown.transactions:,} pass: {state.where}", "bold cyan"))
+        else:
+            spans.append((f"  filter off: {state.where}", "dim"))
+    spans.append((f"  {printable(state.place)}", ""))
+    return cut_spans(spans, width)
+
+
+def keys_line(width: int, *, is_of_files: bool) -> Spans:
+    """The keys, as many as fit; those of files first if there are files."""
+    keys = (*_KEYS[:3], *_FILE_KEYS, *_KEYS[3:]) if is_of_files else _KEYS
+    spans: Spans = []
+    used = 0
+    for key, word in keys:
+        if used + len(key) + len(word) + 3 > width:
+            break
+        spans += [(key, "bold"), (f" {word}  ", "")]
+        used += len(key) + len(word) + 3
+    return spans
+
+
+def _position(feed: FileFeed) -> str:
+    if not feed.is_read:
+        return "reading"
+    length_ns = feed.last_ns - feed.first_ns
+    place = f"{_clock(feed.position_ns)} of {_clock(length_ns)}"
+    if feed.is_playing:
+        return f"playing {place} x{feed.speed:g}"
+    return place if feed.position_ns >= length_ns else f"paused {place} x{feed.speed:g}"
+
+
+def _clock(time_ns: int) -> str:
+    minutes, tenths = divmod(time_ns // 100_000_000, 600)
+    hours, minutes = divmod(minutes, 60)
+    seconds = f"{tenths // 10:02}.{tenths % 10}"
+    return f"{hours}:{minutes:02}:{seconds}" if hours else f"{minutes}:{seconds}"

@@ -1,0 +1,72 @@
+"""The six views: their rows, columns and lines of detail."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from mbtool.overview.statistics_report import report
+from mbtool.views.statistics_table import statistics_lines
+from mbtool.views.watch_columns import WatchColumn
+from mbtool.views.watch_polls import POINT_COLUMNS, POLL_COLUMNS
+from mbtool.views.watch_records import RECORD_COLUMNS, SLAVE_COLUMNS, TROUBLE_COLUMNS
+from mbtool.watching.board import Board
+from mbtool.watching.board_rows import (
+    point_rows,
+    poll_rows,
+    record_rows,
+    slave_rows,
+    trouble_rows,
+)
+
+if TYPE_CHECKING:
+    from mbtool.watching.watched_rows import KeptRecord
+
+
+class LineRow(NamedTuple):
+    """A line of the figures about links and cycles."""
+
+    key: int
+    text: str
+    style: str
+    kept: KeptRecord | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class WatchView:
+    """One view."""
+
+    name: str
+    columns: Sequence[WatchColumn]
+    rows: Callable[[Board, int], Sequence[Any]]
+    """Makes the rows of a board; the number is the width of the screen."""
+    can_follow: bool = False
+    """True if the newest row is the last one."""
+    pause_s: float = 0
+    """The least time between two drawings, in s, for rows that take long to make."""
+
+
+def _line_rows(board: Board, width: int) -> list[LineRow]:
+    lines = statistics_lines(report(board.statistics), width=width, top=10)
+    return [LineRow(at, line.text, line.style) for at, line in enumerate(lines)]
+
+
+_LINES = (
+    WatchColumn(
+        name="text",
+        title="bus load, links, polls and poll cycles",
+        width=0,
+        cell=lambda row, _: [(row.text, row.style)],
+        sort=lambda row: row.key,
+    ),
+)
+VIEWS = (
+    WatchView("polls", POLL_COLUMNS, lambda board, _: poll_rows(board)),
+    WatchView("points", POINT_COLUMNS, lambda board, _: point_rows(board)),
+    WatchView("transactions", RECORD_COLUMNS, lambda board, _: record_rows(board), can_follow=True),
+    WatchView("events", TROUBLE_COLUMNS, lambda board, _: trouble_rows(board)),
+    WatchView("slaves", SLAVE_COLUMNS, lambda board, _: slave_rows(board)),
+    WatchView("bus", _LINES, _line_rows, pause_s=1),
+)
+"""The views in the order of their keys, 1 to 6."""

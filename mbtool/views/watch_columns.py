@@ -1,0 +1,148 @@
+"""Tables of live views: which columns fit a width, and the cells of a row."""
+
+# A cell is a list of spans: texts with styles, as the library rich writes styles. One column or two
+# take the width that the others leave. Columns of the highest rank are left out first where there
+# is little room; a column that the user chose is kept.
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Hashable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from mbtool.views.tables import printable
+from mbtool.watching.value_formats import ValueFormat
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+Span = tuple[str, str]
+Spans = list[Span]
+
+LEAST_REST = 22
+"""The columns that take the rest get at least so many characters each, or others are left out."""
+
+
+@dataclass(slots=True)
+class DrawContext:
+    """What drawing needs beside the rows."""
+
+    now_ns: int = 0
+    """The time of the view, in UTC ns."""
+    formats: dict[Hashable, ValueFormat] = field(default_factory=dict)
+    """The format that the user chose for a row, by the row's key."""
+    marked: Collection[int] = ()
+    """The orders of the marked records."""
+    is_over: bool = False
+    """True if nothing more comes, so that the age of a row says nothing."""
+
+    def format_of(self, key: Hashable) -> ValueFormat:
+        return self.formats.get(key, ValueFormat.NAMED)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WatchColumn:
+    """A column of a live table."""
+
+    name: str
+    title: str
+    width: int
+    """In characters; 0 for a column that takes its share of the rest."""
+    cell: Callable[[Any, DrawContext], str | Spans]
+    sort: Callable[[Any], Any]
+    """What rows are sorted by; values of one column can be compared."""
+    rank: int = 0
+    """Columns of the highest rank are left out first; rank 0 never is."""
+    is_right: bool = False
+    is_usual: bool = True
+    """False for a column that is shown only if the user chooses it."""
+
+
+@dataclass(frozen=True, slots=True)
+class FittedColumn:
+    """A column with its width on the screen."""
+
+    column: WatchColumn
+    width: int
+
+
+def fitted(
+    columns: Sequence[WatchColumn], width: int, chosen: Collection[str] | None = None
+) -> list[FittedColumn]:
+    """The columns that are shown at a width; `chosen` names those that the user wants."""
+    kept = [one for one in columns if (one.is_usual if chosen is None else one.name in chosen)]
+    kept = kept or list(columns[:1])
+    while True:
+        rests = sum(not one.width for one in kept)
+        room = width - sum(one.width for one in kept) - (len(kept) - 1)
+        rank = max(one.rank for one in kept)
+        if chosen is not None or not rank or room >= LEAST_REST * rests:
+            break
+        kept.remove(next(one for one in reversed(kept) if one.rank == rank))
+    share, more = divmod(max(room, 0), rests) if rests else (0, 0)
+    result = []
+    for one in kept:
+        size = one.width
+        if not size:
+            size = share + (1 if more > 0 else 0)
+            more -= 1
+        result.append(FittedColumn(one, max(size, 1)))
+    return result
+
+
+def title_spans(
+    columns: Sequence[FittedColumn], sorted_by: str | None, *, descending: bool
+) -> Spans:
+    """The line of titles; the column that rows are sorted by has an arrow."""
+    texts = []
+    for one in columns:
+        title = one.column.title
+        if one.column.name == sorted_by:
+            title = f"{title[: max(one.width - 1, 0)]}{'v' if descending else '^'}"
+        texts.append(_aligned(title, one.width, is_right=one.column.is_right))
+    return [(" ".join(texts), "bold underline")]
+
+
+def row_spans(row: Any, columns: Sequence[FittedColumn], context: DrawContext) -> Spans:
+    """The spans of a row, as wide as the columns."""
+    spans: Spans = []
+    for number, one in enumerate(columns):
+        if number:
+            spans.append((" ", ""))
+        cell = one.column.cell(row, context)
+        if isinstance(cell, str):
+            spans.append((_aligned(printable(cell), one.width, is_right=one.column.is_right), ""))
+        else:
+            spans += cut_spans(cell, one.width)
+    return spans
+
+
+def row_text(row: Any, columns: Sequence[WatchColumn], context: DrawContext) -> str:
+    """All cells of a row as one text, to search in."""
+    cells = (one.cell(row, context) for one in columns)
+    return " ".join(
+        cell if isinstance(cell, str) else "".join(text for text, _ in cell) for cell in cells
+    )
+
+
+def cut_spans(spans: Spans, width: int) -> Spans:
+    """Spans of exactly a width: cut, with `..` at the end, or filled with spaces."""
+    spans = [(printable(text), style) for text, style in spans]
+    length = sum(len(text) for text, _ in spans)
+    if length <= width:
+        return [*spans, (" " * (width - length), "")]
+    result: Spans = []
+    left = max(width - 2, 0)
+    for text, style in spans:
+        if len(text) >= left:
+            result.append((text[:left], style))
+            break
+        result.append((text, style))
+        left -= len(text)
+    return [*result, (".."[:width], "dim")]
+
+
+def _aligned(text: str, width: int, *, is_right: bool) -> str:
+    if len(text) > width:
+        text = text[:width] if width < 4 else f"{text[: width - 2]}.."
+    return f"{text:>{width}}" if is_right else f"{text:<{width}}"

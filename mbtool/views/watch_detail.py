@@ -1,0 +1,198 @@
+"""The detail of a row: the bytes by field, and why they are taken for request and response."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from mbtool.core import Direction, WireEvent
+from mbtool.devices import finding_text
+from mbtool.modbus import Transport
+from mbtool.modbus.adu import DirectionBy, Verdict
+from mbtool.views.cells import clock_time, day, result_text, transaction_text
+from mbtool.views.statistics_words import in_ms, percent
+from mbtool.views.tables import printable
+from mbtool.watching.adu_parts import adu_parts
+
+if TYPE_CHECKING:
+    from mbtool.devices import NamedTransaction, Profile
+    from mbtool.views.watch_columns import Spans
+    from mbtool.watching.board_rows import WatchedSlaveRow
+    from mbtool.watching.watched_rows import KeptRecord
+
+WHY = {
+    DirectionBy.PORT: "the port tells who sent it",
+    DirectionBy.PENDING: "it fits the request that waited for an answer",
+    DirectionBy.IDLE: "no request waited, and it has the form of one",
+    DirectionBy.FORM: "only one direction can have this form",
+    DirectionBy.TIMING: "the silence before it decided, as its form fits both",
+}
+"""Why a frame was taken for a request or a response."""
+VERDICTS = {
+    Verdict.GLUED: "no silence separates it from the frame beside it",
+    Verdict.SPLIT: "a silence of t3.5 or longer inside",
+    Verdict.RESYNCHRONISED: "bytes were skipped before it",
+    Verdict.NOISE_BEFORE: "unreadable bytes right before it",
+    Verdict.T1_5_BROKEN: "a silence longer than t1.5 inside",
+    Verdict.AMBIGUOUS: "another reading is nearly as likely",
+    Verdict.CUT: "the capture has only its first bytes",
+    Verdict.OVER_LENGTH: "longer than the standard allows",
+}
+"""What the verdicts mean that are not clear from their names."""
+_COLOURS = {
+    "transaction id": "cyan",
+    "protocol id": "dim",
+    "length": "dim",
+    "start": "dim",
+    "end": "dim",
+    "unit": "magenta",
+    "function": "bold yellow",
+    "address": "green",
+    "write address": "green",
+    "quantity": "blue",
+    "write quantity": "blue",
+    "byte count": "blue",
+    "exception code": "bold red",
+    "data": "bold",
+    "value": "bold",
+    "CRC": "dim cyan",
+    "LRC": "dim cyan",
+}
+
+
+def record_detail(kept: KeptRecord, profile: Profile | None, width: int) -> list[Spans]:
+    """The lines that show one transaction or event in full."""
+    record = kept.record
+    if isinstance(record, WireEvent):
+        return _event_detail(record, width)
+    title = f"#{kept.number}  {day(record.start_ns)} {clock_time(record.start_ns)} UTC"
+    lines: list[Spans] = [[(title, "bold"), (f"  {_place(record)}", "")]]
+    lines += _wrapped(transaction_text(record), width)
+    if record.latency_ns is not None:
+        lines.append([(f"answered after {in_ms(record.latency_ns)} ms", "")])
+    lines += _adu_lines("request ", record.transport, record.request_raw, Direction.REQUEST, width)
+    lines += _adu_lines(
+        "response", record.transport, record.response_raw, Direction.RESPONSE, width
+    )
+    why = WHY.get(record.direction_by, record.direction_by.value)
+    lines.append([
+        ("direction by ", ""), (record.direction_by.value, "bold"), (f": {why}; ", ""),
+        (f"sure to {percent(record.confidence)}", "bold"),
+    ])  # fmt: skip
+    for verdict in record.verdicts:
+        meaning = VERDICTS.get(verdict)
+        lines += _wrapped(
+            f"{verdict.value}: {meaning}" if meaning else verdict.value, width, "yellow"
+        )
+    for code in record.findings:
+        lines += _wrapped(f"{code} {finding_text(code, profile)}", width, "magenta")
+    for point in record.points:
+        text = f"  {point.reference} {point.name}: {point.text}"
+        lines += _wrapped(
+            text if point.name != point.reference else f"  {point.name}: {point.text}", width
+        )
+    return lines
+
+
+def slave_detail(row: WatchedSlaveRow, width: int) -> list[Spans]:
+    """The lines that show one slave in full."""
+    device = f" {row.device}" if row.device else ""
+    lines: list[Spans] = [[(f"{row.link} unit {row.unit}{device}", "bold")]]
+    counts = (
+        f"asked {row.asked}, answered {row.answered}, exceptions {row.exceptions}, "
+        f"missing {row.missing}, malformed {row.malformed}, retries {row.retries}, "
+        f"findings {row.findings}"
+    )
+    lines += _wrapped(counts, width)
+    if row.median_ns:
+        text = f"latency: median {in_ms(row.median_ns)} ms, most {in_ms(row.slowest_ns)} ms"
+        lines.append([(text, "")])
+    if row.answered_ns is not None:
+        lines.append([(f"last answer {clock_time(row.answered_ns)} UTC", "")])
+    if row.silent_since_ns is not None:
+        lines.append([(f"no answer since {clock_time(row.silent_since_ns)} UTC", "bold red")])
+    return lines
+
+
+def _place(one: NamedTransaction) -> str:
+    ends = f"{one.source} -> {one.destination}, " if one.source and one.destination else ""
+    device = f" {one.device}" if one.device else ""
+    return printable(f"{one.link}, {ends}unit {one.unit}{device}, {one.outcome.value}")
+
+
+def _event_detail(event: WireEvent, width: int) -> list[Spans]:
+    title = f"{event.kind.value}  {day(event.ts_ns)} {clock_time(event.ts_ns)} UTC"
+    lines: list[Spans] = [[(title, "bold"), (f"  {printable(event.link)}", "")]]
+    lines += _wrapped(event.message, width)
+    if event.source or event.destination:
+        lines += _wrapped(f"{event.source} -> {event.destination}", width)
+    return lines + _wrapped(event.raw.hex(" "), width)
+
+
+def _adu_lines(
+    title: str, transport: Transport, raw: bytes | None, direction: Direction, width: int
+) -> list[Spans]:
+    """The bytes in hexadecimal, coloured by field, then the names of the fields."""
+    if raw is None:
+        return [[(f"{title} ", "bold"), ("none", "dim")]]
+    is_ascii = transport is Transport.ASCII
+    spans: Spans = []
+    names: Spans = []
+    for name, begin, end in adu_parts(transport, raw, direction):
+        style = _COLOURS.get(name, "")
+        part = raw[begin:end]
+        text = part.decode("ascii", "replace") if is_ascii else part.hex(" ")
+        if name == "end":
+            text = text.replace("\r", "CR").replace("\n", "LF")
+        spans += [(f"{printable(text)} ", style)]
+        names += [(f"{_named(name, part, is_ascii=is_ascii)} ", style)]
+    indent = len(title) + 1
+    lines = _flowed([(f"{title} ", "bold"), *spans], width, indent)
+    return lines + _flowed([(" " * indent, ""), *names], width, indent, is_whole=True)
+
+
+def _named(name: str, part: bytes, *, is_ascii: bool) -> str:
+    """A field's name, with the number of a short field: `address 107`."""
+    if name in ("data", "start", "end", "CRC", "LRC", "protocol id"):
+        return name
+    try:
+        number = int(part, 16) if is_ascii else int.from_bytes(part)
+    except ValueError:
+        return name
+    return f"{name} {number:02X}H" if name == "function" else f"{name} {number}"
+
+
+def _flowed(spans: Spans, width: int, indent: int, *, is_whole: bool = False) -> list[Spans]:
+    """Spans in lines of a width; the lines behind the first are indented.
+
+    Words stay whole, with `is_whole` the spans themselves.
+    """
+    lines: list[Spans] = [[]]
+    used = 0
+    for text, style in spans:
+        for word in [text] if is_whole else _words(text):
+            if used + len(word.rstrip()) > width and used > indent:
+                lines.append([(" " * indent, "")])
+                used = indent
+            lines[-1].append((word, style))
+            used += len(word)
+    return lines
+
+
+def _words(text: str) -> list[str]:
+    """The words of a text, each with the spaces behind it."""
+    if not text.strip():
+        return [text]
+    words = text.split(" ")
+    return [f"{word} " for word in words[:-1]] + ([words[-1]] if words[-1] else [])
+
+
+def _wrapped(text: str, width: int, style: str = "") -> list[Spans]:
+    return _flowed([(printable(text), style)], width, 2) if text else []
+
+
+def find_text(kept: KeptRecord) -> str:
+    """The text in which a search looks, in lower case: request, result and names."""
+    record = kept.record
+    if isinstance(record, WireEvent):
+        return f"{record.kind.value} {record.message}".lower()
+    return f"{transaction_text(record)} {result_text(record)} {_place(record)}".lower()

@@ -1,0 +1,235 @@
+"""The live tables of polls and points."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from mbtool.core import WireEvent
+from mbtool.devices import describe_points
+from mbtool.modbus import FUNCTIONS, Outcome
+from mbtool.views.cells import GROUP, MANY_BITS, result_text, transaction_text
+from mbtool.views.statistics_words import in_ms
+from mbtool.views.watch_columns import DrawContext, Spans, WatchColumn
+from mbtool.views.watch_words import OVERDUE, age, change_style, count, period, sparkline
+from mbtool.watching.value_formats import ValueFormat, float_text, register_text, register_texts
+
+if TYPE_CHECKING:
+    from mbtool.devices import NamedTransaction
+    from mbtool.watching.board_rows import PollRow, WatchedPointRow
+
+_MAX_VALUES = 125
+_CODE = 2
+
+
+def _poll_request(row: PollRow, _: DrawContext) -> Spans:
+    poll = row.poll
+    what = row.reference or row.function_name
+    if poll.sub_function is not None:
+        what = f"{what} {poll.sub_function:02X}"
+    function = FUNCTIONS.get(poll.function)
+    sign = " w" if function is not None and function.writes else ""
+    return [(f"{poll.function:02X} ", "dim"), (f"{what}{sign}", "")]
+
+
+def poll_values(row: PollRow, context: DrawContext) -> Spans:
+    """The last result of a poll: an error in red, else its values, the changed ones lit."""
+    one = row.kept.record
+    if isinstance(one, WireEvent):
+        return []
+    if one.outcome not in (Outcome.OK, Outcome.BROADCAST):
+        return [(result_text(one), "bold red"), *_separated(_values(row, one, context))]
+    return _values(row, one, context) or [(result_text(one), "dim")]
+
+
+def _separated(spans: Spans) -> Spans:
+    return [(" last ", "dim"), *spans] if spans else []
+
+
+def _values(row: PollRow, one: NamedTransaction, context: DrawContext) -> Spans:
+    form = context.format_of(row.key)
+    if one.points and form is ValueFormat.NAMED:
+        return _named(row, one, context)
+    if not row.values:
+        return []
+    function = FUNCTIONS.get(row.poll.function)
+    if function is not None and function.table is not None and function.table.is_bits:
+        return _bits(row, context)
+    values, times = row.values[:_MAX_VALUES], row.changed_ns[:_MAX_VALUES]
+    texts = register_texts(values, form)
+    if form.is_float:
+        times = [max(times[at : at + 2]) for at in range(0, len(times), 2)]
+    spans: Spans = []
+    for text, changed_ns in zip(texts, times, strict=False):
+        spans.append((text, change_style(changed_ns, context.now_ns)))
+        spans.append((" ", ""))
+    return spans
+
+
+def _named(row: PollRow, one: NamedTransaction, context: DrawContext) -> Spans:
+    """The points that changed of late, then all others."""
+    changed = row.points_changed_ns
+    lit: list[tuple[int, str, str]] = []
+    rest = []
+    for point in one.points:
+        changed_ns = changed.get(point.name, 0)
+        style = change_style(changed_ns, context.now_ns)
+        if style:
+            lit.append((-changed_ns, f"{point.name} {point.text}", style))
+        else:
+            rest.append(point)
+    spans: Spans = []
+    for _, text, style in sorted(lit):
+        spans += [(text, style), (" ", "")]
+    return [*spans, ("; ".join(describe_points(rest)), "")]
+
+
+def _bits(row: PollRow, context: DrawContext) -> Spans:
+    spans: Spans = []
+    gap = 1 if len(row.values) <= MANY_BITS else GROUP
+    for at, (bit, changed_ns) in enumerate(zip(row.values, row.changed_ns, strict=False)):
+        if at and at % gap == 0:
+            spans.append((" ", ""))
+        spans.append((str(bit), change_style(changed_ns, context.now_ns)))
+    return spans
+
+
+def _poll_age(row: PollRow, context: DrawContext) -> Spans:
+    since_ns = context.now_ns - row.last_ns
+    overdue = row.period_ns and since_ns > OVERDUE * row.period_ns and not context.is_over
+    return [(f"{age(since_ns):>4}", "bold yellow" if overdue else "")]
+
+
+def _errors(row: PollRow, _: DrawContext) -> Spans:
+    return [(f"{count(row.errors):>4}", "bold red" if row.errors else "")]
+
+
+def _last_ms(row: PollRow, _: DrawContext) -> str:
+    last = row.latencies[-1] if row.latencies else None
+    return "" if last is None else in_ms(last)
+
+
+def _trend(row: PollRow, _: DrawContext) -> Spans:
+    return [(sparkline(row.latencies, 8), "cyan")]
+
+
+POLL_COLUMNS = (
+    WatchColumn(
+        name="link", title="link", width=15, is_usual=False,
+        cell=lambda row, _: row.poll.link, sort=lambda row: row.poll.link,
+    ),
+    WatchColumn(
+        name="master", title="master", width=15, is_usual=False,
+        cell=lambda row, _: row.poll.master, sort=lambda row: row.poll.master,
+    ),
+    WatchColumn(
+        name="unit", title="un", width=3, is_right=True,
+        cell=lambda row, _: str(row.poll.unit), sort=lambda row: row.poll.unit,
+    ),
+    WatchColumn(
+        name="request", title="request", width=23, cell=_poll_request,
+        sort=lambda row: (row.poll.function, row.poll.address or 0),
+    ),
+    WatchColumn(
+        name="values", title="last values", width=0, cell=poll_values,
+        sort=lambda row: transaction_text(row.kept.record),
+    ),
+    WatchColumn(
+        name="age", title="age", width=4, is_right=True, cell=_poll_age,
+        sort=lambda row: -row.last_ns,
+    ),
+    WatchColumn(
+        name="every", title="every", width=5, is_right=True,
+        cell=lambda row, _: period(row.period_ns), sort=lambda row: row.period_ns,
+    ),
+    WatchColumn(
+        name="count", title="count", width=5, is_right=True,
+        cell=lambda row, _: count(row.asked), sort=lambda row: row.asked,
+    ),
+    WatchColumn(
+        name="errors", title="err", width=4, is_right=True, cell=_errors,
+        sort=lambda row: row.errors,
+    ),
+    WatchColumn(
+        name="ms", title="ms", width=5, is_right=True, cell=_last_ms, rank=1,
+        sort=lambda row: (row.latencies[-1] or 0) if row.latencies else 0,
+    ),
+    WatchColumn(
+        name="max", title="max", width=5, is_right=True, is_usual=False,
+        cell=lambda row, _: in_ms(row.slowest_ns), sort=lambda row: row.slowest_ns,
+    ),
+    WatchColumn(
+        name="retries", title="retr", width=4, is_right=True, is_usual=False,
+        cell=lambda row, _: count(row.retries), sort=lambda row: row.retries,
+    ),
+    WatchColumn(
+        name="trend", title="latency", width=8, cell=_trend, rank=2,
+        sort=lambda row: row.slowest_ns,
+    ),
+)  # fmt: skip
+
+
+def _point_text(row: WatchedPointRow, context: DrawContext) -> str:
+    form = context.format_of(row.key)
+    if form.is_float:
+        return float_text(*row.pair, form) if row.pair is not None else "-"
+    if form is ValueFormat.NAMED or not isinstance(row.value, int):
+        return row.text
+    return register_text(row.value, form)
+
+
+def _point_value(row: WatchedPointRow, context: DrawContext) -> Spans:
+    style = change_style(row.changed_ns, context.now_ns)
+    written = [(" w", "magenta")] if row.is_written else []
+    return [(_point_text(row, context), style), *written]
+
+
+POINT_COLUMNS = (
+    WatchColumn(
+        name="link", title="link", width=15, is_usual=False,
+        cell=lambda row, _: row.link, sort=lambda row: row.link,
+    ),
+    WatchColumn(
+        name="unit", title="un", width=3, is_right=True,
+        cell=lambda row, _: str(row.unit), sort=lambda row: row.unit,
+    ),
+    WatchColumn(
+        name="reference", title="reference", width=14,
+        cell=lambda row, _: row.reference,
+        sort=lambda row: (row.device or "", row.reference.rstrip("0123456789"),
+                          len(row.reference), row.reference),
+    ),
+    WatchColumn(
+        name="name", title="name", width=0,
+        cell=lambda row, _: row.name, sort=lambda row: row.name,
+    ),
+    WatchColumn(
+        name="value", title="value", width=0, cell=_point_value,
+        sort=lambda row: (row.value is None, row.value or 0, row.text),
+    ),
+    WatchColumn(
+        name="before", title="before", width=10, rank=2,
+        cell=lambda row, _: row.before, sort=lambda row: row.before,
+    ),
+    WatchColumn(
+        name="changed", title="chgd", width=4, is_right=True,
+        cell=lambda row, context: age(context.now_ns - row.changed_ns) if row.changed_ns else "",
+        sort=lambda row: -row.changed_ns,
+    ),
+    WatchColumn(
+        name="age", title="age", width=4, is_right=True,
+        cell=lambda row, context: age(context.now_ns - row.last_ns),
+        sort=lambda row: -row.last_ns,
+    ),
+    WatchColumn(
+        name="changes", title="chgs", width=5, is_right=True, rank=1,
+        cell=lambda row, _: count(row.changes), sort=lambda row: row.changes,
+    ),
+    WatchColumn(
+        name="device", title="device", width=16, is_usual=False,
+        cell=lambda row, _: row.device or "", sort=lambda row: row.device or "",
+    ),
+    WatchColumn(
+        name="trend", title="values", width=10, rank=3,
+        cell=lambda row, _: [(sparkline(row.history, 10), "cyan")], sort=lambda row: row.changes,
+    ),
+)  # fmt: skip

@@ -1,0 +1,232 @@
+"""The live tables of transactions, of events and findings, and of slaves."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from mbtool.core import WireEvent
+from mbtool.devices import finding_text
+from mbtool.modbus import Outcome
+from mbtool.views.cells import clock_time, event_text, transaction_text
+from mbtool.views.statistics_words import in_ms, percent
+from mbtool.views.watch_columns import DrawContext, Spans, WatchColumn
+from mbtool.views.watch_words import age, count
+from mbtool.watching.value_formats import ValueFormat
+
+if TYPE_CHECKING:
+    from mbtool.watching.board_rows import RecordRow, TroubleRow, WatchedSlaveRow
+
+_STYLES = {
+    Outcome.EXCEPTION: "red",
+    Outcome.NO_ANSWER: "bold red",
+    Outcome.MALFORMED: "bold red",
+    Outcome.NOT_CAPTURED: "dim",
+    Outcome.UNSOLICITED: "yellow",
+}
+
+
+def record_text(row: RecordRow, context: DrawContext) -> Spans:
+    """A transaction as request and result, with the codes of its findings; or an event."""
+    record = row.kept.record
+    if isinstance(record, WireEvent):
+        return [(event_text(record), "yellow")]
+    in_hex = context.format_of(row.key) is ValueFormat.HEX
+    spans = [(transaction_text(record, in_hex=in_hex), _STYLES.get(record.outcome, ""))]
+    return [*spans, (f" ! {' '.join(record.findings)}", "magenta")] if record.findings else spans
+
+
+def _text_of(name: str, row: RecordRow) -> str:
+    value = getattr(row.kept.record, name, None)
+    return "" if value is None else str(value)
+
+
+def _field(name: str, title: str, width: int) -> WatchColumn:
+    """A column for a field of the record, shown only if it is chosen."""
+    return WatchColumn(
+        name=name, title=title, width=width, is_usual=False,
+        cell=lambda row, _: _text_of(name, row), sort=lambda row: _text_of(name, row),
+    )  # fmt: skip
+
+
+def _time(row: RecordRow) -> int:
+    record = row.kept.record
+    return record.ts_ns if isinstance(record, WireEvent) else record.start_ns
+
+
+def _latency(row: RecordRow) -> int | None:
+    record = row.kept.record
+    return None if isinstance(record, WireEvent) else record.latency_ns
+
+
+def _mark(row: RecordRow, context: DrawContext) -> Spans:
+    return [("*" if row.kept.order in context.marked else " ", "bold green")]
+
+
+def _in_ms(row: RecordRow, _: DrawContext) -> str:
+    latency_ns = _latency(row)
+    return "" if latency_ns is None else in_ms(latency_ns)
+
+
+def _sure(row: RecordRow, _: DrawContext) -> str:
+    record = row.kept.record
+    return "" if isinstance(record, WireEvent) else percent(record.confidence)
+
+
+RECORD_COLUMNS = (
+    WatchColumn(
+        name="mark", title=" ", width=1, cell=_mark, sort=lambda row: row.kept.order,
+    ),
+    WatchColumn(
+        name="number", title="#", width=6, is_right=True,
+        cell=lambda row, _: "" if row.kept.number is None else str(row.kept.number),
+        sort=lambda row: row.kept.order,
+    ),
+    WatchColumn(
+        name="time", title="time (UTC)", width=12,
+        cell=lambda row, _: clock_time(_time(row)), sort=_time,
+    ),
+    WatchColumn(
+        name="ms", title="ms", width=5, is_right=True, cell=_in_ms,
+        sort=lambda row: -1 if _latency(row) is None else _latency(row),
+    ),
+    _field("link", "link", 15),
+    _field("source", "master", 21),
+    _field("destination", "slave", 21),
+    WatchColumn(
+        name="unit", title="un", width=3, is_right=True,
+        cell=lambda row, _: _text_of("unit", row),
+        sort=lambda row: getattr(row.kept.record, "unit", -1),
+    ),
+    _field("device", "device", 16),
+    _field("transaction_id", "id", 5),
+    _field("outcome", "outcome", 12),
+    _field("direction_by", "by", 8),
+    WatchColumn(
+        name="sure", title="sure", width=5, is_usual=False, cell=_sure,
+        sort=lambda row: getattr(row.kept.record, "confidence", 0),
+    ),
+    WatchColumn(
+        name="text", title="request -> response", width=0, cell=record_text,
+        sort=lambda row: "".join(text for text, _ in record_text(row, DrawContext())),
+    ),
+)  # fmt: skip
+
+
+def _trouble_code(row: TroubleRow, _: DrawContext) -> Spans:
+    return [(row.code[:14].ljust(14), "magenta" if row.is_finding else "yellow")]
+
+
+def trouble_text(row: TroubleRow, _: DrawContext) -> str:
+    """What a finding's code means; of an event its last message."""
+    record = row.kept.record
+    if isinstance(record, WireEvent):
+        return event_text(record).removeprefix(f"{row.code}: ")
+    return finding_text(row.code)
+
+
+TROUBLE_COLUMNS = (
+    WatchColumn(
+        name="code", title="what", width=14, cell=_trouble_code, sort=lambda row: row.code,
+    ),
+    WatchColumn(
+        name="count", title="count", width=5, is_right=True,
+        cell=lambda row, _: count(row.times), sort=lambda row: row.times,
+    ),
+    WatchColumn(
+        name="unit", title="un", width=3, is_right=True,
+        cell=lambda row, _: "" if row.unit is None else str(row.unit),
+        sort=lambda row: -1 if row.unit is None else row.unit,
+    ),
+    WatchColumn(
+        name="first", title="first (UTC)", width=12, rank=1,
+        cell=lambda row, _: clock_time(row.first_ns), sort=lambda row: row.first_ns,
+    ),
+    WatchColumn(
+        name="last", title="last (UTC)", width=12,
+        cell=lambda row, _: clock_time(row.last_ns), sort=lambda row: row.last_ns,
+    ),
+    WatchColumn(
+        name="link", title="link", width=15, rank=2,
+        cell=lambda row, _: row.link, sort=lambda row: row.link,
+    ),
+    WatchColumn(
+        name="text", title="meaning, or last event", width=0, cell=trouble_text,
+        sort=lambda row: trouble_text(row, DrawContext()),
+    ),
+)  # fmt: skip
+
+
+def slave_state(row: WatchedSlaveRow, context: DrawContext) -> Spans:
+    """How the slave answers, in words; what is wrong comes first."""
+    if row.answered_ns is None and row.missing:
+        return [("never answered", "bold red")]
+    if row.silent_since_ns is not None:
+        return [(f"no answer since {clock_time(row.silent_since_ns)[:8]}", "bold red")]
+    if row.missing:
+        return [(f"answers; {percent(row.missing / row.asked)} missing", "yellow")]
+    if row.exceptions or row.malformed:
+        share = (row.exceptions + row.malformed) / row.asked
+        return [(f"answers; {percent(share)} errors", "yellow")]
+    return [("answers", "green") if row.answered else ("", "")]
+
+
+def _failures(name: str, title: str) -> WatchColumn:
+    """A column for a number that should be 0."""
+
+    def cell(row: WatchedSlaveRow, _: DrawContext) -> Spans:
+        number = getattr(row, name)
+        return [(f"{count(number):>5}", "red" if number else "")]
+
+    return WatchColumn(
+        name=name, title=title, width=5, is_right=True, cell=cell,
+        sort=lambda row: getattr(row, name),
+    )  # fmt: skip
+
+
+SLAVE_COLUMNS = (
+    WatchColumn(
+        name="link", title="link", width=15,
+        cell=lambda row, _: row.link, sort=lambda row: row.link,
+    ),
+    WatchColumn(
+        name="unit", title="un", width=3, is_right=True,
+        cell=lambda row, _: str(row.unit), sort=lambda row: row.unit,
+    ),
+    WatchColumn(
+        name="device", title="device", width=16, rank=1,
+        cell=lambda row, _: row.device or "", sort=lambda row: row.device or "",
+    ),
+    WatchColumn(
+        name="asked", title="asked", width=5, is_right=True,
+        cell=lambda row, _: count(row.asked), sort=lambda row: row.asked,
+    ),
+    _failures("exceptions", "exc"),
+    _failures("missing", "miss"),
+    WatchColumn(
+        name="retries", title="retry", width=5, is_right=True, rank=2,
+        cell=lambda row, _: count(row.retries), sort=lambda row: row.retries,
+    ),
+    WatchColumn(
+        name="p50", title="p50ms", width=5, is_right=True,
+        cell=lambda row, _: in_ms(row.median_ns) if row.median_ns else "",
+        sort=lambda row: row.median_ns,
+    ),
+    WatchColumn(
+        name="max", title="maxms", width=5, is_right=True,
+        cell=lambda row, _: in_ms(row.slowest_ns) if row.slowest_ns else "",
+        sort=lambda row: row.slowest_ns,
+    ),
+    WatchColumn(
+        name="age", title="age", width=4, is_right=True,
+        cell=lambda row, context: age(context.now_ns - row.last_ns),
+        sort=lambda row: -row.last_ns,
+    ),
+    WatchColumn(
+        name="findings", title="find", width=4, is_right=True, is_usual=False,
+        cell=lambda row, _: count(row.findings), sort=lambda row: row.findings,
+    ),
+    WatchColumn(
+        name="state", title="state", width=0, cell=slave_state,
+        sort=lambda row: slave_state(row, DrawContext())[0][0],
+    ),
+)  # fmt: skip

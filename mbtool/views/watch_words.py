@@ -1,0 +1,82 @@
+"""Short texts for live tables: ages, counts, latencies, sparklines."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+FRESH_NS = 1_000_000_000
+"""A value that changed less than this ago, in ns, is shown most clearly."""
+RECENT_NS = 5_000_000_000
+"""A value that changed less than this ago, in ns, is still shown as changed."""
+OVERDUE = 3
+"""A poll is overdue if it was not asked for so many of its periods."""
+_BARS = "▁▂▃▄▅▆▇█"
+MISSING = "x"
+"""Stands in a sparkline for a request without answer."""
+
+
+def age(ns: int) -> str:
+    """A time since something in at most 4 characters: 0.4s, 59s, 12m, 3h, 2d."""
+    seconds = max(ns, 0) / 1e9
+    if seconds < 9.95:
+        return f"{seconds:.1f}s"
+    if seconds < 99.5:
+        return f"{seconds:.0f}s"
+    minutes = seconds / 60
+    if minutes < 99.5:
+        return f"{minutes:.0f}m"
+    hours = minutes / 60
+    return f"{hours:.0f}h" if hours < 99.5 else f"{hours / 24:.0f}d"
+
+
+def period(ns: int) -> str:
+    """A period in at most 5 characters: 8ms, 250ms, 1.50s, 12.0s, 20m."""
+    if not ns:
+        return "-"
+    if ns < 999_500_000:
+        return f"{ns / 1e6:.0f}ms"
+    seconds = ns / 1e9
+    if seconds < 9.995:
+        return f"{seconds:.2f}s"
+    return f"{seconds:.1f}s" if seconds < 99.95 else age(ns)
+
+
+def count(number: int) -> str:
+    """A count in at most 5 characters: 99999, 123k, 12.3M; empty for 0."""
+    if not number:
+        return ""
+    if number < 100_000:
+        return str(number)
+    if number < 1_000_000:
+        return f"{number // 1000}k"
+    millions = number / 1e6
+    return f"{millions:.1f}M" if millions < 99.95 else f"{millions:.0f}M"
+
+
+def sparkline(values: Sequence[float | None], width: int) -> str:
+    """The last values as bars from their least to their greatest; None is a missing one."""
+    shown = values[-width:]
+    numbers = [one for one in shown if one is not None and one == one and abs(one) != float("inf")]
+    low, high = (min(numbers), max(numbers)) if numbers else (0, 0)
+    text = ""
+    for one in shown:
+        if one is None or one != one or abs(one) == float("inf"):
+            text += MISSING
+        elif high == low:
+            text += _BARS[0]
+        else:
+            text += _BARS[min(int((one - low) / (high - low) * len(_BARS)), len(_BARS) - 1)]
+    return text
+
+
+def change_style(changed_ns: int, now_ns: int) -> str:
+    """The style of a value by the time since it changed: it fades."""
+    if not changed_ns:
+        return ""
+    since_ns = now_ns - changed_ns
+    if since_ns < FRESH_NS:
+        return "bold reverse"
+    return "bold yellow" if since_ns < RECENT_NS else ""

@@ -1,0 +1,215 @@
+"""Keeps what the views show: polls, points, transactions, slaves, events and findings."""
+
+# Each record costs little (a test counts the calls): a poll whose values are those of the last time
+# touches no point, as the age of a point is that of the poll that gave its value. Rows are made
+# when a view is drawn (board_rows.py).
+#
+# Memory: MAX_KEPT records, MAX_POINTS points, MAX_SLAVES slaves, MAX_TROUBLES kinds of trouble, and
+# MAX_POLLS polls (overview/statistics.py). The oldest record gives way, and the poll that was not
+# asked for longest; further points, slaves and troubles are only counted in `left_out`.
+
+from __future__ import annotations
+
+from collections import OrderedDict, deque
+from typing import TYPE_CHECKING
+
+from mbtool.core import WireEvent
+from mbtool.devices.references import write_reference
+from mbtool.modbus import FUNCTIONS, Outcome
+from mbtool.overview.statistics import MAX_POLLS, Statistics
+from mbtool.watching.watched_rows import (
+    NEVER_NS,
+    KeptRecord,
+    WatchedPoint,
+    WatchedPoll,
+    WatchedSlave,
+    WatchedTrouble,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from mbtool.core import SerialFormat
+    from mbtool.devices import NamedTransaction, PointValue, Profile
+    from mbtool.modbus import Table
+
+MAX_KEPT = 10_000
+MAX_POINTS = 20_000
+MAX_SLAVES = 4096
+MAX_TROUBLES = 1024
+
+_MASK_WRITE, _READ_WRITE = 0x16, 0x17
+
+
+class Board:
+    """Takes records one by one; its attributes hold what the views show."""
+
+    def __init__(
+        self,
+        format_of: Callable[[str], SerialFormat | None] = lambda _: None,
+        profile_for: Callable[[NamedTransaction], Profile | None] = lambda _: None,
+        *,
+        kept: int = MAX_KEPT,
+    ) -> None:
+        """`format_of` gives the settings of a serial link, `profile_for` the profile of a slave."""
+        self.profile_for = profile_for
+        self.statistics = Statistics(format_of)
+        self.records: deque[KeptRecord] = deque(maxlen=kept)
+        """The last transactions and events, in the order in which they were decoded."""
+        self.polls: OrderedDict[int, WatchedPoll] = OrderedDict()
+        """By the number of the poll; the one that was asked last comes last."""
+        self.points: dict[tuple[str, int, object, object], WatchedPoint] = {}
+        self.slaves: dict[tuple[str, int], WatchedSlave] = {}
+        self.troubles: dict[tuple[str, str, int | None], WatchedTrouble] = {}
+        self.transactions = self.events = self.left_out = 0
+        self.last_ns = 0
+        """The time of the last record, in UTC ns."""
+
+    def add(self, kept: KeptRecord, *, listed: bool = True) -> None:
+        """Take the next record. With `listed` false it is counted, but not among `records`."""
+        record = kept.record
+        if listed:
+            self.records.append(kept)
+        if isinstance(record, WireEvent):
+            self.events += 1
+            self.statistics.add(record)
+            self.last_ns = max(self.last_ns, record.ts_ns)
+            self._note_trouble(record.kind.value, kept, record.link, None, record.ts_ns)
+            return
+        self.transactions += 1
+        at_ns = record.start_ns
+        if at_ns > self.last_ns:
+            self.last_ns = at_ns
+        self._note_slave(record)
+        statistics = self.statistics.add(record)
+        if statistics is not None:
+            poll = self.polls.get(statistics.number)
+            if poll is None:
+                poll = self.polls[statistics.number] = WatchedPoll(statistics, kept)
+                if len(self.polls) > MAX_POLLS:
+                    self.polls.popitem(last=False)
+            else:
+                self.polls.move_to_end(statistics.number)
+            self._note_poll(poll, kept, record, at_ns)
+        for code in record.findings:
+            self._note_trouble(code, kept, record.link, record.unit, at_ns)
+
+    def advance(self, before_ns: int | None) -> None:
+        """Put transactions whose request came before a time (UTC ns) in order; all for None."""
+        self.statistics.settle(before_ns)
+
+    def _note_slave(self, one: NamedTransaction) -> None:
+        key = one.link, one.unit
+        slave = self.slaves.get(key)
+        if slave is None:
+            if len(self.slaves) >= MAX_SLAVES:
+                self.left_out += 1
+                return
+            slave = self.slaves[key] = WatchedSlave(one.link, one.unit)
+        slave.add(one)
+
+    def _note_poll(
+        self, poll: WatchedPoll, kept: KeptRecord, one: NamedTransaction, at_ns: int
+    ) -> None:
+        poll.last, poll.last_ns = kept, at_ns
+        poll.latencies.append(one.latency_ns)
+        if one.outcome is not Outcome.OK and one.outcome is not Outcome.BROADCAST:
+            return
+        values = one.request_values if one.response_values is None else one.response_values
+        if values is None or (values == poll.values and one.function != _READ_WRITE):
+            return
+        if poll.values is not None:
+            _note_changes(poll, values, at_ns)
+        else:
+            poll.changed_ns = [NEVER_NS] * len(values)
+        poll.values = values
+        self._note_points(poll, one, at_ns)
+
+    def _note_points(self, poll: WatchedPoll, one: NamedTransaction, at_ns: int) -> None:
+        if one.points:
+            for point in one.points:
+                self._note_named(poll, one, point, at_ns)
+            return
+        function = FUNCTIONS.get(one.function)
+        if function is None or function.table is None or one.function == _MASK_WRITE:
+            return
+        if one.response_values is not None and one.address is not None:
+            written = function.writes and one.function != _READ_WRITE
+            self._note_raw(
+                poll, one, function.table, one.address, one.response_values, at_ns, written
+            )
+        address = one.write_address if one.function == _READ_WRITE else one.address
+        if function.writes and one.request_values is not None and address is not None:
+            self._note_raw(poll, one, function.table, address, one.request_values, at_ns, True)
+
+    def _note_named(
+        self, poll: WatchedPoll, one: NamedTransaction, point: PointValue, at_ns: int
+    ) -> None:
+        key = one.link, one.unit, one.device, point.name
+        row = self.points.get(key)
+        if row is None:
+            if len(self.points) >= MAX_POINTS:
+                self.left_out += 1
+                return
+            name = "" if point.name == point.reference else point.name
+            row = self.points[key] = WatchedPoint(
+                one.link, one.unit, one.device, point.reference, name, None, None, poll
+            )
+        before = row.text
+        row.poll, row.value_unit = poll, point.unit
+        row.set(point.value, point.text, at_ns, written=point in one.written_points)
+        if before and row.changed_ns == at_ns:
+            poll.points_changed_ns[point.name] = at_ns
+
+    def _note_raw(
+        self,
+        poll: WatchedPoll,
+        one: NamedTransaction,
+        table: Table,
+        first: int,
+        values: Sequence[int],
+        at_ns: int,
+        written: bool,
+    ) -> None:
+        for address, value in enumerate(values, first):
+            key = one.link, one.unit, table, address
+            row = self.points.get(key)
+            if row is None:
+                if len(self.points) >= MAX_POINTS:
+                    self.left_out += 1
+                    return
+                row = self.points[key] = self._raw_point(poll, one, table, address)
+            row.poll = poll
+            row.set(value, str(value), at_ns, written=written)
+
+    def _raw_point(
+        self, poll: WatchedPoll, one: NamedTransaction, table: Table, address: int
+    ) -> WatchedPoint:
+        reference = write_reference(self.profile_for(one), table, address)
+        return WatchedPoint(one.link, one.unit, one.device, reference, "", table, address, poll)
+
+    def _note_trouble(
+        self, code: str, kept: KeptRecord, link: str, unit: int | None, at_ns: int
+    ) -> None:
+        key = code, link, unit
+        row = self.troubles.get(key)
+        if row is None:
+            if len(self.troubles) >= MAX_TROUBLES:
+                self.left_out += 1
+                return
+            is_finding = unit is not None
+            row = self.troubles[key] = WatchedTrouble(code, is_finding, link, unit, at_ns, kept)
+        row.last, row.last_ns = kept, at_ns
+        row.count += 1
+
+
+def _note_changes(poll: WatchedPoll, values: Sequence[int], at_ns: int) -> None:
+    """Note which values differ from the last ones."""
+    before = poll.values or []
+    changed = poll.changed_ns
+    if len(values) != len(before):
+        poll.changed_ns = [at_ns] * len(values)
+        return
+    for index, (old, new) in enumerate(zip(before, values, strict=True)):
+        if old != new:
+            changed[index] = at_ns

@@ -1,0 +1,227 @@
+"""Rows of a board as they are at one moment; a frozen view keeps them while counting goes on."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+from mbtool.modbus import Outcome
+from mbtool.watching.watched_rows import KeptRecord, errors_of
+
+if TYPE_CHECKING:
+    from collections.abc import Hashable, Sequence
+
+    from mbtool.modbus import Table
+    from mbtool.overview.poll_statistics import PollKey
+    from mbtool.watching.board import Board
+    from mbtool.watching.watched_rows import WatchedPoint, WatchedPoll, WatchedSlave
+
+
+class PollRow(NamedTuple):
+    """A request that repeats. Times are UTC ns, durations ns."""
+
+    key: Hashable
+    kept: KeptRecord
+    """The last transaction."""
+    poll: PollKey
+    function_name: str
+    reference: str | None
+    device: str | None
+    asked: int
+    errors: int
+    """Exceptions, malformed answers and missing ones."""
+    missing: int
+    retries: int
+    last_ns: int
+    period_ns: int
+    """The median period; 0 if it is not known."""
+    slowest_ns: int
+    values: Sequence[int]
+    changed_ns: Sequence[int]
+    points_changed_ns: dict[str, int]
+    latencies: Sequence[int | None]
+
+
+class WatchedPointRow(NamedTuple):
+    """A named point, or a register or bit without a name."""
+
+    key: Hashable
+    kept: KeptRecord
+    """The last transaction of the poll that gave the value."""
+    link: str
+    unit: int
+    device: str | None
+    reference: str
+    name: str
+    table: Table | None
+    value: int | float | None
+    text: str
+    value_unit: str | None
+    before: str
+    changed_ns: int
+    last_ns: int
+    changes: int
+    is_written: bool
+    history: Sequence[float]
+    pair: tuple[int, int] | None
+    """The register and the one behind it, for a float; None if they were not read together."""
+
+
+class RecordRow(NamedTuple):
+    """A transaction or an event."""
+
+    key: Hashable
+    kept: KeptRecord
+
+
+class WatchedSlaveRow(NamedTuple):
+    """A unit of a link. Times are UTC ns, durations ns."""
+
+    key: Hashable
+    kept: None
+    link: str
+    unit: int
+    device: str | None
+    asked: int
+    answered: int
+    exceptions: int
+    missing: int
+    malformed: int
+    retries: int
+    median_ns: int
+    slowest_ns: int
+    last_ns: int
+    answered_ns: int | None
+    silent_since_ns: int | None
+    findings: int
+
+
+class TroubleRow(NamedTuple):
+    """All findings of one code, or events of one kind, of one unit of a link."""
+
+    key: Hashable
+    kept: KeptRecord
+    code: str
+    is_finding: bool
+    link: str
+    unit: int | None
+    times: int
+    first_ns: int
+    last_ns: int
+
+
+WatchRow = PollRow | WatchedPointRow | RecordRow | WatchedSlaveRow | TroubleRow
+
+
+def poll_rows(board: Board) -> list[PollRow]:
+    """The polls in the order in which they were first asked."""
+    polls = sorted(board.polls.items())
+    return [_poll_row(number, poll) for number, poll in polls]
+
+
+def point_rows(board: Board) -> list[WatchedPointRow]:
+    """The points by link, unit and address, as far as they have one; else in the order of finding.
+
+    Named points stand in the order in which they were first seen.
+    """
+    return [_point_row(key, point) for key, point in board.points.items()]
+
+
+def record_rows(board: Board) -> list[RecordRow]:
+    """The records that are kept, in their order."""
+    return [RecordRow(kept.order, kept) for kept in board.records]
+
+
+def slave_rows(board: Board) -> list[WatchedSlaveRow]:
+    """The slaves by link and unit."""
+    return [_slave_row(slave) for _, slave in sorted(board.slaves.items())]
+
+
+def trouble_rows(board: Board) -> list[TroubleRow]:
+    """Findings and events, the kind that was seen last at the end."""
+    rows = [
+        TroubleRow(
+            key, one.last, one.code, one.is_finding, one.link, one.unit, one.count, one.first_ns,
+            one.last_ns,
+        )
+        for key, one in board.troubles.items()
+    ]  # fmt: skip
+    return sorted(rows, key=lambda row: row.kept.order)
+
+
+def _poll_row(number: int, poll: WatchedPoll) -> PollRow:
+    poll.refresh_period()
+    statistics = poll.statistics
+    tally = statistics.tally
+    return PollRow(
+        key=number,
+        kept=poll.last,
+        poll=statistics.key,
+        function_name=statistics.function_name,
+        reference=statistics.reference,
+        device=statistics.device,
+        asked=tally.transactions,
+        errors=errors_of(tally),
+        missing=tally.unanswered,
+        retries=tally.retries,
+        last_ns=poll.last_ns,
+        period_ns=poll.period_ns,
+        slowest_ns=tally.latency.greatest,
+        values=poll.values or (),
+        changed_ns=tuple(poll.changed_ns),
+        points_changed_ns=dict(poll.points_changed_ns),
+        latencies=tuple(poll.latencies),
+    )
+
+
+def _point_row(key: Hashable, point: WatchedPoint) -> WatchedPointRow:
+    return WatchedPointRow(
+        key=key,
+        kept=point.poll.last,
+        link=point.link,
+        unit=point.unit,
+        device=point.device,
+        reference=point.reference,
+        name=point.name,
+        table=point.table,
+        value=point.value,
+        text=point.text,
+        value_unit=point.value_unit,
+        before=point.before,
+        changed_ns=point.changed_ns,
+        last_ns=point.poll.last_ns,
+        changes=point.changes,
+        is_written=point.is_written,
+        history=tuple(point.history),
+        pair=_pair(point),
+    )
+
+
+def _pair(point: WatchedPoint) -> tuple[int, int] | None:
+    first, values = point.poll.statistics.key.address, point.poll.values
+    if point.address is None or first is None or values is None:
+        return None
+    at = point.address - first
+    return (values[at], values[at + 1]) if 0 <= at < len(values) - 1 else None
+
+
+def _slave_row(slave: WatchedSlave) -> WatchedSlaveRow:
+    tally = slave.tally
+    return WatchedSlaveRow(
+        key=(slave.link, slave.unit),
+        kept=None,
+        link=slave.link,
+        unit=slave.unit,
+        device=slave.device,
+        asked=tally.transactions,
+        answered=tally.count(Outcome.OK),
+        exceptions=tally.count(Outcome.EXCEPTION),
+        missing=tally.unanswered,
+        malformed=tally.count(Outcome.MALFORMED),
+        retries=tally.retries,
+        median_ns=tally.latency.percentile(50),
+        slowest_ns=tally.latency.greatest,
+        last_ns=slave.last_ns,
+        answered_ns=slave.answered_ns,
+        silent_since_ns=slave.silent_since_ns,
+        findings=slave.findings,
+    )

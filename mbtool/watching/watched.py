@@ -1,0 +1,108 @@
+"""All records, and those that pass a filter, each on a board of their own."""
+
+# A filter that is set later is applied to the records that are still kept; from then on, records
+# are added to both boards as they come. So figures under a filter count from the oldest record that
+# was kept when the filter was set; `filtered_from` says which one.
+#
+# Memory: two boards, and MAX_MARKED marked records.
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from mbtool.core import WireEvent
+from mbtool.watching.board import MAX_KEPT, Board
+from mbtool.watching.watched_rows import KeptRecord
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from mbtool.core import SerialFormat
+    from mbtool.devices import NamedTransaction, Profile
+    from mbtool.watching.watched_rows import Record
+
+    Wanted = Callable[[NamedTransaction], bool]
+
+MAX_MARKED = 1000
+
+
+class Watched:
+    """Everything that was heard so far, for the views. Not safe for several threads at once."""
+
+    def __init__(
+        self,
+        format_of: Callable[[str], SerialFormat | None] = lambda _: None,
+        profile_for: Callable[[NamedTransaction], Profile | None] = lambda _: None,
+        *,
+        kept: int = MAX_KEPT,
+    ) -> None:
+        self._format_of, self._profile_for, self._kept = format_of, profile_for, kept
+        self.wanted: Wanted | None = None
+        """The filter; None if every record passes."""
+        self._order = self._numbers = 0
+        self._settled_ns: int | None = 0
+        self.whole = self._board()
+        self.filtered: Board | None = None
+        """The board of the records that pass the filter; None without a filter."""
+        self.marked: dict[int, KeptRecord] = {}
+        """The records that the user marked, by their order."""
+
+    def add(self, record: Record) -> None:
+        """Take the next record."""
+        self._order += 1
+        is_event = isinstance(record, WireEvent)
+        if not is_event:
+            self._numbers += 1
+        kept = KeptRecord(self._order, None if is_event else self._numbers, record)
+        self.whole.add(kept)
+        if self.filtered is not None:
+            self._add_filtered(self.filtered, kept)
+
+    def advance(self, before_ns: int | None) -> None:
+        """Put transactions whose request came before a time (UTC ns) in order; all for None."""
+        self._settled_ns = before_ns
+        self.whole.advance(before_ns)
+        if self.filtered is not None:
+            self.filtered.advance(before_ns)
+
+    def restart(self) -> None:
+        """Forget all records, but not the filter and the marks: a file is read again."""
+        self._order = self._numbers = 0
+        self.whole = self._board()
+        if self.filtered is not None:
+            self.filtered = self._board()
+
+    def set_filter(self, wanted: Wanted | None) -> None:
+        """Apply a filter to the records that are kept and to those that come; None to end it."""
+        self.wanted = wanted
+        self.filtered = None
+        if wanted is None:
+            return
+        self.filtered = self._board()
+        for kept in self.whole.records:
+            self._add_filtered(self.filtered, kept)
+        self.filtered.advance(self._settled_ns)
+
+    @property
+    def filtered_from(self) -> int:
+        """The number of records that had been forgotten when the oldest kept one came."""
+        return self.whole.records[0].order - 1 if self.whole.records else 0
+
+    def mark(self, kept: KeptRecord) -> bool:
+        """Mark a record, or take its mark away. False if MAX_MARKED are marked already."""
+        if self.marked.pop(kept.order, None) is not None:
+            return True
+        if len(self.marked) >= MAX_MARKED:
+            return False
+        self.marked[kept.order] = kept
+        return True
+
+    def _board(self) -> Board:
+        return Board(self._format_of, self._profile_for, kept=self._kept)
+
+    def _add_filtered(self, board: Board, kept: KeptRecord) -> None:
+        """Add a record if it passes. An event, which has no such fields, is counted only."""
+        if isinstance(kept.record, WireEvent):
+            board.add(kept, listed=False)
+        elif self.wanted is not None and self.wanted(kept.record):
+            board.add(kept)

@@ -1,0 +1,156 @@
+"""What is kept of each poll, point, slave and kind of trouble while records come in."""
+
+# Memory: a poll keeps its last transaction, the time of the last change of each of its values (at
+# most 2000, as many as a request can read) and HISTORY latencies; a point keeps HISTORY values.
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from mbtool.core import WireEvent
+from mbtool.devices.named_transaction import NamedTransaction
+from mbtool.modbus import Outcome, Table
+from mbtool.overview.poll_statistics import PollStatistics
+from mbtool.overview.request_tally import RequestTally
+
+Record = NamedTransaction | WireEvent
+
+HISTORY = 32
+"""The number of latencies or values that are kept for a sparkline."""
+NEVER_NS = 0
+"""Stands for a time that has not come: a value that never changed."""
+
+_FAULTS = (Outcome.EXCEPTION, Outcome.NO_ANSWER, Outcome.MALFORMED)
+"""Outcomes that count as errors of a request. What the capture lacks is no error."""
+
+
+class KeptRecord(NamedTuple):
+    """A transaction or an event, with its place in the capture."""
+
+    order: int
+    """The number of the record among all records, from 1."""
+    number: int | None
+    """The number of the transaction among all transactions, from 1; None for an event."""
+    record: Record
+
+
+@dataclass(slots=True)
+class WatchedPoll:
+    """A request that a master repeats: its last transaction, and which of its values changed."""
+
+    statistics: PollStatistics
+    last: KeptRecord
+    last_ns: int = NEVER_NS
+    """The time of the last request, in UTC ns."""
+    values: list[int] | None = None
+    """The values that were last read or written; None before the first ones."""
+    changed_ns: list[int] = field(default_factory=list)
+    """For each value the time of its last change, in UTC ns; NEVER_NS if it never changed."""
+    points_changed_ns: dict[str, int] = field(default_factory=dict)
+    """The time of the last change of each named point that has changed, by its name."""
+    latencies: deque[int | None] = field(default_factory=lambda: deque(maxlen=HISTORY))
+    """The last latencies in ns; None for a request without answer."""
+    period_ns: int = 0
+    """The median time between two requests, in ns; 0 if there was one only."""
+    _period_at: int = 0
+
+    def refresh_period(self) -> None:
+        """Compute the median period again if an eighth more requests have come since."""
+        count = self.statistics.period.count
+        if count > self._period_at + self._period_at // 8:
+            self._period_at = count
+            self.period_ns = self.statistics.period.percentile(50)
+
+
+@dataclass(slots=True)
+class WatchedPoint:
+    """A named point, or a register or bit without a name, with its last value."""
+
+    link: str
+    unit: int
+    device: str | None
+    reference: str
+    name: str
+    """The name of the point; empty for a register or bit without a name."""
+    table: Table | None
+    address: int | None
+    """The address on the wire; None for a named point."""
+    poll: WatchedPoll
+    """The poll that gave the last value: its time is the time of this value."""
+    value: int | float | None = None
+    text: str = ""
+    value_unit: str | None = None
+    before: str = ""
+    """The text of the value before the last change; empty if the value never changed."""
+    changed_ns: int = NEVER_NS
+    changes: int = 0
+    is_written: bool = False
+    """True if the last value was written by a master, not read."""
+    history: deque[float] = field(default_factory=lambda: deque(maxlen=HISTORY))
+    """The last different values, in their order."""
+
+    def set(
+        self, value: int | float | None, text: str, at_ns: int, *, written: bool = False
+    ) -> None:
+        """Take a value. The first value is no change."""
+        self.is_written = written
+        if text == self.text and value == self.value:
+            return
+        if self.text:
+            self.before, self.changed_ns = self.text, at_ns
+            self.changes += 1
+        self.value, self.text = value, text
+        if value is not None:
+            self.history.append(value)
+
+
+@dataclass(slots=True)
+class WatchedSlave:
+    """A unit of a link: how it answers."""
+
+    link: str
+    unit: int
+    device: str | None = None
+    tally: RequestTally = field(default_factory=RequestTally)
+    first_ns: int = 0
+    last_ns: int = 0
+    answered_ns: int | None = None
+    """The time of the last answer, in UTC ns; None if it never answered."""
+    silent_since_ns: int | None = None
+    """The time of the first request that was left without answer since the last answer."""
+    findings: int = 0
+
+    def add(self, one: NamedTransaction) -> None:
+        at_ns = one.start_ns
+        self.tally.add(one)
+        self.first_ns = self.first_ns or at_ns
+        self.last_ns = at_ns
+        self.device = one.device or self.device
+        self.findings += len(one.findings)
+        if one.outcome is Outcome.NO_ANSWER:
+            if self.silent_since_ns is None:
+                self.silent_since_ns = at_ns
+        elif one.response_ns is not None:
+            self.answered_ns, self.silent_since_ns = one.response_ns, None
+
+
+@dataclass(slots=True)
+class WatchedTrouble:
+    """All findings of one code, or events of one kind, of one unit of a link."""
+
+    code: str
+    """The code of the finding, or the kind of the event."""
+    is_finding: bool
+    link: str
+    unit: int | None
+    first_ns: int
+    last: KeptRecord
+    last_ns: int = 0
+    count: int = 0
+
+
+def errors_of(tally: RequestTally) -> int:
+    """The number of requests with an exception, a malformed answer or none."""
+    return sum(tally.count(outcome) for outcome in _FAULTS)

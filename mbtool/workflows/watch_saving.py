@@ -1,0 +1,169 @@
+"""Saves what the user of a live view marked or filtered, as a log or a capture."""
+
+# From files, and from a log that is being written, the evidence itself is saved (convert.py). With
+# neither, the frames of the transactions that are still kept become the evidence of a new log: each
+# frame with the time of its last byte. What lay between the frames is then not in it.
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path, PurePath
+from typing import TYPE_CHECKING, Protocol
+
+from mbtool.core import Chunk, Direction, UsageError, WireEvent
+from mbtool.core.evidence import Connection, Endpoint, Stamp
+from mbtool.core.wording import counted
+from mbtool.workflows.convert import CAPTURE_SUFFIXES, Conversion
+from mbtool.workflows.shared.reading_options import ReadingOptions
+from mbtool.workflows.shared.time_window import TimeWindow
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from mbtool.devices import NamedTransaction
+    from mbtool.logs import LogWriter, RotatingLog
+    from mbtool.watching.watched import Watched
+
+    Job = Callable[[], str]
+
+_LOG_SUFFIX = ".mcap"
+
+
+class Saver(Protocol):
+    """Saves the marked transactions; without marks those that pass the filter; without, all."""
+
+    def what(self, watched: Watched, *, is_filtered: bool) -> str:
+        """What would be saved, for the user."""
+
+    def job(self, watched: Watched, *, is_filtered: bool, out: str) -> Job:
+        """The work of saving, to be done in another thread; it returns a line for the user.
+
+        The work raises UsageError if the file cannot be created, OutputError if writing fails.
+        """
+
+
+class EvidenceSaver:
+    """Saves from files of evidence: those that are watched, or the log that is being written."""
+
+    def __init__(self, paths: Sequence[str], options: ReadingOptions | None = None) -> None:
+        self._paths = paths
+        self._options = options or ReadingOptions()
+
+    def what(self, watched: Watched, *, is_filtered: bool) -> str:
+        return _marked_text(watched) or ("what passes the filter" if is_filtered else "everything")
+
+    def job(self, watched: Watched, *, is_filtered: bool, out: str) -> Job:
+        wanted = watched.wanted if is_filtered else None
+        marked = _marked(watched)
+        if marked:
+            keys = {_identity(one) for one in marked}
+
+            def wanted(one: NamedTransaction) -> bool:
+                return _identity(one) in keys
+
+        def save() -> str:
+            _demand_suffix(out)
+            return _convert(self._paths, self._options, wanted, out)
+
+        return save
+
+
+class FrameSaver:
+    """Saves the frames of the transactions that are still kept, where nothing is recorded."""
+
+    def __init__(self, begin_log: Callable[[str], LogWriter | RotatingLog]) -> None:
+        """`begin_log` creates a log at a path, with the links and devices of this run."""
+        self._begin_log = begin_log
+
+    def what(self, watched: Watched, *, is_filtered: bool) -> str:
+        text = _marked_text(watched)
+        if text:
+            return text
+        return "the last ones that pass" if is_filtered else "the last transactions"
+
+    def job(self, watched: Watched, *, is_filtered: bool, out: str) -> Job:
+        board = watched.filtered if is_filtered and watched.filtered else watched.whole
+        listed = [one.record for one in board.records]
+        chosen = _marked(watched) or [one for one in listed if not isinstance(one, WireEvent)]
+        chosen.sort(key=lambda one: one.start_ns)
+
+        def save() -> str:
+            _demand_suffix(out)
+            if PurePath(out).suffix.lower() == _LOG_SUFFIX:
+                self._write(out, chosen)
+                return f"{counted(len(chosen), 'transaction')} -> {out}"
+            with tempfile.TemporaryDirectory() as folder:
+                log = str(Path(folder) / "frames.mcap")
+                self._write(log, chosen)
+                return _convert([log], ReadingOptions(), None, out)
+
+        return save
+
+    def _write(self, path: str, chosen: Sequence[NamedTransaction]) -> None:
+        log = self._begin_log(path)
+        try:
+            for one in chosen:
+                for chunk in _chunks(one):
+                    log.write(chunk)
+                log.write(one)
+        finally:
+            log.close({})
+
+
+def _convert(
+    paths: Sequence[str],
+    options: ReadingOptions,
+    wanted: Callable[[NamedTransaction], bool] | None,
+    out: str,
+) -> str:
+    done = Conversion(paths, options, TimeWindow(None, None), wanted).write(out)
+    parts = ((done.transactions, "transaction"), (done.packets, "packet"), (done.reads, "read"))
+    texts = [counted(count, word) for count, word in parts if count]
+    return f"{', '.join(texts) or 'nothing'} -> {out}"
+
+
+def _demand_suffix(out: str) -> None:
+    if PurePath(out).suffix.lower() not in CAPTURE_SUFFIXES:
+        raise UsageError(f"{out}: let it end in .mcap or .pcapng")
+
+
+def _marked(watched: Watched) -> list[NamedTransaction]:
+    return [one.record for one in watched.marked.values() if not isinstance(one.record, WireEvent)]
+
+
+def _marked_text(watched: Watched) -> str:
+    count = len(_marked(watched))
+    return counted(count, "marked transaction") if count else ""
+
+
+def _identity(one: NamedTransaction) -> tuple[object, ...]:
+    """What tells a transaction from all others of a capture, also if it is decoded again."""
+    return one.request_ns, one.response_ns, one.unit, one.function, one.request_raw
+
+
+def _chunks(one: NamedTransaction) -> Iterator[Chunk]:
+    """The frames of a transaction as evidence: each as if it had been read by itself."""
+    ends = _ends(one)
+    for raw, ts_ns, direction in (
+        (one.request_raw, one.request_ns, Direction.REQUEST),
+        (one.response_raw, one.response_ns, Direction.RESPONSE),
+    ):
+        if raw is not None and ts_ns is not None:
+            yield Chunk(
+                ts_ns=ts_ns,
+                link=one.link,
+                data=raw,
+                direction=Direction.UNKNOWN if ends is None else direction,
+                stamp=Stamp.LAST_BYTE if ends is None else Stamp.AT_ONCE,
+                connection=ends,
+            )
+
+
+def _ends(one: NamedTransaction) -> Connection | None:
+    master, slave = _endpoint(one.source), _endpoint(one.destination)
+    return None if master is None or slave is None else Connection(master, slave)
+
+
+def _endpoint(text: str | None) -> Endpoint | None:
+    host, _, port = (text or "").rpartition(":")
+    return Endpoint(host.strip("[]"), int(port)) if host and port.isdecimal() else None

@@ -1,0 +1,443 @@
+"""Each key of the full screen, on records that the test gives."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from textual.widgets import OptionList
+
+from mbtool.cli import exit_codes
+from mbtool.core import EventKind, OutputError, WireEvent
+from mbtool.watching.value_formats import ValueFormat
+from tests.cli.watching.screens import GivenFeed, run, screen
+from tests.overview.masters import MS, START_NS
+from tests.overview.requests import request, unanswered
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from mbtool.watching.watched import Watched
+    from mbtool.watching.watched_rows import Record
+
+
+def read(at_ms: float, *values: int, **fields: Any) -> Record:
+    defaults = {"reference": "holding 0..1", "response_values": list(values), "quantity": 2}
+    return request(at_ms, **{**defaults, **fields})
+
+
+def line() -> GivenFeed:
+    """A slave that answers, one that does not, and noise."""
+    return GivenFeed([
+        read(0, 10, 20),
+        read(100, 10, 21),
+        WireEvent(
+            ts_ns=START_NS + 150 * MS, link="line", kind=EventKind.SKIPPED, message="noise",
+            raw=b"\xfe\xfd",
+        ),
+        unanswered(200, unit=2, reference="holding 0..9"),
+        read(300, 7, 7, address=100, reference="holding 100..101", findings=["MB-101"]),
+    ])  # fmt: skip
+
+
+def test_the_polls_are_shown_first_with_what_changed_lit() -> None:
+    async def test() -> None:
+        async with screen(line()) as seen:
+            assert "1 polls" in seen.lines[0]
+            assert "4 transactions, 1 events" in seen.lines[1]
+            assert seen.lines[3].split()[:5] == ["1", "03", "holding", "0..1", "10"]
+            (strip,) = [one for one in seen.app.table.render_line(1)._segments if one.text == "21"]
+            assert strip.style is not None
+            assert strip.style.reverse
+            assert "no answer" in seen.lines[4]
+
+    run(test)
+
+
+@pytest.mark.parametrize(
+    ("key", "text"),
+    [
+        ("1", "last values"),
+        ("2", "holding 101"),
+        ("3", "skipped: noise"),
+        ("4", "MB-101"),
+        ("5", "never answered"),
+        ("6", "asked"),
+    ],
+)
+def test_a_number_shows_a_view(key: str, text: str) -> None:
+    async def test() -> None:
+        async with screen(line()) as seen:
+            await seen.press(key)
+            assert text in seen.text
+            assert seen.app.view_at == int(key) - 1
+
+    run(test)
+
+
+def test_transactions_follow_the_newest_until_the_cursor_goes_up() -> None:
+    async def test() -> None:
+        feed = line()
+        async with screen(feed) as seen:
+            await seen.press("3")
+            feed.give(*(read(1000 + at, 1, 2) for at in range(30)))
+            await seen.redraw()
+            assert seen.number() == 34
+            await seen.press("up")
+            feed.give(read(2000, 1, 2))
+            await seen.redraw()
+            assert seen.number() == 33
+            await seen.press("end")
+            feed.give(read(3000, 1, 2))
+            await seen.redraw()
+            assert seen.number() == 36
+            await seen.press("home")
+            assert seen.number() == 1
+            await seen.press("pagedown")
+            assert seen.app.table.cursor == seen.app.table.page
+
+    run(test)
+
+
+def test_space_freezes_the_view_while_counting_goes_on() -> None:
+    async def test() -> None:
+        feed = line()
+        async with screen(feed) as seen:
+            await seen.press("space")
+            feed.give(read(400, 99, 99))
+            await seen.redraw()
+            assert "FROZEN" in seen.lines[1]
+            assert "5 transactions" in seen.lines[1]
+            assert "99" not in seen.lines[3]
+            await seen.press("3")
+            assert len(seen.rows) == 5
+            await seen.press("space")
+            assert len(seen.rows) == 6
+            assert "FROZEN" not in seen.text
+
+    run(test)
+
+
+def test_a_filter_is_applied_as_one_types_and_kept_with_enter() -> None:
+    async def test() -> None:
+        async with screen(line()) as seen:
+            await seen.press("slash")
+            await seen.type("unit == 2")
+            await seen.until(lambda: len(seen.rows) == 1)
+            await seen.press("enter")
+            assert "1 pass: unit == 2" in seen.lines[1]
+            assert not seen.app.prompt.has_focus
+            assert seen.app.settings.filters == ["unit == 2"]
+
+    run(test)
+
+
+def test_a_wrong_filter_says_where_and_leaves_the_rows_as_they_are() -> None:
+    async def test() -> None:
+        async with screen(line()) as seen:
+            await seen.press("slash")
+            await seen.type("unit == 2 and foo == 1")
+            await seen.until(lambda: "there is no 'foo'" in seen.note)
+            assert seen.note.index("^") == "unit == 2 and foo".index("foo")
+            assert len(seen.rows) == 3
+            await seen.press("enter")
+            assert seen.app.prompt.has_focus
+
+    run(test)
+
+
+def test_escape_gives_the_earlier_filter_back() -> None:
+    async def test() -> None:
+        async with screen(line()) as seen:
+            await seen.press("slash")
+            await seen.type("unit == 2")
+            await seen.until(lambda: len(seen.rows) == 1)
+            await seen.press("escape")
+            await seen.until(lambda: len(seen.rows) == 3)
+            assert seen.app.where == ""
+
+    run(test)
+
+
+def test_backslash_switches_the_filter_off_and_on() -> None:
+    async def test() -> None:
+        async with screen(line()) as seen:
+            await seen.press("backslash")
+            assert "there is no filter" in seen.note
+            seen.app.apply_filter("unit == 2")
+            await seen.press("backslash")
+            assert len(seen.rows) == 3
+            assert "filter off: unit == 2" in seen.lines[1]
+            await seen.press("backslash")
+            assert len(seen.rows) == 1
+
+    run(test)
+
+
+def test_up_goes_through_earlier_filters() -> None:
+    async def test() -> None:
+        async with screen(line()) as seen:
+            for text in ("unit == 1", "unit == 2"):
+                await seen.press("slash")
+                await seen.type(text)
+                await seen.press("enter")
+            await seen.press("slash", "up", "up")
+            assert seen.app.prompt.value == "unit == 1"
+            await seen.press("down")
+            assert seen.app.prompt.value == "unit == 2"
+
+    run(test)
+
+
+def test_f_finds_a_text_and_bytes_and_n_goes_on() -> None:
+    async def test() -> None:
+        async with screen(line()) as seen:
+            await seen.press("3", "home", "f")
+            await seen.type("10, 2")
+            await seen.press("enter")
+            assert seen.number() == 2
+            await seen.press("n")
+            assert seen.number() == 1
+            await seen.press("N")
+            assert seen.number() == 2
+            await seen.press("f")
+            await seen.type("fe fd")
+            await seen.press("enter")
+            assert seen.number() is None
+            await seen.press("f")
+            await seen.type("nowhere")
+            await seen.press("enter")
+            assert "not found" in seen.note
+
+    run(test)
+
+
+class NotingSaver:
+    """Notes what it is asked to save."""
+
+    def __init__(self, error: OutputError | None = None) -> None:
+        self.asked: list[tuple[str, bool]] = []
+        self._error = error
+
+    def what(self, watched: Watched, *, is_filtered: bool) -> str:
+        return f"{len(watched.marked)} marked"
+
+    def job(self, watched: Watched, *, is_filtered: bool, out: str) -> Callable[[], str]:
+        def save() -> str:
+            if self._error is not None:
+                raise self._error
+            self.asked.append((out, is_filtered))
+            return "saved it"
+
+        return save
+
+
+def test_m_marks_a_transaction_and_s_saves() -> None:
+    async def test() -> None:
+        saver = NotingSaver()
+        async with screen(line(), saver=saver) as seen:
+            await seen.press("m")
+            assert "key 3" in seen.note
+            await seen.press("3", "home", "m")
+            assert seen.lines[3].startswith("*")
+            assert "1 marked" in seen.lines[1]
+            assert seen.number() == 2
+            await seen.press("s")
+            assert "1 marked" in seen.app.prompt.placeholder
+            await seen.type("part.mcap")
+            await seen.press("enter")
+            await seen.until(lambda: seen.note == "saved it")
+            assert saver.asked == [("part.mcap", False)]
+
+    run(test)
+
+
+def test_a_save_that_fails_is_told() -> None:
+    async def test() -> None:
+        async with screen(line(), saver=NotingSaver(OutputError("disk full"))) as seen:
+            await seen.press("s")
+            await seen.type("part.mcap")
+            await seen.press("enter")
+            await seen.until(lambda: seen.note == "disk full")
+
+    run(test)
+
+
+def test_without_a_saver_s_says_so() -> None:
+    async def test() -> None:
+        async with screen(line()) as seen:
+            await seen.press("s")
+            assert "nothing to save" in seen.note
+
+    run(test)
+
+
+def test_o_sorts_by_a_column_and_turns_the_order() -> None:
+    async def test() -> None:
+        async with screen(line()) as seen:
+            await seen.press("o")
+            await seen.pilot.pause()
+            await seen.press(*["down"] * 3, "enter")
+            await seen.pilot.pause()
+            assert seen.app.settings.sorted_by == {"polls": ("unit", False)}
+            assert [row.poll.unit for row in seen.rows] == [1, 1, 2]
+            assert "un^" in seen.lines[2]
+            await seen.press("o", "enter")
+            await seen.pilot.pause()
+            assert [row.poll.unit for row in seen.rows] == [2, 1, 1]
+            await seen.press("o", "home", "enter")
+            assert seen.app.settings.sorted_by == {}
+
+    run(test)
+
+
+def test_c_chooses_columns_and_they_are_remembered(config_folder: Path) -> None:
+    async def test() -> None:
+        async with screen(line()) as seen:
+            await seen.press("c", "space", "enter")
+            await seen.pilot.pause()
+            assert "link" in seen.lines[2]
+            await seen.press("c")
+            assert "[x] link" in "\n".join(
+                str(one.prompt) for one in seen.app.screen.query_one(OptionList).options
+            )
+            await seen.press("escape")
+        async with screen(line()) as seen:
+            assert "link" in seen.lines[2]
+            await seen.press("c", "u")
+            await seen.pilot.pause()
+            assert "link" not in seen.lines[2]
+
+    run(test)
+    assert (config_folder / "mbtool" / "watch.json").exists()
+
+
+def test_x_shows_the_row_in_the_next_format() -> None:
+    async def test() -> None:
+        async with screen(line()) as seen:
+            for form in (ValueFormat.DECIMAL, ValueFormat.HEX):
+                await seen.press("x")
+                assert form.value in seen.note
+            assert "000AH 0015H" in seen.lines[3]
+            await seen.press("2", "down", "x", "x")
+            assert "0015H" in seen.lines[4]
+            await seen.press("5", "x")
+
+    run(test)
+
+
+def test_enter_shows_the_bytes_by_field_and_why_this_direction() -> None:
+    async def test() -> None:
+        async with screen(line()) as seen:
+            await seen.press("down", "down", "enter")
+            await seen.redraw()
+            text = "\n".join(
+                "".join(part for part, _ in spans) for spans in seen.app.detail_lines(78)
+            )
+            assert "unit 1 function 03H address 100 quantity" in text
+            assert "only one direction can have this form; sure to 100 %" in text
+            assert "MB-101" in text
+            assert "request  01 03 00 64" in seen.text
+            await seen.press("right_square_bracket", "left_square_bracket", "5")
+            await seen.redraw()
+            assert "asked 3, answered 3" in seen.text
+            await seen.press("escape")
+            await seen.redraw()
+            assert "asked 3, answered 3" not in seen.text
+
+    run(test)
+
+
+def test_a_view_without_rows_has_no_detail() -> None:
+    async def test() -> None:
+        async with screen(GivenFeed()) as seen:
+            for key in "123456":
+                await seen.press(key, "down", "pageup", "end", "m", "x")
+            await seen.press("enter")
+            await seen.redraw()
+            assert "no transaction here" in seen.text
+
+    run(test)
+
+
+def test_a_question_mark_shows_the_keys_and_the_palette_has_them() -> None:
+    async def test() -> None:
+        async with screen(line()) as seen:
+            await seen.press("question_mark")
+            assert seen.app.screen.query("HelpPanel")
+            await seen.press("question_mark")
+            await seen.until(lambda: not seen.app.screen.query("HelpPanel"))
+            titles = [one.title for one in seen.app.get_system_commands(seen.app.screen)]
+            assert "Freeze the view, or go on" in titles
+
+    run(test)
+
+
+def test_keys_of_files_say_that_a_link_cannot_be_played() -> None:
+    async def test() -> None:
+        async with screen(line()) as seen:
+            for key in ("p", "full_stop", "plus", "minus", "left", "right", "less_than_sign"):
+                seen.app.tell("")
+                await seen.press(key)
+                assert "only files can be played" in seen.note
+
+    run(test)
+
+
+@pytest.mark.parametrize(
+    ("key", "code"), [("q", exit_codes.DONE), ("ctrl+c", exit_codes.INTERRUPTED)]
+)
+def test_a_key_ends_the_screen_with_its_exit_code(key: str, code: int) -> None:
+    async def test() -> None:
+        async with screen(line()) as seen:
+            await seen.press(key)
+            assert seen.app.return_value == code
+
+    run(test)
+
+
+def test_a_signal_ends_the_screen() -> None:
+    async def test() -> None:
+        async with screen(line(), is_asked_to_end=lambda: True) as seen:
+            await seen.until(lambda: seen.app.return_value is not None)
+            assert seen.app.return_value == exit_codes.INTERRUPTED
+
+    run(test)
+
+
+def test_remarks_and_the_error_that_ended_the_feed_are_told() -> None:
+    async def test() -> None:
+        feed = line()
+        async with screen(feed) as seen:
+            feed.remarks.append("eth0: lost 3 packets")
+            await seen.until(lambda: "lost 3 packets" in seen.note)
+            await seen.press("escape")
+            feed.error = OutputError("the log is full")
+            await seen.until(lambda: "the log is full; q ends" in seen.note)
+
+    run(test)
+
+
+def test_text_from_a_wire_is_no_markup() -> None:
+    async def test() -> None:
+        feed = GivenFeed([read(0, 1, 2, reference="[bold]x[/bold]\x1b[2J")])
+        async with screen(feed, (120, 40)) as seen:
+            assert "[bold]x[/bold]?[2J" in seen.text
+            await seen.press("3", "enter")
+            await seen.redraw()
+            assert "[bold]x[/bold]?[2J" in seen.text
+
+    run(test)
+
+
+def test_without_colours_what_changed_is_reversed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NO_COLOR", "1")
+
+    async def test() -> None:
+        async with screen(line()) as seen:
+            styles = [one.style for one in seen.app.table.render_line(1) if one.text == "21"]
+            assert styles[0] is not None
+            assert styles[0].reverse
+
+    run(test)

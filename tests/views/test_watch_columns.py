@@ -1,0 +1,90 @@
+"""Live tables: which columns fit, and how cells are cut."""
+
+from __future__ import annotations
+
+import pytest
+
+from mbtool.views.watch_columns import (
+    DrawContext,
+    WatchColumn,
+    cut_spans,
+    fitted,
+    row_spans,
+    row_text,
+    title_spans,
+)
+from mbtool.views.watch_polls import POINT_COLUMNS, POLL_COLUMNS
+from mbtool.views.watch_records import RECORD_COLUMNS, SLAVE_COLUMNS, TROUBLE_COLUMNS
+
+
+def column(name: str, width: int, rank: int = 0, *, usual: bool = True) -> WatchColumn:
+    return WatchColumn(
+        name=name, title=name, width=width, rank=rank, is_usual=usual,
+        cell=lambda row, _: row[name], sort=lambda row: row[name],
+    )  # fmt: skip
+
+
+COLUMNS = (column("unit", 4), column("text", 0), column("ms", 6, 1), column("more", 8, 2),
+           column("rare", 5, usual=False))  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("width", "names"),
+    [
+        (80, ["unit", "text", "ms", "more"]),
+        (38, ["unit", "text", "ms"]),
+        (33, ["unit", "text"]),
+        (5, ["unit", "text"]),
+    ],
+)
+def test_columns_of_high_rank_are_left_out_where_there_is_little_room(
+    width: int, names: list[str]
+) -> None:
+    assert [one.column.name for one in fitted(COLUMNS, width)] == names
+
+
+def test_chosen_columns_stay_in_their_order_however_narrow() -> None:
+    assert [one.column.name for one in fitted(COLUMNS, 20, ["rare", "more", "unit"])] == [
+        "unit",
+        "more",
+        "rare",
+    ]
+
+
+def test_no_choice_that_exists_gives_the_first_column() -> None:
+    assert [one.column.name for one in fitted(COLUMNS, 20, ["gone"])] == ["unit"]
+
+
+@pytest.mark.parametrize(
+    "columns", [POLL_COLUMNS, POINT_COLUMNS, RECORD_COLUMNS, SLAVE_COLUMNS, TROUBLE_COLUMNS]
+)
+@pytest.mark.parametrize("width", [60, 80, 81, 100, 120, 200])
+def test_the_columns_of_each_view_fill_the_width(
+    columns: tuple[WatchColumn, ...], width: int
+) -> None:
+    shown = fitted(columns, width)
+    assert sum(one.width for one in shown) + len(shown) - 1 == width
+    assert len({one.name for one in columns}) == len(columns)
+
+
+def test_a_row_is_as_wide_as_its_columns_and_has_no_control_characters() -> None:
+    shown = fitted(COLUMNS, 33)
+    spans = row_spans({"unit": "123456", "text": [("a\x1b", "red")]}, shown, DrawContext())
+    text = "".join(part for part, _ in spans)
+    assert text == "12.. a?" + " " * 26
+    assert (spans[2], len(text)) == (("a?", "red"), 33)
+
+
+def test_the_title_has_an_arrow_at_the_column_of_the_sorting() -> None:
+    ((text, _),) = title_spans(fitted(COLUMNS, 33), "unit", descending=True)
+    assert text.startswith("univ text")
+
+
+def test_spans_are_cut_at_a_width() -> None:
+    assert cut_spans([("abc", "red"), ("def", "")], 5) == [("abc", "red"), ("..", "dim")]
+    assert cut_spans([("abc", "red")], 5) == [("abc", "red"), ("  ", "")]
+
+
+def test_all_cells_are_searched() -> None:
+    row = {"unit": "1", "text": [("a", ""), ("b", "")], "ms": "2", "more": "3", "rare": "4"}
+    assert row_text(row, COLUMNS, DrawContext()) == "1 ab 2 3 4"

@@ -1,0 +1,206 @@
+"""The cells of polls, points, transactions, troubles and slaves, and their details."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from mbtool.core import EventKind, WireEvent
+from mbtool.devices import PointValue
+from mbtool.modbus import Outcome, Transport, Verdict, ascii_adu
+from mbtool.views.watch_columns import DrawContext, WatchColumn, row_text
+from mbtool.views.watch_detail import record_detail, slave_detail
+from mbtool.views.watch_polls import POINT_COLUMNS, POLL_COLUMNS, poll_values
+from mbtool.views.watch_records import RECORD_COLUMNS, SLAVE_COLUMNS, TROUBLE_COLUMNS, slave_state
+from mbtool.watching.board import Board
+from mbtool.watching.board_rows import point_rows, poll_rows, record_rows, slave_rows, trouble_rows
+from mbtool.watching.value_formats import ValueFormat
+from mbtool.watching.watched_rows import KeptRecord
+from tests.overview.masters import MS, START_NS
+from tests.overview.requests import request, unanswered
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from mbtool.views.watch_columns import Spans
+    from mbtool.watching.watched_rows import Record
+
+NOISE = WireEvent(
+    ts_ns=START_NS, link="line", kind=EventKind.SKIPPED, message="noise", raw=b"\xfe\xfd"
+)
+
+
+def board_of(*records: Record) -> Board:
+    board = Board()
+    for order, record in enumerate(records, 1):
+        board.add(KeptRecord(order, order, record))
+    return board
+
+
+def read(at_ms: float, *values: int, **fields: Any) -> Record:
+    return request(at_ms, **{"response_values": list(values), "quantity": len(values), **fields})
+
+
+def text_of(spans: Spans) -> str:
+    return "".join(text for text, _ in spans)
+
+
+def lines_of(lines: Sequence[Spans]) -> str:
+    return "\n".join(map(text_of, lines))
+
+
+def cell(columns: tuple[WatchColumn, ...], name: str, row: Any, context: DrawContext) -> str:
+    (column,) = (one for one in columns if one.name == name)
+    made = column.cell(row, context)
+    return made if isinstance(made, str) else text_of(made)
+
+
+def test_changed_values_of_a_poll_are_lit_and_fade() -> None:
+    (row,) = poll_rows(board_of(read(0, 1, 2), read(100, 1, 3)))
+    for after_ms, style in ((200, "bold reverse"), (3000, "bold yellow"), (9000, "")):
+        context = DrawContext(now_ns=START_NS + after_ms * MS)
+        assert poll_values(row, context)[2] == ("3", style)
+        assert poll_values(row, context)[0] == ("1", "")
+
+
+def test_a_poll_in_the_format_of_its_row() -> None:
+    (row,) = poll_rows(board_of(read(0, 0x4148, 0)))
+    context = DrawContext(formats={row.key: ValueFormat.FLOAT_ABCD})
+    assert text_of(poll_values(row, context)) == "12.5 "
+
+
+def test_bits_are_shown_in_groups() -> None:
+    bits = [1, 0] * 6
+    (row,) = poll_rows(board_of(read(0, *bits, function=1)))
+    assert text_of(poll_values(row, DrawContext())) == "10101010 1010"
+
+
+def test_a_poll_with_an_error_shows_it_before_the_last_values() -> None:
+    (row,) = poll_rows(board_of(read(0, 7), unanswered(100, quantity=1)))
+    assert text_of(poll_values(row, DrawContext())) == "no answer last 7 "
+
+
+def test_named_points_that_changed_come_first() -> None:
+    def points(second: str) -> list[PointValue]:
+        return [
+            PointValue(name="CH1 value", reference="D1", value=1, text="1 V"),
+            PointValue(name="CH2 value", reference="D2", value=float(second), text=f"{second} V"),
+        ]
+
+    (row,) = poll_rows(
+        board_of(read(0, 1, 2, points=points("2")), read(9, 1, 3, points=points("3")))
+    )
+    spans = poll_values(row, DrawContext(now_ns=START_NS + 100 * MS))
+    assert spans[0] == ("CH2 value 3 V", "bold reverse")
+    assert text_of(spans).endswith("CH1 value: 1 V")
+
+
+def test_an_age_is_lit_when_a_poll_is_overdue() -> None:
+    board = board_of(*(read(at, 1, transport=Transport.TCP) for at in range(0, 500, 100)))
+    board.advance(None)
+    (row,) = poll_rows(board)
+    (age,) = (one for one in POLL_COLUMNS if one.name == "age")
+    late = DrawContext(now_ns=START_NS + 1000 * MS)
+    assert age.cell(row, late) == [("0.6s", "bold yellow")]
+    assert age.cell(row, DrawContext(now_ns=START_NS + 500 * MS)) == [("0.1s", "")]
+    late.is_over = True
+    assert age.cell(row, late) == [("0.6s", "")]
+
+
+def test_every_cell_of_every_view_can_be_made_and_sorted() -> None:
+    board = board_of(
+        read(0, 1, 2),
+        read(9, 3, 2, findings=["MB-101"]),
+        NOISE,
+        unanswered(20, unit=2),
+        request(30, unit=3, outcome=Outcome.EXCEPTION, exception=2, exception_name="x"),
+        request(40, function=0x2B, sub_function=0x0E, address=None, quantity=None),
+    )
+    context = DrawContext(now_ns=START_NS + 1000 * MS)
+    for columns, rows in (
+        (POLL_COLUMNS, poll_rows(board)),
+        (POINT_COLUMNS, point_rows(board)),
+        (RECORD_COLUMNS, record_rows(board)),
+        (SLAVE_COLUMNS, slave_rows(board)),
+        (TROUBLE_COLUMNS, trouble_rows(board)),
+    ):
+        assert rows
+        for column in columns:
+            assert len(sorted(rows, key=column.sort)) == len(rows)
+        for row in rows:
+            assert row_text(row, columns, context)
+
+
+def test_a_point_in_a_format_and_with_its_value_before() -> None:
+    first, _ = point_rows(board_of(read(0, 1, 2), read(9, 65535, 2)))
+    context = DrawContext(formats={first.key: ValueFormat.SIGNED})
+    assert cell(POINT_COLUMNS, "value", first, context) == "-1"
+    assert cell(POINT_COLUMNS, "before", first, context) == "1"
+    context.formats[first.key] = ValueFormat.FLOAT_CDAB
+    assert cell(POINT_COLUMNS, "value", first, context) == "2.755051e-40"  # 0002FFFFH
+
+
+def test_a_transaction_has_its_findings_and_its_mark() -> None:
+    board = board_of(read(0, 1, reference="D1", findings=["MB-101"]))
+    (row,) = record_rows(board)
+    context = DrawContext(marked={1})
+    assert cell(RECORD_COLUMNS, "text", row, context) == "03 read D1 -> 1 ! MB-101"
+    assert cell(RECORD_COLUMNS, "mark", row, context) == "*"
+    assert cell(RECORD_COLUMNS, "sure", row, context) == "100 %"
+
+
+def test_the_state_of_a_slave_is_in_words() -> None:
+    def state(*records: Record) -> str:
+        return text_of(slave_state(slave_rows(board_of(*records))[0], DrawContext()))
+
+    fails = request(5, outcome=Outcome.EXCEPTION, exception=2)
+    assert state(read(0, 1)) == "answers"
+    assert state(unanswered(0)) == "never answered"
+    assert state(read(0, 1), unanswered(5)) == "no answer since 00:00:00"
+    assert state(unanswered(0), read(5, 1)) == "answers; 50 % missing"
+    assert state(read(0, 1), fails) == "answers; 50 % errors"
+
+
+def test_the_detail_names_fields_and_says_why_and_how_sure() -> None:
+    record = read(0, 1, confidence=0.75, verdicts=[Verdict.AMBIGUOUS], findings=["MB-101"],
+                  points=[PointValue(name="CH1", reference="D1", value=1, text="1 V")])  # fmt: skip
+    text = lines_of(record_detail(KeptRecord(1, 1, record), None, 80))
+    assert "request  01 03 00 00 00 0a c5 cd" in text
+    assert "unit 1 function 03H address 0 quantity 10 CRC" in text
+    assert "direction by form: only one direction can have this form; sure to 75 %" in text
+    assert "ambiguous: another reading is nearly as likely" in text
+    assert "MB-101 " in text
+    assert "D1 CH1: 1 V" in text
+    assert "answered after 5.0 ms" in text
+
+
+def test_the_detail_of_an_ascii_frame_has_its_characters() -> None:
+    record = read(
+        0,
+        1,
+        transport=Transport.ASCII,
+        request_raw=ascii_adu(1, b"\x03\0\0\0\1"),
+        response_raw=None,
+    )
+    text = lines_of(record_detail(KeptRecord(1, 1, record), None, 80))
+    assert ": 01 03 0000 0001 FB CRLF" in text
+    assert "address 0 quantity 1 LRC" in text
+    assert "response none" in text
+
+
+def test_the_detail_of_an_event_has_its_bytes() -> None:
+    text = lines_of(record_detail(KeptRecord(1, None, NOISE), None, 80))
+    assert "skipped" in text
+    assert "fe fd" in text
+
+
+def test_no_line_of_a_detail_is_wider_than_the_screen() -> None:
+    record = read(0, *range(100), response_raw=bytes(range(200)), reference="x" * 30)
+    for line in record_detail(KeptRecord(1, 1, record), None, 78)[1:]:
+        assert len(text_of(line).rstrip()) <= 78
+
+
+def test_the_detail_of_a_slave_has_its_counts() -> None:
+    (row,) = slave_rows(board_of(read(0, 1), unanswered(5)))
+    text = lines_of(slave_detail(row, 100))
+    assert "asked 2, answered 1, exceptions 0, missing 1" in text
+    assert "no answer since 00:00:00.005 UTC" in text

@@ -1,0 +1,172 @@
+"""What a board keeps of records, and what that costs."""
+
+from __future__ import annotations
+
+import sys
+from typing import TYPE_CHECKING, Any
+
+from mbtool.core import EventKind, WireEvent
+from mbtool.devices import PointValue
+from mbtool.modbus import Outcome
+from mbtool.watching import board as limits
+from mbtool.watching.board import Board
+from mbtool.watching.board_rows import point_rows, poll_rows, record_rows, slave_rows, trouble_rows
+from mbtool.watching.watched_rows import KeptRecord
+from tests.overview.masters import MS, START_NS
+from tests.overview.requests import LINE, request, unanswered
+
+if TYPE_CHECKING:
+    import pytest
+
+    from mbtool.watching.watched_rows import Record
+
+CALLS_PER_TRANSACTION = 40
+"""The most calls of Python functions that a board spends on one transaction of a steady poll."""
+
+
+def board_of(*records: Record) -> Board:
+    board = Board(lambda _: LINE)
+    for order, record in enumerate(records, 1):
+        board.add(KeptRecord(order, order, record))
+    return board
+
+
+def read(at_ms: float, *values: int, **fields: Any) -> Record:
+    return request(at_ms, **{"response_values": list(values), "quantity": len(values), **fields})
+
+
+def test_a_poll_is_one_row_with_its_last_values_and_what_changed() -> None:
+    board = board_of(read(0, 1, 2), read(100, 1, 3), read(200, 1, 3))
+    (row,) = poll_rows(board)
+    assert (row.asked, row.values) == (3, [1, 3])
+    assert row.changed_ns == (0, START_NS + 100 * MS)
+    assert row.last_ns == START_NS + 200 * MS
+
+
+def test_values_of_another_number_have_all_changed() -> None:
+    board = board_of(read(0, 1, 2), read(100, 1, quantity=2))
+    (row,) = poll_rows(board)
+    assert row.changed_ns == (START_NS + 100 * MS,)
+
+
+def test_an_error_keeps_the_last_values() -> None:
+    board = board_of(read(0, 7), unanswered(100, quantity=1))
+    (row,) = poll_rows(board)
+    assert (row.values, row.errors, row.missing) == ([7], 1, 1)
+    assert row.latencies == (5 * MS, None)
+
+
+def test_the_period_is_known_once_requests_are_in_order() -> None:
+    board = board_of(*(read(at, 1) for at in range(0, 1000, 100)))
+    assert poll_rows(board)[0].period_ns == 0
+    board.advance(None)
+    assert poll_rows(board)[0].period_ns == 100 * MS
+
+
+def test_registers_without_names_are_points_by_their_address() -> None:
+    board = board_of(read(0, 5, 6, address=10), read(100, 5, 9, address=10))
+    first, second = point_rows(board)
+    assert (first.reference, first.text, first.changes) == ("holding 10", "5", 0)
+    assert (second.reference, second.text, second.before) == ("holding 11", "9", "6")
+    assert (second.changes, second.changed_ns) == (1, START_NS + 100 * MS)
+    assert list(second.history) == [6, 9]
+    assert first.last_ns == START_NS + 100 * MS
+
+
+def test_a_register_knows_the_one_behind_it_for_a_float() -> None:
+    first, second = point_rows(board_of(read(0, 5, 6)))
+    assert (first.pair, second.pair) == ((5, 6), None)
+
+
+def test_a_named_value_is_a_point_by_its_name() -> None:
+    def point(text: str, value: float) -> PointValue:
+        return PointValue(name="CH1 value", reference="D1", value=value, text=text, unit="V")
+
+    board = board_of(
+        read(0, 1, points=[point("1 V", 1)], device="x"),
+        read(100, 2, points=[point("2 V", 2)], device="x"),
+    )
+    (row,) = point_rows(board)
+    assert (row.name, row.text, row.before, row.value_unit) == ("CH1 value", "2 V", "1 V", "V")
+    assert poll_rows(board)[0].points_changed_ns == {"CH1 value": START_NS + 100 * MS}
+
+
+def test_a_write_gives_the_value_that_it_writes_only_if_it_took_effect() -> None:
+    write: dict[str, Any] = {"function": 6, "quantity": None, "address": 3}
+    board = board_of(
+        request(0, request_values=[1], response_values=None, **write),
+        request(9, request_values=[2], outcome=Outcome.EXCEPTION, exception=2, **write),
+    )
+    (row,) = point_rows(board)
+    assert (row.text, row.is_written) == ("1", True)
+
+
+def test_a_read_and_write_gives_what_it_reads_and_what_it_writes() -> None:
+    board = board_of(
+        read(0, 7, function=0x17, address=1, write_address=5, write_quantity=1, request_values=[9])
+    )
+    rows = {row.reference: (row.text, row.is_written) for row in point_rows(board)}
+    assert rows == {"holding 1": ("7", False), "holding 5": ("9", True)}
+
+
+def test_a_slave_is_silent_since_the_first_request_without_answer() -> None:
+    board = board_of(read(0, 1), unanswered(100), unanswered(200))
+    (row,) = slave_rows(board)
+    assert (row.asked, row.answered, row.missing) == (3, 1, 2)
+    assert row.silent_since_ns == START_NS + 100 * MS
+    board.add(KeptRecord(4, 4, read(300, 1)))
+    assert slave_rows(board)[0].silent_since_ns is None
+
+
+def test_findings_and_events_are_counted_by_kind_and_unit() -> None:
+    event = WireEvent(ts_ns=START_NS, link="line", kind=EventKind.SKIPPED, message="noise")
+    board = board_of(read(0, 1, findings=["MB-101"]), event, read(9, 1, findings=["MB-101"]))
+    noise, finding = trouble_rows(board)
+    assert (noise.code, noise.unit, noise.times, noise.is_finding) == ("skipped", None, 1, False)
+    assert (finding.code, finding.unit, finding.times, finding.is_finding) == ("MB-101", 1, 2, True)
+
+
+def test_the_oldest_record_gives_way() -> None:
+    board = Board(kept=3)
+    for order in range(1, 6):
+        board.add(KeptRecord(order, order, read(order, 1)))
+    assert [row.key for row in record_rows(board)] == [3, 4, 5]
+    assert board.transactions == 5
+
+
+def test_points_slaves_and_troubles_beyond_their_limits_are_counted(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for name in ("MAX_POINTS", "MAX_SLAVES", "MAX_TROUBLES"):
+        monkeypatch.setattr(limits, name, 1)
+    board = board_of(
+        read(0, 1, findings=["MB-101"]), read(1, 1, unit=2, address=7, findings=["MB-102"])
+    )
+    assert (len(board.points), len(board.slaves), len(board.troubles)) == (1, 1, 1)
+    assert board.left_out == 3
+
+
+def test_a_poll_that_was_not_asked_for_longest_gives_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(limits, "MAX_POLLS", 2)
+    board = board_of(*(read(at, 1, address=at) for at in (1, 2, 1, 3)))
+    assert [row.poll.address for row in poll_rows(board)] == [1, 3]
+
+
+def test_a_steady_poll_costs_few_calls() -> None:
+    board = Board(lambda _: LINE)
+    records = [KeptRecord(n, n, read(n, *range(10), address=n % 20)) for n in range(1, 1101)]
+    for kept in records[:100]:
+        board.add(kept)
+    calls = 0
+
+    def count(_frame: object, event: str, _arg: object) -> None:
+        nonlocal calls
+        calls += event == "call"
+
+    sys.setprofile(count)
+    try:
+        for kept in records[100:]:
+            board.add(kept)
+    finally:
+        sys.setprofile(None)
+    assert 1000 < calls <= CALLS_PER_TRANSACTION * 1000, calls

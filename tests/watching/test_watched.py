@@ -1,0 +1,96 @@
+"""The whole and the filtered board."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from mbtool.core import EventKind, WireEvent
+from mbtool.watching import watched as limits
+from mbtool.watching.watched import Watched
+from tests.overview.masters import MS, START_NS
+from tests.overview.requests import LINE, request
+
+if TYPE_CHECKING:
+    import pytest
+
+EVENT = WireEvent(ts_ns=START_NS, link="line", kind=EventKind.SKIPPED, message="noise")
+
+
+def test_a_filter_takes_the_kept_records_and_those_that_come() -> None:
+    watched = Watched()
+    watched.add(request(0, unit=1))
+    watched.add(request(1, unit=2))
+    watched.set_filter(lambda one: one.unit == 2)
+    watched.add(request(2, unit=2))
+    watched.add(request(3, unit=1))
+    assert watched.filtered is not None
+    assert [kept.number for kept in watched.filtered.records] == [2, 3]
+    assert watched.whole.transactions == 4
+    watched.set_filter(None)
+    assert watched.filtered is None
+
+
+def test_an_event_is_counted_under_a_filter_but_not_listed() -> None:
+    watched = Watched()
+    watched.add(EVENT)
+    watched.set_filter(lambda one: one.unit == 1)
+    assert watched.filtered is not None
+    assert (len(watched.filtered.records), watched.filtered.events) == (0, 1)
+    assert list(watched.filtered.troubles) == [("skipped", "line", None)]
+
+
+def test_a_filter_counts_from_the_oldest_record_that_is_kept() -> None:
+    watched = Watched(kept=2)
+    for at in range(5):
+        watched.add(request(at))
+    watched.set_filter(lambda _: True)
+    assert watched.filtered is not None
+    assert (watched.filtered.transactions, watched.filtered_from) == (2, 3)
+
+
+def test_a_filter_that_comes_late_knows_the_periods() -> None:
+    watched = Watched(lambda _: LINE)
+    for at in range(0, 500, 100):
+        watched.add(request(at))
+    watched.advance(None)
+    watched.set_filter(lambda _: True)
+    assert watched.filtered is not None
+    (poll,) = watched.filtered.statistics.polls.values()
+    assert poll.period.percentile(50) == 100 * MS
+
+
+def test_numbers_are_those_of_transactions_and_orders_those_of_all_records() -> None:
+    watched = Watched()
+    for record in (request(0), EVENT, request(1)):
+        watched.add(record)
+    assert [(kept.order, kept.number) for kept in watched.whole.records] == [
+        (1, 1),
+        (2, None),
+        (3, 2),
+    ]
+
+
+def test_a_mark_is_taken_away_by_the_second_and_marks_are_limited(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(limits, "MAX_MARKED", 1)
+    watched = Watched()
+    watched.add(request(0))
+    watched.add(request(1))
+    first, second = watched.whole.records
+    assert watched.mark(first)
+    assert not watched.mark(second)
+    assert watched.mark(first)
+    assert watched.marked == {}
+
+
+def test_a_restart_keeps_the_filter_and_the_marks() -> None:
+    watched = Watched()
+    watched.add(request(0))
+    watched.mark(watched.whole.records[0])
+    watched.set_filter(lambda one: one.unit == 1)
+    watched.restart()
+    assert watched.whole.transactions == 0
+    watched.add(request(0))
+    assert watched.filtered is not None
+    assert (watched.filtered.transactions, list(watched.marked)) == (1, [1])
