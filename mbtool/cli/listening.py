@@ -54,6 +54,8 @@ def sniffer_of(
     allowed: AllowedPeers,
     begin: Callable[[], Log] | None = None,
     on_remark: Callable[[str], None] | None = None,
+    *,
+    reconnects: bool = False,
 ) -> Sniffer:
     """Make a sniffer that gives `on_remark` a message when something goes wrong.
 
@@ -71,5 +73,6 @@ def sniffer_of(
         begin_log=begin,
         ports=[] if ports.any_port else [*ports.ports, *ports.rtu_ports],
         allowed=allowed,
+        reconnects=reconnects,
         on_remark=on_remark or (lambda text: say(f"mbtool: {text}")),
     )

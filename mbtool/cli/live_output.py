@@ -6,11 +6,13 @@
 
 from __future__ import annotations
 
+import errno
 from typing import TYPE_CHECKING, TextIO
 
 from mbtool.cli.output import RecordOutput, told_as_lost
 from mbtool.cli.talk import say
 from mbtool.cli.view_queue import ViewQueue, unwaited
+from mbtool.core import OutputError
 from mbtool.core.wording import counted
 
 if TYPE_CHECKING:
@@ -88,8 +90,16 @@ class LiveOutput(RecordOutput):
             with told_as_lost(self._name):
                 for write in writes:
                     write()
-        except BrokenPipeError:
-            if not self._is_kept:
+        except (BrokenPipeError, OutputError) as error:
+            # A terminal that is gone gives EIO instead of EPIPE.
+            is_gone = isinstance(error, BrokenPipeError) or _number(error) == errno.EIO
+            if not self._is_kept or not is_gone:
                 raise
             self._has_reader = False
             say(f"mbtool: nobody reads {self._name} any more; the recording goes on")
+
+
+def _number(error: OutputError) -> int | None:
+    """The system's error number behind an error."""
+    cause = error.__cause__
+    return cause.errno if isinstance(cause, OSError) else None

@@ -71,6 +71,13 @@ def sniff(
             help="Write FILE-0001.mcap, and go on in the next file at this size or age.",
         ),
     ] = None,
+    reconnect: Annotated[
+        bool,
+        typer.Option(
+            "--reconnect/--no-reconnect",
+            help="Open a serial port or an interface that is lost again when it is back.",
+        ),
+    ] = True,
     ports: PortOptions,
     silences: SilenceOptions,
     format_: Annotated[Format, typer.Option("--format", help="How to print.")] = Format.TABLE,
@@ -125,7 +132,7 @@ def sniff(
             **tcp_ports._asdict(),
         )
         begin = partial(begin_checked, create, timing, serial_lines(specs), tcp_ports.expected)
-    sniffer = sniffer_of(specs, timing, tcp_ports, allowed, begin)
+    sniffer = sniffer_of(specs, timing, tcp_ports, allowed, begin, reconnects=reconnect)
     with interruptible() as interrupt, never_waiting(), ExitStack() as opened:
         is_hurried = partial(getattr, interrupt, "asked")
         live = partial(LiveOutput, is_kept=write is not None, is_hurried=is_hurried)

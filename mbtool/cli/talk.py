@@ -83,7 +83,7 @@ def redrawn_line(wipe: Callable[[], None]) -> Iterator[None]:
 
 
 class Interrupt:
-    """The user's wish to stop the command, given by a signal (Ctrl-C or SIGTERM)."""
+    """The user's wish to stop the command, given by a signal (Ctrl-C, SIGTERM or SIGHUP)."""
 
     # `ask` runs as a signal handler, at any line of the main thread, also while `wait` runs. So it
     # takes no lock that `wait` may hold: Event.set() would, and Ctrl-C could hang the program.
@@ -127,11 +127,16 @@ class Interrupt:
 
 @contextmanager
 def interruptible() -> Iterator[Interrupt]:
-    """While the context is open, only note Ctrl-C and SIGTERM; the command ends when ready."""
+    """While the context is open, only note Ctrl-C, SIGTERM and SIGHUP (the terminal is gone).
+
+    The command ends when ready. A SIGHUP that is ignored, as under nohup, stays ignored.
+    """
     interrupt = Interrupt()
-    before = {
-        number: signal.signal(number, interrupt.ask) for number in (signal.SIGINT, signal.SIGTERM)
-    }
+    numbers = [signal.SIGINT, signal.SIGTERM]
+    hangup = getattr(signal, "SIGHUP", None)  # Windows has none.
+    if hangup is not None and signal.getsignal(hangup) is not signal.SIG_IGN:
+        numbers.append(hangup)
+    before = {number: signal.signal(number, interrupt.ask) for number in numbers}
     try:
         yield interrupt
     finally:

@@ -39,6 +39,7 @@ from mbtool.packets import StreamClosed, StreamEvent, StreamGap, StreamItem, Str
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from contextlib import AbstractContextManager
 
 DEFAULT_LIMIT = 64 * 2**20
 STANDSTILL_S = 0.05
@@ -62,6 +63,12 @@ class Sink(Protocol):
     """Something that a source can put its items into, such as an Inbox."""
 
     def put(self, item: Item) -> object: ...
+
+
+class PatientSink(Sink, Protocol):
+    """A sink whose consumer waits while a source fetches."""
+
+    def first(self) -> AbstractContextManager[None]: ...
 
 
 class Inbox:

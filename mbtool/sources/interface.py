@@ -43,7 +43,7 @@ from mbtool.core import EventKind, InterfaceLink, LinkError, Packet, Quiet, Wire
 from mbtool.core.link_spec import ANY_INTERFACE, MODBUS_PORT
 from mbtool.core.local_ports import Trouble
 from mbtool.ports.clock import ClockWatch, now_ns
-from mbtool.sources.inbox import Ended, Inbox
+from mbtool.sources.inbox import Ended, PatientSink
 from mbtool.sources.port_filter import drop_everything, port_filter
 from mbtool.sources.source import LiveSource
 
@@ -111,10 +111,10 @@ class InterfaceSource(LiveSource[InterfaceLink]):
     Entering the context raises LinkError if an interface cannot be listened to.
     """
 
-    _inbox: Inbox
+    _inbox: PatientSink
 
     def __init__(
-        self, link: InterfaceLink, inbox: Inbox, *, ports: Sequence[int] = (MODBUS_PORT,)
+        self, link: InterfaceLink, inbox: PatientSink, *, ports: Sequence[int] = (MODBUS_PORT,)
     ) -> None:
         super().__init__(link, inbox)
         self._ports = ports

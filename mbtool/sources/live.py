@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from mbtool.core import AutoLink, InterfaceLink, LinkSpec, SerialLink, TapLink, TcpLink, UsageError
@@ -12,9 +13,9 @@ from mbtool.core.link_spec import MODBUS_PORT
 from mbtool.ports.allowed_peers import THIS_MACHINE, AllowedPeers
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
-    from mbtool.sources.inbox import Inbox
+    from mbtool.sources.inbox import Inbox, PatientSink
     from mbtool.sources.source import LiveSource
 
 
@@ -24,26 +25,22 @@ def live_source(
     *,
     ports: Sequence[int] = (MODBUS_PORT,),
     allowed: AllowedPeers = THIS_MACHINE,
+    returns: bool = False,
 ) -> LiveSource[Any]:
     """Return the source for a link, not yet open.
 
     `ports` are the TCP ports whose packets are captured from an interface; if it is empty, packets
-    of all ports. `allowed` are the machines that may connect to a tap. Raises UsageError for a link
+    of all ports. `allowed` are the machines that may connect to a tap. With `returns`, a serial
+    port or an interface that is lost is opened again when it is back. Raises UsageError for a link
     that cannot be captured.
     """
+    if returns and isinstance(link, SerialLink | InterfaceLink):
+        from mbtool.sources.returning import ReturningSource
+
+        return ReturningSource(link, inbox, partial(_source, link, ports))
     match link:
-        case SerialLink(slave_port=str(), is_relay=False):
-            from mbtool.sources.two_taps import TwoTapsSource
-
-            return TwoTapsSource(link, inbox)
-        case SerialLink():
-            from mbtool.sources.serial_capture import SerialSource
-
-            return SerialSource(link, inbox)
-        case InterfaceLink():
-            from mbtool.sources.interface import InterfaceSource
-
-            return InterfaceSource(link, inbox, ports=ports)
+        case SerialLink() | InterfaceLink():
+            return _source(link, ports, inbox, {})
         case TapLink():
             from mbtool.sources.tap import TapSource
 
@@ -55,3 +52,24 @@ def live_source(
                 f"link {link}: an endpoint cannot be listened to; put a tap before it "
                 f"(tap:127.0.0.1:1502={link.endpoint}) or capture its interface (net:eth0)"
             )
+
+
+def _source(
+    link: SerialLink | InterfaceLink,
+    ports: Sequence[int],
+    inbox: PatientSink,
+    places: Mapping[str, str],
+) -> LiveSource[Any]:
+    match link:
+        case SerialLink(slave_port=str(), is_relay=False):
+            from mbtool.sources.two_taps import TwoTapsSource
+
+            return TwoTapsSource(link, inbox, places=places)
+        case SerialLink():
+            from mbtool.sources.serial_capture import SerialSource
+
+            return SerialSource(link, inbox, places=places)
+        case InterfaceLink():
+            from mbtool.sources.interface import InterfaceSource
+
+            return InterfaceSource(link, inbox, ports=ports)

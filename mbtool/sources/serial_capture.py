@@ -18,6 +18,7 @@ from mbtool.sources.source import LiveSource
 
 if TYPE_CHECKING:
     import subprocess
+    from collections.abc import Mapping
 
     from mbtool.sources.inbox import Sink
 
@@ -32,17 +33,24 @@ class SerialSource(LiveSource[SerialLink]):
     """
 
     def __init__(
-        self, link: SerialLink, inbox: Sink, speaker: Direction = Direction.UNKNOWN
+        self,
+        link: SerialLink,
+        inbox: Sink,
+        speaker: Direction = Direction.UNKNOWN,
+        *,
+        places: Mapping[str, str] | None = None,
     ) -> None:
         """`speaker` says whose bytes the port receives: the master's (REQUEST), the slaves'
         (RESPONSE) or both (UNKNOWN).
 
         If the link has two ports, `speaker` chooses the port. A serial tap reads both ports and
-        ignores `speaker`.
+        ignores `speaker`. `places` says under which path a port of the link is found, if not under
+        its own.
         """
         super().__init__(link, inbox)
         self._speaker = Direction.REQUEST if link.is_relay else speaker
-        self._port = link.ports[-1] if speaker is Direction.RESPONSE else link.port
+        self._ports = [(places or {}).get(port, port) for port in link.ports]
+        self._port = self._ports[-1 if speaker is Direction.RESPONSE else 0]
         self._first_record = Event()
         self._is_open = False
         self._is_closing = False
@@ -73,7 +81,7 @@ class SerialSource(LiveSource[SerialLink]):
     def _start_child(self) -> subprocess.Popen[bytes]:
         settings = str(self._link.format)
         if self._link.is_relay:
-            return start_child("mbtool.sources.serial_relay", *self._link.ports, settings)
+            return start_child("mbtool.sources.serial_relay", *self._ports, settings)
         return start_child("mbtool.sources.serial_reader", self._port, settings)
 
     def _carry(self, child: subprocess.Popen[bytes]) -> None:

@@ -19,6 +19,8 @@ from mbtool.sources.serial_capture import SerialSource
 from mbtool.sources.source import LiveSource
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from mbtool.sources.inbox import Item, Sink
 
 
@@ -28,11 +30,14 @@ class TwoTapsSource(LiveSource[SerialLink]):
     Entering the context raises LinkError if a port cannot be opened.
     """
 
-    def __init__(self, link: SerialLink, inbox: Sink) -> None:
+    def __init__(
+        self, link: SerialLink, inbox: Sink, *, places: Mapping[str, str] | None = None
+    ) -> None:
+        """`places` says under which path a port of the link is found, if not under its own."""
         super().__init__(link, inbox)
         self._lock = Lock()
         self._taps = {
-            speaker: SerialSource(link, _Tap(self, speaker), speaker)
+            speaker: SerialSource(link, _Tap(self, speaker), speaker, places=places)
             for speaker in (Direction.REQUEST, Direction.RESPONSE)
         }
         self._known_ns = dict.fromkeys(self._taps, 0)

@@ -66,11 +66,14 @@ class Sniffer:
         begin_log: Callable[[], Log] | None = None,
         ports: Sequence[int] = (),
         allowed: AllowedPeers = THIS_MACHINE,
+        reconnects: bool = False,
         on_remark: Callable[[str], None] = lambda _: None,
     ) -> None:
-        """`on_remark` gets a line for the user in these cases.
+        """With `reconnects`, a serial port or an interface that is lost is opened again when it is
+        back; without, it ends.
 
-        A link is lost while others remain open. A source has lost bytes or packets, so that the log
+        `on_remark` gets a line for the user in these cases. A link is lost while others remain
+        open, or comes back. A source has lost bytes or packets, so that the log
         lacks them. A tap refuses a master (reported once for each reason, until a master is served
         again). At the end: packets were cut, requests were dropped by a limit, or a part of what
         was heard is not decoded.
@@ -81,6 +84,7 @@ class Sniffer:
         self._recorder: Recorder | None = None
         self._ports = ports
         self._allowed = allowed
+        self._reconnects = reconnects
         self._on_remark = on_remark
         self._refusals = Refusals()
         self._missing = MissingParts()
@@ -108,7 +112,13 @@ class Sniffer:
             opened.enter_context(begun_run())
             self._clocks = ClockWatch()
             for link in self._links:
-                source = live_source(link, self._inbox, ports=self._ports, allowed=self._allowed)
+                source = live_source(
+                    link,
+                    self._inbox,
+                    ports=self._ports,
+                    allowed=self._allowed,
+                    returns=self._reconnects,
+                )
                 self.sources.append(opened.enter_context(source))
             if self._begin_log is not None:
                 self._recorder = Recorder(self._inbox, self._begin_log(), now_ns)
@@ -174,16 +184,20 @@ class Sniffer:
     def _take(self, item: Evidence) -> list[Record]:
         """Decode an item; return its records, which the log has or gets."""
         self._missing.note_item(item)
-        if isinstance(item, WireEvent) and item.kind is EventKind.DISCARDED:
-            self._tell_loss(item)
+        if isinstance(item, WireEvent):
+            self._tell_event(item)
         records = self._logged(self._decoder.feed(item))
         if self._recorder is not None:
             self._recorder.note_decoded(item)
         return records
 
-    def _tell_loss(self, event: WireEvent) -> None:
-        if event.packets or event.missing:
+    def _tell_event(self, event: WireEvent) -> None:
+        """Tell the user that a source has lost bytes or packets, or its link, or found it again."""
+        is_loss = event.kind is EventKind.DISCARDED and (event.packets or event.missing)
+        if is_loss:
             self._on_remark(f"{event.link}: {event.message}")
+        elif event.kind is EventKind.GAP:
+            self._on_remark(event.message)
 
     def _rest(self, is_hurried: Callable[[], bool]) -> Iterator[Record]:
         """Close the sources, and yield the records of all bytes that they had received.

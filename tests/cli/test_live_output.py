@@ -88,6 +88,19 @@ def test_a_reader_that_leaves_is_told_once_if_a_log_keeps_the_rows(
     assert output.sentence() == "2 transactions: 2 ok"
 
 
+def test_a_terminal_that_is_gone_is_a_reader_that_has_left(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    reading, writing = os.openpty()
+    with output_to(writing) as output:
+        os.close(reading)
+        output.add(transaction())
+        output.finish()
+    os.close(writing)
+    told = "mbtool: nobody reads the pipe any more; the recording goes on\n"
+    assert capsys.readouterr().err == told
+
+
 def test_a_reader_that_leaves_ends_a_run_whose_rows_nothing_keeps() -> None:
     reading, writing = os.pipe()
     with output_to(writing, is_kept=False) as output:

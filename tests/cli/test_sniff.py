@@ -63,7 +63,7 @@ def _logged(path: Path) -> list[NamedTransaction]:
         return found
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_leaves_a_complete_log(bench: Bench, tmp_path: Path, number: int) -> None:
     path = tmp_path / "a.mcap"
     with Program("sniff", bench.tap(), "-w", path) as program:

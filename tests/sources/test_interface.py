@@ -6,7 +6,6 @@ import os
 import socket
 import subprocess
 import sys
-import time
 from threading import Event
 from typing import TYPE_CHECKING
 
@@ -16,6 +15,7 @@ from hypothesis import strategies as st
 
 from mbtool.core import EventKind, InterfaceLink, LinkError, Packet, Quiet, WireEvent
 from mbtool.packets.segment import RST
+from mbtool.ports.clock import now_ns
 from mbtool.sources import interface
 from mbtool.sources.inbox import Ended, Inbox
 from mbtool.sources.interface import InterfaceSource, _program
@@ -80,11 +80,11 @@ def test_hears_each_packet_once_with_a_time_between_sending_and_hearing(
     inbox = Inbox()
     request = b"\x00\x01\x00\x00\x00\x06\x11\x03\x00\x6b\x00\x03"
     with InterfaceSource(InterfaceLink(("lo",)), inbox, ports=[port]):
-        before_ns = time.time_ns()
+        before_ns = now_ns()
         master.sendall(request)
         assert slave.recv(100) == request
         heard = take_until(inbox, lambda item: isinstance(item, Packet) and request in item.data)
-        heard_ns = time.time_ns()
+        heard_ns = now_ns()
         slave.sendall(b"answer")
         assert master.recv(100) == b"answer"
         later = take_until(inbox, lambda item: isinstance(item, Packet) and b"answer" in item.data)

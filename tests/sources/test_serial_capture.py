@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import signal
 import sys
-import time
 from typing import TYPE_CHECKING
 
 import pytest
@@ -20,6 +19,7 @@ from mbtool.core import (
     Stamp,
     WireEvent,
 )
+from mbtool.ports.clock import now_ns
 from mbtool.ports.serial_records import RecordKind, SerialRecord
 from mbtool.sources.inbox import Ended, Inbox
 from mbtool.sources.serial_capture import SerialSource
@@ -74,10 +74,10 @@ def test_every_byte_arrives_in_order_with_the_time_of_its_read(pty: tuple[int, s
     chunks = []
     with source_on(port, inbox):
         for number in range(100):
-            before_ns = time.time_ns()
+            before_ns = now_ns()
             os.write(near, bytes([number, 0xFF, 0x11]))
             heard = take_bytes(inbox, 3)
-            after_ns = time.time_ns()
+            after_ns = now_ns()
             assert all(before_ns <= chunk.ts_ns <= after_ns for chunk in heard)
             chunks += heard
     expected = b"".join(bytes([number, 0xFF, 0x11]) for number in range(100))
@@ -116,7 +116,7 @@ def test_bytes_that_the_driver_lost_are_told() -> None:
 
 def test_a_silent_line_tells_that_time_passes(pty: tuple[int, str]) -> None:
     inbox = Inbox()
-    opened_ns = time.time_ns()
+    opened_ns = now_ns()
     with source_on(pty[1], inbox):
         items = [inbox.get(10) for _ in range(4)]
     quiet = [item for item in items if isinstance(item, Quiet)]

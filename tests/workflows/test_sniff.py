@@ -6,7 +6,7 @@ import os
 import socket
 import time
 from collections import Counter
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from functools import partial
 from itertools import islice
 from threading import Thread
@@ -376,6 +376,48 @@ def test_a_link_that_goes_away_is_told_and_the_others_stay(bench: Bench, tmp_pat
     assert _transactions(records)
     assert len(lost) == 1
     assert "lost" in lost[0]
+
+
+def test_a_port_that_comes_back_goes_on_in_the_same_log_beside_a_tap(
+    bench: Bench, tmp_path: Path
+) -> None:
+    path = tmp_path / "a.mcap"
+    told: list[str] = []
+    with ExitStack() as stack:
+        other = stack.enter_context(Bench())
+        link, descriptor = other.line(tmp_path)
+        tap = bench.tap()
+        sniffer = stack.enter_context(
+            _sniffer(link, tap, log=path, on_remark=told.append, reconnects=True)
+        )
+        stream = _stream(sniffer)
+        speak(descriptor, WRITE)
+        speak(descriptor, WRITE)
+        assert next(stream).link == link.name
+        other.close()
+        while not told:
+            ask(sniffer, WRITE)
+            assert next(stream).link == tap.name
+        _, descriptor = bench.line(tmp_path)
+        while len(told) < 2:
+            ask(sniffer, WRITE)
+            assert next(stream).link == tap.name
+        speak(descriptor, WRITE)
+        speak(descriptor, WRITE)
+        assert any(one.link == link.name for one in islice(stream, 2))
+    lost, back = told
+    assert lost.endswith("lost; is it still plugged in? It is opened again when it is back")
+    assert back.startswith(f"{link}: is back after ")
+    logged = list(Reading([str(path)], ReadingOptions()).records())
+    of_line = [one for one in logged if one.link == link.name]
+    kinds = [one.kind.value if isinstance(one, WireEvent) else "transaction" for one in of_line]
+    assert kinds == ["transaction", "gap", "gap", "transaction"]
+
+
+def _stream(sniffer: Sniffer) -> Iterator[NamedTransaction]:
+    """The transactions of a sniffer, as they come."""
+    records = sniffer.records(until([], lambda _: False))
+    return (one for one in records if isinstance(one, NamedTransaction))
 
 
 def test_the_last_link_that_goes_away_is_an_error_and_the_log_is_complete(tmp_path: Path) -> None:

@@ -85,4 +85,7 @@ def _is_of_source(event: WireEvent, taps: set[str]) -> bool:
     if event.kind is EventKind.DISCARDED:
         # The decoder tells what it gave up itself, and will again.
         return bool(event.packets) or any(text in event.message for text in _LOSSES_OF_SOURCES)
-    return event.kind in _OF_SOURCES or (event.kind is EventKind.GAP and not event.link)
+    if event.kind is EventKind.GAP:
+        # A damaged place of the log, or a port that was unplugged. Of packets, decoding tells gaps.
+        return not event.source
+    return event.kind in _OF_SOURCES
