@@ -212,3 +212,22 @@ class listening(ExitStack):  # noqa: N801
         program = self.enter_context(Program(*command))
         program.said.find(says)
         return program
+
+
+def test_an_interface_that_goes_down_and_up_is_heard_again(ends: Cable, tmp_path: Path) -> None:
+    """The last test of this file: the cable loses its IPv6 addresses."""
+    log = tmp_path / "both.mcap"
+    sniff = (MBTOOL, "sniff", f"net:{INTERFACE}", "-w", str(log), "--format", "jsonl")
+    with Program(*ends.within(ends.slave, *sniff)) as sniffer:
+        sniffer.said.find("listening on")
+        speak = (sys.executable, "-c", SPEAK, "3", INTERFACE)
+        subprocess.run(ends.within(ends.slave, *speak), check=True, timeout=PATIENCE_S)
+        sniffer.printed.take(3)
+        for way, told in (("down", "It is opened again when it is back"), ("up", "is back after")):
+            command = ("ip", "link", "set", INTERFACE, way)
+            subprocess.run(ends.within(ends.slave, *command), check=True, timeout=PATIENCE_S)
+            sniffer.said.find(told)
+        subprocess.run(ends.within(ends.slave, *speak), check=True, timeout=PATIENCE_S)
+        sniffer.printed.take(3)
+        assert sniffer.interrupt() == 130
+    assert len(decoded(log)) == 6
