@@ -30,7 +30,7 @@ PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("capt
 MAX_LINES = 450
 PURE_ROOMS = (
     "core", "modbus", "packets", "framing", "devices", "serial_line", "decode", "query",
-    "overview", "replay", "watching", "slave/device", "slave/families", "slave/faults",
+    "overview", "series", "replay", "watching", "slave/device", "slave/families", "slave/faults",
 )  # fmt: skip
 
 ROOMS_OF_TESTS_ONLY = {

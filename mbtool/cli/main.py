@@ -40,6 +40,7 @@ from mbtool.cli.links import links
 from mbtool.cli.poll import poll
 from mbtool.cli.recover import recover
 from mbtool.cli.replay import replay
+from mbtool.cli.report import report
 from mbtool.cli.slave import slave
 from mbtool.cli.sniff import sniff
 from mbtool.cli.stats import stats
@@ -78,6 +79,7 @@ for command in (
     check,
     stats,
     watch,
+    report,
     convert,
     recover,
     replay,

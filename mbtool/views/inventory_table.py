@@ -117,7 +117,7 @@ def _slave_entry(row: SlaveRow, most: int) -> _Entry:
         profile_text(row),
     )
     style = "yellow" if row.role in _QUIET else ""
-    return cells, style, list(_slave_lines(row, most))
+    return cells, style, slave_lines(row, most)
 
 
 def _folded(rows: Sequence[SlaveRow], entries: Sequence[_Entry]) -> Iterator[_Entry]:
@@ -152,8 +152,12 @@ def _mac_lines(row: SlaveRow | MasterRow) -> list[str]:
     return [f"MAC {mac_text(row.macs, row.makers)}"] if row.macs else []
 
 
-def _slave_lines(row: SlaveRow, most: int) -> Iterator[str]:
-    """The lines with details below the row of a unit."""
+def slave_lines(row: SlaveRow, most: int = _FEW_RANGES) -> list[str]:
+    """The lines with details below the row of a unit, with at most so many ranges each."""
+    return list(_lines(row, most))
+
+
+def _lines(row: SlaveRow, most: int) -> Iterator[str]:
     counts = [one for one in row.transports if one != Transport.TCP]
     counts.append(f"seen {seen_text(row.first_ns, row.last_ns)}")
     counts.append(counted(row.transactions, "transaction", ","))

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.core import EventKind, InputError, UsageError, WireEvent
 from mbtool.core.link_spec import MODBUS_PORT
@@ -89,6 +89,20 @@ class FileFinding:
     file: str
 
 
+class CheckedRecord(NamedTuple):
+    """A record, and what was found when it was checked."""
+
+    record: Record | None
+    """As it was read; None at the end of a capture, which has findings of its own, and for a
+    record outside of the window."""
+    named: Record | None
+    """The same with the names of today's profiles."""
+    findings: list[FileFinding]
+
+
+NOTHING = CheckedRecord(None, None, [])
+
+
 class CheckRun:
     """One pass over some files: checks them and counts the findings."""
 
@@ -147,18 +161,26 @@ class CheckRun:
         Raises InputError for a file that cannot be read. For a file that is cut or damaged,
         InputError is raised after all findings.
         """
+        for _, _, found in self.checked():
+            yield from found
+
+    def checked(self) -> Iterator[CheckedRecord]:
+        """Yield each record with its findings, and then those of the whole capture.
+
+        Raises InputError as `findings` does.
+        """
         try:
             self._find_first_request()
             for record in self.reading.records():
                 if self._checker is None or self.reading.captures != self._captures:
-                    yield from self._end_capture()
+                    yield CheckedRecord(None, None, list(self._end_capture()))
                     self._begin_capture()
                 self._file = self.reading.file
-                yield from self._check(record)
+                yield self._check(record)
         except InputError:
-            yield from self._end_capture()
+            yield CheckedRecord(None, None, list(self._end_capture()))
             raise
-        yield from self._end_capture()
+        yield CheckedRecord(None, None, list(self._end_capture()))
 
     def _find_first_request(self) -> None:
         """Read the beginning of the files if the window counts from their first request."""
@@ -196,22 +218,23 @@ class CheckRun:
             yield from self._chosen(checker.close())
             self._remarks += checker.remarks
 
-    def _check(self, record: Record) -> Iterator[FileFinding]:
+    def _check(self, record: Record) -> CheckedRecord:
         if self._checker is None or self._lines is None:
-            return
+            return NOTHING
         if record not in self._window:
             # Rules about connections need to know which are open when the window begins.
             if isinstance(record, WireEvent) and record.kind in _CONNECTIONS:
                 for _ in self._checker.feed(record):
                     pass
-            return
+            return NOTHING
         self._lines.note(record)
+        named = record
         if not isinstance(record, WireEvent):
             self.transactions += 1
             self._hints.note(record)
             if self._namer is not None:
-                record = self._namer.name(record)
-        yield from self._chosen(self._checker.feed(record))
+                named = self._namer.name(record)
+        return CheckedRecord(record, named, list(self._chosen(self._checker.feed(named))))
 
     def _format_of(self, link: str) -> SerialFormat | None:
         return self.reading.format_of(link)

@@ -6,12 +6,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from mbtool.core import CutError, DamageError, InputError, WireEvent
+from mbtool.packets import CaptureHead
 from mbtool.sources.files import STANDARD_INPUT
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from mbtool.decode.decoder import Record
+    from mbtool.logs import LogReader
 
 
 @dataclass(slots=True)
@@ -43,11 +45,18 @@ class FileResults:
         """The errors of files that cannot be read at all, by path; the other files are read."""
         self._opened: dict[str, FileResult] = {}
         """The results of the files opened so far, by name."""
+        self.heads: dict[str, CaptureHead] = {}
+        """What logs, and captures made from logs, say of their recording, by the file's name;
+        complete at the end of the file."""
 
     @property
     def names(self) -> str:
         """The names of all files, separated by commas."""
         return ", ".join(map(shown_name, self._paths))
+
+    def note_head(self, name: str, head: CaptureHead | LogReader) -> None:
+        """Keep what a file says of its recording. A LogReader adds to it while it reads on."""
+        self.heads[name] = CaptureHead(capture=head.capture, links=head.links, devices=head.devices)
 
     def refuse(self, path: str, error: InputError) -> None:
         """Leave a file out, as it cannot be read at all."""

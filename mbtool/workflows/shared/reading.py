@@ -99,7 +99,7 @@ class Reading:
         """For each file that does not tell the baud rate, a check of the assumed baud rate."""
         self._missing = MissingParts()
         self._logs = LogRemarks(paths)
-        self._results = FileResults(paths)
+        self.results = FileResults(paths)
         self._misordered: list[str] = []
         self._kinds: set[CaptureKind] = set()
         self._last_ns = 0
@@ -136,15 +136,14 @@ class Reading:
     @property
     def progress_text(self) -> str:
         """A text for a progress bar about the file that is being read: `file 3 of 60`."""
-        number = min(self._files_read + 1, len(self._paths))
-        return f"file {number} of {len(self._paths)}"
+        return f"file {min(self._files_read + 1, len(self._paths))} of {len(self._paths)}"
 
     @property
     def why_empty(self) -> str | None:
         """One line for the user that says why the files gave no transaction and no event."""
         if self._has_found or not self._is_complete:
             return None
-        names = self._results.names
+        names = self.results.names
         if not self._items and not self._kinds <= _SERIAL_KINDS:
             return f"{names}: empty; there is neither a packet nor a transaction in it"
         if self._items == self._serial_packets:
@@ -161,7 +160,7 @@ class Reading:
         """Raise InputError if the files gave only events about data that cannot be decoded."""
         why = self._first_undecodable
         if why is not None and not self._has_decoded and self._is_complete:
-            raise InputError(f"{self._results.names}: nothing in it could be read: {why}")
+            raise InputError(f"{self.results.names}: nothing in it could be read: {why}")
 
     @property
     def _current_name(self) -> str:
@@ -183,7 +182,7 @@ class Reading:
             remarks.append("--link has no effect: these are packets of a network")
         if self._has_found and self._is_complete:
             remarks += self._options.assignments.remarks
-        return remarks + self._misordered + self._logs.remarks + self._results.table()
+        return remarks + self._misordered + self._logs.remarks + self.results.table()
 
     def demand_files(self) -> None:
         """Check that each file exists, is named once, and is of a kind that can be read.
@@ -197,9 +196,9 @@ class Reading:
             try:
                 self._demand_file(path, known)
             except InputError as error:
-                self._results.refuse(path, error)
-        if len(self._results.refused) == len(self._paths):
-            raise self._results.refused[self._paths[0]]
+                self.results.refuse(path, error)
+        if len(self.results.refused) == len(self._paths):
+            raise self.results.refused[self._paths[0]]
 
     def _demand_file(self, path: str, known: set[object]) -> None:
         """Check one file; `known` has the files checked so far."""
@@ -216,7 +215,7 @@ class Reading:
         for record in self._records():
             self._has_found = True
             self._missing.note_record(record)
-            self._results.note(self.file, record)
+            self.results.note(self.file, record)
             if not isinstance(record, WireEvent):
                 self._last_ns = record.start_ns
                 self._has_decoded = True
@@ -232,13 +231,13 @@ class Reading:
     def _records(self) -> Iterator[Record]:
         try:
             for number, path in enumerate(self._paths, 1):
-                if path in self._results.refused:
+                if path in self.results.refused:
                     self._files_read += 1
                     continue
                 try:
                     yield from self._file_records(path)
                 except (CutError, DamageError) as error:
-                    self._results.break_off(path, error)
+                    self.results.break_off(path, error)
                     if number < len(self._paths):
                         yield from self._break_off(error)
                 self._files_read += 1
@@ -246,10 +245,10 @@ class Reading:
             yield from self._end_capture()
             raise
         yield from self._end_capture()
-        self._results.raise_first()
+        self.results.raise_first()
 
     def _file_records(self, path: str) -> Iterator[Record]:
-        self._results.begin(path)
+        self.results.begin(path)
         with open_capture(path, self._options.line) as capture:
             self._current = capture
             self._kinds.add(capture.kind)
@@ -266,8 +265,8 @@ class Reading:
         packets = chain(first, packets)
         head = capture.head
         if head is None:
-            packets = self._heard_packets(capture, packets)
-            return self._decoded(packets, Part(), self._own_decoder)
+            return self._decoded(self._heard_packets(capture, packets), Part(), self._own_decoder)
+        self.results.note_head(capture.name, head)
         self.assignments = all_assignments(head, self._options.assignments)
         return self._decoded_again(head, reads_of(packets), Part(0))
 
@@ -393,6 +392,7 @@ class Reading:
     def _log_records(self, capture: CaptureFile) -> Iterator[Record]:
         self._demand_line_is_open(capture)
         log = LogReader(capture.stream, capture.name)
+        self.results.note_head(capture.name, log)
         if self._options.raw:
             self.assignments = all_assignments(log, self._options.assignments)
             yield from self._decoded_again(log, log.evidence(), Part.of_log(log))

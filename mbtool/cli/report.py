@@ -1,0 +1,95 @@
+"""mbtool report: all of some captures on one page, to hand over."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from mbtool.cli.option_groups import takes_groups
+from mbtool.cli.options import DeviceOption, RawOption, SilenceOptions, SourceOptions
+
+
+@takes_groups
+def report(
+    files: Annotated[
+        list[str], typer.Argument(metavar="FILE", help="Captures and logs, as for decode.")
+    ],
+    *,
+    output: Annotated[
+        str, typer.Option("--output", "-o", metavar="OUT", help="The page to write: R.html.")
+    ],
+    device: DeviceOption = None,
+    against: Annotated[
+        str | None,
+        typer.Option(
+            "--against",
+            metavar="OTHER",
+            help="Compare with another capture or log, as diff does: how it was before.",
+        ),
+    ] = None,
+    ignore: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--ignore",
+            metavar="CODE",
+            help="Leave out findings whose code begins so: RTU, RTU-1, FT1A-Q16. Repeatable, or "
+            "with commas.",
+        ),
+    ] = None,
+    everything: Annotated[
+        bool,
+        typer.Option(
+            "--all",
+            help="Put all transactions into the page. [default: the first 5,000, and those with "
+            "something wrong]",
+        ),
+    ] = False,
+    raw: RawOption = False,
+    source: SourceOptions,
+    silences: SilenceOptions,
+) -> None:
+    """Make one page that tells all of captures: verdict, charts, findings, transactions.
+
+    The page is one file that needs no network and no other file; any browser shows it, and prints
+    it on A4. docs/report.md explains it.
+    """
+    from mbtool.cli.output import (
+        demand_other_file,
+        named_file,
+        opened,
+        say_if_empty,
+        told_as_lost,
+    )
+    from mbtool.cli.progress import with_progress
+    from mbtool.cli.talk import say
+    from mbtool.core import UsageError
+    from mbtool.workflows.check import CodeFilter
+    from mbtool.workflows.report import ReportRun
+
+    if against is not None and len(files) > 1:
+        raise UsageError("--against goes with one FILE; join several with mbtool convert")
+    demand_other_file([*files, *([] if against is None else [against])], output)
+    path = named_file(output)
+    run = ReportRun(
+        files,
+        source.read(device, raw=raw, silences=silences),
+        CodeFilter.parse((), ignore or ()),
+        everything=everything,
+    )
+    run.demand_codes()
+    run.reading.demand_files()
+    # The output is opened only when everything is read, so that an error does not overwrite an
+    # older page.
+    run.read(with_progress)
+    text = run.page(against, say)
+    with opened(path, lambda: None) as (file, name), told_as_lost(name):
+        file.write(text)
+        file.flush()
+    for remark in run.remarks:
+        say(remark)
+    say_if_empty(run.reading)
+    if path is not None:
+        say(f"{run.statistics.transactions:,} transactions -> {path} ({len(text) / 1e6:.1f} MB)")
+    if run.error is not None:
+        raise run.error

@@ -1,0 +1,127 @@
+"""Adds up counts by time, in bins that become wider as the time grows."""
+
+# All rows share their bins, so that charts of several rows have one time axis. A bin begins at a
+# multiple of its width in UTC. Each width of _WIDTHS_NS is a multiple of the one before it, so a
+# wider bin is made of whole narrower ones.
+#
+# Memory: `limit` bins for each row; the caller limits the rows.
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Hashable, Sequence
+
+MAX_BINS = 300
+_MS = 1_000_000
+_S = 1000 * _MS
+_HOUR = 3600 * _S
+_WIDTHS_NS = (
+    _MS, 2 * _MS, 10 * _MS, 20 * _MS, 100 * _MS, 200 * _MS, _S, 2 * _S, 10 * _S, 30 * _S, 60 * _S,
+    120 * _S, 600 * _S, 1800 * _S, _HOUR, 2 * _HOUR, 6 * _HOUR, 24 * _HOUR,
+)  # fmt: skip
+
+Bin = list[int]
+"""Sums of one bin; the last two are the least and the greatest value, or 0 and 0 if none came."""
+LEAST, GREATEST = -2, -1
+
+
+class TimeBins:
+    """Sums by row and time."""
+
+    def __init__(self, sums: int, limit: int = MAX_BINS) -> None:
+        """`sums` is the number of sums in each bin."""
+        self._empty = [0] * (sums + 2)
+        self._limit = limit
+        self._rows: dict[Hashable, dict[int, Bin]] = {}
+        self._first = self._last = 0
+        """The numbers of the first and the last bin, counted from 1970."""
+        self._step = 0
+        self.width_ns = _WIDTHS_NS[0]
+
+    def bin(self, row: Hashable, at_ns: int) -> Bin:
+        """The bin of a row for a time, to add to; valid until the next call."""
+        number = at_ns // self.width_ns
+        if not self._rows:
+            self._first = self._last = number
+        elif not self._first <= number <= self._last:
+            number = self._reach(number, at_ns)
+        bins = self._rows.get(row)
+        if bins is None:
+            bins = self._rows[row] = {}
+        found = bins.get(number)
+        if found is None:
+            found = bins[number] = self._empty.copy()
+        return found
+
+    def __contains__(self, row: Hashable) -> bool:
+        return row in self._rows
+
+    def __len__(self) -> int:
+        """The number of rows."""
+        return len(self._rows)
+
+    @property
+    def rows(self) -> Sequence[Hashable]:
+        return list(self._rows)
+
+    @property
+    def begin_ns(self) -> int:
+        """The beginning of the first bin, in UTC ns."""
+        return self._first * self.width_ns
+
+    @property
+    def count(self) -> int:
+        """The number of bins from the first to the last one."""
+        return self._last - self._first + 1 if self._rows else 0
+
+    def column(self, row: Hashable, place: int) -> list[int]:
+        """One sum of a row for each bin; 0 where nothing came."""
+        bins = self._rows.get(row, {})
+        numbers = range(self._first, self._last + 1)
+        return [bins[one][place] if one in bins else 0 for one in numbers]
+
+    def _reach(self, number: int, at_ns: int) -> int:
+        """Make room for a bin beyond the first or the last; return its number."""
+        first, last = min(self._first, number), max(self._last, number)
+        while last - first >= self._limit and self._step + 1 < len(_WIDTHS_NS):
+            self._widen()
+            number = at_ns // self.width_ns
+            first, last = min(self._first, number), max(self._last, number)
+        if last - first >= self._limit:  # Times that no capture has: put them into the last bin.
+            return min(max(number, self._first), self._last)
+        self._first, self._last = first, last
+        return number
+
+    def _widen(self) -> None:
+        self._step += 1
+        before, self.width_ns = self.width_ns, _WIDTHS_NS[self._step]
+        ratio = self.width_ns // before
+        self._first //= ratio
+        self._last //= ratio
+        for row, bins in self._rows.items():
+            wider: dict[int, Bin] = {}
+            for number, one in bins.items():
+                other = wider.get(number // ratio)
+                if other is None:
+                    wider[number // ratio] = one
+                else:
+                    _merge(other, one)
+            self._rows[row] = wider
+
+
+def note_value(one: Bin, value: int) -> None:
+    """Take a value (above 0) for the least and the greatest of a bin."""
+    if value > one[GREATEST]:
+        one[GREATEST] = value
+    if value < one[LEAST] or not one[LEAST]:
+        one[LEAST] = value
+
+
+def _merge(into: Bin, other: Bin) -> None:
+    for place in range(len(into) - 2):
+        into[place] += other[place]
+    if other[GREATEST]:
+        note_value(into, other[GREATEST])
+        note_value(into, other[LEAST])

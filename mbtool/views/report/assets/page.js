@@ -1,0 +1,630 @@
+/* Fills the page from its document. Every text of the document becomes a text node or an attribute
+   that only names something; none becomes markup, a style, an address or a script. */
+(() => {
+"use strict";
+
+const data = JSON.parse(document.getElementById("data").textContent);
+const { stats, bins } = data;
+const PAGE_ROWS = 100;
+const FEW_ROWS = 12;
+const OPEN_CYCLES = 6;
+const CHARTS_AT_ONCE = 12;
+const DASHES = [[], [6, 4], [2, 3]];
+
+/* ---- texts ---- */
+
+/* Characters that show nothing, or turn the direction of a line, could hide what a text says. */
+const clean = (text) => String(text ?? "").replace(/[\p{Cc}\p{Cf}\p{Cs}\p{Co}\p{Cn}]/gu, "?");
+const count = (n) => (n ?? 0).toLocaleString("en");
+const some = (n) => (n ? count(n) : "");
+const plural = (n, noun) => `${count(n)} ${noun}${n === 1 ? "" : "s"}`;
+const digits = (n) => (n === null || n === undefined ? "–"
+  : n !== 0 && Math.abs(n) < 0.995 ? n.toFixed(2) : Math.abs(n) < 99.95 ? n.toFixed(1) : n.toFixed(0));
+const share = (s) => (s === null || s === undefined ? "–"
+  : s > 0 && s < 0.001 ? "<0.1 %" : `${(s * 100).toFixed(s < 0.1 ? 1 : 0)} %`);
+const seconds = (s) => (s === null || s === undefined ? "–"
+  : s < 10 ? s.toFixed(3) : s < 1000 ? s.toFixed(2) : s.toFixed(0));
+const number = (v) => (Number.isInteger(v) ? String(v) : String(Number(v.toPrecision(7))));
+const hex = (code) => code.toString(16).toUpperCase().padStart(2, "0");
+const iso = (us) => {
+  const moment = new Date(us / 1000);
+  return Number.isNaN(moment.getTime()) ? `${us} us` : moment.toISOString();
+};
+const clock = (us) => iso(us).slice(11, 23);
+const day = (us) => iso(us).slice(0, 10);
+const moment = (us) => `${day(us)} ${clock(us)}`;
+const two = (whole, unit, rest, next) => `${whole} ${unit}${rest ? ` ${rest} ${next}` : ""}`;
+const span = (s) => {
+  if (s < 1) return `${digits(s * 1000)} ms`;
+  if (s < 59.95) return `${digits(s)} s`;
+  const whole = Math.round(s);
+  return whole < 3600 ? two(Math.floor(whole / 60), "min", whole % 60, "s")
+    : whole < 86400 ? two(Math.floor(whole / 3600), "h", Math.floor((whole % 3600) / 60), "min")
+    : two(Math.floor(whole / 86400), "d", Math.floor((whole % 86400) / 3600), "h");
+};
+const several = stats.links.length > 1;
+const unitName = (link, unit) => (several ? `unit ${unit} at ${link}` : `unit ${unit}`);
+
+/* ---- elements ---- */
+
+const get = (id) => document.getElementById(id);
+/* The names of attributes and of tags are written in this file; only texts come from the data. */
+function el(tag, attributes, ...children) {
+  const made = document.createElement(tag);
+  for (const [name, value] of Object.entries(attributes || {})) {
+    if (name === "on") for (const [event, act] of Object.entries(value)) made.addEventListener(event, act);
+    else if (value !== undefined && value !== null && value !== false) made.setAttribute(name, value === true ? "" : clean(value));
+  }
+  for (const child of children.flat()) {
+    if (child !== null && child !== undefined) made.append(child instanceof Node ? child : clean(child));
+  }
+  return made;
+}
+function show(id, ...children) {
+  const section = get(id);
+  section.append(...children.flat().filter(Boolean));
+  section.hidden = false;
+  return section;
+}
+const soft = (text) => el("p", { class: "soft" }, text);
+
+/* The heads of a table: one that begins with ">" is of numbers, "+" of long texts, "~" of names. */
+const KINDS = { ">": "right", "+": "wide", "~": "name" };
+const kindOf = (head) => KINDS[head[0]] ?? null;
+const nameOf = (head) => head.replace(/^[>+~]/, "");
+/* On a phone, a table of `cards` shows each row as lines of its own. Then the browser no longer
+   knows that it is a table, unless the roles say so. */
+function frame(caption, heads, body, cards) {
+  const role = (name) => (cards ? name : null);
+  return el("div", { class: "scroll", role: "region", tabindex: "0", "aria-label": caption },
+    el("table", { class: cards ? "cards" : null, role: role("table") }, cards ? null : el("caption", {}, caption),
+      el("thead", { role: role("rowgroup") }, el("tr", { role: role("row") }, heads.map((head) => el("th", { scope: "col", role: role("columnheader"), class: kindOf(head) }, nameOf(head))))), body));
+}
+function tableRow(heads, cells, cards, attributes) {
+  return el("tr", { role: cards ? "row" : null, ...attributes }, cells.map((cell, at) => el("td", { class: kindOf(heads[at]), role: cards ? "cell" : null, "data-label": cards ? nameOf(heads[at]) : null }, cell)));
+}
+function table(caption, heads, rows, cards = false) {
+  const row = (cells) => tableRow(heads, cells, cards);
+  const body = el("tbody", { role: cards ? "rowgroup" : null }, rows.slice(0, FEW_ROWS).map(row));
+  const region = frame(caption, heads, body, cards);
+  const hidden = rows.length - FEW_ROWS;
+  if (hidden <= 0) return region;
+  const more = el("button", { type: "button", on: { click: () => {
+    body.append(...rows.slice(FEW_ROWS).map(row));
+    tools.remove();
+  } } }, `Show ${count(hidden)} more`);
+  const tools = el("div", { class: "tools" }, more);
+  return el("div", {}, region, tools, el("p", { class: "soft printed" }, `${plural(hidden, "row")} more on the screen.`));
+}
+
+/* ---- charts ---- */
+
+const charts = [];
+const color = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+const palette = (at) => color(`--c${(at % 8) + 1}`);
+const utc = (s) => uPlot.tzDate(new Date(s * 1000), "Etc/UTC");
+const axisTimes = (u, splits, axis, space, step) => splits.map((s) => {
+  const text = iso(s * 1e6);
+  return step >= 86400 ? text.slice(5, 10) : step >= 60 ? text.slice(11, 16)
+    : step >= 1 ? text.slice(11, 19) : text.slice(17, 23);
+});
+const atTime = (s) => `${moment(s * 1e6)} UTC`;
+const BINNED = `in bins of ${span(bins.width)}, UTC`;
+
+/* One chart: `make` gives uPlot's series and data, and is asked again when the colours change. */
+function chart(spec) {
+  const plot = el("div", { class: "plot" });
+  const readout = el("output", { class: "readout", "aria-live": "polite" }, "");
+  const legend = el("ul", { class: "legend" });
+  const figure = el("figure", { tabindex: "0", role: "group", "aria-label": `Chart: ${spec.title}. ${spec.summary || ""} Left and right arrow keys read the values.` },
+    el("figcaption", {}, el("b", {}, spec.title), spec.note ? ` ${spec.note}` : ""), spec.controls || null, plot, legend, readout);
+  const shown = spec.series.map((one) => one.show !== false);
+  const mine = { plot: null, host: plot, build, figure };
+  const read = (at) => {
+    if (at === null || at === undefined) return "";
+    const parts = spec.series.map((one, place) => [one, spec.data[place + 1][at], place])
+      .filter(([, value, place]) => shown[place] && value !== null && value !== undefined)
+      .map(([one, value]) => `${one.label}: ${one.text ? one.text(value) : number(value)}${spec.measure ? ` ${spec.measure}` : ""}`);
+    return `${spec.at ? spec.at(spec.data[0][at]) : atTime(spec.data[0][at])} — ${parts.join(", ") || "nothing"}`;
+  };
+  function build(width) {
+    if (mine.plot) mine.plot.destroy();
+    const ink = color("--soft"), rule = { stroke: color("--grid"), width: 1 };
+    const axis = { stroke: ink, grid: rule, ticks: rule, font: "12px system-ui, sans-serif" };
+    mine.plot = new uPlot({
+      width: Math.max(width || plot.clientWidth, 200), height: spec.height || 200, tzDate: utc,
+      padding: [8, 8, 0, 0], legend: { show: false },
+      cursor: { sync: spec.sync ? { key: spec.sync } : undefined, drag: { x: true, y: false }, points: { size: 6 } },
+      scales: { x: { time: !spec.at, ...(spec.scaleX || {}) }, y: spec.scaleY || { range: (u, low, high) => [Math.min(0, low ?? 0), (high ?? 0) > 0 ? high * 1.08 : 1] } },
+      axes: [{ ...axis, space: 80, values: spec.at ? spec.axisX : axisTimes, ...(spec.axis0 || {}) }, { ...axis, size: 58, space: 28, ...(spec.axisY || {}) }],
+      series: [{}, ...spec.series.map((one, place) => {
+        const stroke = palette(one.color ?? place);
+        return {
+          label: clean(one.label), stroke, width: one.width ?? 1.5, show: shown[place], dash: DASHES[Math.floor((one.color ?? place) / 8) % 3],
+          fill: one.fill ? `${stroke}${one.fill === true ? "33" : one.fill}` : undefined,
+          paths: one.paths, fillTo: one.fillTo, points: one.points ?? { show: false }, spanGaps: one.spanGaps ?? false,
+        };
+      })],
+      hooks: { setCursor: [(u) => { const text = read(u.cursor.idx); if (readout.textContent !== text) readout.textContent = clean(text); }] },
+    }, spec.data, plot);
+    legend.replaceChildren(...(spec.series.length > 1 && spec.legend !== false ? spec.series.map((one, place) => {
+      const swatch = el("span", { class: `swatch${["", " dashed", " dotted"][Math.floor((one.color ?? place) / 8) % 3]}`, "aria-hidden": "true" });
+      swatch.style.color = palette(one.color ?? place);
+      return el("li", {}, el("button", { type: "button", "aria-pressed": String(shown[place]), on: { click: (event) => {
+        shown[place] = !shown[place];
+        event.currentTarget.setAttribute("aria-pressed", String(shown[place]));
+        mine.plot.setSeries(place + 1, { show: shown[place] });
+      } } }, swatch, one.label));
+    }) : []));
+  }
+  figure.addEventListener("keydown", (event) => {
+    const step = { ArrowLeft: -1, ArrowRight: 1, PageUp: -10, PageDown: 10 }[event.key];
+    if (!step || event.target !== figure || !mine.plot) return;
+    event.preventDefault();
+    const last = spec.data[0].length - 1;
+    const at = Math.min(Math.max((mine.plot.cursor.idx ?? -1) + step, 0), last);
+    const x = spec.data[0][at];
+    mine.plot.setCursor({ left: mine.plot.valToPos(x, "x"), top: 10 });
+    readout.textContent = clean(read(at));
+  });
+  if (spec.asTable !== false) figure.append(asTable(spec));
+  charts.push(mine);
+  drawLater(mine);
+  return figure;
+}
+/* The figures of a chart as a table, made when it is opened; of many points, the sums of some. */
+function asTable(spec) {
+  const details = el("details", { class: "data" }, el("summary", {}, "Figures as a table"));
+  details.addEventListener("toggle", () => {
+    if (!details.open || details.childElementCount > 1) return;
+    const rows = spec.data[0].map((x, at) => [spec.at ? spec.at(x) : moment(x * 1e6),
+      ...spec.series.map((one, place) => { const v = spec.data[place + 1][at]; return v === null || v === undefined ? "" : one.text ? one.text(v) : number(v); })])
+      .filter((row) => row.slice(1).some((cell) => cell !== "" && cell !== "0"));
+    details.append(table(spec.title, [spec.head || "time (UTC)", ...spec.series.map((one) => `>${one.label}`)], rows));
+  }, { passive: true });
+  return details;
+}
+/* Charts are drawn one after another, so that the page answers meanwhile. */
+const waiting = [];
+function drawLater(one) {
+  waiting.push(one);
+  if (waiting.length === 1) setTimeout(drawNext);
+}
+function drawNext() {
+  const one = waiting[0];
+  if (one.host.isConnected && !one.plot) one.build();
+  waiting.shift();
+  if (waiting.length) setTimeout(drawNext);
+}
+function redraw(width) {
+  for (const one of charts) if (one.host.isConnected) one.build(width ? width(one) : undefined);
+}
+let lastWidth = innerWidth;
+addEventListener("resize", () => { if (innerWidth !== lastWidth) { lastWidth = innerWidth; redraw(); } });
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => redraw());
+/* On paper every chart is drawn, in the colours of paper (the style sheet) and in its width. */
+matchMedia("print").addEventListener("change", (event) => { if (event.matches) redraw((one) => (one.figure.parentElement.className === "grid" ? 330 : 690)); else redraw(); });
+
+const times = Array.from({ length: bins.count }, (_, at) => bins.begin + at * bins.width);
+const stepped = uPlot.paths.stepped({ align: 1 });
+const added = (columns) => times.map((_, at) => columns.reduce((sum, one) => sum + one[at], 0));
+const total = (column) => column.reduce((sum, one) => sum + one, 0);
+
+/* ---- sections ---- */
+
+function verdict() {
+  const { level, sentence, troubles } = data.verdict;
+  get("verdict").classList.add(level);
+  get("sentence").textContent = clean(sentence);
+  document.title = clean(`mbtool report: ${stats.sources.join(", ")}`);
+  get("what").append(clean(stats.sources.join(", ")));
+  const lead = (one, text) => el("button", { type: "button", class: "link screen", "aria-label": `Show the transactions of: ${one.text}`, on: { click: () => search(one.search) } }, text);
+  const told = troubles.filter((one) => one.told && one.search), others = troubles.filter((one) => !one.told);
+  if (told.length) get("troubles").before(el("p", { class: "screen" }, "Transactions of ", told.flatMap((one, at) => [at ? ", " : "", lead(one, one.who)])));
+  get("troubles").append(...others.slice(0, 40).map((one) => el("li", {}, one.text, " ", one.search ? lead(one, "show") : null)));
+  if (others.length > 40) get("troubles").append(el("li", {}, `and ${count(others.length - 40)} more`));
+  get("troubles").hidden = !others.length;
+  const all = (key) => stats.links.reduce((sum, link) => sum + link[key], 0);
+  const watched = Math.max(0, ...stats.links.map((link) => link.watched_s));
+  const units = new Set(stats.links.flatMap((link) => link.functions.map((one) => `${link.link} ${one.unit}`)));
+  const begins = stats.links.filter((link) => link.begin_ns !== null).map((link) => link.begin_ns / 1000);
+  const facts = [
+    ["transactions", count(stats.transactions)], ["links", count(stats.links.length)], ["units", count(units.size)],
+    ["watched", watched ? span(watched) : "no times"], ["missing answers", count(all("no_answer"))],
+    ["exceptions", count(all("exception"))], ["retries", count(all("retries"))], ["findings", count(data.findings.count)],
+  ];
+  get("figures").append(...facts.map(([name, value]) => el("div", {}, el("dt", {}, name), el("dd", {}, value))));
+  if (begins.length) get("what").append(` · from ${moment(Math.min(...begins)).slice(0, 19)} UTC`);
+}
+
+function findings() {
+  const { rows } = data.findings;
+  if (!rows.length) { show("findings", soft("No rule of Modbus, or of a device’s manual, is broken.")); return; }
+  const body = el("tbody", { role: "rowgroup" }), heads = ["code", "severity", ">times", "~where", "+what"];
+  const lines = rows.map((one) => {
+    const cases = [one.first, one.last].filter(Boolean);
+    const text = `${one.code} ${one.severity} ${one.meaning} ${one.place} ${cases.map((each) => each.message).join(" ")}`.toLowerCase();
+    const said = cases.map((each, at) => el("div", {}, jump(each.us, one.code), ` ${at && each.message === cases[0].message ? "the same" : each.message}`));
+    const row = tableRow(heads, [
+      el("button", { type: "button", class: "link", "aria-label": `Show the transactions with ${one.code}`, on: { click: () => search(one.code) } }, one.code),
+      el("span", { class: `tag ${["error", "warning"].includes(one.severity) ? one.severity : "note"}` }, one.severity),
+      count(one.count), one.place,
+      el("div", {}, el("div", {}, one.meaning), el("div", { class: "soft" }, said),
+        one.elsewhere ? el("div", { class: "soft" }, `and ${count(one.elsewhere)} times at other places`) : null)], true);
+    return [text, row];
+  });
+  const told = el("span", { class: "soft", role: "status" });
+  const fill = () => {
+    const words = field.value.toLowerCase().split(/\s+/).filter(Boolean);
+    const found = lines.filter(([text]) => words.every((word) => text.includes(word)));
+    body.replaceChildren(...found.map(([, row]) => row));
+    told.textContent = words.length ? `${count(found.length)} of ${count(lines.length)}` : "";
+  };
+  const field = el("input", { type: "search", on: { input: fill } });
+  show("findings", soft(`${plural(data.findings.count, "finding")}. A time leads to the transaction, a code to all of them.`),
+    el("div", { class: "tools" }, el("label", {}, "Search findings", field), told),
+    frame("Findings", heads, body, true));
+  fill();
+}
+
+function against() {
+  const one = data.against;
+  if (!one) return;
+  const rows = one.rows.map(([slave, kind, what, where, here, other]) => [slave, kind, what, where, here || "–", other || "–"]);
+  show("against",
+    soft(`Compared by meaning with ${one.other}: ${plural(one.count, "difference")} between its ${plural(one.other_transactions, "transaction")} and the ${count(one.transactions)} here. Ids, order and times do not count.`),
+    one.is_whole ? null : el("p", { class: "notice" }, "There is more than can be compared at once; some traffic is left out."),
+    rows.length ? table("Differences", ["slave", "differs", "function", "+what", "+here", `+in the other`], rows) : soft("They do not differ."),
+    one.count > rows.length ? soft(`The first ${count(rows.length)} are listed.`) : null);
+}
+
+const FAILURES = [["no_answer", "missing answers", 1], ["exceptions", "exceptions", 4], ["bad_check", "wrong CRC", 6], ["retries", "retries", 0]];
+function failures() {
+  if (!bins.units.length) return;
+  const make = (units, title) => {
+    const series = FAILURES.map(([key, label, at]) => ({ key, label, color: at, column: added(units.map((one) => one[key])) }));
+    const sums = series.map((one) => `${plural(total(one.column), one.label.replace(/s$/, ""))}`);
+    if (!series.some((one) => total(one.column))) return soft(`No request of ${title} failed.`);
+    return chart({
+      title: `Failures over time, ${title}`, note: BINNED, summary: `${sums.join(", ")}.`, sync: "time",
+      data: [times, ...series.map((one) => one.column)],
+      series: series.map((one) => ({ ...one, paths: stepped, fill: true, show: total(one.column) > 0 })),
+    });
+  };
+  const place = el("div");
+  const all = several ? "all links" : "all units";
+  const failing = bins.units.filter((one) => FAILURES.some(([key]) => total(one[key])));
+  const choice = chooser("Unit", [all, ...failing.map((one) => unitName(one.link, one.unit))], (at) => {
+    place.replaceChildren(make(at ? [failing[at - 1]] : bins.units, at ? unitName(failing[at - 1].link, failing[at - 1].unit) : all));
+  });
+  place.append(make(bins.units, all));
+  const rows = stats.links.flatMap((link) => link.functions.map((one) => [link, one]))
+    .filter(([, one]) => one.no_answer || one.exception || one.malformed || one.unsolicited || one.not_captured || one.retries)
+    .sort(([, a], [, b]) => b.no_answer + b.exception - a.no_answer - a.exception)
+    .map(([link, one]) => [...(several ? [link.link] : []), String(one.unit), `${hex(one.function)} ${one.function_name}`, count(one.transactions), some(one.no_answer), some(one.exception),
+      one.exceptions.map((each) => `${hex(each.code)} ${each.name} ×${count(each.count)}`).join(", "), some(one.retries), some(one.malformed), some(one.unsolicited), some(one.not_captured)]);
+  show("failures", failing.length > 1 ? choice : null, place,
+    rows.length ? table("Failures by unit and function", [...(several ? ["link"] : []), ">unit", "~function", ">asked", ">no answer", ">exceptions", "+which", ">retries", ">malformed", ">unasked", ">not captured"], rows) : null,
+    rows.some((row) => row[row.length - 1]) ? soft("What was not captured is the capture’s loss, and no device’s fault.") : null,
+    bins.units_left_out ? soft(`The chart has the ${count(bins.units.length)} units that were asked most; ${plural(bins.units_left_out, "unit")} left out.`) : null);
+}
+
+function chooser(label, names, choose) {
+  if (names.length < 2) return null;
+  const list = el("select", { on: { change: () => choose(list.selectedIndex) } }, names.map((name) => el("option", {}, name)));
+  return el("div", { class: "tools" }, el("label", {}, label, list));
+}
+
+function latency() {
+  const timed = bins.units.filter((one) => one.mean_ms.some((ms) => ms !== null));
+  const sources = stats.links.flatMap((link) => [
+    ...(link.latency ? [[several ? link.link : "all units", link.latency]] : []),
+    ...link.functions.filter((one) => one.latency && link.functions.length > 1)
+      .map((one) => [`${unitName(link.link, one.unit)}, ${hex(one.function)} ${one.function_name}`, one.latency])]);
+  if (!sources.length) return;
+  const over = timed.length ? chart({
+    title: "Mean latency by unit over time", note: BINNED, measure: "ms", sync: "time", height: 240,
+    summary: `${plural(timed.length, "unit")}.`,
+    data: [times, ...timed.map((one) => one.mean_ms)],
+    series: timed.map((one, at) => ({ label: unitName(one.link, one.unit), show: at < 8, spanGaps: true, points: { show: timed.length < 4 && bins.count < 60 } })),
+    axisY: { label: "ms", labelSize: 18, size: 52, stroke: color("--soft") },
+  }) : null;
+  const most = timed.length ? chart({
+    title: "Longest latency by unit over time", note: BINNED, measure: "ms", sync: "time", height: 200, summary: "",
+    data: [times, ...timed.map((one) => one.most_ms)],
+    series: timed.map((one, at) => ({ label: unitName(one.link, one.unit), show: at < 8, spanGaps: true })),
+  }) : null;
+  const place = el("div");
+  const draw = (at) => place.replaceChildren(histogram(...sources[at]));
+  draw(0);
+  const rows = sources.map(([name, one]) => [name, count(one.count), digits(one.mean_ms), digits(one.min_ms), digits(one.p50_ms), digits(one.p95_ms), digits(one.p99_ms), digits(one.max_ms)]);
+  show("latency", soft("From the end of a request to the start of its response, in ms."), over, most, chooser("Histogram of", sources.map(([name]) => name), draw), place,
+    table("Latency, ms", ["~of", ">answers", ">mean", ">least", ">p50", ">p95", ">p99", ">most"], rows));
+}
+
+function histogram(name, one) {
+  const steps = one.histogram;
+  const labels = steps.map((step) => `${number(step.from_ms)}–${number(step.below_ms)}`);
+  return chart({
+    title: `Latency of ${name}`, note: "number of answers by latency in ms", head: "ms", height: 200,
+    summary: `${plural(one.count, "answer")}, half of them within ${digits(one.p50_ms)} ms, 95 % within ${digits(one.p95_ms)} ms.`,
+    data: [steps.map((_, at) => at), steps.map((step) => step.count)], at: (x) => `${labels[x] ?? ""} ms`,
+    axisX: (u, splits) => splits.map((x) => (Number.isInteger(x) && steps[x] ? labels[x] : "")),
+    axis0: { splits: () => steps.map((_, at) => at) }, scaleX: { range: () => [-0.6, steps.length - 0.4] },
+    series: [{ label: "answers", paths: uPlot.paths.bars({ size: [0.8, 60] }), fill: "99" }],
+  });
+}
+
+const pollOf = (link, at) => link.polls.find((poll) => poll.number === at);
+const pollText = (poll) => (poll ? `${poll.unit} ${hex(poll.function)} ${poll.reference || poll.function_name}${poll.sub_function !== null && !poll.reference ? ` ${hex(poll.sub_function)}` : ""}` : "a poll that is not listed");
+function cycle() {
+  const made = [];
+  for (const link of stats.links) for (const master of link.masters) {
+    const who = [several ? link.link : "", link.masters.length > 1 && master.master ? `master ${master.master}` : ""].filter(Boolean).join(", ");
+    for (const list of master.lists) made.push(cycleTable(link, list, who, made.length < OPEN_CYCLES));
+    const between = master.between.map((one) => `${pollText(pollOf(link, one.poll))} ×${count(one.count)}`);
+    if (between.length && master.lists.length) made.push(soft(`In no cycle${who ? ` of ${who}` : ""}: ${between.slice(0, 20).join("; ")}${between.length > 20 ? ` and ${between.length - 20} more` : ""}.`));
+    if (master.response_timeout_ms !== null) made.push(soft(`The master${who ? ` (${who})` : ""} waits ${digits(master.response_timeout_ms)} ms for an answer.`));
+  }
+  if (!made.length) return;
+  show("cycle", made.slice(0, 60));
+}
+function cycleTable(link, list, who, isOpen) {
+  const whole = list.steps.reduce((sum, step) => sum + step.pause_ms + step.took_ms, 0) || 1;
+  let from = 0;
+  const rows = list.steps.map((step) => {
+    from += step.pause_ms;
+    const bar = el("div", { class: step.cycles_with_missing ? "bar missing" : "bar" });
+    bar.style.left = `${(from / whole) * 100}%`;
+    bar.style.width = `${(step.took_ms / whole) * 100}%`;
+    from += step.took_ms;
+    const track = el("div", { class: "track", role: "img", "aria-label": `begins at ${digits(from - step.took_ms)} ms, takes ${digits(step.took_ms)} ms` }, bar);
+    return [pollText(pollOf(link, step.poll)), digits(step.pause_ms), digits(step.took_ms), some(step.cycles_with_missing), track];
+  });
+  const missing = list.with_missing_ms !== null && list.without_missing_ms !== null
+    ? ` A cycle with a missing answer takes ${digits(list.with_missing_ms)} ms, one without ${digits(list.without_missing_ms)} ms.` : "";
+  return el("details", { open: isOpen }, el("summary", {}, el("h3", {}, `${who ? `${who}: ` : ""}${plural(list.steps.length, "poll")} every ${span(list.cycle_ms / 1000)}`)),
+    soft(`${plural(list.cycles, "cycle")} of ${digits(list.min_ms)} to ${digits(list.max_ms)} ms, ${count(list.other_cycles)} others.${missing}`),
+    table("One cycle, in order", ["~poll", ">pause before, ms", ">took, ms", ">cycles with missing", "+timeline"], rows));
+}
+
+const PARTS = [["characters_share", "characters"], ["other_bytes_share", "bytes in no frame"], ["slaves_share", "waiting for slaves"], ["missing_share", "waiting for missing answers"]];
+function load() {
+  const made = [];
+  for (const link of stats.links.filter((one) => one.load)) {
+    const parts = el("div", { class: "parts", "aria-hidden": "true" }, PARTS.map(([key]) => {
+      const part = el("span");
+      part.style.width = `${link.load[key] * 100}%`;
+      return part;
+    }));
+    made.push(el("h3", {}, `${link.link} ${link.settings || ""}`),
+      soft(`There are characters on the line for ${share(link.load.busy_share)} of the time.`), parts,
+      el("ul", { class: "legend keys" }, [...PARTS, ["pauses_share", "free"]].map(([key, name]) => el("li", {}, el("span", { class: "key", "aria-hidden": "true" }), `${name} ${share(link.load[key])}`))));
+  }
+  const timed = bins.links.filter((one) => one.load);
+  if (timed.length) made.push(chart({
+    title: "Bus load over time", note: `share of the time in which there are characters on the line, ${BINNED}`, sync: "time", summary: "",
+    data: [times, ...timed.map((one) => one.load.map((part) => part * 100))], measure: "%",
+    series: timed.map((one) => ({ label: one.link, paths: stepped, fill: true, text: (v) => v.toFixed(1) })),
+  }));
+  if (bins.links.length) made.push(chart({
+    title: "Requests a second", note: BINNED, sync: "time", summary: "", height: 170,
+    data: [times, ...bins.links.map((one) => one.requests.map((n) => n / bins.width))],
+    series: bins.links.map((one, at) => ({ label: one.link, paths: stepped, show: at < 8, text: (v) => number(Number(v.toPrecision(3))) })),
+  }));
+  const bad = [["bad_check", "wrong CRC or LRC", 6], ["no_frame", "bytes in no frame", 4], ["lacking", "missing in the capture", 7]]
+    .map(([key, label, at]) => ({ label, color: at, column: added(bins.links.map((one) => one[key])) })).filter((one) => total(one.column));
+  if (bad.length) made.push(chart({ title: "Damage on the line and in the capture", note: `events ${BINNED}`, sync: "time", height: 170,
+    summary: bad.map((one) => `${one.label}: ${count(total(one.column))}`).join(", "), data: [times, ...bad.map((one) => one.column)],
+    series: bad.map((one) => ({ ...one, paths: stepped, fill: true })) }));
+  const rows = stats.links.flatMap((link) => link.connections.map((one) => [link.link, one.master || "", count(one.opened), some(one.joined), some(one.refused), some(one.resets), count(one.most_at_once)]));
+  if (rows.length) made.push(table("Connections", ["slave", "master", ">opened", ">open before", ">refused", ">reset", ">most at once"], rows));
+  if (made.length) show("load", made);
+}
+
+function polls() {
+  const all = stats.links.flatMap((link) => link.polls.map((poll) => [link, poll]));
+  if (!all.length) return;
+  const ranked = all.sort(([, a], [, b]) => (b.latency?.p95_ms ?? 0) - (a.latency?.p95_ms ?? 0));
+  const rows = ranked.map(([link, one]) => [...(several ? [link.link] : []), pollText(one), one.device || "", count(one.transactions), seconds(one.period ? one.period.p50_ms / 1000 : null),
+    digits(one.period?.jitter_ms), digits(one.latency?.p50_ms), digits(one.latency?.p95_ms), digits(one.latency?.max_ms), some(one.exception), some(one.no_answer), one.load ? share(one.load.total_share) : ""]);
+  const listed = all.length < stats.polls_listed ? ` Of ${count(stats.polls_listed)} polls the ${count(all.length)} that were asked most.` : "";
+  show("polls", soft(`Equal requests, the slowest first; unit, function and address.${listed}`),
+    table("Polls", [...(several ? ["link"] : []), "~poll", "device", ">asked", ">every s", ">± ms", ">p50 ms", ">p95 ms", ">most ms", ">exceptions", ">no answer", ">line"], rows));
+}
+
+function values() {
+  const { series, constant } = data.values;
+  if (!series.length && !constant.length) return;
+  const end = times.length ? bins.begin + bins.count * bins.width : 0;
+  const lines = (one) => {
+    const x = one.samples.map(([ms]) => bins.begin + ms / 1000), y = one.samples.map(([, value]) => value);
+    if (x.length && x[x.length - 1] < end) { x.push(end); y.push(y[y.length - 1]); }
+    return [x, y];
+  };
+  const title = (one) => `${one.name}${one.reference && one.reference !== one.name ? ` (${one.reference})` : ""}`;
+  const bits = new Map();
+  const specs = [];
+  for (const one of series) {
+    const where = unitName(one.link, one.unit);
+    if (one.kind === "bit") {
+      if (!bits.has(where)) bits.set(where, []);
+      bits.get(where).push(one);
+    } else specs.push(() => valueChart(one, where, title(one), lines(one)));
+  }
+  const bands = [...bits].flatMap(([where, some_]) => {
+    const groups = [];
+    for (let at = 0; at < some_.length; at += 16) groups.push(some_.slice(at, at + 16));
+    return groups.map((group) => bandChart(group, where, lines, title));
+  });
+  const grid = el("div", { class: "grid" });
+  const more = el("button", { type: "button" }, "");
+  const tools = el("div", { class: "tools" }, more);
+  let drawn = 0;
+  const draw = () => {
+    grid.append(...specs.slice(drawn, drawn + CHARTS_AT_ONCE).map((make) => make()));
+    drawn = Math.min(drawn + CHARTS_AT_ONCE, specs.length);
+    more.textContent = `Show ${Math.min(CHARTS_AT_ONCE, specs.length - drawn)} more of ${specs.length - drawn} charts`;
+    tools.hidden = drawn >= specs.length;
+  };
+  more.addEventListener("click", draw);
+  draw();
+  show("values", soft(`${plural(series.length, "value")} changed, ${count(constant.length)} did not. A value holds until the next one is read or written.`),
+    grid, tools, bands,
+    constant.length ? table("Values that never changed", [...(several ? ["link"] : []), ">unit", "~name", "address", "+value"],
+      constant.map(([link, unit, name, reference, value]) => [...(several ? [link] : []), String(unit), name, reference, value])) : null,
+    data.values.left_out ? soft(`${plural(data.values.left_out, "more register")} or points were seen and are not followed.`) : null);
+}
+function valueChart(one, where, title, [x, y]) {
+  const texts = new Map(one.texts);
+  const words = one.kind === "state";
+  const known = [...new Set(y)].sort((a, b) => a - b);
+  const shortened = (text) => (text.length > 18 ? `${text.slice(0, 17)}…` : text);
+  const y0 = words ? { splits: () => known, values: (u, splits) => splits.map((v) => shortened(clean(texts.get(v) ?? number(v)))), size: 130 } : {};
+  return chart({
+    title, note: `${where}${one.measure ? `, ${one.measure}` : ""}, ${plural(one.changes, "change")}`, sync: "time", height: 150, measure: words ? "" : one.measure,
+    summary: y.length ? `From ${number(Math.min(...y))} to ${number(Math.max(...y))}.` : "", data: [x, y], axisY: y0,
+    scaleX: { range: (u, low, high) => [bins.begin, bins.begin + bins.count * bins.width].map((edge, at) => (u.zoomed ? [low, high][at] : edge)) },
+    scaleY: { range: (u, low, high) => { const room = (high - low) * 0.08 || Math.abs(high) * 0.05 || 1; return [low - room, high + room]; } },
+    series: [{ label: one.name, paths: stepped, text: (v) => texts.get(v) ?? number(v) }],
+  });
+}
+function bandChart(group, where, lines, title) {
+  const lane = (at) => group.length - 1 - at;
+  const joined = uPlot.join(group.map((one, at) => { const [x, y] = lines(one); return [x, y.map((v) => lane(at) + (v ? 0.8 : 0.02))]; }));
+  const shortened = (text) => (text.length > 20 ? `${text.slice(0, 19)}…` : text);
+  const spelled = (one, at) => (v) => { const bit = v > lane(at) + 0.5 ? 1 : 0; return new Map(one.texts).get(bit) ?? String(bit); };
+  return chart({
+    title: `Bits of ${where}`, note: "a bar where the bit is 1", sync: "time", height: 60 + 26 * group.length, legend: false,
+    summary: group.map((one) => `${title(one)}: ${plural(one.changes, "change")}`).join(", "), data: joined,
+    scaleY: { range: () => [-0.1, group.length] },
+    axisY: { size: 150, splits: () => group.map((_, at) => lane(at) + 0.4), values: () => group.map((one) => shortened(clean(one.name))) },
+    series: group.map((one, at) => ({ label: one.name, color: at % 8, paths: stepped, fill: "88", fillTo: () => lane(at), text: spelled(one, at) })),
+  });
+}
+
+function inventory() {
+  const { slaves, masters } = data.inventory;
+  if (!slaves.length && !masters.length) return;
+  const rows = slaves.map((one) => [one.where, String(one.unit), one.role, one.profile, count(one.transactions), some(one.unanswered),
+    el("ul", { class: "plain soft" }, one.details.map((line) => el("li", {}, line)))]);
+  show("inventory", table(`Units (${count(data.inventory.slaves_seen)})`, ["host or line", ">unit", "role", "profile", ">transactions", ">no answer", "+details"], rows, true),
+    masters.length ? table(`Masters (${count(data.inventory.masters_seen)})`, ["host", ">asks units", ">writes to", ">requests", "seen (UTC)", "+MAC"],
+      masters.map(([host, asks, writes, requests, seen, mac]) => [host, count(asks), count(writes), count(requests), seen, mac])) : null);
+}
+
+/* ---- transactions ---- */
+
+const { rows, texts, begin_us: beginUs } = data.transactions;
+const [NUMBER, US, LINK, UNIT, WHAT, RESULT, OUTCOME, LATENCY, CODES] = Array(9).keys();
+const usOf = (row) => beginUs + row[US];
+const oneDay = rows.every((row) => day(usOf(row)) === day(beginUs));
+const rowTime = (row) => (oneDay ? clock(usOf(row)) : moment(usOf(row)));
+const haystacks = [];
+const haystack = (at) => {
+  const row = rows[at];
+  return (haystacks[at] ??= ` ${texts[row[LINK]]} unit:${row[UNIT]} #${row[NUMBER]} ${texts[row[WHAT]]} ${texts[row[RESULT]]} ${texts[row[OUTCOME]]} ${texts[row[CODES]]} ${clock(usOf(row))} `.toLowerCase());
+};
+let found = rows.map((_, at) => at), first = 0, here = -1;
+const HEADS = [">number", oneDay && rows.length ? `time (UTC, ${day(beginUs)})` : "time (UTC)", ...(several ? ["link"] : []), ">unit", "+request", "+result", "outcome", ">ms", "findings"];
+const body = el("tbody", { role: "rowgroup" });
+const told = el("span", { class: "soft", role: "status" });
+const field = el("input", { type: "search", on: { input: () => { filter(); first = 0; draw(); } } });
+const turn = (by) => el("button", { type: "button", on: { click: () => { first = Math.min(Math.max(first + by * PAGE_ROWS, 0), Math.max(found.length - 1, 0)); draw(); } } }, by < 0 ? "Earlier" : "Later");
+const earlier = turn(-1), later = turn(1);
+function filter() {
+  const words = field.value.toLowerCase().split(/\s+/).filter(Boolean).map((word) => (/^(unit:|#)/.test(word) ? ` ${word} ` : word));
+  found = [];
+  for (let at = 0; at < rows.length; at++) if (words.every((word) => haystack(at).includes(word))) found.push(at);
+}
+function draw() {
+  const page = found.slice(first, first + PAGE_ROWS);
+  const outcomeClass = (outcome) => (outcome === "ok" || outcome === "broadcast" ? "nowrap" : "nowrap bad-text");
+  body.replaceChildren(...page.map((at) => {
+    const row = rows[at], outcome = texts[row[OUTCOME]];
+    const cells = [el("a", { href: `#t${Number(row[NUMBER])}`, "aria-label": `transaction ${row[NUMBER]}` }, count(row[NUMBER])),
+      el("span", { class: "mono" }, rowTime(row)), ...(several ? [texts[row[LINK]]] : []), String(row[UNIT]), texts[row[WHAT]], texts[row[RESULT]],
+      el("span", { class: outcomeClass(outcome) }, outcome), row[LATENCY] < 0 ? "" : digits(row[LATENCY] / 1000), texts[row[CODES]]];
+    return tableRow(HEADS, cells, true, { id: `t${row[NUMBER]}`, class: at === here ? "here" : null, tabindex: "-1" });
+  }));
+  const last = Math.min(first + PAGE_ROWS, found.length);
+  told.textContent = found.length ? `${count(first + 1)} to ${count(last)} of ${count(found.length)}` : "nothing fits";
+  earlier.disabled = first === 0;
+  later.disabled = last >= found.length;
+}
+function search(text) {
+  field.value = text;
+  filter();
+  first = 0; here = -1;
+  draw();
+  get("transactions").scrollIntoView();
+  field.focus({ preventScroll: true });
+}
+function goTo(at) {
+  field.value = "";
+  filter();
+  here = at;
+  first = Math.floor(at / PAGE_ROWS) * PAGE_ROWS;
+  draw();
+  const row = get(`t${rows[at][NUMBER]}`);
+  row.scrollIntoView({ block: "center" });
+  row.focus({ preventScroll: true });
+}
+/* The row of a finding: one that begins at its time, with its code if there are several. */
+function nearest(us, code) {
+  let best = -1, least = Infinity;
+  rows.forEach((row, at) => {
+    const far = Math.abs(usOf(row) - us) * 2 + (texts[row[CODES]].includes(code) ? 0 : 1);
+    if (far < least) [best, least] = [at, far];
+  });
+  return best;
+}
+function jump(us, code) {
+  if (!rows.length) return el("span", {}, moment(us));
+  const at = nearest(us, code);
+  return el("a", { href: `#t${Number(rows[at][NUMBER])}` }, moment(us));
+}
+function byHash() {
+  const match = /^#t(\d+)$/.exec(location.hash);
+  if (!match) return;
+  const at = rows.findIndex((row) => row[NUMBER] === Number(match[1]));
+  if (at >= 0) goTo(at);
+}
+function transactions() {
+  if (!rows.length) return;
+  const all = data.transactions, out = all.transactions - rows.length;
+  const lost = all.with_trouble - all.kept_with_trouble;
+  show("transactions",
+    soft(out ? `${count(rows.length)} of ${count(all.transactions)} transactions: the first ones, and ${lost ? `${count(all.kept_with_trouble)} of the ${count(all.with_trouble)}` : "all"} that failed or have a finding. ${count(out)} are left out; mbtool report --all puts them all into the page.` : `All ${plural(all.transactions, "transaction")}.`),
+    el("div", { class: "tools" }, el("label", {}, "Search transactions", field), earlier, later, told),
+    el("p", { class: "soft screen" }, "Words must all occur; unit:5 and #12 are exact. Also: no-answer, exception, a code such as MB-401, a time."),
+    frame("Transactions", HEADS, body, true));
+  draw();
+  addEventListener("hashchange", byHash);
+}
+
+function capture() {
+  const { files, remarks, lacking } = data.capture;
+  const pairs = (list) => el("dl", { class: "pairs" }, list.flatMap(([name, value]) => [el("dt", {}, name), el("dd", {}, value)]));
+  const made = files.slice(0, 20).map((one) => el("div", {}, el("h3", {}, one.file),
+    one.capture.length ? pairs(one.capture) : soft("The file does not say how it was recorded."),
+    one.links.map(([name, list]) => el("div", {}, el("p", {}, `Link ${name}`), pairs(list))),
+    one.devices.length ? el("div", {}, el("p", {}, "Devices"), pairs(one.devices)) : null));
+  if (files.length > 20) made.push(soft(`and ${count(data.capture.files_seen - 20)} more files`));
+  const lines = stats.links.map((link) => [link.link, link.transport, link.settings || "", link.has_times ? `${(link.begin || "").slice(0, 19).replace("T", " ")}` : "no times", link.has_times ? `${(link.end || "").slice(0, 19).replace("T", " ")}` : "", span(link.watched_s), count(link.transactions)]);
+  if (lines.length) made.push(table("Links", ["link", "transport", "settings", "from (UTC)", "to (UTC)", ">watched", ">transactions"], lines));
+  made.push(el("h3", {}, "What the capture lacks"));
+  const lost = stats.links.reduce((sum, link) => sum + link.not_captured, 0);
+  if (lost) made.push(soft(`${plural(lost, "transaction")} not captured whole.`));
+  if (stats.out_of_order) made.push(soft(`${plural(stats.out_of_order, "transaction")} came too late to be put in order.`));
+  if (lacking.length) made.push(table(`Gaps (${count(data.capture.lacking_seen)})`, ["time (UTC)", "link", "+what"], lacking.map(([us, link, message]) => [moment(us), link, message])));
+  if (remarks.length) made.push(el("ul", {}, remarks.map((line) => el("li", {}, line))));
+  if (!lost && !lacking.length && !remarks.length) made.push(soft("Nothing that it shows."));
+  show("capture", made);
+}
+
+for (const part of [verdict, transactions, findings, against, failures, latency, cycle, load, polls, values, inventory, capture]) part();
+get("contents").append(...[...document.querySelectorAll("section[data-name]:not([hidden])")].map((section) => el("li", {}, el("a", { href: `#${section.id}` }, section.dataset.name))));
+get("foot").append(`Made by mbtool ${clean(data.version)} on ${clean(data.made).slice(0, 19).replace("T", " ")} UTC. All times are UTC. docs/report.md and docs/findings.md explain the figures and the codes. Charts: uPlot, MIT licence.`);
+byHash();
+})();

@@ -1,0 +1,352 @@
+"""What a report shows, as one document for the script of its page."""
+
+# The key `stats` has the document of `stats --json` as it is, but for the histograms of single
+# polls and, of very many polls, those that were asked least. The script makes tables and charts
+# from it, so the figures of both are the same. All other keys are described where they are made.
+#
+# Bounds: MAX_UNITS units in charts over time, MAX_SAMPLES values in all charts of registers,
+# MAX_POLLS polls, MAX_ROWS rows in every other table.
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from mbtool.core import WireEvent
+from mbtool.devices import Difference
+from mbtool.devices.checking.rules import rule_of
+from mbtool.overview.inventory_rows import InventoryDocument, Role, iso_time
+from mbtool.overview.statistics import Statistics
+from mbtool.overview.statistics_report import LinkReport
+from mbtool.series.history import History, LinkSum, UnitRow, UnitSum
+from mbtool.series.time_bins import GREATEST
+from mbtool.series.value_series import thinned
+from mbtool.series.values import Values
+from mbtool.views.differences import what_text
+from mbtool.views.findings_table import Summaries, where
+from mbtool.views.inventory_table import mac_text, profile_text, seen_text, slave_lines
+from mbtool.views.report.transaction_rows import TransactionRows
+from mbtool.views.report.verdict import report_verdict
+from mbtool.views.statistics_document import statistics_document
+
+if TYPE_CHECKING:
+    from mbtool.devices.checking.finding import Finding
+    from mbtool.series.value_series import ValueSeries
+
+MAX_UNITS = 24
+MAX_SAMPLES = 40_000
+LEAST_SAMPLES = 100
+MOST_SAMPLES = 800
+MAX_POLLS = 300
+MAX_ROWS = 1000
+_NUMBER_BEGINS = "+-.0123456789"
+
+
+@dataclass(frozen=True, slots=True)
+class FileOrigin:
+    """What a file says of how it was recorded; nothing for most captures of other programs."""
+
+    file: str
+    capture: Mapping[str, str] = field(default_factory=dict)
+    links: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    devices: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class ComparisonWith:
+    """Differences from another capture."""
+
+    other: str
+    transactions: int
+    other_transactions: int
+    is_whole: bool
+    differences: Sequence[Difference]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReportContents:
+    """Everything that a report is made of."""
+
+    version: str
+    made_ns: int
+    sources: Sequence[str]
+    statistics: Statistics
+    links: Sequence[LinkReport]
+    inventory: InventoryDocument
+    findings: Summaries
+    number_of_findings: int
+    history: History
+    values: Values
+    rows: TransactionRows
+    origins: Sequence[FileOrigin]
+    remarks: Sequence[str]
+    lacking: Sequence[WireEvent]
+    """The first events about what the capture lacks."""
+    number_lacking: int
+    comparison: ComparisonWith | None = None
+
+
+def report_document(contents: ReportContents) -> dict[str, Any]:
+    """The document. Its texts are as captured; the page shows them as texts only."""
+    verdict = report_verdict(contents.links, contents.history, contents.findings)
+    return {
+        "version": contents.version,
+        "made": iso_time(contents.made_ns),
+        "verdict": {
+            "level": verdict.level,
+            "sentence": verdict.sentence,
+            "troubles": [
+                {
+                    "text": one.text,
+                    "who": one.who,
+                    "search": one.search,
+                    "rank": one.rank.name.lower(),
+                    "told": place < verdict.told,
+                }
+                for place, one in enumerate(verdict.troubles[:MAX_ROWS])
+            ],
+        },
+        "stats": _statistics(contents),
+        "bins": _bins(contents),
+        "values": _values(contents.values, contents.history.bins.begin_ns),
+        "inventory": _inventory(contents.inventory),
+        "findings": _findings(contents),
+        "transactions": contents.rows.document(),
+        "capture": _capture(contents),
+        "against": None if contents.comparison is None else _comparison(contents.comparison),
+    }
+
+
+def _statistics(contents: ReportContents) -> dict[str, Any]:
+    text = statistics_document(
+        contents.statistics, contents.links, sources=contents.sources, where=None
+    )
+    document: dict[str, Any] = json.loads(text)
+    for link in document["links"]:
+        link["polls"] = sorted(
+            sorted(link["polls"], key=lambda poll: -poll["transactions"])[:MAX_POLLS],
+            key=lambda poll: poll["number"],
+        )
+        for poll in link["polls"]:
+            (poll["latency"] or {}).pop("histogram", None)
+    return document
+
+
+def _bins(contents: ReportContents) -> dict[str, Any]:
+    """Counts over time: columns with a number for each bin; times in seconds since 1970."""
+    bins = contents.history.bins
+    timed = {link.name for link in contents.links if link.has_times}
+    known = [row for row in bins.rows if isinstance(row, UnitRow) and row.link in timed]
+    known.sort(key=lambda row: -sum(bins.column(row, UnitSum.TRANSACTIONS)))
+    return {
+        "begin": bins.begin_ns / 1e9,
+        "width": bins.width_ns / 1e9,
+        "count": bins.count,
+        "units_left_out": max(len(known) - MAX_UNITS, 0),
+        "units": [_unit_columns(contents.history, row) for row in sorted(known[:MAX_UNITS])],
+        "links": [
+            _link_columns(contents, link) for link in contents.links[:MAX_UNITS] if link.has_times
+        ],
+    }
+
+
+def _unit_columns(history: History, row: UnitRow) -> dict[str, Any]:
+    def column(place: int) -> list[int]:
+        return history.bins.column(row, place)
+
+    sums, numbers = column(UnitSum.LATENCY_NS), column(UnitSum.LATENCIES)
+    return {
+        "link": row.link,
+        "unit": row.unit,
+        "requests": column(UnitSum.TRANSACTIONS),
+        "no_answer": column(UnitSum.NO_ANSWER),
+        "exceptions": column(UnitSum.EXCEPTION),
+        "retries": column(UnitSum.RETRIES),
+        "bad_check": column(UnitSum.BAD_CHECK),
+        "mean_ms": [
+            _in_ms(total / number) if number else None
+            for total, number in zip(sums, numbers, strict=True)
+        ],
+        "most_ms": [
+            _in_ms(most) if number else None
+            for most, number in zip(column(GREATEST), numbers, strict=True)
+        ],
+    }
+
+
+def _in_ms(ns: float) -> float:
+    """A duration in ms with a microsecond's precision."""
+    return round(ns / 1e6, 3)
+
+
+def _link_columns(contents: ReportContents, link: LinkReport) -> dict[str, Any]:
+    bins = contents.history.bins
+    settings = contents.statistics.links[link.name]
+    sizes = bins.column(link.name, LinkSum.BYTES)
+    load = None
+    if link.load is not None:
+        load = [round(min(settings.wire_ns(size) / bins.width_ns, 1.0), 4) for size in sizes]
+    return {
+        "link": link.name,
+        "requests": bins.column(link.name, LinkSum.TRANSACTIONS),
+        "bytes": sizes,
+        "load": load,
+        "bad_check": bins.column(link.name, LinkSum.BAD_CHECK),
+        "no_frame": bins.column(link.name, LinkSum.NO_FRAME),
+        "lacking": bins.column(link.name, LinkSum.LACKING),
+    }
+
+
+def _values(values: Values, begin_ns: int) -> dict[str, Any]:
+    """The values over time, in ms since the first bin; and those that never changed."""
+    moving = {key: one for key, one in values.series.items() if one.changes and one.samples}
+    most = min(max(MAX_SAMPLES // max(len(moving), 1), LEAST_SAMPLES), MOST_SAMPLES)
+    return {
+        "left_out": values.left_out,
+        "series": [
+            {
+                "link": key.link,
+                "unit": key.unit,
+                "name": one.name,
+                "reference": one.reference,
+                "measure": one.unit,
+                "kind": _kind(one),
+                "changes": one.changes,
+                "texts": [[value, text] for value, text in one.texts.items()],
+                "samples": [
+                    [(ns - begin_ns) // 1_000_000, value]
+                    for ns, value in thinned(one.samples, most)
+                ],
+            }
+            for key, one in moving.items()
+        ],
+        "constant": [
+            [key.link, key.unit, one.name, one.reference, _last(one)]
+            for key, one in values.series.items()
+            if key not in moving
+        ],
+    }
+
+
+def _kind(series: ValueSeries) -> str:
+    """How a series is drawn: `bit`, `state` or `number`."""
+    if series.bit or (series.texts and {one.value for one in series.samples} <= {0, 1}):
+        return "bit"
+    are_words = any(text and text[0] not in _NUMBER_BEGINS for text in series.texts.values())
+    return "state" if are_words else "number"
+
+
+def _last(series: ValueSeries) -> str:
+    if series.last_text:
+        return series.last_text
+    return f"{series.samples[-1].value:g} {series.unit}".strip() if series.samples else ""
+
+
+def _inventory(document: InventoryDocument) -> dict[str, Any]:
+    quiet = (Role.SILENT, Role.UNHEARD)
+    return {
+        "slaves": [
+            {
+                "where": row.where,
+                "unit": row.unit,
+                "role": row.role.value,
+                "profile": profile_text(row),
+                "transactions": row.transactions,
+                "unanswered": row.unanswered,
+                "details": slave_lines(row),
+            }
+            for row in sorted(document.slaves, key=lambda row: row.role in quiet)[:MAX_ROWS]
+        ],
+        "slaves_seen": len(document.slaves),
+        "masters": [
+            [
+                row.host,
+                row.slaves,
+                row.written,
+                row.requests,
+                seen_text(row.first_ns, row.last_ns),
+                mac_text(row.macs, row.makers),
+            ]
+            for row in document.masters[:MAX_ROWS]
+        ],
+        "masters_seen": len(document.masters),
+    }
+
+
+def _findings(contents: ReportContents) -> dict[str, Any]:
+    rows = []
+    for code, summary in contents.findings:
+        rule = rule_of(code)
+        for place in summary.places():
+            rows.append(
+                {
+                    "code": code,
+                    "severity": summary.severity.value,
+                    "meaning": "" if rule is None else rule.meaning,
+                    "source": "" if rule is None else rule.source,
+                    "place": place.place,
+                    "count": place.number,
+                    "first": _case(place.first),
+                    "last": None if place.first is place.last else _case(place.last),
+                    "elsewhere": summary.number_elsewhere,
+                }
+            )
+    return {"count": contents.number_of_findings, "rows": rows}
+
+
+def _case(finding: Finding) -> dict[str, Any]:
+    return {
+        "us": finding.ts_ns // 1000,
+        "message": finding.message,
+        "where": where(finding),
+        "source": finding.source or "",
+    }
+
+
+def _capture(contents: ReportContents) -> dict[str, Any]:
+    return {
+        "files": [
+            {
+                "file": one.file,
+                "capture": list(one.capture.items()),
+                "links": [[name, list(values.items())] for name, values in one.links.items()],
+                "devices": list(one.devices.items()),
+            }
+            for one in contents.origins[:MAX_ROWS]
+        ],
+        "files_seen": len(contents.origins),
+        "remarks": list(contents.remarks[:MAX_ROWS]),
+        "lacking": [[one.ts_ns // 1000, one.link, one.message] for one in contents.lacking],
+        "lacking_seen": contents.number_lacking,
+    }
+
+
+def _comparison(one: ComparisonWith) -> dict[str, Any]:
+    return {
+        "other": one.other,
+        "transactions": one.transactions,
+        "other_transactions": one.other_transactions,
+        "is_whole": one.is_whole,
+        "count": len(one.differences),
+        "rows": [
+            [
+                f"unit {each.unit}" + ("" if each.link is None else f" on {each.link}"),
+                each.kind.value,
+                each.what,
+                what_text(each),
+                each.b.text,
+                each.a.text,
+            ]
+            for each in one.differences[:MAX_ROWS]
+        ],
+    }
+
+
+def encoded(document: dict[str, Any]) -> str:
+    """The document as JSON for a script element: ASCII, and no text in it can end the element."""
+    text = json.dumps(msgspec.to_builtins(document), ensure_ascii=True, separators=(",", ":"))
+    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")

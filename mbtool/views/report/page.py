@@ -1,0 +1,50 @@
+"""Puts the document of a report, its script and its style into one HTML file."""
+
+# The page needs no network and cannot use one: its Content-Security-Policy permits nothing but the
+# scripts and styles whose hashes it lists. No text of a capture is in the markup. All of them are
+# in the JSON of one script element that is not executed; page.js shows them as text nodes.
+
+from __future__ import annotations
+
+from base64 import b64encode
+from hashlib import sha256
+from importlib.resources import files
+
+_ASSETS = "assets"
+_SCRIPTS = ("uPlot.iife.min.js", "page.js")
+_STYLES = ("uPlot.min.css", "page.css")
+
+
+def page(data: str) -> str:
+    """The page for a document that `encoded` has made JSON of."""
+    scripts, styles = [_asset(name) for name in _SCRIPTS], [_asset(name) for name in _STYLES]
+    policy = "; ".join((
+        "default-src 'none'",
+        f"script-src {' '.join(map(_hash, scripts))}",
+        f"style-src {' '.join(map(_hash, styles))}",
+        "img-src data:",
+        "base-uri 'none'",
+        "form-action 'none'",
+        "require-trusted-types-for 'script'",
+        "trusted-types 'none'",
+    ))  # fmt: skip
+    licence = _asset("uPlot.LICENSE").replace("--", "- -")
+    return "".join((
+        _asset("page.html")
+        .replace("{policy}", policy)
+        .replace("{styles}", "".join(f"<style>{one}</style>\n" for one in styles))
+        .replace("{licence}", f"<!-- Charts by uPlot.\n{licence}-->")
+        .removesuffix("</body>\n</html>\n"),
+        f'<script type="application/json" id="data">{data}</script>\n',
+        *(f"<script>{one}</script>\n" for one in scripts),
+        "</body>\n</html>\n",
+    ))  # fmt: skip
+
+
+def _asset(name: str) -> str:
+    return (files(__package__) / _ASSETS / name).read_text(encoding="utf-8")
+
+
+def _hash(text: str) -> str:
+    """The source expression that permits an inline script or style with this text."""
+    return f"'sha256-{b64encode(sha256(text.encode()).digest()).decode()}'"

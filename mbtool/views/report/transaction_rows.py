@@ -1,0 +1,137 @@
+"""The rows of a report's table of transactions: the first ones, and those with something wrong."""
+
+# A row is a list, to keep the page small:
+#
+#     number, microseconds since the first row, link, unit, request, result, outcome,
+#     latency in microseconds or -1, codes of findings
+#
+# Link, request, result, outcome and codes are places in `texts`, as the same texts come again and
+# again. Texts become shorter as the page grows (ROOM), so that it stays below 3 MB.
+#
+# Memory: FIRST rows and at most MORE others, of one kind at a place at most OF_KIND; without
+# limits if everything is wanted.
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import TYPE_CHECKING, Any
+
+from mbtool.modbus import Outcome
+from mbtool.views.cells import result_text, transaction_text
+from mbtool.views.tables import printable
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from mbtool.devices import NamedTransaction
+    from mbtool.devices.checking.finding import Finding
+
+FIRST = 5000
+MORE = 8000
+OF_KIND = 2000
+ROOM = ((600_000, 160), (900_000, 60), (1_200_000, 30))
+"""Up to so many characters in all texts, a text has at most so many characters."""
+_SHORTEST = 12
+_ARROW = " -> "
+_WELL = frozenset((Outcome.OK, Outcome.BROADCAST))
+_OUTCOME, _CODES = 6, 8
+"""Places in a row."""
+
+
+class TransactionRows:
+    """Collects rows from the transactions of a capture, in their order."""
+
+    def __init__(self, *, everything: bool = False) -> None:
+        self._everything = everything
+        self._places: dict[str, int] = {}
+        self._texts: list[str] = []
+        self._size = 0
+        self._kinds: Counter[tuple[str, int, str]] = Counter()
+        self._more = 0
+        self._by_time: dict[tuple[str, int | None, int], tuple[list[int], dict[str, None]]] = {}
+        """The row and its codes, by link, unit and start."""
+        self.begin_ns: int | None = None
+        self.rows: list[list[int]] = []
+        self.transactions = 0
+        self.with_trouble = 0
+        """The number of transactions with a finding, or with another outcome than ok."""
+        self.kept_with_trouble = 0
+
+    def add(self, one: NamedTransaction, codes: Iterable[str]) -> None:
+        """Take a transaction with the codes of its findings."""
+        self.transactions += 1
+        codes = dict.fromkeys((*one.findings, *codes))
+        has_trouble = bool(codes) or one.outcome not in _WELL
+        self.with_trouble += has_trouble
+        if self._everything or self.transactions <= FIRST or self._is_wanted(one, codes):
+            self.kept_with_trouble += has_trouble
+            self._keep(one, codes)
+
+    def mark(self, finding: Finding) -> None:
+        """Take a finding about an earlier transaction; nothing happens if its row is not kept."""
+        found = self._by_time.get((finding.link, finding.unit, finding.ts_ns))
+        if found is None or finding.code in found[1]:
+            return
+        row, codes = found
+        if not codes and self._texts[row[_OUTCOME]] in _WELL:
+            self.with_trouble += 1
+            self.kept_with_trouble += 1
+        codes[finding.code] = None
+        row[_CODES] = self._place(" ".join(codes))
+
+    def document(self) -> dict[str, Any]:
+        """The rows and their texts for the page."""
+        return {
+            "begin_us": 0 if self.begin_ns is None else self.begin_ns // 1000,
+            "texts": self._texts,
+            "rows": self.rows,
+            "transactions": self.transactions,
+            "with_trouble": self.with_trouble,
+            "kept_with_trouble": self.kept_with_trouble,
+        }
+
+    def _is_wanted(self, one: NamedTransaction, codes: dict[str, None]) -> bool:
+        if not codes and one.outcome in _WELL:
+            return False
+        kind = (one.link, one.unit, " ".join(codes) or one.outcome.value)
+        self._kinds[kind] += 1
+        if self._kinds[kind] > OF_KIND or self._more >= MORE:
+            return False
+        self._more += 1
+        return True
+
+    def _keep(self, one: NamedTransaction, codes: dict[str, None]) -> None:
+        if self.begin_ns is None:
+            self.begin_ns = one.start_ns
+        text, result = transaction_text(one), ""
+        if _ARROW in text:
+            text, _, result = text.partition(_ARROW)
+        row = [
+            self.transactions,
+            (one.start_ns - self.begin_ns) // 1000,
+            self._place(one.link),
+            one.unit,
+            self._place(text),
+            self._place(result or result_text(one)),
+            self._place(one.outcome.value),
+            -1 if one.latency_ns is None else one.latency_ns // 1000,
+            self._place(" ".join(codes)),
+        ]
+        self.rows.append(row)
+        self._by_time[one.link, one.unit, one.start_ns] = row, codes
+
+    def _place(self, text: str) -> int:
+        """The place of a text in the list of texts."""
+        place = self._places.get(text)
+        if place is not None:
+            return place
+        if not self._everything:
+            most = next((most for size, most in ROOM if self._size < size), _SHORTEST)
+            text = text if len(text) <= most else text[: most - 1] + "…"
+        text = printable(text)
+        place = self._places.get(text)
+        if place is None:
+            place = self._places[text] = len(self._texts)
+            self._texts.append(text)
+            self._size += len(text)
+        return place

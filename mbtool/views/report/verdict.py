@@ -1,0 +1,350 @@
+"""The first sentence of a report: what is wrong with whom since when, and that the rest is well."""
+
+# A trouble is told of a unit, of a link or of a host. Since when: from the first bin (series/
+# time_bins.py) in which it shows, if it does not show from the beginning. Shares are then of the
+# requests since. A unit can have several troubles; the worst come first.
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import IntEnum
+from statistics import median
+from typing import TYPE_CHECKING
+
+from mbtool.core.wording import counted
+from mbtool.devices.checking.rules import Severity, rule_of
+from mbtool.modbus import Outcome
+from mbtool.overview.request_tally import RequestTally, merged
+from mbtool.series.history import History, LinkSum, UnitRow, UnitSum
+from mbtool.views.cells import clock_time, day
+from mbtool.views.statistics_words import in_ms, percent
+from mbtool.views.transaction_table import host_of
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from mbtool.overview.statistics_report import LinkReport
+    from mbtool.views.findings_table import Summaries
+
+IN_SENTENCE = 3
+"""The first sentence names at most so many troubles; all of them stand below it."""
+FEW = 0.01
+"""A share of requests below this, 1 %, is told as a count, and is no reason for alarm."""
+SLOW = 3
+"""A unit is slow if its median latency is so many times what the median of the other units is..."""
+SLOW_NS = 10_000_000
+"""...and at least this long, in ns."""
+_ENOUGH_ANSWERS = 5
+"""The median latency of fewer answers tells nothing."""
+_THROUGHOUT = 0.1
+"""A trouble that shows in the first tenth of a unit's time was there from the beginning."""
+_ENDED = 0.25
+"""A trouble that does not show in the last quarter of a unit's time has ended."""
+_ENOUGH = 3
+"""What happened fewer times is small; what shows in fewer bins is given no time."""
+_DAY_NS = 86_400_000_000_000
+
+
+class Rank(IntEnum):
+    """How bad a trouble is; the worst first."""
+
+    UNREADABLE = 0
+    DEAD = 1
+    ATTACK = 2
+    FAILING = 3
+    SLOW = 4
+    RULE = 5
+    MINOR = 6
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VerdictTrouble:
+    """One thing that is wrong."""
+
+    rank: Rank
+    text: str
+    """A clause that begins with the name of who has the trouble."""
+    weight: float = 0.0
+    """Of troubles of one rank the one with the greatest weight comes first."""
+    who: str = ""
+    """The unit, host or code that has it."""
+    search: str = ""
+    """What finds the transactions of it in the table of the report."""
+    of: UnitRow | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class _Unit:
+    """What is known of one unit."""
+
+    row: UnitRow
+    name: str
+    tally: RequestTally
+    history: History | None
+    """None if the bytes of its line have no times."""
+    bad_checks: int
+    """The number of its answers with a wrong CRC or LRC."""
+
+    def trouble(self, rank: Rank, text: str, weight: float, word: str = "") -> VerdictTrouble:
+        search = f"{link_word(self.row.link)}unit:{self.row.unit} {word}".rstrip()
+        return VerdictTrouble(
+            rank=rank, text=text, weight=weight, who=self.name, search=search, of=self.row
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class ReportVerdict:
+    """What the report says first."""
+
+    sentence: str
+    troubles: list[VerdictTrouble] = field(default_factory=list)
+    told: int = 0
+    """The first so many troubles are told in the sentence."""
+
+    @property
+    def level(self) -> str:
+        """`well`, `doubt` or `bad`."""
+        worst = min((one.rank for one in self.troubles), default=None)
+        if worst is None:
+            return "well"
+        return "bad" if worst < Rank.RULE else "doubt"
+
+
+def link_word(link: str) -> str:
+    """What the search of the table takes for a link, with a space; empty for a name with spaces."""
+    return "" if " " in link else f"{link} "
+
+
+def report_verdict(
+    links: Sequence[LinkReport], history: History, findings: Summaries
+) -> ReportVerdict:
+    """Judge a capture by its statistics, its history and its findings."""
+    units = _tallies(links)
+    total = merged(list(units.values()))
+    if not total.transactions and not findings:
+        return ReportVerdict("There is no transaction in the capture.")
+    several = len(links) > 1
+    names = {row: _name(row, several=several) for row in units}
+    timed = {link.name for link in links if link.has_times}
+    medians = {
+        row: one.latency.percentile(50)
+        for row, one in units.items()
+        if one.latency.count >= _ENOUGH_ANSWERS
+    }
+    troubles = [*_line_troubles(links, history), *_finding_troubles(findings)]
+    for row, tally in units.items():
+        of_time = history if row.link in timed else None
+        unit = _Unit(row, names[row], tally, of_time, history.bad_checks.get(row, 0))
+        others = [one for other, one in medians.items() if other != row]
+        troubles += _unit_troubles(unit, median(others) if others else 0)
+    troubles.sort(key=lambda one: (one.rank, -one.weight))
+    grave = sum(one.rank < Rank.RULE for one in troubles)
+    told = min(grave, IN_SENTENCE) if grave else min(len(troubles), 1)
+    return ReportVerdict(_sentence(troubles, units, total), troubles, told)
+
+
+def _tallies(links: Sequence[LinkReport]) -> dict[UnitRow, RequestTally]:
+    """The counts of each unit; broadcasts on a serial line are to no unit."""
+    tallies: dict[UnitRow, list[RequestTally]] = {}
+    for link in links:
+        for one in link.functions:
+            if one.tally.count(Outcome.BROADCAST) < one.tally.transactions:
+                tallies.setdefault(UnitRow(link.name, one.unit), []).append(one.tally)
+    return {row: merged(some) for row, some in tallies.items()}
+
+
+def _name(row: UnitRow, *, several: bool) -> str:
+    return f"unit {row.unit} at {row.link}" if several else f"unit {row.unit}"
+
+
+def _sentence(
+    troubles: Sequence[VerdictTrouble], units: dict[UnitRow, RequestTally], total: RequestTally
+) -> str:
+    grave = [one for one in troubles if one.rank < Rank.RULE]
+    minor = [one for one in troubles if one.rank >= Rank.RULE]
+    if not grave:
+        word = "well" if not minor else "well, but for small things"
+        return f"Everything is {word}: {_all_well(units, total, minor)}."
+    parts = [one.text for one in grave[:IN_SENTENCE]]
+    more = len(grave) - len(parts)
+    if more:
+        parts.append(f"{counted(more, 'more trouble')} below")
+    else:
+        sick = {one.of for one in grave if one.of is not None}
+        if len(units) > len(sick):
+            parts.append("everything else is well" if not minor else "nothing else is grave")
+    text = "; ".join(parts)
+    return f"{text[:1].upper()}{text[1:]}."
+
+
+def _all_well(
+    units: dict[UnitRow, RequestTally], total: RequestTally, minor: Sequence[VerdictTrouble]
+) -> str:
+    if minor:
+        return minor[0].text
+    who = "the unit answers" if len(units) == 1 else f"{len(units):,} units answer"
+    requests = counted(total.transactions, "request", ",")
+    usual = total.latency.percentile(50)
+    half = f", half of them within {in_ms(usual)} ms" if usual else ""
+    return f"{who} {requests}{half}"
+
+
+def _line_troubles(links: Sequence[LinkReport], history: History) -> list[VerdictTrouble]:
+    """Frames with a wrong CRC that belong to no known unit, and connections that were cut."""
+    troubles = []
+    for link in links:
+        frames = sum(history.bins.column(link.name, LinkSum.BAD_CHECK))
+        known = sum(n for row, n in history.bad_checks.items() if row.link == link.name)
+        if frames > known:
+            troubles.append(
+                VerdictTrouble(
+                    rank=_rank(
+                        Rank.FAILING,
+                        (frames - known) / (link.tally.transactions or 1),
+                        frames - known,
+                    ),
+                    text=f"{link.name} has {counted(frames - known, 'frame', ',')} with a wrong "
+                    "CRC that no unit can be blamed for",
+                    weight=frames - known,
+                    who=link.name,
+                    search=link_word(link.name).strip(),
+                )
+            )
+        lost = sum(one.resets + one.refused for _, one in link.connections)
+        if lost:
+            troubles.append(
+                VerdictTrouble(
+                    rank=Rank.MINOR,
+                    text=f"{link.name} had {counted(lost, 'connection', ',')} reset or refused",
+                    weight=lost,
+                    who=link.name,
+                    search=link_word(link.name).strip(),
+                )
+            )
+    return troubles
+
+
+def _rank(grave: Rank, share: float, count: int) -> Rank:
+    """The rank of what happened `count` times, to a share of the requests."""
+    return grave if share >= FEW and count >= _ENOUGH else Rank.MINOR
+
+
+def _unit_troubles(unit: _Unit, usual: float) -> list[VerdictTrouble]:
+    """`usual` is the median latency of the other units in ns; 0 if they do not answer."""
+    name, tally = unit.name, unit.tally
+    asked = tally.transactions - tally.count(Outcome.UNSOLICITED)
+    found = []
+    if tally.unanswered and tally.unanswered == asked:
+        text = f"{name} never answers ({counted(asked, 'request', ',')})"
+        return [unit.trouble(Rank.DEAD, text, asked)]
+    if tally.unanswered:
+        found.append(_unanswered(unit))
+    if tally.count(Outcome.EXCEPTION):
+        found.append(_refusals(unit))
+    malformed = tally.count(Outcome.MALFORMED)
+    if malformed:
+        share = malformed / asked
+        text = f"{name} gives {counted(malformed, 'malformed answer', ',')} ({percent(share)})"
+        found.append(unit.trouble(_rank(Rank.FAILING, share, malformed), text, share, "malformed"))
+    own = tally.latency.percentile(50)
+    is_known = usual and tally.latency.count >= _ENOUGH_ANSWERS
+    if is_known and own >= max(SLOW * usual, SLOW_NS):
+        text = f"{name} is slow: half of its answers take {in_ms(own)} ms or more, "
+        text += f"those of the others {in_ms(usual)} ms"
+        found.append(unit.trouble(Rank.SLOW, text, own / usual))
+    return found
+
+
+def _unanswered(unit: _Unit) -> VerdictTrouble:
+    when, lost, of = _period(unit, UnitSum.NO_ANSWER)
+    if not of:
+        lost, of = unit.tally.unanswered, unit.tally.transactions
+    share = lost / of
+    requests = f"{_share(share, lost)} of its requests"
+    if unit.bad_checks * 2 > unit.tally.unanswered:
+        is_all = unit.bad_checks == unit.tally.unanswered
+        how = "with a wrong CRC" if is_all else "with a wrong CRC or not at all"
+        text = f"{unit.name} answers {requests} {how}{when}"
+    else:
+        text = f"{unit.name} leaves {requests} without an answer{when}"
+    return unit.trouble(_rank(Rank.FAILING, share, lost), text, share, "no-answer")
+
+
+def _refusals(unit: _Unit) -> VerdictTrouble:
+    tally = unit.tally
+    when, refused, of = _period(unit, UnitSum.EXCEPTION)
+    if not of:
+        refused, of = tally.count(Outcome.EXCEPTION), tally.transactions
+    share = refused / of
+    code = max(tally.exceptions, key=lambda one: tally.exceptions[one])
+    text = f"{unit.name} refuses {_share(share, refused)} of its requests, mostly with {code:02X} "
+    text += f"{tally.exception_names[code]}{when}"
+    return unit.trouble(_rank(Rank.FAILING, share, refused), text, share, "exception")
+
+
+def _share(share: float, count: int) -> str:
+    return percent(share) if share >= FEW else f"{count:,}"
+
+
+def _period(unit: _Unit, what: UnitSum) -> tuple[str, int, int]:
+    """Words for when something happened to a unit, and how many of how many requests then.
+
+    The words are empty if it happened throughout. All are empty or 0 for a unit of which the
+    history has nothing.
+    """
+    if unit.history is None:
+        return "", 0, 0
+    bins = unit.history.bins
+    hits = bins.column(unit.row, what)
+    asked = bins.column(unit.row, UnitSum.TRANSACTIONS)
+    places = [place for place, count in enumerate(hits) if count]
+    active = [place for place, count in enumerate(asked) if count]
+    if not places:
+        return "", 0, 0
+    whole = active[-1] - active[0] + 1
+    begin, end = places[0], places[-1]
+    is_late = begin - active[0] > _THROUGHOUT * whole
+    is_over = active[-1] - end > _ENDED * whole
+    if len(places) < _ENOUGH or not (is_late or is_over):
+        return "", sum(hits), sum(asked)
+    begin = begin if is_late else active[0]
+    end = end if is_over else active[-1]
+    span = slice(begin, end + 1)
+    first_ns, last_ns = (bins.begin_ns + place * bins.width_ns for place in (begin, end + 1))
+    is_long = (active[-1] - active[0]) * bins.width_ns >= _DAY_NS
+    since, until = (
+        _moment(ns, is_long=is_long, width_ns=bins.width_ns) for ns in (first_ns, last_ns)
+    )
+    when = f" since {since}" if is_late else ""
+    when = f" from {since} to {until}" if is_late and is_over else when
+    when = f" until {until}" if is_over and not is_late else when
+    return when, sum(hits[span]), sum(asked[span])
+
+
+def _moment(ns: int, *, is_long: bool, width_ns: int) -> str:
+    """A time of day, with the date in a capture of days, as exact as the bins are."""
+    time = clock_time(ns)[: 5 if width_ns >= 60_000_000_000 else 8]
+    return f"{day(ns)} {time}" if is_long else time
+
+
+def _finding_troubles(findings: Summaries) -> list[VerdictTrouble]:
+    """The rules that are broken, apart from those that the counts of units tell already."""
+    troubles = []
+    for code, summary in findings:
+        places = summary.places()
+        number = sum(place.number for place in places) + summary.number_elsewhere
+        rule = rule_of(code)
+        meaning = "" if rule is None else rule.meaning.rstrip(".")
+        meaning = f"{meaning[:1].lower()}{meaning[1:]}"
+        first = places[0].first
+        if code.startswith("SEC") and summary.severity is not Severity.NOTE:
+            who = host_of(first.source) or first.link
+            rank, text = Rank.ATTACK, f"{who}: {meaning} ({code})"
+        elif code == "RTU-204":
+            rank, text = Rank.UNREADABLE, f"{first.link}: {meaning}"
+        elif summary.severity is Severity.ERROR:
+            rank, text = Rank.RULE, f"{code}, {counted(number, 'time', ',')}: {meaning}"
+        else:
+            continue
+        troubles.append(VerdictTrouble(rank=rank, text=text, weight=number, who=code, search=code))
+    return troubles

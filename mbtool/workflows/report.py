@@ -1,0 +1,193 @@
+"""Makes the page that tells all of some captures: one pass over the files, one page out."""
+
+# The figures are those of `stats`, the inventory that of `inventory`, the findings those of
+# `check`, and the comparison that of `diff`: the same classes count here, all fed from one reading.
+# The comparison reads both captures once more, as it needs all their traffic at once.
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING
+
+from mbtool.core import EventKind, InputError, WireEvent
+from mbtool.devices import builtin_profiles, load_profile
+from mbtool.overview.identification import identify
+from mbtool.overview.inventory import Inventory
+from mbtool.overview.statistics import Statistics
+from mbtool.overview.statistics_report import report
+from mbtool.ports.clock import now_ns
+from mbtool.series.history import History
+from mbtool.series.values import Values
+from mbtool.sources.makers import maker
+from mbtool.version import __version__
+from mbtool.views.findings_table import Summaries
+from mbtool.views.report.contents import (
+    ComparisonWith,
+    FileOrigin,
+    ReportContents,
+    encoded,
+    report_document,
+)
+from mbtool.views.report.page import page
+from mbtool.views.report.transaction_rows import TransactionRows
+from mbtool.workflows.check import CheckRun
+from mbtool.workflows.diff import DiffOptions, compare
+from mbtool.workflows.shared.file_results import shown_name
+from mbtool.workflows.shared.read_all import unwatched
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from mbtool.core import SerialFormat
+    from mbtool.devices import NamedTransaction
+    from mbtool.devices.checking.finding import Finding
+    from mbtool.devices.checking.security_limits import SecurityLimits
+    from mbtool.workflows.check import CheckedRecord, CodeFilter
+    from mbtool.workflows.shared.reading import Reading, ReadingOptions
+
+    WatchChecked = Callable[[Reading, Iterator[CheckedRecord]], Iterator[CheckedRecord]]
+
+_LACKING = frozenset((EventKind.GAP, EventKind.DISCARDED, EventKind.CUT, EventKind.UNREADABLE))
+MAX_LACKING = 200
+"""The page lists at most so many events about what the capture lacks."""
+
+
+class ReportRun:
+    """Reads files once, and makes a page of them."""
+
+    def __init__(
+        self,
+        files: Sequence[str],
+        options: ReadingOptions,
+        codes: CodeFilter | None = None,
+        limits: SecurityLimits | None = None,
+        *,
+        everything: bool = False,
+    ) -> None:
+        """With `everything`, the page has all transactions, however large it becomes."""
+        self._files = files
+        self._options = options
+        self._check = CheckRun(files, options, codes, limits)
+        self.reading = self._check.reading
+        self.statistics = Statistics(self._format_of)
+        self._inventory = Inventory()
+        self._history = History()
+        self._values = Values()
+        self._rows = TransactionRows(everything=everything)
+        self._findings = Summaries()
+        self._number_of_findings = 0
+        self._lacking: list[WireEvent] = []
+        self._number_lacking = 0
+        self._captures = 0
+        self.error: InputError | None = None
+        """An error of a file that could not be read, or not to its end; None if there was none."""
+
+    def demand_codes(self) -> None:
+        """Raise UsageError if no code begins with a text of the filter."""
+        self._check.demand_codes()
+
+    def read(self, watch: WatchChecked = unwatched) -> None:
+        """Read the files as far as they can be read.
+
+        Raises InputError if an error made it impossible to read any transaction.
+        """
+        try:
+            for one in watch(self.reading, self._check.checked()):
+                self._add(one)
+        except InputError as error:
+            if not self.statistics.transactions:
+                raise
+            self.error = error
+        self.statistics.settle()
+
+    def page(
+        self, against: str | None = None, on_remark: Callable[[str], None] = lambda _: None
+    ) -> str:
+        """The page, compared with the capture `against`.
+
+        `on_remark` gets lines for the user about the files that are compared. Raises InputError if
+        the other capture cannot be read.
+        """
+        comparison = None if against is None else self._compared(against, on_remark)
+        return page(encoded(report_document(self._contents(comparison))))
+
+    @property
+    def remarks(self) -> list[str]:
+        """Lines for the user about the files."""
+        return self._check.remarks
+
+    def _add(self, one: CheckedRecord) -> None:
+        record, named = one.record, one.named
+        findings = [found.finding for found in one.findings]
+        for found in one.findings:
+            self._number_of_findings += found.finding.count
+            self._findings.add(found.finding, found.file if len(self._files) > 1 else "")
+        if record is not None and named is not None:
+            if self.reading.captures != self._captures:
+                self._captures = self.reading.captures
+                self.statistics.begin_capture()
+            self.statistics.add(record)
+            self._history.add(named)
+            if isinstance(record, WireEvent) or isinstance(named, WireEvent):
+                self._note_event(record)
+            else:
+                self._inventory.add(record)
+                self._values.add(named)
+                self._rows.add(named, _codes_of(named, findings))
+        for finding in findings:
+            self._rows.mark(finding)
+
+    def _note_event(self, record: object) -> None:
+        if isinstance(record, WireEvent) and record.kind in _LACKING:
+            self._number_lacking += 1
+            if len(self._lacking) < MAX_LACKING:
+                self._lacking.append(record)
+
+    def _contents(self, comparison: ComparisonWith | None) -> ReportContents:
+        profiles = {one.name: one for one in map(load_profile, builtin_profiles())}
+        profiles |= {one.name: one for one in self.reading.assignments.profiles}
+        return ReportContents(
+            version=__version__,
+            made_ns=now_ns(),
+            sources=self._files,
+            statistics=self.statistics,
+            links=report(self.statistics),
+            inventory=self._inventory.document(
+                self._files, partial(identify, profiles=list(profiles.values())), maker
+            ),
+            findings=self._findings,
+            number_of_findings=self._number_of_findings,
+            history=self._history,
+            values=self._values,
+            rows=self._rows,
+            origins=[self._origin(file) for file in map(shown_name, self._files)],
+            remarks=[*self.remarks, *([] if self.error is None else [str(self.error)])],
+            lacking=self._lacking,
+            number_lacking=self._number_lacking,
+            comparison=comparison,
+        )
+
+    def _origin(self, file: str) -> FileOrigin:
+        head = self.reading.results.heads.get(file)
+        if head is None:
+            return FileOrigin(file)
+        return FileOrigin(file, head.capture, head.links, head.devices)
+
+    def _compared(self, other: str, on_remark: Callable[[str], None]) -> ComparisonWith:
+        options = DiffOptions(reading=self._options)
+        found = compare(other, self._files[0], options, on_remark)
+        return ComparisonWith(
+            other, found.b_transactions, found.a_transactions, found.is_whole, found.differences
+        )
+
+    def _format_of(self, link: str) -> SerialFormat | None:
+        return self.reading.format_of(link)
+
+
+def _codes_of(one: NamedTransaction, findings: list[Finding]) -> list[str]:
+    """The codes of the findings about a transaction; others are about an earlier one."""
+    return [
+        finding.code
+        for finding in findings
+        if (finding.link, finding.unit, finding.ts_ns) == (one.link, one.unit, one.start_ns)
+    ]

@@ -1,0 +1,75 @@
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+from mbtool.cli import exit_codes
+from tests.cli.test_stats import LINE, NETWORK
+from tests.views.report.pages import Page
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from tests.cli.program import CommandLine
+
+
+def test_the_page_is_written_and_said(mbtool: CommandLine, tmp_path: Path) -> None:
+    out = tmp_path / "r.html"
+    told = mbtool("report", LINE, "-o", out)
+    assert (told.code, told.out) == (exit_codes.DONE, "")
+    assert told.err == f"11 transactions -> {out} ({out.stat().st_size / 1e6:.1f} MB)\n"
+    assert Page(out.read_text()).document["stats"]["transactions"] == 11
+
+
+def test_the_page_can_go_to_standard_output(mbtool: CommandLine) -> None:
+    told = mbtool("report", LINE, "-o", "-")
+    assert (told.code, told.err) == (exit_codes.DONE, "")
+    assert Page(told.out).document["stats"]["transactions"] == 11
+
+
+def test_findings_can_be_left_out(mbtool: CommandLine, tmp_path: Path) -> None:
+    out = tmp_path / "r.html"
+    mbtool("report", LINE, "-o", out, "--ignore", "FT1A")
+    codes = {one["code"] for one in Page(out.read_text()).document["findings"]["rows"]}
+    assert not any(code.startswith("FT1A") for code in codes)
+
+
+def test_an_error_leaves_an_older_page_alone(mbtool: CommandLine, tmp_path: Path) -> None:
+    out = tmp_path / "r.html"
+    out.write_text("older")
+    told = mbtool("report", tmp_path / "absent.pcap", "-o", out)
+    assert (told.code, out.read_text()) == (exit_codes.UNREADABLE, "older")
+
+
+def test_a_cut_capture_gives_a_page_and_an_error(
+    mbtool: CommandLine, tmp_path: Path, capture: Path
+) -> None:
+    cut, out = tmp_path / "cut.pcap", tmp_path / "r.html"
+    cut.write_bytes(capture.read_bytes()[:-5])
+    told = mbtool("report", cut, "-o", out)
+    assert told.code == exit_codes.UNREADABLE
+    assert Page(out.read_text()).document["stats"]["transactions"] > 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ((LINE,), "Missing option '--output'"),
+        ((LINE, NETWORK, "-o", "r.html", "--against", LINE), "--against goes with one FILE"),
+        ((LINE, "-o", LINE), "is an input and would be overwritten"),
+        ((LINE, "-o", "r.html", "--ignore", "XYZ"), "no code begins with 'XYZ'"),
+    ],
+)
+def test_wrong_usage_is_one_line(
+    mbtool: CommandLine,
+    arguments: tuple[object, ...],
+    said: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    told = mbtool("report", *arguments)
+    assert (told.code, told.out) == (exit_codes.USAGE, "")
+    assert said in told.err
+    assert told.err.count("\n") == 1

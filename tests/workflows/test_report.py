@@ -1,0 +1,152 @@
+"""What the page of a report says, held against the other commands and against made captures."""
+
+from __future__ import annotations
+
+import json
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from mbtool.cli.main import run
+from mbtool.core import InputError
+from mbtool.workflows.report import ReportRun
+from mbtool.workflows.shared.reading import ReadingOptions
+from tests.golden.test_captures import CAPTURES
+from tests.views.report.pages import Page, demand_self_contained
+from tests.workflows.evidence import capture_file
+from tests.workflows.sick_line import sick_line
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def report_of(*paths: Path, against: Path | None = None, everything: bool = False) -> Page:
+    made = ReportRun([str(path) for path in paths], ReadingOptions(), everything=everything)
+    made.read()
+    return Page(made.page(None if against is None else str(against)))
+
+
+@pytest.fixture(scope="module")
+def sick(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return sick_line(tmp_path_factory.mktemp("sick") / "sick.mcap")
+
+
+@pytest.fixture(scope="module")
+def sick_page(sick: Path) -> Page:
+    return report_of(sick)
+
+
+def test_the_verdict_names_the_dead_the_damaged_and_the_slow_unit(sick_page: Page) -> None:
+    told = sick_page.document["verdict"]
+    assert told["level"] == "bad"
+    assert told["sentence"] == (
+        "Unit 3 never answers (60 requests); unit 4 answers 33 % of its requests with a wrong CRC "
+        "since 22:13:50; unit 2 is slow: half of its answers take 180 ms or more, those of the "
+        "others 8.5 ms; everything else is well."
+    )
+    assert [one["search"] for one in told["troubles"]] == [
+        "rs485 unit:3", "rs485 unit:4 no-answer", "rs485 unit:2",
+    ]  # fmt: skip
+
+
+def test_a_healthy_capture_is_well(tmp_path: Path) -> None:
+    path = tmp_path / "well.pcap"
+    path.write_bytes(capture_file(5))
+    told = report_of(path).document["verdict"]
+    assert (told["level"], told["troubles"]) == ("well", [])
+    assert told["sentence"].startswith("Everything is well: the unit answers 5 requests")
+
+
+@pytest.mark.parametrize("path", CAPTURES, ids=lambda path: path.name)
+def test_the_figures_are_those_of_stats(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    told = report_of(path).document["stats"]
+    run(["stats", str(path), "--json"])
+    expected = json.loads(capsys.readouterr().out)
+    for link in expected["links"]:
+        for poll in link["polls"]:
+            (poll["latency"] or {}).pop("histogram", None)
+    assert told == expected
+
+
+def test_the_charts_count_what_the_tables_count(sick_page: Page) -> None:
+    told = sick_page.document
+    for unit in told["bins"]["units"]:
+        of_unit = [
+            one for one in told["stats"]["links"][0]["functions"] if one["unit"] == unit["unit"]
+        ]
+        for key, figure in (
+            ("requests", "transactions"),
+            ("no_answer", "no_answer"),
+            ("exceptions", "exception"),
+            ("retries", "retries"),
+        ):
+            assert sum(unit[key]) == sum(one[figure] for one in of_unit), key
+            assert len(unit[key]) == told["bins"]["count"]
+
+
+def test_the_findings_are_those_of_check(
+    sick: Path, sick_page: Page, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run(["check", str(sick), "--format", "json"])
+    expected = json.loads(capsys.readouterr().out)["findings"]
+    told = sick_page.document["findings"]
+    assert told["count"] == sum(one["count"] for one in expected)
+    assert {one["code"] for one in told["rows"]} == {one["code"] for one in expected}
+
+
+def test_findings_stand_at_the_transactions_that_they_are_about(sick_page: Page) -> None:
+    told = sick_page.document["transactions"]
+    units: dict[str, set[int]] = {}
+    for row in told["rows"]:
+        units.setdefault(told["texts"][row[-1]], set()).add(row[3])
+    assert units == {"": {1, 2, 4}, "MB-401": {3}, "MB-402": {4}}
+    assert told["with_trouble"] == told["kept_with_trouble"] == 70
+
+
+def test_values_changed_and_unchanged_are_told_apart(sick_page: Page) -> None:
+    told = sick_page.document["values"]
+    assert [(one["unit"], one["name"], one["changes"]) for one in told["series"]] == [
+        (1, "holding 1", 59), (2, "holding 1", 59), (4, "holding 1", 49),
+    ]  # fmt: skip
+    times, values = zip(*told["series"][0]["samples"], strict=True)
+    assert values == tuple(range(60))
+    assert {after - before for before, after in pairwise(times)} == {1000}
+    assert [row[1:3] + row[4:] for row in told["constant"]] == [
+        [unit, "holding 0", "258"] for unit in (1, 2, 4)
+    ]
+
+
+def test_the_page_says_how_the_capture_was_made(sick_page: Page) -> None:
+    (file,) = sick_page.document["capture"]["files"]
+    assert ["command", "mbtool sniff"] in file["capture"]
+    assert file["links"] == [["rs485", [["spec", "rtu:/dev/rs485@19200-8E1"]]]]
+
+
+def test_the_comparison_is_that_of_diff(sick: Path, tmp_path: Path) -> None:
+    other = sick_line(tmp_path / "other.mcap", cycles=20)
+    told = report_of(sick, against=other).document["against"]
+    assert (told["transactions"], told["other_transactions"]) == (240, 80)
+    assert told["count"] == len(told["rows"]) > 0
+    assert {row[1] for row in told["rows"]} <= {"outcome", "value", "latency"}
+
+
+def test_a_cut_file_is_told_as_far_as_it_can_be_read(tmp_path: Path) -> None:
+    path = tmp_path / "cut.pcap"
+    path.write_bytes(capture_file(5)[:-5])
+    made = ReportRun([str(path)], ReadingOptions())
+    made.read()
+    told = Page(made.page()).document
+    assert isinstance(made.error, InputError)
+    assert str(made.error) in told["capture"]["remarks"]
+    assert told["stats"]["transactions"] == 5
+
+
+def test_texts_of_the_wire_and_of_the_user_become_no_markup(tmp_path: Path) -> None:
+    path = sick_line(tmp_path / "<img src=x onerror=hacked()>.mcap", 6, name="</script><b>")
+    page = report_of(path)
+    demand_self_contained(page)
+    assert "b" not in [tag for tag, _ in page.tags]
+    told: dict[str, Any] = page.document
+    assert told["stats"]["links"][0]["link"] == "</script><b>"
+    assert told["stats"]["sources"] == [str(path)]
