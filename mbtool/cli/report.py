@@ -7,7 +7,14 @@ from typing import Annotated
 import typer
 
 from mbtool.cli.option_groups import takes_groups
-from mbtool.cli.options import DeviceOption, RawOption, SilenceOptions, SourceOptions
+from mbtool.cli.options import (
+    DeviceOption,
+    EndOption,
+    RawOption,
+    SilenceOptions,
+    SourceOptions,
+    StartOption,
+)
 
 
 @takes_groups
@@ -45,6 +52,8 @@ def report(
             "something wrong]",
         ),
     ] = False,
+    start: StartOption = None,
+    end: EndOption = None,
     raw: RawOption = False,
     source: SourceOptions,
     silences: SilenceOptions,
@@ -66,15 +75,19 @@ def report(
     from mbtool.core import UsageError
     from mbtool.workflows.check import CodeFilter
     from mbtool.workflows.report import ReportRun
+    from mbtool.workflows.shared.time_window import TimeWindow
 
     if against is not None and len(files) > 1:
         raise UsageError("--against goes with one FILE; join several with mbtool convert")
+    if against is not None and (start is not None or end is not None):
+        raise UsageError("--against compares whole captures; cut a part with mbtool convert first")
     demand_other_file([*files, *([] if against is None else [against])], output)
     path = named_file(output)
     run = ReportRun(
         files,
         source.read(device, raw=raw, silences=silences),
         CodeFilter.parse((), ignore or ()),
+        TimeWindow.parse(start, end),
         everything=everything,
     )
     run.demand_codes()

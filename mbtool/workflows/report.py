@@ -41,9 +41,9 @@ if TYPE_CHECKING:
     from mbtool.core import SerialFormat
     from mbtool.devices import NamedTransaction
     from mbtool.devices.checking.finding import Finding
-    from mbtool.devices.checking.security_limits import SecurityLimits
     from mbtool.workflows.check import CheckedRecord, CodeFilter
     from mbtool.workflows.shared.reading import Reading, ReadingOptions
+    from mbtool.workflows.shared.time_window import TimeWindow
 
     WatchChecked = Callable[[Reading, Iterator[CheckedRecord]], Iterator[CheckedRecord]]
 
@@ -60,14 +60,14 @@ class ReportRun:
         files: Sequence[str],
         options: ReadingOptions,
         codes: CodeFilter | None = None,
-        limits: SecurityLimits | None = None,
+        window: TimeWindow | None = None,
         *,
         everything: bool = False,
     ) -> None:
         """With `everything`, the page has all transactions, however large it becomes."""
         self._files = files
         self._options = options
-        self._check = CheckRun(files, options, codes, limits)
+        self._check = CheckRun(files, options, codes, window=window)
         self.reading = self._check.reading
         self.statistics = Statistics(self._format_of)
         self._inventory = Inventory()

@@ -35,6 +35,15 @@ def test_findings_can_be_left_out(mbtool: CommandLine, tmp_path: Path) -> None:
     assert not any(code.startswith("FT1A") for code in codes)
 
 
+def test_a_part_can_be_chosen(mbtool: CommandLine, tmp_path: Path) -> None:
+    out = tmp_path / "r.html"
+    mbtool("report", LINE, "-o", out, "--start", "0.2", "--end", "0.4")
+    told = Page(out.read_text()).document
+    rows = mbtool("decode", LINE, "--format", "jsonl", "--start", "0.2", "--end", "0.4").lines
+    assert told["stats"]["transactions"] == len(rows) < 11
+    assert len(told["transactions"]["rows"]) == len(rows)
+
+
 def test_an_error_leaves_an_older_page_alone(mbtool: CommandLine, tmp_path: Path) -> None:
     out = tmp_path / "r.html"
     out.write_text("older")
@@ -57,6 +66,7 @@ def test_a_cut_capture_gives_a_page_and_an_error(
     [
         ((LINE,), "Missing option '--output'"),
         ((LINE, NETWORK, "-o", "r.html", "--against", LINE), "--against goes with one FILE"),
+        ((LINE, "-o", "r.html", "--against", NETWORK, "--end", "1"), "compares whole captures"),
         ((LINE, "-o", LINE), "is an input and would be overwritten"),
         ((LINE, "-o", "r.html", "--ignore", "XYZ"), "no code begins with 'XYZ'"),
     ],

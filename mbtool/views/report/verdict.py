@@ -17,8 +17,8 @@ from mbtool.modbus import Outcome
 from mbtool.overview.request_tally import RequestTally, merged
 from mbtool.series.history import History, LinkSum, UnitRow, UnitSum
 from mbtool.views.cells import clock_time, day
+from mbtool.views.place_columns import host_of
 from mbtool.views.statistics_words import in_ms, percent
-from mbtool.views.transaction_table import host_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
