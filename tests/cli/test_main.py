@@ -29,6 +29,7 @@ COMMANDS = (
     "check",
     "stats",
     "watch",
+    "report",
     "convert",
     "recover",
     "replay",
