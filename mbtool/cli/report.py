@@ -58,10 +58,10 @@ def report(
     source: SourceOptions,
     silences: SilenceOptions,
 ) -> None:
-    """Make one page that tells all of captures: verdict, charts, findings, transactions.
+    """Make one page of captures, to read, print and hand over.
 
-    The page is one file that needs no network and no other file; any browser shows it, and prints
-    it on A4. docs/report.md explains it.
+    It has the verdict, charts, findings and transactions, and needs no network and no other file.
+    docs/report.md explains it.
     """
     from mbtool.cli.output import (
         demand_other_file,
