@@ -150,6 +150,7 @@ def _watch_links(
         allowed,
         None if write is None else checked,
         on_remark=remarks.append,
+        reconnects=True,
     )
     watched = make_watched(
         lambda link: timing.format_of(lines[link]) if link in lines else None, devices.profile_for
