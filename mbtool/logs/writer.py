@@ -16,6 +16,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 
@@ -24,6 +25,7 @@ from mcap.records import Header
 
 from mbtool.core import Chunk, OutputError, Packet
 from mbtool.core.closing import ClosesOnExit
+from mbtool.core.errors import reason_of
 from mbtool.devices import NamedTransaction, finding_text
 from mbtool.devices.checking.rules import Severity, severity_of
 from mbtool.logs import schemas
@@ -75,12 +77,25 @@ class LogWriter(ClosesOnExit):
         """Create the file. `capture` is metadata of the run: host, command, clock.
 
         Raises UsageError if the file exists (unless `replace`) or cannot be created, OutputError if
-        another recorder has it open.
+        another recorder has it open, or if the disk has no room for its beginning; then no new file
+        is left behind.
         """
         self._path = Path(path)
+        is_new = not self._path.exists()
         file = create_file(self._path, replace=replace)
+        try:
+            self._begin(file, capture)
+        except OutputError as error:
+            file.close()
+            if is_new:
+                with suppress(OSError):
+                    self._path.unlink()
+            reason = reason_of(error.__cause__) if isinstance(error.__cause__, OSError) else error
+            raise OutputError(f"{path}: the log cannot be begun: {reason}") from error
+
+    def _begin(self, file: BinaryIO, capture: Mapping[str, str]) -> None:
         header = Header(profile=PROFILE, library=f"{LIBRARY}{__version__}")
-        self._file = CompleteFile(file, str(path), MAGIC + packed(header))
+        self._file = CompleteFile(file, str(self._path), MAGIC + packed(header))
         self._container = Container(self._file)
         self._topics: dict[tuple[str, str], Topic] = {}
         self._links: set[str] = set()
@@ -93,11 +108,7 @@ class LogWriter(ClosesOnExit):
             **_clean(capture),
         }
         self._container.add_metadata(CAPTURE, self._capture)
-        try:
-            self._container.flush(sync=True)
-        except OutputError:
-            self._file.close()
-            raise
+        self._container.flush(sync=True)
 
     @property
     def path(self) -> Path:

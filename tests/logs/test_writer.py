@@ -218,3 +218,24 @@ def test_a_killed_recorder_loses_at_most_its_last_second(tmp_path: Path, pause_s
     ]
     assert found == written[: len(found)]
     assert len(found) >= 2 * len(due)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs a limit of the system")
+@pytest.mark.parametrize("room", [0, 100, 500])
+def test_a_disk_that_is_full_from_the_start_leaves_no_file_and_says_so(
+    tmp_path: Path, room: int
+) -> None:
+    path = tmp_path / "a.mcap"
+    code = (
+        "import resource, sys\n"
+        "from mbtool.core import OutputError\n"
+        "from mbtool.logs import LogWriter\n"
+        f"resource.setrlimit(resource.RLIMIT_FSIZE, ({room}, {room}))\n"
+        "try:\n"
+        f"    LogWriter({str(path)!r}, capture={{'command': 'x' * 1000}})\n"
+        "except OutputError as error:\n"
+        "    print(error)\n"
+    )
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    assert ran.stdout == f"{path}: the log cannot be begun: File too large\n", ran.stderr
+    assert not path.exists()
