@@ -27,6 +27,7 @@ from mbtool.sources.files import STANDARD_INPUT
 from mbtool.workflows.shared.log_records import profiles_of_logs
 from mbtool.workflows.shared.model_hints import ModelHints
 from mbtool.workflows.shared.reading import Reading
+from mbtool.workflows.shared.reading_choice import column_reading
 from mbtool.workflows.shared.time_window import TimeWindow
 from mbtool.workflows.shared.unreadable_lines import UnreadableLines
 
@@ -38,6 +39,9 @@ if TYPE_CHECKING:
     from mbtool.devices import Profile
     from mbtool.workflows.shared.reading import ReadingOptions
 
+LARGE = 1_000_000
+"""A capture file of at least so many bytes is read as arrays, if it can be; for a smaller one their
+library would take longer to load."""
 _CONNECTIONS = frozenset((EventKind.OPENED, EventKind.CLOSED))
 
 
@@ -120,7 +124,7 @@ class CheckRun:
         self._paths = paths
         self._options = options
         self._line = options.line
-        self.reading = Reading(paths, options)
+        self.reading = column_reading(paths, options, at_least=LARGE) or Reading(paths, options)
         self._ports: frozenset[int] | None = None
         if options.any_port:
             self._ports = frozenset((*options.ports, *options.rtu_ports, MODBUS_PORT))

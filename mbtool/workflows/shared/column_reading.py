@@ -11,8 +11,10 @@ from typing import TYPE_CHECKING
 from mbtool.columns.column_decoder import ColumnDecoder
 from mbtool.columns.packet_block import read_blocks
 from mbtool.columns.plain_lines import BlockLines
+from mbtool.columns.plain_records import plain_records
 from mbtool.columns.poll_runs import PollRuns
 from mbtool.core import CutError, DamageError, InputError, WireEvent
+from mbtool.devices import Namer
 from mbtool.overview.answered_run import AnsweredRun
 from mbtool.packets import serial_pieces
 from mbtool.sources.files import PACKET_KINDS, CaptureKind, open_capture, place_of
@@ -51,6 +53,14 @@ def can_read_columns(paths: Sequence[str], options: ReadingOptions) -> bool:
 
 class ColumnReading(PartReading):
     """Reads a capture file once, and yields tables of its transactions."""
+
+    def records(self) -> Iterator[Record]:
+        """Yield all transactions and events, one by one. Raises as `batches` does."""
+        namer = Namer(self.assignments)
+        for block in self._blocks():
+            for _, record in block.records:
+                self._note(record)
+            yield from plain_records(block, namer)
 
     def batches(self) -> Iterator[TransactionBatch]:
         """Yield the transactions and events, as a table for each block of packets.

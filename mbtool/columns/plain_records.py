@@ -1,0 +1,41 @@
+"""Makes a transaction of each plain row, for what needs them one by one."""
+
+# This takes about a third of the time of decoding the packets one by one.
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mbtool.columns.column_decoder import order_of
+from mbtool.columns.plain_transactions import plain_transaction
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from mbtool.columns.column_decoder import DecodedBlock
+    from mbtool.columns.plain_rows import PlainRows
+    from mbtool.decode.decoder import Record
+    from mbtool.devices import Namer
+
+
+def plain_records(decoded: DecodedBlock, namer: Namer) -> Iterator[Record]:
+    """The transactions and events of a block, in the order and form in which a decoder has them."""
+    records = sorted(decoded.records, key=lambda one: one[0])
+    rows = decoded.plain
+    if rows is None:
+        yield from (record for _, record in records)
+        return
+    places = np.searchsorted(order_of(rows.response), [place for place, _ in records]).tolist()
+    begin = 0
+    for end, (_, record) in zip(places, records, strict=True):
+        yield from _transactions(rows, begin, end, namer)
+        yield record
+        begin = end
+    yield from _transactions(rows, begin, len(rows.response), namer)
+
+
+def _transactions(rows: PlainRows, begin: int, end: int, namer: Namer) -> Iterator[Record]:
+    for index in range(begin, end):
+        yield namer.name(plain_transaction(rows, index))

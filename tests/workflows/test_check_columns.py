@@ -1,0 +1,72 @@
+"""What check finds in a capture does not depend on how the capture is read."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+from unittest.mock import patch
+
+import pytest
+
+from mbtool.core import InputError
+from mbtool.workflows import check
+from mbtool.workflows.check import CheckRun, FileFinding
+from mbtool.workflows.shared.column_reading import ColumnReading
+from mbtool.workflows.shared.reading import Reading, ReadingOptions
+from tests.captures import public_folder
+from tests.columns.both_ways import generated
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+MOST_BYTES = 300_000
+NEVER = 1 << 60
+
+
+def found(path: Path, at_least: int) -> tuple[list[FileFinding], list[str], int, str | None, type]:
+    """The findings of a capture; it is read as arrays if it has at least so many bytes."""
+    with patch.object(check, "LARGE", at_least):
+        run = CheckRun([str(path)], ReadingOptions())
+    findings: list[FileFinding] = []
+    error = None
+    try:
+        findings.extend(run.findings())
+    except InputError as broken:
+        error = str(broken)
+    return findings, run.remarks, run.transactions, error, type(run.reading)
+
+
+def demand_equal(path: Path) -> bool:
+    """Compare both ways; True if the capture can be read as arrays."""
+    *one_by_one, row_way = found(path, NEVER)
+    *as_arrays, array_way = found(path, 0)
+    assert as_arrays == one_by_one
+    assert row_way is Reading
+    return array_way is ColumnReading
+
+
+@pytest.mark.public_captures
+def test_the_findings_of_public_captures_are_the_same_both_ways() -> None:
+    paths = [
+        path
+        for path in sorted(public_folder().rglob("*.pcap*"))
+        if path.name.endswith(("pcap", "pcapng", "gz")) and path.stat().st_size < MOST_BYTES
+    ]
+    if not paths:
+        pytest.skip("no captures made by others")
+    assert sum(map(demand_equal, paths)) > 20
+
+
+@pytest.mark.parametrize("number", range(0, 60, 4))
+def test_the_findings_of_simulated_plants_are_the_same_both_ways(
+    number: int, tmp_path: Path
+) -> None:
+    path = tmp_path / "plant.pcap"
+    path.write_bytes(generated(number, requests=100))
+    assert demand_equal(path)
+
+
+def test_the_findings_of_a_cut_capture_are_the_same_both_ways(tmp_path: Path) -> None:
+    path = tmp_path / "plant.pcap"
+    path.write_bytes(generated(0)[:-20])
+    assert demand_equal(path)
+    assert found(path, 0)[3] is not None
