@@ -28,7 +28,7 @@ class ChangedPoints:
         """
         points = transaction.read_points
         if not points:
-            return PointsRead((), ())
+            return _NO_POINTS
         if len(self._texts) > MAX_POINTS:
             self._texts.clear()
         changed: list[PointValue] = []
@@ -60,6 +60,9 @@ class PointsRead(NamedTuple):
     """Without numbers that are as they were in the last reading; empty if no point changed."""
     has_unseen: bool = False
     """True if a point was not read before."""
+
+
+_NO_POINTS = PointsRead((), ())
 
 
 def is_number(point: PointValue) -> bool:

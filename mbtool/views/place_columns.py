@@ -36,7 +36,7 @@ class PlaceColumns:
     def __init__(self, *, is_narrow: bool = False) -> None:
         self.in_row: tuple[TableColumn, ...] = ()
         self._is_narrow = is_narrow
-        self._networks: dict[TableColumn, str] = {}
+        self.networks: dict[TableColumn, str] = {}
         """The first three numbers of the addresses of a column, such as `10.0.0`."""
         self._last = ["", "", ""]
         self._count = 0
@@ -75,7 +75,7 @@ class PlaceColumns:
     def cell(self, column: TableColumn, places: Places) -> str:
         """The text of a link, master or unit in a row."""
         text = places[PLACES.index(column)]
-        network = self._networks.get(column)
+        network = self.networks.get(column)
         if network is not None and text.startswith(f"{network}."):
             return text.removeprefix(network)
         return text
@@ -86,12 +86,12 @@ class PlaceColumns:
         parts = []
         if TableColumn.LINK not in self.in_row:
             parts.append(f"{record.transport} {link}")
-        elif TableColumn.LINK in self._networks:
-            parts.append(f"link {self._networks[TableColumn.LINK]}.*")
+        elif TableColumn.LINK in self.networks:
+            parts.append(f"link {self.networks[TableColumn.LINK]}.*")
         if master and TableColumn.MASTER not in self.in_row:
             parts.append(f"master {master}")
-        elif TableColumn.MASTER in self._networks:
-            parts.append(f"master {self._networks[TableColumn.MASTER]}.*")
+        elif TableColumn.MASTER in self.networks:
+            parts.append(f"master {self.networks[TableColumn.MASTER]}.*")
         if unit and TableColumn.UNIT not in self.in_row:
             parts.append(f"unit {unit} {record.device or ''}".rstrip())
         return ", ".join(parts)
@@ -101,7 +101,7 @@ class PlaceColumns:
         found = [_IN_A_NETWORK.fullmatch(text) for text in texts if text]
         networks = {one and one[1] for one in found}
         if self._is_narrow and len(networks) == 1 and (network := networks.pop()) is not None:
-            self._networks[column] = network
+            self.networks[column] = network
 
 
 def places_of(record: Record) -> Places:

@@ -39,7 +39,7 @@ from mbtool.views.cells import (
     transaction_text,
 )
 from mbtool.views.changed_points import ChangedPoints
-from mbtool.views.place_columns import PlaceColumns, places_of
+from mbtool.views.place_columns import PLACES, PlaceColumns, places_of
 from mbtool.views.table_options import TableColumn, TableOptions
 from mbtool.views.tables import printable
 from mbtool.views.times import Times
@@ -125,7 +125,8 @@ class TransactionTable:
         self._points = ChangedPoints()
         self._styles: dict[str, tuple[str, str]] = {}
         self._places = PlaceColumns(is_narrow=self._wraps and console.width < FEW_COLUMNS)
-        self._widths = dict(_WIDTHS)
+        self._aligned = {column: _aligned(column, width) for column, width in _WIDTHS.items()}
+        """Makes the cell of a column from its text."""
         self._columns = self._options.columns
         if not self._columns and not self._wraps:
             self._columns = (*_USUAL, TableColumn.LINK, TableColumn.UNIT)
@@ -177,18 +178,20 @@ class TransactionTable:
         if isinstance(row.record, WireEvent):
             text, findings = event_text(row.record), []
         else:
-            text = self._text(row.record, self._console.width - len(prefix))
+            text = self._text(row.record, len(prefix))
             findings = finding_texts(row.record, row.profile)
         if self._wraps:
             self._print_wrapped(prefix, text, findings, style)
         else:
             self._print_line("  ! ".join((f"{prefix}{printable(text)}", *findings)), style)
 
-    def _text(self, transaction: NamedTransaction, room: int) -> str:
-        """The request and its result, in fewer words if they need more than `room` characters."""
+    def _text(self, transaction: NamedTransaction, used: int) -> str:
+        """The request and its result; in fewer words if their line, of which `used` characters are
+        taken, is too short.
+        """
         points, in_hex = self._points.of(transaction), self._options.in_hex
         text = transaction_text(transaction, points.every, in_hex=in_hex)
-        if not self._wraps or self._options.full or len(text) <= room:
+        if not self._wraps or self._options.full or len(text) <= self._console.width - used:
             return text
         return short_transaction_text(transaction, points, in_hex=in_hex)
 
@@ -196,14 +199,14 @@ class TransactionTable:
         """Print a heading if link, master, unit or day changed, and titles if columns changed."""
         if not self._is_chosen:
             self._note_place(row.record)
-        heading = ", ".join(part for part in (self._place, self._times.day_of(row.record)) if part)
+        heading = ", ".join(filter(None, (self._place, self._times.day_of(row.record))))
         if heading != self._heading and heading:
             self._heading = heading
             for line in self._heading_lines(printable(heading)):
                 self._print_line(line, "bold")
         if self._columns != self._titled:
             self._titled = self._columns
-            titles = [self._aligned(one, _TITLES.get(one, one.value)) for one in self._columns]
+            titles = [self._aligned[one](_TITLES.get(one, one.value)) for one in self._columns]
             self._print_line(f"{' '.join(titles)}  {_TEXT_TITLE}", "dim")
 
     def _heading_lines(self, heading: str) -> list[str]:
@@ -224,31 +227,35 @@ class TransactionTable:
         """
         for column in self._columns if self._is_chosen else self._places.in_row:
             if column in _FITTED:
-                longest = max(len(printable(self._cell(column, row))) for row in rows)
+                longest = max(len(printable(self._fitted_cell(column, row))) for row in rows)
                 title = len(_TITLES.get(column, column.value))
                 least = title if self._wraps else _WIDTHS[column]
-                self._widths[column] = min(max(longest, least), _MAX_WIDTH)
+                self._aligned[column] = _aligned(column, min(max(longest, least), _MAX_WIDTH))
+
+    def _fitted_cell(self, column: TableColumn, row: _TableRow) -> str:
+        if column in PLACES:
+            return self._places.cell(column, row.places)
+        return _MORE[column](row.record)
 
     def _prefix(self, row: _TableRow) -> str:
         """The text of all cells of a row that come before its text."""
-        cells = [self._aligned(column, self._cell(column, row)) for column in self._columns]
+        cells = []
+        for column in self._columns:
+            match column:
+                case TableColumn.NUMBER:
+                    text = "" if row.number is None else str(row.number)
+                case TableColumn.TIME:
+                    text = self._times.text(row.record)
+                case TableColumn.LATENCY:
+                    text = _latency(row.record)
+                case TableColumn.LINK | TableColumn.MASTER | TableColumn.UNIT:
+                    text = row.places[PLACES.index(column)]
+                    if self._places.networks:
+                        text = self._places.cell(column, row.places)
+                case _:
+                    text = _MORE[column](row.record)
+            cells.append(self._aligned[column](text))
         return printable(f"{' '.join(cells)}  ")
-
-    def _aligned(self, column: TableColumn, text: str) -> str:
-        width = self._widths[column]
-        return text.rjust(width) if column in _RIGHT else text.ljust(width)
-
-    def _cell(self, column: TableColumn, row: _TableRow) -> str:
-        match column:
-            case TableColumn.NUMBER:
-                return "" if row.number is None else str(row.number)
-            case TableColumn.TIME:
-                return self._times.text(row.record)
-            case TableColumn.LATENCY:
-                return _latency(row.record)
-            case TableColumn.LINK | TableColumn.MASTER | TableColumn.UNIT:
-                return self._places.cell(column, row.places)
-        return _MORE[column](row.record)
 
     def _print_wrapped(self, prefix: str, text: str, findings: Sequence[str], style: str) -> None:
         """Print a row whose text takes several lines."""
@@ -297,6 +304,11 @@ class TransactionTable:
             before, _, after = capture.get().partition("|")
             codes = self._styles[style] = before, after
         return codes
+
+
+def _aligned(column: TableColumn, width: int) -> Callable[[str], str]:
+    """A function that fills a text up to the width of its column."""
+    return f"{{:{'>' if column in _RIGHT else '<'}{width}}}".format
 
 
 def _lines(text: str, width: int) -> list[str]:
