@@ -230,3 +230,47 @@ def test_export_prints_a_profile_that_loads_as_the_same(mbtool: CommandLine, nam
 
 def test_schema_prints_the_schema(mbtool: CommandLine) -> None:
     assert json.loads(mbtool("devices", "schema").out) == profile_schema()
+
+
+def test_export_writes_other_forms_and_tells_what_they_lack(mbtool: CommandLine) -> None:
+    told = mbtool("devices", "export", "fa3-th1m16y", "--telegraf", "--unit", "7", "-o", "fa3.conf")
+    assert (told.code, told.out) == (exit_codes.DONE, "")
+    assert "mbtool: without the texts of their values: Latest alarm code\n" in told.err
+    assert "slave_id = 7" in Path("fa3.conf").read_text(encoding="utf-8")
+    told = mbtool("devices", "export", "fa3-th1m16y", "--csv")
+    assert told.lines[0].startswith("wire address,name,table,type")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["export", "wago-750", "--csv", "--json"], "--csv and --json: choose one form"),
+        (["export", "wago-750", "--csv", "-o", "a.toml"], "let its name end in .csv"),
+        (["export", "wago-750", "--sunspec"], "wago-750: is no SunSpec model"),
+        (["import", "a.csv", "--base", "0"], "--base goes with --sunspec"),
+        (["import", "a.csv", "--unit", "5"], "--unit goes with --home-assistant"),
+        (["import", "a.csv", "b.csv"], "b.csv: only --sunspec takes several files"),
+        (["import", "a", "--sunspec", "--home-assistant"], "exclude each other"),
+        (["import", "absent.json", "--sunspec"], "absent.json: cannot be read"),
+    ],
+)
+def test_forms_that_do_not_go_together_are_refused(
+    mbtool: CommandLine, arguments: list[str], message: str
+) -> None:
+    told = mbtool("devices", *arguments)
+    assert told.code != exit_codes.DONE
+    assert message in told.err
+
+
+def test_sunspec_models_and_configurations_are_imported(mbtool: CommandLine) -> None:
+    head = [{"name": "ID", "type": "uint16", "size": 1}, {"name": "L", "type": "uint16", "size": 1}]
+    model = {"id": 1, "group": {"name": "pump", "points": head}}
+    Path("pump.json").write_text(json.dumps(model), encoding="utf-8")
+    told = mbtool("devices", "import", "--sunspec", "pump.json", "--base", "0", "-o", "pump.toml")
+    assert told.code == exit_codes.DONE
+    assert told.err.endswith("3 points -> pump.toml\n")
+    assert mbtool("devices", "pump.toml").code == exit_codes.DONE
+    hub = {"modbus": [{"sensors": [{"name": "A", "slave": 5, "address": 7}]}]}
+    Path("ha.yaml").write_text(json.dumps(hub), encoding="utf-8")
+    told = mbtool("devices", "import", "--home-assistant", "ha.yaml", "-o", "ha.toml")
+    assert told.err == "1 points -> ha.toml\n"

@@ -1,0 +1,84 @@
+"""What every export needs: the points of a profile one by one, and what cannot be said."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from msgspec.structs import replace
+
+from mbtool.devices.model import Access, Point
+from mbtool.devices.point_types import ByteOrder, WordOrder
+from mbtool.devices.references import write_reference
+from mbtool.devices.values import PointInstance
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from mbtool.devices.model import Profile
+
+_FEW = 3
+
+
+@dataclass(frozen=True, slots=True)
+class ExportedMap:
+    """A profile in another program's words."""
+
+    text: str
+    lacking: tuple[str, ...] = ()
+    """Sentences: what the profile says and the text does not."""
+
+
+@dataclass(frozen=True, slots=True)
+class SinglePoint:
+    """One value of a profile: a point, or one of a series."""
+
+    point: Point
+    """As the profile has it, with the name and address of this value, and a count of 1."""
+    reference: str
+    access: Access
+
+    @property
+    def letters(self) -> str:
+        """The order of the bytes on the wire, as letters: ABCD is big-endian."""
+        swaps = self.point.byte_order is ByteOrder.LOW_FIRST
+        words = ["BA" if swaps else "AB", "DC" if swaps else "CD"]
+        if self.point.word_order is WordOrder.LOW_FIRST and self.point.words > 1:
+            words.reverse()
+        return "".join(words)
+
+
+class Lacking:
+    """Collects what cannot be said, each with the names of the points that it is about."""
+
+    def __init__(self) -> None:
+        self._names: dict[str, list[str]] = {}
+
+    def note(self, what: str, name: str) -> None:
+        self._names.setdefault(what, []).append(name)
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        return tuple(f"{what}: {_listed(names)}" for what, names in self._names.items())
+
+
+def single_points(profile: Profile) -> Iterator[SinglePoint]:
+    """The values of a profile, by table and address; of points at one address the first."""
+    for point in sorted(profile.points, key=lambda one: (one.table, one.address)):
+        for address in point.addresses:
+            area = profile.area(point.table, address, point.words)
+            reference = write_reference(profile, point.table, address, point.words)
+            name = PointInstance(point, address, reference).name
+            access = Access.READ_WRITE if area is None else area.access
+            single = replace(point, name=name, address=address, count=1, stride=1)
+            yield SinglePoint(single, reference, point.access or access)
+
+
+def number_text(number: float) -> str:
+    """A number without a needless fraction: 1, 0.1, 2.5e-05."""
+    return str(int(number)) if number == int(number) else repr(number)
+
+
+def _listed(names: list[str]) -> str:
+    more = f" and {len(names) - _FEW} more" if len(names) > _FEW else ""
+    return f"{', '.join(names[:_FEW])}{more}"

@@ -1,0 +1,122 @@
+"""Writes a profile as a SunSpec model in JSON."""
+
+# A model stands for consecutive holding registers that begin with the model's number (ID) and its
+# length (L), so only a profile that has these can be one. Groups become plain points, as a profile
+# has none. A scale is a power of ten, or the scale factor that the device tells is not known.
+
+from __future__ import annotations
+
+import math
+import re
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from mbtool.core.errors import UsageError
+from mbtool.devices.exporting.exported_points import (
+    ExportedMap,
+    Lacking,
+    SinglePoint,
+    single_points,
+)
+from mbtool.devices.model import Access
+from mbtool.devices.point_types import ByteOrder, PointType, WordOrder
+from mbtool.modbus.tables import Table
+
+if TYPE_CHECKING:
+    from mbtool.devices.model import Point, Profile
+
+_TYPES = {
+    PointType.UINT16: "uint16", PointType.INT16: "int16", PointType.UINT32: "uint32",
+    PointType.INT32: "int32", PointType.UINT64: "uint64", PointType.INT64: "int64",
+    PointType.FLOAT32: "float32", PointType.FLOAT64: "float64", PointType.STRING: "string",
+    PointType.FLAGS: "bitfield16", PointType.HEX16: "bitfield16", PointType.OCTETS: "uint16",
+    PointType.BIT_FIELD: "bitfield16", PointType.NIBBLE_FIELD: "uint16",
+}  # fmt: skip
+
+
+def export_sunspec(profile: Profile) -> ExportedMap:
+    """The holding registers of a profile as a model.
+
+    Raises UsageError if the profile has no ID with a default, followed by L.
+    """
+    lacking = Lacking()
+    registers = [one for one in single_points(profile) if one.point.table.is_bits is False]
+    held = [one for one in registers if one.point.table is Table.HOLDING_REGISTERS]
+    begin = next((at for at, one in enumerate(held) if one.point.name == "ID"), None)
+    if begin is None or held[begin].point.default is None or not _has_length(held[begin:]):
+        raise UsageError(
+            f"{profile.name}: is no SunSpec model: it has no points ID, with a default, and L"
+        )
+    for one in single_points(profile):
+        if one not in held[begin:]:
+            lacking.note("left out, as they are not in the model", one.point.name)
+    points: list[dict[str, Any]] = []
+    at = held[begin].point.address
+    for one in held[begin:]:
+        if one.point.type not in _TYPES or one.point.address < at:
+            lacking.note("left out, as there is no such type", one.point.name)
+            continue
+        if one.point.address > at:
+            size = one.point.address - at
+            points.append({"name": f"Pad{at}", "type": "pad", "size": size})
+        points.append(_point(one, lacking))
+        at = one.point.address + one.point.words
+    group = {
+        "name": _identifier(profile.name), "type": "group", "label": profile.title,
+        "points": points,
+    }  # fmt: skip
+    model = {"id": held[begin].point.default, "group": group}
+    text = msgspec.json.format(msgspec.json.encode(model), indent=4).decode()
+    return ExportedMap(text + "\n", lacking.lines)
+
+
+def _has_length(held: list[SinglePoint]) -> bool:
+    names = [(one.point.name, one.point.address) for one in held[:2]]
+    return len(names) == 2 and names[1] == ("L", names[0][1] + 1)
+
+
+def _point(one: SinglePoint, lacking: Lacking) -> dict[str, Any]:
+    point = one.point
+    told: dict[str, Any] = {
+        "name": _identifier(point.name), "type": _type(point), "size": point.words
+    }  # fmt: skip
+    if point.note:
+        told["label"] = point.note
+    if point.unit:
+        told["units"] = point.unit
+    if one.access is not Access.READ:
+        told["access"] = "RW"
+    if point.default is not None and point.type is PointType.UINT16:
+        told["value"] = point.default
+    power = _power(point.scale)
+    if power is None or point.offset:
+        lacking.note("without a scale that is no power of ten, and without offset", point.name)
+    elif power:
+        told["sf"] = power
+    if point.word_order is not WordOrder.HIGH_FIRST or point.byte_order is not ByteOrder.HIGH_FIRST:
+        lacking.note("in the order of SunSpec, not in their own", point.name)
+    texts = point.bits if point.type is PointType.FLAGS else point.texts
+    if texts:
+        told["symbols"] = [{"name": text, "value": number} for number, text in texts.items()]
+    return told
+
+
+def _type(point: Point) -> str:
+    if point.type is PointType.UINT16 and point.texts:
+        return "enum16"
+    if point.type is PointType.UINT32 and point.texts:
+        return "enum32"
+    return _TYPES[point.type]
+
+
+def _power(scale: float) -> int | None:
+    """The power of ten that a scale is; None if it is none."""
+    if scale <= 0:
+        return None
+    power = round(math.log10(scale))
+    return power if math.isclose(10.0**power, scale, rel_tol=1e-12) else None
+
+
+def _identifier(name: str) -> str:
+    return re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_") or "_"

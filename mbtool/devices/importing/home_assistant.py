@@ -1,0 +1,269 @@
+"""Makes a profile of the `modbus:` part of a configuration of Home Assistant."""
+
+# What is taken (Home Assistant, integration Modbus):
+#
+#     sensors                  registers with type, scale, offset, precision, unit, swap, count
+#     binary_sensors           a coil or discrete input; of a register, the register
+#     switches, lights, fans   what they write: a coil or a holding register
+#     climates                 the measured temperature, and the register of the set one
+#
+# Everything else is left out and told: covers, sensors of a type `custom`, and types of 8 bits. The
+# file is YAML; tags such as !secret are texts.
+#
+# Limits: MAX_VALUES values.
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from types import new_class
+from typing import TYPE_CHECKING, Any
+
+from msgspec.structs import replace
+
+from mbtool.core.errors import UsageError
+from mbtool.devices.importing.assembling import ImportedDevice, PlacedPoint, assemble
+from mbtool.devices.model import Access, Point
+from mbtool.devices.point_types import ByteOrder, PointType, WordOrder
+from mbtool.modbus.functions import READ_LIMIT
+from mbtool.modbus.tables import ADDRESSES, Table
+
+if TYPE_CHECKING:
+    from mbtool.devices.importing.register_list import ImportedList
+
+MAX_VALUES = 20_000
+_TYPES = {
+    **{one.value: one for one in (
+        PointType.UINT16, PointType.INT16, PointType.UINT32, PointType.INT32, PointType.UINT64,
+        PointType.INT64, PointType.FLOAT32, PointType.FLOAT64, PointType.STRING,
+    )},
+    "int": PointType.INT16, "uint": PointType.UINT16, "float": PointType.FLOAT32,
+}  # fmt: skip
+_TABLES = {
+    "coil": Table.COILS, "coils": Table.COILS, "discrete_input": Table.DISCRETE_INPUTS,
+    "input": Table.INPUT_REGISTERS, "holding": Table.HOLDING_REGISTERS,
+    "holdings": Table.HOLDING_REGISTERS,
+}  # fmt: skip
+_SWAPS = {
+    "none": (WordOrder.HIGH_FIRST, ByteOrder.HIGH_FIRST),
+    "byte": (WordOrder.HIGH_FIRST, ByteOrder.LOW_FIRST),
+    "word": (WordOrder.LOW_FIRST, ByteOrder.HIGH_FIRST),
+    "word_byte": (WordOrder.LOW_FIRST, ByteOrder.LOW_FIRST),
+}
+_SWITCHED = ("switches", "lights", "fans")
+_PLATFORMS = ("sensors", "binary_sensors", *_SWITCHED, "climates")
+_UNIT_KEYS = ("slave", "device_address")
+
+
+def import_home_assistant(
+    data: bytes, file: str, name: str, *, unit: int | None = None
+) -> ImportedList:
+    """Make the profile of a device.
+
+    `unit` chooses among several devices of the file. Raises UsageError if the file is no such
+    configuration, or has several devices and `unit` is None.
+    """
+    entries = _entries(_hubs(_parsed(data, file), file), file)
+    units = sorted({one.unit for one in entries})
+    if unit is None and len(units) > 1:
+        raise UsageError(
+            f"{file}: has the units {', '.join(map(str, units))}; choose one with --unit"
+        )
+    reader = _EntityReader()
+    for entry in entries:
+        if unit in (None, entry.unit):
+            reader.read(entry)
+    chosen = unit if unit is not None or not units else units[0]
+    device = ImportedDevice(
+        name=name,
+        title=f"{name}, unit {chosen}",
+        source=f"a configuration of Home Assistant, unit {chosen}",
+        points=reader.points,
+        remarks=list(reader.remarks),
+    )
+    return assemble(device, file)
+
+
+@dataclass(frozen=True, slots=True)
+class _HubEntry:
+    """An entity of a hub."""
+
+    platform: str
+    unit: int
+    values: dict[str, Any]
+
+
+def _parsed(data: bytes, file: str) -> Any:
+    try:
+        import yaml
+    except ImportError:
+        raise UsageError("--home-assistant needs PyYAML: pip install 'mbtool[yaml]'") from None
+
+    loader: Any = new_class("LoaderWithTags", (yaml.SafeLoader,))
+    loader.add_multi_constructor("!", lambda _loader, tag, node: f"!{tag} {node.value}")
+    try:
+        return yaml.load(data, loader)
+    except (yaml.YAMLError, RecursionError, ValueError) as error:
+        said = " ".join(str(error).split())
+        raise UsageError(f"{file}: is no YAML: {said[:200]}") from error
+
+
+def _hubs(parsed: Any, file: str) -> list[dict[str, Any]]:
+    """The hubs, in a whole configuration or in the part for Modbus alone."""
+    hubs = parsed.get("modbus", parsed) if isinstance(parsed, dict) else parsed
+    if isinstance(hubs, dict):
+        hubs = [hubs]
+    if not isinstance(hubs, list) or not all(isinstance(one, dict) for one in hubs):
+        raise UsageError(f"{file}: has no list of hubs under modbus:")
+    return hubs
+
+
+def _entries(hubs: list[dict[str, Any]], file: str) -> list[_HubEntry]:
+    entries = []
+    for hub in hubs:
+        for platform, listed in hub.items():
+            if platform not in _PLATFORMS and platform != "covers":
+                continue
+            for values in listed if isinstance(listed, list) else ():
+                if not isinstance(values, dict):
+                    raise UsageError(f"{file}: {platform}: an entry is no table of keys")
+                entries.append(_HubEntry(platform, _unit_of(values), values))
+                if len(entries) > MAX_VALUES:
+                    raise UsageError(f"{file}: has more than {MAX_VALUES} values")
+    if not entries:
+        raise UsageError(f"{file}: has no sensors, binary_sensors or switches under modbus:")
+    return entries
+
+
+def _unit_of(values: dict[str, Any]) -> int:
+    unit = next((values[key] for key in _UNIT_KEYS if key in values), 1)
+    return unit if isinstance(unit, int) else 1
+
+
+@dataclass(slots=True)
+class _EntityReader:
+    """Makes points of entries."""
+
+    points: list[PlacedPoint] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list)
+
+    def read(self, entry: _HubEntry) -> None:
+        """Make the points of an entry; tell the reason if there is none."""
+        name = _text(entry.values.get("name")) or "unnamed"
+        try:
+            if entry.platform in _SWITCHED:
+                self._read_switch(name, entry.values)
+            elif entry.platform == "binary_sensors":
+                self._read_bit(name, entry.values)
+            elif entry.platform in ("sensors", "climates"):
+                self._read_register(name, entry)
+            else:
+                raise ValueError(f"is one of the {entry.platform}")
+        except (ValueError, TypeError, OverflowError) as why:
+            self.remarks.append(f"{name}: left out, as it {why}")
+
+    def _read_switch(self, name: str, values: dict[str, Any]) -> None:
+        table = _table(values.get("write_type", "holding"))
+        kind = PointType.BIT if table.is_bits else PointType.UINT16
+        point = Point(name=name, table=table, address=_address(values, "address"), type=kind)
+        self.points.append(PlacedPoint(point, Access.READ_WRITE))
+
+    def _read_bit(self, name: str, values: dict[str, Any]) -> None:
+        table = _table(values.get("input_type", "coil"))
+        kind = PointType.BIT if table.is_bits else PointType.UINT16
+        count = 1 + _whole(values.get("virtual_count", values.get("slave_count", 0)))
+        point = Point(name=name, table=table, address=_address(values, "address"), type=kind)
+        self._add_series(point, count)
+
+    def _read_register(self, name: str, entry: _HubEntry) -> None:
+        values = entry.values
+        word = str(values.get("data_type", "int16"))
+        kind = _TYPES.get(word)
+        if kind is None:
+            raise ValueError(f"has the type {word}")
+        point = Point(
+            name=name,
+            table=_table(values.get("input_type", "holding")),
+            address=_address(values, "address"),
+            type=kind,
+            length=_length(values) if kind is PointType.STRING else None,
+        )
+        if point.table.is_bits:
+            raise ValueError("reads registers from a table of bits")
+        point = _told(point, values)
+        if entry.platform == "sensors":
+            count = 1 + _whole(values.get("virtual_count", values.get("slave_count", 0)))
+            self._add_series(point, count)
+            return
+        self.points.append(PlacedPoint(point, Access.READ))
+        if isinstance(values.get("target_temp_register"), int):
+            target = _address(values, "target_temp_register")
+            fields = {"name": f"{name} target", "address": target}
+            self.points.append(PlacedPoint(_replaced(point, fields), Access.READ_WRITE))
+
+    def _add_series(self, point: Point, count: int) -> None:
+        """Add a point, or as many as there are side by side."""
+        if point.address + count * point.words > ADDRESSES:
+            raise ValueError("leaves the addresses that there are")
+        if len(self.points) + count > MAX_VALUES:
+            raise ValueError(f"would be more than {MAX_VALUES} values")
+        for number in range(count):
+            name = point.name if count == 1 else f"{point.name} {number + 1}"
+            fields = {"name": name, "address": point.address + number * point.words}
+            self.points.append(PlacedPoint(_replaced(point, fields), Access.READ))
+
+
+def _told(point: Point, values: dict[str, Any]) -> Point:
+    """The point with its scale, unit and order."""
+    swap = str(values.get("swap", "none"))
+    if swap not in _SWAPS:
+        raise ValueError(f"has the swap {swap}")
+    words, byte = _SWAPS[swap]
+    fields: dict[str, Any] = {"byte_order": byte}
+    if point.words > 1 and point.type is not PointType.STRING:
+        fields["word_order"] = words
+    if point.type.is_number:
+        scale, precision = float(values.get("scale", 1)), values.get("precision")
+        if not scale:
+            raise ValueError("has the scale 0")
+        fields |= {"scale": scale, "offset": float(values.get("offset", 0))}
+        fields["unit"] = _text(values.get("unit_of_measurement"))
+        fields["decimals"] = None if precision is None else _whole(precision, 15)
+    return _replaced(point, fields)
+
+
+def _replaced(point: Point, fields: dict[str, Any]) -> Point:
+    return replace(point, **fields)
+
+
+def _table(word: object) -> Table:
+    if not isinstance(word, str) or word not in _TABLES:
+        raise ValueError(f"is in a table {word}")
+    return _TABLES[word]
+
+
+def _address(values: dict[str, Any], key: str) -> int:
+    address = values.get(key)
+    if isinstance(address, bool) or not isinstance(address, int) or not 0 <= address < ADDRESSES:
+        raise ValueError(f"has no {key} from 0 to {ADDRESSES - 1}")
+    return address
+
+
+def _whole(number: object, greatest: int = MAX_VALUES) -> int:
+    if isinstance(number, bool) or not isinstance(number, int) or not 0 <= number <= greatest:
+        raise ValueError(f"has {number!r} where a number up to {greatest} is right")
+    return number
+
+
+def _length(values: dict[str, Any]) -> int:
+    length = _whole(values.get("count", 0), READ_LIMIT)
+    if not length:
+        raise ValueError("is a text without a count of registers")
+    return length
+
+
+def _text(value: object) -> str | None:
+    """A text on one line, without the braces that a profile's names give a meaning."""
+    if value is None:
+        return None
+    text = "".join(one if one.isprintable() else " " for one in str(value))
+    return " ".join(text.replace("{", "(").replace("}", ")").split())[:200] or None

@@ -1,0 +1,65 @@
+"""Writes a profile in the form that the user has chosen: for this program or for others."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from mbtool.devices import dump_profile, profile_to_json
+from mbtool.devices.exporting.exported_points import ExportedMap
+from mbtool.devices.exporting.home_assistant import export_home_assistant
+from mbtool.devices.exporting.register_list import export_register_list
+from mbtool.devices.exporting.sunspec_model import export_sunspec
+from mbtool.devices.exporting.telegraf import export_telegraf
+
+if TYPE_CHECKING:
+    from mbtool.devices import Profile
+
+
+class ExportForm(StrEnum):
+    """A form of a profile, by the option that chooses it."""
+
+    TOML = "toml"
+    JSON = "json"
+    CSV = "csv"
+    TELEGRAF = "telegraf"
+    HOME_ASSISTANT = "home-assistant"
+    SUNSPEC = "sunspec"
+
+    @property
+    def suffixes(self) -> tuple[str, ...]:
+        """The suffixes that a file of this form may have."""
+        match self:
+            case ExportForm.TOML:
+                return (".toml",)
+            case ExportForm.CSV:
+                return (".csv",)
+            case ExportForm.TELEGRAF:
+                return (".conf", ".toml")
+            case ExportForm.HOME_ASSISTANT:
+                return (".yaml", ".yml")
+            case ExportForm.JSON | ExportForm.SUNSPEC:
+                return (".json",)
+
+
+def exported(profile: Profile, form: ExportForm, unit: int = 1) -> ExportedMap:
+    """The profile in a form; `unit` is the unit that the other program is to ask.
+
+    Raises UsageError if the profile is no SunSpec model and is to be one.
+    """
+    match form:
+        case ExportForm.TOML:
+            return ExportedMap(dump_profile(profile))
+        case ExportForm.JSON:
+            text = msgspec.json.format(profile_to_json(profile), indent=2).decode()
+            return ExportedMap(f"{text}\n")
+        case ExportForm.CSV:
+            return export_register_list(profile)
+        case ExportForm.TELEGRAF:
+            return export_telegraf(profile, unit)
+        case ExportForm.HOME_ASSISTANT:
+            return export_home_assistant(profile, unit)
+        case ExportForm.SUNSPEC:
+            return export_sunspec(profile)
