@@ -6,6 +6,7 @@ import signal
 import sys
 from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
+from pathlib import PurePath
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -199,7 +200,7 @@ def _watch_files(
     )
     feed = FileFeed(records, watched, plays=plays)
     with interruptible() as interrupt:
-        place = ", ".join(files)
+        place = ", ".join(PurePath(file).name for file in files)
         saver = EvidenceSaver(files, options)
         _show(feed, place, saver, None, where, _end(interrupt, duration), interrupt)
     for remark in readings[0].remarks:

@@ -179,8 +179,8 @@ def _point_text(row: WatchedPointRow, context: DrawContext) -> str:
 
 def _point_value(row: WatchedPointRow, context: DrawContext) -> Spans:
     style = change_style(row.changed_ns, context.now_ns)
-    written = [(" w", "magenta")] if row.is_written else []
-    return [(_point_text(row, context), style), *written]
+    written = [("w ", "magenta")] if row.is_written else []
+    return [*written, (_point_text(row, context), style)]
 
 
 POINT_COLUMNS = (

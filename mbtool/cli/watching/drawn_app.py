@@ -16,6 +16,7 @@ from textual.widgets import Static
 
 from mbtool.cli import exit_codes
 from mbtool.cli.watching.live_table import LiveTable
+from mbtool.cli.watching.one_line import OneLine
 from mbtool.cli.watching.prompt import PromptLine
 from mbtool.cli.watching.spans import is_plain, style_of, text_of
 from mbtool.cli.watching.status_line import ScreenState, keys_line, status_text, tabs_text
@@ -53,7 +54,6 @@ class DrawnApp(App[int]):
     TITLE = "mbtool watch"
     ENABLE_COMMAND_PALETTE = True
     CSS = """
-    #tabs, #status, #keys { height: 1; }
     #detail { height: 10; display: none; border-top: solid $accent; }
     #detail.open { display: block; }
     #detail-text { height: auto; }
@@ -92,20 +92,22 @@ class DrawnApp(App[int]):
         self._typed_at = 0
         self._contexts = [DrawContext() for _ in VIEWS]
         self._next_draw_s = 0.0
+        self.drawings = 0
+        """How often the screen was drawn."""
         self._frozen_ns = 0
         self._told_remarks = 0
         self._follows = True
         self._cursor_keys: list[Any] = [None] * len(VIEWS)
 
     def compose(self) -> ComposeResult:
-        yield Static(id="tabs", markup=False)
-        yield Static(id="status", markup=False)
+        yield OneLine("tabs")
+        yield OneLine("status")
         yield LiveTable()
         with VerticalScroll(id="detail", can_focus=False):
             yield Static(id="detail-text", markup=False)
         yield PromptLine()
         yield Static(id="note", markup=False)
-        yield Static(id="keys", markup=False)
+        yield OneLine("keys")
 
     def on_mount(self) -> None:
         self.table.focus()
@@ -152,7 +154,8 @@ class DrawnApp(App[int]):
         """Draw the view as it is now."""
         if not self.is_up:
             return
-        began_s = time.perf_counter()
+        began_s = time.thread_time()
+        self.drawings += 1
         width = max(self.size.width, 20)
         if self.frozen is not None:
             rows, now_ns = self.frozen[self.view_at], self._frozen_ns
@@ -176,10 +179,10 @@ class DrawnApp(App[int]):
         self.call_after_refresh(self._drawn, began_s)
 
     def _drawn(self, began_s: float) -> None:
-        """Wait before the next drawing, by how long this one took."""
-        took_s = time.perf_counter() - began_s
+        """Wait before the next drawing, by the processor time that this one took."""
+        took_s = time.thread_time() - began_s
         pause_s = min(max(_SHARE * took_s, self.view.pause_s), _LONGEST_PAUSE_S)
-        self._next_draw_s = began_s + took_s + pause_s
+        self._next_draw_s = time.perf_counter() + pause_s
 
     def _draw_lines(self, width: int) -> None:
         base = self.screen_stack[0]
@@ -191,10 +194,10 @@ class DrawnApp(App[int]):
             where=self.where,
             filter_is_on=self.filter_is_on,
         )
-        base.query_one("#tabs", Static).update(text_of(tabs_text(VIEWS, self.view_at)))
-        base.query_one("#status", Static).update(text_of(status_text(state, width)))
+        base.query_one("#tabs", OneLine).show(tabs_text(VIEWS, self.view_at))
+        base.query_one("#status", OneLine).show(status_text(state, width))
         keys = keys_line(width, is_of_files=not self.feed.is_live)
-        base.query_one("#keys", Static).update(text_of(keys))
+        base.query_one("#keys", OneLine).show(keys)
 
     def _draw_detail(self) -> None:
         pane = self.screen_stack[0].query_one("#detail")

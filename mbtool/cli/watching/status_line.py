@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import PurePath
 from typing import TYPE_CHECKING
 
 from mbtool.views.tables import printable
@@ -71,7 +72,7 @@ def status_text(state: ScreenState, width: int) -> Spans:
         spans.append((" FROZEN ", "bold reverse"))
         spans.append((" ", ""))
     if state.recording is not None:
-        spans.append((f"rec {printable(state.recording)}  ", "bold red"))
+        spans.append((f"rec {printable(PurePath(state.recording).name)}  ", "bold red"))
     if isinstance(state.feed, FileFeed):
         spans.append((f"{_position(state.feed)}  ", "bold"))
     heard = f"{board.transactions:,} transactions, {board.events:,} events"

@@ -1,0 +1,37 @@
+"""A line of text that is drawn again only if it has changed."""
+
+# textual's Static lays the whole screen out anew with each text, which costs more than the table.
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from textual.widget import Widget
+
+from mbtool.cli.watching.spans import strip_of
+from mbtool.views.watch_columns import cut_spans
+
+if TYPE_CHECKING:
+    from textual.strip import Strip
+
+    from mbtool.views.watch_columns import Spans
+
+
+class OneLine(Widget):
+    """One line, cut at the width of the screen."""
+
+    DEFAULT_CSS = "OneLine { height: 1; }"
+
+    def __init__(self, name: str) -> None:
+        super().__init__(id=name)
+        self._spans: Spans = []
+
+    def show(self, spans: Spans) -> None:
+        if spans != self._spans:
+            self._spans = spans
+            self.refresh()
+
+    def render_line(self, y: int) -> Strip:
+        width = self.size.width
+        spans = cut_spans(self._spans, width) if y == 0 else []
+        return strip_of(spans, width).apply_style(self.rich_style)
