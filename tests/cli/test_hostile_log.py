@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from tests.cli.program import CommandLine
 
-EVIL = "=cmd|'/c calc'!A1\x1b]0;owned\x07\x1b[31m\u202e"
+EVIL = "=cmd|'/c calc'!A1<script>&\x1b]0;owned\x07\x1b[31m\u202e"
 NETWORK = {
     "transport": Transport.TCP,
     "link": EVIL,
@@ -60,6 +60,7 @@ COMMANDS = (
     "convert LOG OUT.csv",
     "convert LOG OUT.mcap",
     "recover LOG -o OUT.mcap",
+    "report LOG -o OUT.html",
 )
 OF_CELLS = tuple(one for one in COMMANDS if "csv" in one and "convert" not in one)
 """Commands that print CSV."""
