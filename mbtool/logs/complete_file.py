@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, BinaryIO
 
 from mbtool.core import OutputError
 from mbtool.core.errors import reason_of
+from mbtool.logs.disk_sync import DiskSync, sync_data
 from mbtool.logs.layout import (
     DATA_END_SIZE,
     FOOTER_SIZE,
@@ -39,8 +40,6 @@ if TYPE_CHECKING:
 
 SECTOR = 512
 
-_sync_data = os.fdatasync if hasattr(os, "fdatasync") else os.fsync
-
 
 class CompleteFile:
     """A growing MCAP file."""
@@ -54,6 +53,7 @@ class CompleteFile:
         self._file = file
         self._name = name
         self._failure: OutputError | None = None
+        self._disk = DiskSync(self.hold)
         head += _padding(len(head), TAIL_SIZE, 0)
         self.position = len(head)
         """The offset of the next record."""
@@ -90,6 +90,13 @@ class CompleteFile:
         self.position += len(records)
         self._crc = crc
 
+    def sync_soon(self) -> None:
+        """Have what was added synced to the disk soon, without waiting for that.
+
+        Raises OutputError if the disk has refused it before, as `append` does.
+        """
+        self._guarded(self._disk.request)
+
     def finish(self, summary: Callable[[int], tuple[bytes, bytes]]) -> None:
         """Add the summary section, and return when it is on the disk.
 
@@ -121,6 +128,7 @@ class CompleteFile:
         self._guarded(write)
 
     def close(self) -> None:
+        self._disk.close()
         self._file.close()
 
     def _guarded(self, write: Callable[[], None]) -> None:
@@ -154,7 +162,7 @@ class CompleteFile:
             view = view[self._file.write(view) :]
 
     def _sync(self) -> None:
-        _sync_data(self._file.fileno())
+        sync_data(self._file.fileno())
 
     def _error(self, error: OSError) -> OutputError:
         return OutputError(

@@ -6,9 +6,8 @@
 # The writer has no clock: `tick` gives it the time. It flushes once something may have been in
 # memory for FLUSH_AFTER_NS, so with ten ticks a second at most 0.6 s of a capture are in memory. If
 # that is LARGE bytes or more, it flushes after FLUSH_LARGE_AFTER_NS: large chunks pack well anyway.
-# Such a flush is synced to the disk. The flush of a full chunk is not, so that a fast capture does
-# not sync more often than a slow one; the sync of the next tick covers it. A log that is made from
-# a file needs no ticks.
+# What was flushed is synced to the disk at most every FLUSH_AFTER_NS, by a thread of its own
+# (disk_sync.py). A log that is made from a file needs no ticks.
 #
 # Memory: one chunk, the last value of each point (points.py), and the file's indexes
 # (container.py). Links after the first MAX_LINKS share the topics of OTHER_LINKS; each of their
@@ -102,6 +101,9 @@ class LogWriter(ClosesOnExit):
         self._encode = msgspec.json.Encoder().encode
         self._points = PointChanges()
         self._flushed_ns = 0
+        self._synced = 0
+        """The size of the file, without its tail, when a sync was requested last."""
+        self._synced_ns = 0
         self._capture = {
             "log_format": str(FORMAT_VERSION),
             "version": __version__,
@@ -178,8 +180,13 @@ class LogWriter(ClosesOnExit):
         if not pending:
             self._flushed_ns = now_ns
         elif not 0 <= now_ns - self._flushed_ns < after_ns:
-            self._container.flush(sync=True)
+            self._container.flush(sync=False)
             self._flushed_ns = now_ns
+        if self._file.position == self._synced:
+            self._synced_ns = min(self._synced_ns, now_ns)
+        elif not 0 <= now_ns - self._synced_ns < FLUSH_AFTER_NS:
+            self._file.sync_soon()
+            self._synced, self._synced_ns = self._file.position, now_ns
 
     def close(self, final: Mapping[str, str] | None = None) -> None:
         """Write what is in memory and the summary, and close the file.
