@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mbtool.cli.option_groups import OptionGroup
+from mbtool.cli.tls_options import TargetTlsOptions
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from mbtool.cli.options import Format
     from mbtool.cli.output import RecordOutput
-    from mbtool.core import LinkSpec
+    from mbtool.core import LinkSpec, TargetTls
     from mbtool.devices import NamedTransaction, Profile
     from mbtool.views.table_options import TableOptions
     from mbtool.workflows.ask import Asker
@@ -41,7 +41,7 @@ ReferencesArgument = Annotated[
 
 
 @dataclass(frozen=True, slots=True)
-class AskOptions(OptionGroup):
+class AskOptions(TargetTlsOptions):
     """Who is asked, and how."""
 
     unit: Annotated[str, typer.Option("--unit", metavar="UNIT", help="The unit to ask.")] = "1"
@@ -90,7 +90,8 @@ class AskOptions(OptionGroup):
         code = None
         if self.function is not None:
             code = parse_number(self.function, "function code", UNITS, "--function")
-        return AskedSlave(link, unit, profile, Wording(profile, code), round(self.timeout * 1e9))
+        timeout_ns = round(self.timeout * 1e9)
+        return AskedSlave(link, unit, profile, Wording(profile, code), timeout_ns, self.target())
 
     def _profile(self, unit: int) -> Profile | None:
         from mbtool.core import UsageError
@@ -115,6 +116,7 @@ class AskedSlave:
     profile: Profile | None
     wording: Wording
     timeout_ns: int
+    tls: TargetTls | None
 
     @contextmanager
     def open(
@@ -127,7 +129,7 @@ class AskedSlave:
         from mbtool.master.links import open_master
         from mbtool.workflows.ask import Asker
 
-        with open_master(self.link, self.timeout_ns, say) as master:
+        with open_master(self.link, self.timeout_ns, say, self.tls) as master:
             asker = Asker(master, self.link, self.unit, self.profile)
             with open_output(
                 None,

@@ -1,4 +1,4 @@
-"""The options of `mbtool sniff` for taps that use TLS."""
+"""The options for TLS: of taps (`mbtool sniff`), and of masters (`mbtool read`)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,77 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class TlsOptions(OptionGroup):
+class TargetTlsOptions(OptionGroup):
+    """TLS on the side of a slave."""
+
+    tls_target_ca: Annotated[
+        str | None,
+        typer.Option(
+            "--tls-target-ca",
+            metavar="FILE",
+            help="Connect to the slave with TLS, if it shows a certificate of a CA in FILE, or one "
+            "that is in FILE itself.",
+        ),
+    ] = None
+    tls_target_unverified: Annotated[
+        bool,
+        typer.Option(
+            "--tls-target-unverified", help="The same, whatever certificate the target shows."
+        ),
+    ] = False
+    tls_target_cert: Annotated[
+        str | None,
+        typer.Option(
+            "--tls-target-cert",
+            metavar="FILE",
+            help="The certificate that the slave is shown (PEM).",
+        ),
+    ] = None
+    tls_target_key: Annotated[
+        str | None,
+        typer.Option(
+            "--tls-target-key",
+            metavar="FILE",
+            help="The private key of --tls-target-cert, where it is in a file of its own.",
+        ),
+    ] = None
+    tls_target_name: Annotated[
+        str | None,
+        typer.Option(
+            "--tls-target-name",
+            metavar="NAME",
+            help="The name or address in the slave's certificate. [default: that in the LINK]",
+        ),
+    ] = None
+
+    def target(self) -> TargetTls | None:
+        """TLS towards the target; None if no option asks for it.
+
+        Raises UsageError if options contradict each other or lack one that they need.
+        """
+        from mbtool.core import TargetTls, UsageError
+
+        ca, cert, key = self.tls_target_ca, self.tls_target_cert, self.tls_target_key
+        if ca is not None and self.tls_target_unverified:
+            raise UsageError("--tls-target-ca and --tls-target-unverified exclude each other")
+        if key is not None and cert is None:
+            raise UsageError("--tls-target-key goes with --tls-target-cert")
+        if ca is not None or self.tls_target_unverified:
+            return TargetTls(ca, cert, key, self.tls_target_name)
+        for option, given in (
+            ("--tls-target-cert", cert),
+            ("--tls-target-name", self.tls_target_name),
+        ):
+            if given is not None:
+                raise UsageError(
+                    f"{option}: say how the target is verified: --tls-target-ca FILE, "
+                    "or --tls-target-unverified"
+                )
+        return None
+
+
+@dataclass(frozen=True, slots=True)
+class TlsOptions(TargetTlsOptions):
     """TLS on the side of a tap where masters connect, and on the side of its target."""
 
     tls_cert: Annotated[
@@ -42,45 +112,6 @@ class TlsOptions(OptionGroup):
             "--tls-ca",
             metavar="FILE",
             help="Let in only masters that show a certificate of a CA in FILE.",
-        ),
-    ] = None
-    tls_target_ca: Annotated[
-        str | None,
-        typer.Option(
-            "--tls-target-ca",
-            metavar="FILE",
-            help="Have a tap connect to its target with TLS, if that shows a certificate of a CA "
-            "in FILE, or one that is in FILE itself.",
-        ),
-    ] = None
-    tls_target_unverified: Annotated[
-        bool,
-        typer.Option(
-            "--tls-target-unverified", help="The same, whatever certificate the target shows."
-        ),
-    ] = False
-    tls_target_cert: Annotated[
-        str | None,
-        typer.Option(
-            "--tls-target-cert",
-            metavar="FILE",
-            help="The certificate that a tap shows its target (PEM).",
-        ),
-    ] = None
-    tls_target_key: Annotated[
-        str | None,
-        typer.Option(
-            "--tls-target-key",
-            metavar="FILE",
-            help="The private key of --tls-target-cert, where it is in a file of its own.",
-        ),
-    ] = None
-    tls_target_name: Annotated[
-        str | None,
-        typer.Option(
-            "--tls-target-name",
-            metavar="NAME",
-            help="The name or address in the target's certificate. [default: that in the LINK]",
         ),
     ] = None
 
@@ -120,31 +151,6 @@ class TlsOptions(OptionGroup):
             if given is not None:
                 raise UsageError(
                     f"{option} goes with --tls-cert, the certificate that masters are shown"
-                )
-        return None
-
-    def target(self) -> TargetTls | None:
-        """TLS towards the target; None if no option asks for it.
-
-        Raises UsageError if options contradict each other or lack one that they need.
-        """
-        from mbtool.core import TargetTls, UsageError
-
-        ca, cert, key = self.tls_target_ca, self.tls_target_cert, self.tls_target_key
-        if ca is not None and self.tls_target_unverified:
-            raise UsageError("--tls-target-ca and --tls-target-unverified exclude each other")
-        if key is not None and cert is None:
-            raise UsageError("--tls-target-key goes with --tls-target-cert")
-        if ca is not None or self.tls_target_unverified:
-            return TargetTls(ca, cert, key, self.tls_target_name)
-        for option, given in (
-            ("--tls-target-cert", cert),
-            ("--tls-target-name", self.tls_target_name),
-        ):
-            if given is not None:
-                raise UsageError(
-                    f"{option}: say how the target is verified: --tls-target-ca FILE, "
-                    "or --tls-target-unverified"
                 )
         return None
 

@@ -21,6 +21,7 @@ from __future__ import annotations
 import os
 import select
 import socket
+import ssl
 import time
 from abc import ABC, abstractmethod
 from collections import deque
@@ -33,11 +34,13 @@ from mbtool.framing import MbapSplitter, RtuStreamSplitter
 from mbtool.modbus import Adu, ascii_adu, mbap_adu, rtu_adu
 from mbtool.modbus.adu import DirectionBy, Transport
 from mbtool.ports.serial_opening import open_port, port_in_use
+from mbtool.ports.tls import client_context, failure
 from mbtool.serial_line import AsciiSplitter, RtuSplitter
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from mbtool.core import TargetTls
     from mbtool.modbus import Skipped
 
 CONNECT_S = 5.0
@@ -45,6 +48,7 @@ CONNECT_S = 5.0
 RECONNECT_S = 0.5
 """Timeout for opening a lost connection again, in seconds. Short, as a request is waiting."""
 READ_BYTES = 4096
+_LEAST_TLS_WAIT_S = 0.001
 LONGEST_WAIT_S = 3600.0
 MAX_UNREAD = 16
 ASK_TIMEOUT_NS = 2_000_000_000
@@ -185,18 +189,22 @@ def open_master(
     link: LinkSpec,
     timeout_ns: int = ASK_TIMEOUT_NS,
     on_remark: Callable[[str], None] = lambda _: None,
+    tls: TargetTls | None = None,
 ) -> MasterLink:
     """Open a master on a link; `timeout_ns` is the longest wait for a response.
 
     `on_remark` gets a line when a lost connection cannot be opened again, and when it is open
-    again. Raises LinkError if the slave cannot be reached or the port cannot be opened, UsageError
-    if a master cannot use such a link.
+    again. `tls` is for a slave that speaks Modbus/TCP Security. Raises LinkError if the slave
+    cannot be reached, TLS fails or the port cannot be opened, UsageError if a master cannot use
+    such a link.
     """
+    if tls is not None and not (isinstance(link, TcpLink) and not link.rtu):
+        raise UsageError(f"link {link}: TLS is for Modbus/TCP, tcp:HOST:PORT")
     if isinstance(link, SerialLink):
         link.demand_one_port()
         return SerialMaster(link, timeout_ns)
     if isinstance(link, TcpLink):
-        return TcpMaster(link, timeout_ns, on_remark)
+        return TcpMaster(link, timeout_ns, on_remark, tls)
     raise UsageError(f"link {link}: a master needs {ANSWERED}")
 
 
@@ -204,14 +212,20 @@ class TcpMaster(MasterLink):
     """Speaks Modbus/TCP, or RTU over TCP."""
 
     def __init__(
-        self, link: TcpLink, timeout_ns: int, on_remark: Callable[[str], None] = lambda _: None
+        self,
+        link: TcpLink,
+        timeout_ns: int,
+        on_remark: Callable[[str], None] = lambda _: None,
+        tls: TargetTls | None = None,
     ) -> None:
-        """Connect. Raises LinkError if the slave cannot be reached."""
+        """Connect. Raises LinkError if the slave cannot be reached, or TLS fails."""
         super().__init__()
         self.transport = Transport.RTU_TCP if link.rtu else Transport.TCP
         self.limits = LinkLimits(timeout_ns=timeout_ns, one_at_a_time=link.rtu)
         self._link = link
         self._on_remark = on_remark
+        self._tls = None if tls is None else client_context(tls, link.endpoint.host)
+        """The context of TLS, and the name in the slave's certificate."""
         self._is_reconnecting = False
         """True if the last attempt to open a lost connection again has failed."""
         self._next_attempt_ns = 0
@@ -248,11 +262,16 @@ class TcpMaster(MasterLink):
         if self._socket is None:
             time.sleep(wait_s)
             return ()
-        if not select.select([self._socket], [], [], wait_s)[0]:
+        if not self._has_bytes(self._socket, wait_s):
             return ()
         try:
             data = self._socket.recv(READ_BYTES)
-        except OSError:
+        except (TimeoutError, ssl.SSLWantReadError):
+            return ()  # What came were messages of TLS itself.
+        except OSError as error:
+            why = failure(error, "slave")
+            if why is not None:
+                self._on_remark(f"mbtool: {self._link}: {why}")
             data = b""
         now_ns = time.monotonic_ns()
         if not data:
@@ -263,6 +282,15 @@ class TcpMaster(MasterLink):
             for event in self._splitter.feed(data, now_ns)
             if (response := self._matched(event)) is not None
         ]
+
+    @staticmethod
+    def _has_bytes(connected: socket.socket, wait_s: float) -> bool:
+        """Wait at most `wait_s` seconds for bytes. TLS may hold some that it has decrypted."""
+        if isinstance(connected, ssl.SSLSocket):
+            if connected.pending():
+                return True
+            connected.settimeout(max(wait_s, _LEAST_TLS_WAIT_S))
+        return bool(select.select([connected], [], [], wait_s)[0])
 
     def lost(self) -> Sequence[int]:
         numbers = list(self._lost)
@@ -319,8 +347,22 @@ class TcpMaster(MasterLink):
                 f"{self._link}: cannot be reached: {why}; does a slave listen there?"
             ) from error
         connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        if self._tls is not None:
+            connected = self._secured(connected, *self._tls)
         self._splitter = (RtuStreamSplitter if self._link.rtu else MbapSplitter)(Direction.RESPONSE)
         return connected
+
+    def _secured(
+        self, connected: socket.socket, context: ssl.SSLContext, name: str
+    ) -> socket.socket:
+        """The connection with TLS. Raises LinkError if TLS fails."""
+        try:
+            return context.wrap_socket(connected, server_hostname=name)
+        except (OSError, ValueError) as error:
+            connected.close()
+            of_tls = failure(error, "slave") if isinstance(error, OSError) else None
+            why = of_tls or f"TLS: {error}; perhaps it speaks no TLS"
+            raise LinkError(f"{self._link}: {why}") from error
 
 
 class SerialMaster(MasterLink):

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import pytest
 
 from mbtool.logs import LogReader
-from tests.certificates import CA, MASTER, SLAVE, master_context, slave_context
+from tests.certificates import CA, ELSEWHERE, MASTER, SLAVE, master_context, slave_context
 from tests.end_to_end.peers import SecuredClient, ask_twenty, pymodbus_server, tcp_client
-from tests.end_to_end.programs import decoded, run_mbtool, sniffing, tcp_port
+from tests.end_to_end.programs import decoded, mbtool, run_mbtool, sniffing, tcp_port
 
 if TYPE_CHECKING:
     import ssl
@@ -58,3 +58,23 @@ def test_a_secured_connection_is_recorded_in_clear(
         (settings,) = reader.links.values()
     assert settings == {"spec": link, "tls": sides}
     assert f"connection opened: {said}" in run_mbtool("decode", str(log), "--events", "all")
+
+
+@pytest.mark.parametrize("options", [TARGET, ("--tls-target-unverified", *TARGET[2:])])
+def test_a_secured_slave_is_asked(options: tuple[str, ...]) -> None:
+    with pymodbus_server(slave_context(ca=CA)) as (port, _):
+        link = f"tcp:127.0.0.1:{port}"
+        out = run_mbtool("read", link, "holding 3..5", "holding 0..150", *options)
+    assert "03 read holding 3..5 -> 30, 40, 50\n" in out
+    assert "03 read holding 125..150 -> 1250, 1260" in out
+
+
+def test_a_secured_slave_that_refuses_is_told() -> None:
+    with pymodbus_server(slave_context(ca=CA)) as (port, _):
+        link = f"tcp:127.0.0.1:{port}"
+        with mbtool("read", link, "holding 3", "--tls-target-ca", ELSEWHERE) as program:
+            assert program.wait() == 3
+            assert f"mbtool: {link}: TLS: the slave's certificate is refused" in program.said.text
+    with mbtool("read", "rtu+tcp:127.0.0.1:1", "holding 3", "--tls-target-unverified") as program:
+        assert program.wait() == 2
+        assert "TLS is for Modbus/TCP, tcp:HOST:PORT" in program.said.text
