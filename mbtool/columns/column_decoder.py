@@ -31,6 +31,7 @@ from mbtool.columns.headers import read_headers
 from mbtool.columns.passed_connections import PassedConnections, pass_whole
 from mbtool.columns.plain_rows import PlainRows, TransactionArrays
 from mbtool.columns.stretches import find_stretches
+from mbtool.core import WireEvent
 from mbtool.decode.decoder import Record
 from mbtool.packets.reassembler import MAX_CONNECTIONS
 from mbtool.packets.segment import RST, SYN
@@ -65,6 +66,21 @@ class DecodedBlock:
         """The records in order, if wanted with the begins and ends of `passed`."""
         passed = self.passed.events() if with_passed and self.passed is not None else []
         return sorted([*passed, *self.records], key=lambda one: one[0])
+
+    def last_ns(self) -> int | None:
+        """The time of the last transaction or event in UTC ns; None if there is none."""
+        found: list[tuple[int, int]] = []
+        if self.records:
+            # Of several with one number the last one: `max` would give the first.
+            number, last = max(reversed(self.records), key=lambda one: one[0])
+            found.append((number, last.ts_ns if isinstance(last, WireEvent) else last.start_ns))
+        if self.plain is not None:
+            found.append((2 * int(self.plain.response[-1]) + 1, int(self.plain.request_ns[-1])))
+        if self.passed is not None:
+            last_closed = int(self.passed.closed.argmax())
+            closed = int(self.passed.closed[last_closed])
+            found.append((2 * closed + 1, int(self.passed.closed_ns[last_closed])))
+        return max(found)[1] if found else None
 
 
 def order_of(packets: Int64s) -> Int64s:

@@ -70,6 +70,14 @@ class PacketBlock:
     def __len__(self) -> int:
         return len(self.starts)
 
+    def first_of_each_interface(self) -> list[int]:
+        """The index of the first packet of each interface that has one."""
+        if self.interfaces is None:
+            return [0]
+        _, firsts = np.unique(self.interfaces, return_index=True)
+        places: list[int] = firsts.tolist()
+        return places
+
     def part(self, begin: int, end: int) -> PacketBlock:
         """The packets from one index to another."""
         some = slice(begin, end)

@@ -2,8 +2,9 @@
 
 Makes the workloads of file_workloads.py, runs mbtool and the peers that are installed in turn, each
 as a process of its own, and prints packets per second, processor time, peak memory, and how many
-times faster than tshark (of each workload that it reads) by processor time. Absolute figures are
-the machine's; only ratios of one run can be compared.
+times faster than tshark (of each workload that it reads) by processor time: of the whole process,
+and without start-up, which is the time for a capture without packets. Absolute figures are the
+machine's; only ratios of one run can be compared.
 """
 
 from __future__ import annotations
@@ -63,6 +64,13 @@ class FileMeasurement:
     program: str
     packets: int
     cost: Cost
+    start_s: float = 0.0
+    """Processor time, in s, for a capture without packets; 0 where that is not measured."""
+
+    @property
+    def net_s(self) -> float:
+        """Processor time, in s, without start-up."""
+        return max(self.cost.seconds - self.start_s, 0.01)
 
 
 def measure(
@@ -71,14 +79,22 @@ def measure(
     """Run each program on each workload; they take turns."""
     for name, made in workloads(packets, folder, only):
         programs = programs_for(made, folder)
+        empty: dict[str, list[str]] = {}
+        if made.path.suffix == ".pcap":
+            none = make_capture(folder / "empty.pcap", lambda *_: iter(()), 0)
+            empty = programs_for(none, folder)
         costs: dict[str, list[Cost]] = {program: [] for program in programs}
+        starts: dict[str, list[float]] = {program: [] for program in programs}
         for _ in range(rounds):
             for program, command in programs.items():
                 costs[program].append(run(command))
+                if program in empty:
+                    starts[program].append(run(empty[program]).seconds)
         for program, found in costs.items():
             seconds = statistics.median(one.seconds for one in found)
             peak = max(one.peak_mib for one in found)
-            yield FileMeasurement(name, program, made.packets, Cost(seconds, peak))
+            start_s = statistics.median(starts[program] or [0.0])
+            yield FileMeasurement(name, program, made.packets, Cost(seconds, peak), start_s)
 
 
 def workloads(packets: int, folder: Path, only: Sequence[str] = ()) -> Iterator[tuple[str, Made]]:
@@ -133,18 +149,21 @@ def run(command: Sequence[str]) -> Cost:
 
 def report(measured: Sequence[FileMeasurement]) -> str:
     """A line for each program and workload."""
-    tshark = {one.workload: one.cost.seconds for one in measured if one.program == TSHARK}
+    tshark = {one.workload: one for one in measured if one.program == TSHARK}
     lines = [
         f"{'workload':<10}{'program':<16}{'packets':>10}{'s':>8}{'packets/s':>12}{'MiB':>7}"
-        f"{'x tshark':>10}"
+        f"{'x tshark':>10}{'start s':>9}{'x without':>10}"
     ]
     for one in measured:
         reference = tshark.get(one.workload)
-        ratio = "" if reference is None else f"{reference / one.cost.seconds:.1f}"
+        ratio, net = "", ""
+        if reference is not None:
+            ratio = f"{reference.cost.seconds / one.cost.seconds:.1f}"
+            net = f"{reference.net_s / one.net_s:.1f}"
         rate = one.packets / one.cost.seconds
         lines.append(
             f"{one.workload:<10}{one.program:<16}{one.packets:>10,}{one.cost.seconds:>8.2f}"
-            f"{rate:>12,.0f}{one.cost.peak_mib:>7,.0f}{ratio:>10}"
+            f"{rate:>12,.0f}{one.cost.peak_mib:>7,.0f}{ratio:>10}{one.start_s:>9.2f}{net:>10}"
         )
     return "\n".join(lines) + "\n"
 

@@ -28,7 +28,7 @@ def test_mbtool_reads_every_transaction_of_a_workload(
     assert all(f'"outcome":"{Outcome.OK}"' in line for line in lines)
 
 
-@pytest.mark.parametrize(("name", "share"), [("clean", 0.95), ("dirty", 0.4), ("per-poll", 0)])
+@pytest.mark.parametrize(("name", "share"), [("clean", 0.95), ("dirty", 0.8), ("per-poll", 1)])
 def test_arrays_give_equal_results_for_a_workload(name: str, share: float, tmp_path: Path) -> None:
     ((_, made),) = workloads(2000, tmp_path, [name])
     capture = made.path.read_bytes()
@@ -44,11 +44,11 @@ def test_a_process_is_measured_with_its_memory() -> None:
 
 def test_the_report_compares_with_tshark() -> None:
     measured = [
-        FileMeasurement("clean", "mbtool parquet", 1000, Cost(0.5, 100)),
-        FileMeasurement("clean", "tshark fields", 1000, Cost(5.0, 800)),
+        FileMeasurement("clean", "mbtool parquet", 1000, Cost(0.5, 100), 0.25),
+        FileMeasurement("clean", "tshark fields", 1000, Cost(5.0, 800), 1.0),
         FileMeasurement("serial", "mbtool jsonl", 1000, Cost(1.0, 40)),
     ]
     lines = report(measured).splitlines()
-    assert lines[1].split()[-1] == "10.0"
-    assert lines[2].split()[-1] == "1.0"
-    assert lines[3].split()[-1] == "40"
+    assert lines[1].split()[-3:] == ["10.0", "0.25", "16.0"]
+    assert lines[2].split()[-3:] == ["1.0", "1.00", "1.0"]
+    assert lines[3].split()[-2:] == ["40", "0.00"]

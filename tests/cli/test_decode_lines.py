@@ -98,3 +98,45 @@ def test_without_the_extra_lines_are_read_row_by_row(
     (tmp_path / "a.pcap").write_bytes(disturbed(5))
     assert mbtool("decode", tmp_path / "a.pcap", "--format", "jsonl").code == 0
     assert not in_arrays
+
+
+def parts_of(capture: bytes, folder: Path, cut: int = 0) -> list[Path]:
+    """Three files with the packets of a capture; `cut` bytes are missing at the end of the second.
+
+    A fourth one has no packets.
+    """
+    places, at = [24], 24
+    while at < len(capture):
+        at += 16 + int.from_bytes(capture[at + 8 : at + 12], "little")
+        places.append(at)
+    third = len(places) // 3
+    files = []
+    for number, (begin, end) in enumerate(
+        ((0, third), (third, 2 * third), (2 * third, -1), (0, 0))
+    ):
+        data = capture[places[begin] : places[end]]
+        files.append(folder / f"{number}.pcap")
+        files[-1].write_bytes(capture[:24] + (data[:-cut] if cut and number == 1 else data))
+    return files
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2), (0, 3, 1, 2), (2, 0, 1), (0, 2, 1, 3), (1, 1)])
+@pytest.mark.parametrize("cut", [0, 5])
+@pytest.mark.parametrize("number", [3, 5])
+def test_several_files_are_printed_as_row_by_row(
+    order: tuple[int, ...],
+    cut: int,
+    number: int,
+    mbtool: CommandLine,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    in_arrays: list[int],
+) -> None:
+    files = parts_of(disturbed(number), tmp_path, cut)
+    for format_ in ("jsonl", "csv"):
+        arguments = ("decode", *(files[one] for one in order), "--format", format_)
+        rows = row_by_row(mbtool, monkeypatch, *arguments)
+        assert not in_arrays
+        assert mbtool(*arguments) == rows
+        assert bool(in_arrays) is (len({*order}) == len(order))
+        in_arrays.clear()

@@ -1,14 +1,14 @@
-"""Reads a capture file into tables of transactions, as arrays where that is possible."""
+"""Reads capture files into tables of transactions, as arrays where that is possible."""
 
 # The transactions, their order, the remarks and the errors are the same as with `Reading`. This
-# faster way only works for a single file of packets, without device profiles.
+# faster way only works for files of packets, without device profiles.
 
 from __future__ import annotations
 
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
-from mbtool.columns.column_decoder import ColumnDecoder
+from mbtool.columns.column_decoder import ColumnDecoder, DecodedBlock
 from mbtool.columns.packet_block import read_blocks
 from mbtool.columns.plain_lines import BlockLines
 from mbtool.columns.plain_records import plain_records
@@ -18,15 +18,15 @@ from mbtool.devices import Namer
 from mbtool.overview.answered_run import AnsweredRun
 from mbtool.packets import serial_pieces
 from mbtool.sources.files import PACKET_KINDS, CaptureKind, open_capture, place_of
+from mbtool.workflows.shared.capture_parts import Part
 from mbtool.workflows.shared.heard_line import HeardLine, serial_types
 from mbtool.workflows.shared.part_reading import PartReading
 from mbtool.workflows.shared.reading import UNDECODABLE_EVENTS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from mbtool.columns.block_table import TransactionBatch
-    from mbtool.columns.column_decoder import DecodedBlock
     from mbtool.columns.packet_block import PacketBlock
     from mbtool.columns.plain_lines import LineBatch
     from mbtool.decode.decoder import Record
@@ -40,10 +40,14 @@ def can_read_columns(paths: Sequence[str], options: ReadingOptions) -> bool:
 
     Raises InputError for a file that cannot be read.
     """
-    has_own = any(options.assignments) or options.line is not None or options.any_port
-    if len(paths) != 1 or has_own or place_of(paths[0])[1]:
+    if any(options.assignments) or options.line is not None or options.any_port:
         return False
-    with open_capture(paths[0]) as capture:
+    return all(not place_of(path)[1] and _has_plain_packets(path) for path in paths)
+
+
+def _has_plain_packets(path: str) -> bool:
+    """True for a file of packets that does not describe its links."""
+    with open_capture(path) as capture:
         if capture.kind is CaptureKind.PCAPNG:
             # Packets of a file that describes its links may show bytes of a serial line.
             with suppress(InputError):
@@ -52,7 +56,12 @@ def can_read_columns(paths: Sequence[str], options: ReadingOptions) -> bool:
 
 
 class ColumnReading(PartReading):
-    """Reads a capture file once, and yields tables of its transactions."""
+    """Reads capture files once, and yields tables or lines of their transactions."""
+
+    def __init__(self, paths: Sequence[str], options: ReadingOptions) -> None:
+        super().__init__(paths, options)
+        self._heard_here: HeardLine | None = None
+        """The check of the baud rate of the current file, if it has bytes of a serial line."""
 
     def records(self) -> Iterator[Record]:
         """Yield all transactions and events, one by one. Raises as `batches` does."""
@@ -100,50 +109,92 @@ class ColumnReading(PartReading):
                 yield part
 
     def _blocks(self) -> Iterator[DecodedBlock]:
-        (path,) = self._paths
-        decoder = self._own_decoder()
-        self.format_of, self.line_of = decoder.format_of, decoder.line_of
-        ports, rtu_ports = self._ports
-        columns = ColumnDecoder(decoder, (*ports, *rtu_ports))
-        broken: InputError | None = None
+        try:
+            for number, path in enumerate(self._paths, 1):
+                try:
+                    yield from self._file_blocks(path)
+                except (CutError, DamageError) as error:
+                    self.results.break_off(path, error)
+                    if number < len(self._paths):
+                        yield self._noted(_block_of(self._break_off(error)))
+                self._files_read += 1
+        except InputError:
+            yield self._ended()
+            raise
+        yield self._ended()
+        self.results.raise_first()
+
+    def _file_blocks(self, path: str) -> Iterator[DecodedBlock]:
+        self.results.begin(path)
         with open_capture(path) as capture:
             self._current = capture
             self._kinds.add(capture.kind)
-            self._enter()
-            try:
-                for block in capture.guarded(read_blocks(capture.stream, capture.name)):
-                    self._note_block(capture, block)
-                    for decoded in columns.feed(block):
-                        yield self._noted(decoded)
-            except InputError as error:
-                broken = error
-        yield columns.close()
-        if broken is None or isinstance(broken, CutError | DamageError):
-            self._files_read += 1
-        if broken is not None:
-            raise broken
+            self._heard_here = None
+            if self._part is None:
+                yield self._ended()
+            self._part = Part()
+            is_first = True
+            for block in capture.guarded(read_blocks(capture.stream, capture.name)):
+                if is_first and not self._seam.is_continued_by(block.packet(0)):
+                    self._note_order(block.packet(0))
+                    yield self._ended()
+                    self._part = Part()
+                if is_first:
+                    self._enter()
+                is_first = False
+                self._note_block(capture, block)
+                for decoded in self._columns().feed(block):
+                    yield self._noted(decoded)
+
+    def _columns(self) -> ColumnDecoder:
+        """The decoder of the current capture."""
+        if self._decoder is None:
+            self._decoder = self._own_decoder()
+            self.format_of, self.line_of = self._decoder.format_of, self._decoder.line_of
+            ports, rtu_ports = self._ports
+            self._column_decoder = ColumnDecoder(self._decoder, (*ports, *rtu_ports))
+        return self._column_decoder
+
+    def _ended(self) -> DecodedBlock:
+        """End the capture: what its decoder still holds."""
+        file = self.file
+        block = _block_of(self._end_capture())
+        begun, self.file = self.file, file  # The records are of the file that was read last.
+        self._noted(block)
+        self.file = begun
+        return block
 
     def _note_block(self, capture: CaptureFile, block: PacketBlock) -> None:
         self._items += len(block)
+        for place in sorted({*block.first_of_each_interface(), len(block) - 1}):
+            self._seam.note(block.packet(place))
         cut = block.captured[block.original > block.captured]
         if len(cut):
             self._missing.note_cut(len(cut), int(cut.min()), int(cut.max()))
         types = serial_types(None)
         if types.isdisjoint(link_type for _, link_type in block.links):
             return
-        heard: HeardLine | None = self._heard[0] if self._heard else None
         for index in range(len(block)):
             packet = block.packet(index)
             if packet.link_type in types:
                 self._serial_packets += 1
-                heard = heard or self._hear(capture)
+                self._heard_here = self._heard_here or self._hear(capture)
                 for piece in serial_pieces(packet):
-                    heard.note(piece)
+                    self._heard_here.note(piece)
 
     def _noted(self, block: DecodedBlock) -> DecodedBlock:
+        events = sum(isinstance(record, WireEvent) for _, record in block.records)
+        transactions = len(block.records) - events
         # Transactions that were read as arrays are in connections whose OPENED event came before.
         if block.plain is not None:
             self._has_found = self._has_decoded = True
+            transactions += len(block.plain.request)
+        if block.passed is not None:
+            events += 2 * len(block.passed.connections)
+        self.results.note_some(self.file, transactions, events)
+        last_ns = block.last_ns()
+        if last_ns is not None:
+            self._last_ns = last_ns
         return block
 
     def _note(self, record: Record) -> None:
@@ -153,3 +204,7 @@ class ColumnReading(PartReading):
             self._first_undecodable = self._first_undecodable or record.message
         else:
             self._has_decoded = True
+
+
+def _block_of(records: Iterable[Record]) -> DecodedBlock:
+    return DecodedBlock(records=[(0, one) for one in records])

@@ -77,6 +77,13 @@ class FileResults:
         else:
             result.transactions += 1
 
+    def note_some(self, name: str, transactions: int, events: int) -> None:
+        """Count several records of a file."""
+        result = self._opened.get(name)
+        if result is not None:
+            result.transactions += transactions
+            result.events += events
+
     def break_off(self, path: str, error: InputError) -> None:
         """Note why a file could not be read to its end."""
         self._opened[shown_name(path)].error = error

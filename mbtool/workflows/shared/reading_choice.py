@@ -24,7 +24,7 @@ def part_reading(
 
     `is_filtered` is True if some transactions are left out, by what each of them holds.
     """
-    if is_filtered:
+    if is_filtered or len(paths) != 1:
         return PartReading(paths, options)
     return column_reading(paths, options) or PartReading(paths, options)
 
@@ -32,11 +32,11 @@ def part_reading(
 def column_reading(
     paths: Sequence[str], options: ReadingOptions, *, at_least: int = 0
 ) -> ColumnReading | None:
-    """A pass over a file as arrays; None if it cannot be read so.
+    """A pass over files as arrays; None if they cannot be read so.
 
-    None also for a file of fewer bytes than `at_least`; compressed ones count ten times.
+    None also if the files have fewer bytes than `at_least`; compressed ones count ten times.
     """
-    if len(paths) != 1 or find_spec("numpy") is None or _size(paths[0]) < at_least:
+    if find_spec("numpy") is None or sum(map(_size, paths)) < at_least:
         return None
     from mbtool.workflows.shared.column_reading import ColumnReading, can_read_columns
 
