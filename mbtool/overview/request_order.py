@@ -74,6 +74,9 @@ class RequestOrder:
 
     def add_run(self, run: AnsweredRun, polls: Sequence[PollStatistics]) -> None:
         """Take the requests of a run on a network; `polls` are those of its kinds."""
+        if len(run.kind) < WINDOW // 4:  # Sorting those held takes longer.
+            self._add_each(run, polls)
+            return
         held = sorted(self._heap)
         asked = _AskedColumns(
             [one.at_ns for one in held] + run.request_ns,
@@ -90,8 +93,7 @@ class RequestOrder:
             and self._can_tape_all({(poll.key.link, poll.key.master) for poll in {*asked.polls}})
         )
         if not is_simple:
-            for at_ns, kind, end_ns in zip(run.request_ns, run.kind, run.response_ns, strict=True):
-                self.add(at_ns, polls[kind], end_ns, 0, is_missing=False)
+            self._add_each(run, polls)
             return
         last = order[-WINDOW:]
         self._heap = list(
@@ -107,6 +109,10 @@ class RequestOrder:
         )
         self._taken += len(order)
         self._order_all(asked, order[:-WINDOW])
+
+    def _add_each(self, run: AnsweredRun, polls: Sequence[PollStatistics]) -> None:
+        for at_ns, kind, end_ns in zip(run.request_ns, run.kind, run.response_ns, strict=True):
+            self.add(at_ns, polls[kind], end_ns, 0, is_missing=False)
 
     def _order_all(self, asked: _AskedColumns, order: list[int]) -> None:
         """Take answered requests in order of time, with the same result as one by one."""
