@@ -111,6 +111,9 @@ class ColumnReading(PartReading):
     def _blocks(self) -> Iterator[DecodedBlock]:
         try:
             for number, path in enumerate(self._paths, 1):
+                if path in self.results.refused:
+                    self._files_read += 1
+                    continue
                 try:
                     yield from self._file_blocks(path)
                 except (CutError, DamageError) as error:
