@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 def plain_records(decoded: DecodedBlock, namer: Namer) -> Iterator[Record]:
     """The transactions and events of a block, in the order and form in which a decoder has them."""
-    records = sorted(decoded.records, key=lambda one: one[0])
+    records = decoded.sorted_records(with_passed=True)
     rows = decoded.plain
     if rows is None:
         yield from (record for _, record in records)
