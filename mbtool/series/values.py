@@ -35,6 +35,17 @@ class SeriesKey(NamedTuple):
     """The name of a point; of a register `holding 12`."""
 
 
+class _Poll:
+    """The last values of a poll, and the series of its registers or points."""
+
+    __slots__ = ("names", "series", "values")
+
+    def __init__(self) -> None:
+        self.values: list[int] | None = None
+        self.series: list[ValueSeries | None] = []
+        self.names: list[str] = []
+
+
 class Values:
     """The values of points and registers over time."""
 
@@ -42,7 +53,7 @@ class Values:
         self._most = most
         self.series: dict[SeriesKey, ValueSeries] = {}
         self._left_out: set[SeriesKey] = set()
-        self._last: dict[tuple[object, ...], list[int]] = {}
+        self._polls: dict[tuple[object, ...], _Poll] = {}
 
     @property
     def left_out(self) -> int:
@@ -57,35 +68,41 @@ class Values:
         values = one.request_values if only_writes else one.response_values
         if values is None or one.function == _MASK_WRITE:
             return
-        poll = (one.link, one.unit, one.function, one.address, one.quantity)
-        before = self._last.get(poll)
+        key = (one.link, one.unit, one.function, one.address, one.quantity, one.write_address)
+        poll = self._polls.get(key)
+        if poll is None:
+            poll = _Poll()
+            if len(self._polls) < MAX_POLLS:
+                self._polls[key] = poll
+        before, poll.values = poll.values, values
         if before == values:
             return
-        if before is not None or len(self._last) < MAX_POLLS:
-            self._last[poll] = values
         at_ns = one.response_ns or one.start_ns
         if one.points:
-            self._add_points(one, at_ns)
+            self._add_points(one, poll, at_ns)
         elif one.address is not None:
-            self._add_registers(one, function.table, values, at_ns)
+            if len(poll.series) != min(len(values), MAX_OF_POLL):
+                poll.series = self._registers(one, function.table, len(values))
+            _add_changes(poll.series, values, before or (), at_ns)
 
-    def _add_points(self, one: NamedTransaction, at_ns: int) -> None:
-        for point in one.points:
-            series = self._series(SeriesKey(one.link, one.unit, point.name))
-            if series is None:
-                continue
-            series.reference, series.unit = point.reference, point.unit or ""
-            series.add(at_ns, point.value, point.text)
-
-    def _add_registers(
-        self, one: NamedTransaction, table: Table, values: Sequence[int], at_ns: int
-    ) -> None:
-        word, is_bits = table.partition("_")[0], table.is_bits
-        for address, value in enumerate(values[:MAX_OF_POLL], one.address or 0):
-            key = SeriesKey(one.link, one.unit, f"{word} {address}")
-            series = self._series(key, is_bit=is_bits)
+    def _add_points(self, one: NamedTransaction, poll: _Poll, at_ns: int) -> None:
+        names = [point.name for point in one.points]
+        if names != poll.names:
+            poll.names = names
+            poll.series = [self._series(SeriesKey(one.link, one.unit, name)) for name in names]
+        for point, series in zip(one.points, poll.series, strict=True):
             if series is not None:
-                series.add(at_ns, value)
+                series.reference, series.unit = point.reference, point.unit or ""
+                series.add(at_ns, point.value, point.text)
+
+    def _registers(
+        self, one: NamedTransaction, table: Table, count: int
+    ) -> list[ValueSeries | None]:
+        """The series of the registers or bits of a poll; None for those that are not followed."""
+        word, first = table.partition("_")[0], one.address or 0
+        addresses = range(first, first + min(count, MAX_OF_POLL))
+        keys = (SeriesKey(one.link, one.unit, f"{word} {address}") for address in addresses)
+        return [self._series(key, is_bit=table.is_bits) for key in keys]
 
     def _series(self, key: SeriesKey, *, is_bit: bool = False) -> ValueSeries | None:
         series = self.series.get(key)
@@ -96,3 +113,14 @@ class Values:
                 return None
             series = self.series[key] = ValueSeries(key.name, bit=is_bit)
         return series
+
+
+def _add_changes(
+    followed: Sequence[ValueSeries | None], values: Sequence[int], before: Sequence[int], at_ns: int
+) -> None:
+    """Add the values that are not those of `before`; all if `before` has another length."""
+    if len(before) != len(values):
+        before = [-1] * len(values)
+    for series, value, last in zip(followed, values, before, strict=False):
+        if value != last and series is not None:
+            series.add(at_ns, value)

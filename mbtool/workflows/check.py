@@ -134,6 +134,8 @@ class CheckRun:
         """Finds the serial lines in this capture that cannot be read."""
         self._namer: Namer | None = None
         """Names the transactions of a log by today's profiles; None while no log is read."""
+        self._formats: dict[str, SerialFormat] = {}
+        """The settings of serial lines in the capture that is being read."""
         self._captures = 0
         self._file = ""
         self._remarks: list[str] = []
@@ -200,6 +202,7 @@ class CheckRun:
     def _begin_capture(self) -> None:
         reading = self.reading
         self._captures = reading.captures
+        self._formats = {}
         self._lines = UnreadableLines(lambda link: reading.line_of(link))
         self._namer = Namer(reading.assignments) if reading.is_log else None
         self._checker = Checker(
@@ -241,7 +244,16 @@ class CheckRun:
         return CheckedRecord(record, named, list(self._chosen(self._checker.feed(named))))
 
     def _format_of(self, link: str) -> SerialFormat | None:
-        return self.reading.format_of(link)
+        """The settings of a line in this capture, kept since they are asked for each transaction.
+
+        A line that is not known yet may be known later.
+        """
+        format_ = self._formats.get(link)
+        if format_ is None:
+            format_ = self.reading.format_of(link)
+            if format_ is not None:
+                self._formats[link] = format_
+        return format_
 
     def _chosen(self, findings: Iterator[Finding]) -> Iterator[FileFinding]:
         for finding in findings:
