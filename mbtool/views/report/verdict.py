@@ -36,6 +36,11 @@ SLOW_NS = 10_000_000
 """...and at least this long, in ns."""
 _ENOUGH_ANSWERS = 5
 """The median latency of fewer answers tells nothing."""
+SLOWER = 2
+"""A unit has become slower if its mean latency is so many times that of its first half, and SLOW_NS
+more."""
+_ENOUGH_BINS = 8
+"""Fewer bins do not show when a unit became slower."""
 _THROUGHOUT = 0.1
 """A trouble that shows in the first tenth of a unit's time was there from the beginning."""
 _ENDED = 0.25
@@ -252,7 +257,38 @@ def _unit_troubles(unit: _Unit, usual: float) -> list[VerdictTrouble]:
         text = f"{name} is slow: half of its answers take {in_ms(own)} ms or more, "
         text += f"those of the others {in_ms(usual)} ms"
         found.append(unit.trouble(Rank.SLOW, text, own / usual))
+    elif (slower := _slower(unit)) is not None:
+        found.append(slower)
     return found
+
+
+def _slower(unit: _Unit) -> VerdictTrouble | None:
+    """The trouble of a unit that answers slower at the end than in the first half; or None."""
+    if unit.history is None:
+        return None
+    bins = unit.history.bins
+    counts = bins.column(unit.row, UnitSum.LATENCIES)
+    sums = bins.column(unit.row, UnitSum.LATENCY_NS)
+    places = [place for place, count in enumerate(counts) if count]
+    if len(places) < _ENOUGH_BINS:
+        return None
+
+    def mean(some: Sequence[int]) -> float:
+        return sum(sums[place] for place in some) / sum(counts[place] for place in some)
+
+    usual, late = mean(places[: len(places) // 2]), mean(places[-len(places) // 4 :])
+    if late < max(SLOWER * usual, usual + SLOW_NS):
+        return None
+    middle = (usual + late) / 2
+    begin = max((at for at, place in enumerate(places) if mean([place]) < middle), default=-1) + 1
+    if len(places) - begin < len(places) // 8:
+        return None  # It is slow and fast in turn.
+    begin_ns = bins.begin_ns + places[begin] * bins.width_ns
+    is_long = (places[-1] - places[0]) * bins.width_ns >= _DAY_NS
+    since = _moment(begin_ns, is_long=is_long, width_ns=bins.width_ns)
+    text = f"{unit.name} answers slower since {since}: in {in_ms(mean(places[begin:]))} ms "
+    text += f"on average, before in {in_ms(usual)} ms"
+    return unit.trouble(Rank.SLOW, text, late / usual)
 
 
 def _unanswered(unit: _Unit) -> VerdictTrouble:

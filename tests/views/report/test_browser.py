@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 import subprocess
@@ -44,6 +45,50 @@ def text_of(markup: str, element: str) -> str:
     match = re.search(rf"<{element}[^>]*>(.*?)</{element.split()[0]}>", markup, re.DOTALL)
     assert match is not None, element
     return unescape(re.sub(r"<[^>]+>", "", match[1]))
+
+
+USE = """
+const told = [], rows = () => [...document.querySelectorAll("#transactions tbody tr")];
+const use = (name, act) => { act(); told.push([name, rows().length, rows()[0]?.id ?? ""]); };
+setTimeout(() => {
+  use("search", () => document.querySelector("#verdict button").click());
+  use("finding", () => document.querySelector("#findings tbody button").click());
+  location.hash = "#t7";
+  setTimeout(() => {
+    use("link", () => {});
+    told.push(["here", document.querySelector("tr.here").id, document.activeElement.id]);
+    const chart = document.querySelector("#latency figure");
+    chart.focus();
+    chart.dispatchEvent(new KeyboardEvent("keydown", { key: "ArrowRight" }));
+    told.push(["chart", chart.querySelector("output").textContent]);
+    const details = chart.querySelector("details");
+    details.open = true;
+    setTimeout(() => {
+      told.push(["table", details.querySelectorAll("tbody tr").length]);
+      const pre = document.createElement("pre");
+      pre.textContent = JSON.stringify(told);
+      document.body.append(pre);
+    }, 200);
+  }, 200);
+}, 3000);
+"""
+
+
+def test_links_searches_and_keys_lead_where_they_say(tmp_path: Path) -> None:
+    log = sick_line(tmp_path / "sick.mcap", 40)
+    out = tmp_path / "r.html"
+    assert run(["report", str(log), "-o", str(out)]) == 0
+    text = re.sub(r'<meta http-equiv="Content-Security-Policy"[^>]*>', "", out.read_text())
+    out.write_text(text.replace("</body>\n</html>", f"<script>{USE}</script></body>\n</html>"))
+    told = json.loads(text_of(shown(out, tmp_path / "profile"), "pre"))
+    assert told == [
+        ["search", 40, "t3"],
+        ["finding", 40, "t3"],
+        ["link", 100, "t1"],
+        ["here", "t7", "t7"],
+        ["chart", "2023-11-14 22:13:20.000 UTC — unit 1: 8 ms, unit 2: 180 ms"],
+        ["table", 12],
+    ]
 
 
 @pytest.fixture(scope="module")

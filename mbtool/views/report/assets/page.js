@@ -116,7 +116,7 @@ function chart(spec) {
   const plot = el("div", { class: "plot" });
   const readout = el("output", { class: "readout", "aria-live": "polite" }, "");
   const legend = el("ul", { class: "legend" });
-  const figure = el("figure", { tabindex: "0", role: "group", "aria-label": `Chart: ${spec.title}. ${spec.summary || ""} Left and right arrow keys read the values.` },
+  const figure = el("figure", { tabindex: "0", "aria-label": `Chart: ${spec.title}. ${spec.summary || ""} Left and right arrow keys read the values.` },
     el("figcaption", {}, el("b", {}, spec.title), spec.note ? ` ${spec.note}` : ""), spec.controls || null, plot, legend, readout);
   const shown = spec.series.map((one) => one.show !== false);
   const mine = { plot: null, host: plot, build, figure };

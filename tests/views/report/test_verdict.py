@@ -1,0 +1,106 @@
+"""What the first sentence says of units that made captures show."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+from mbtool.core import SerialFormat
+from mbtool.devices.checking.finding import Finding
+from mbtool.modbus import Outcome
+from mbtool.overview.statistics import Statistics
+from mbtool.overview.statistics_report import report
+from mbtool.series.history import History
+from mbtool.views.findings_table import Summaries
+from mbtool.views.report.verdict import Rank, ReportVerdict, report_verdict
+from tests.series.test_history import asked
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from mbtool.core import WireEvent
+    from mbtool.devices import NamedTransaction
+
+
+def judged(records: Sequence[NamedTransaction | WireEvent], *findings: Finding) -> ReportVerdict:
+    statistics, history, summaries = Statistics(lambda _: SerialFormat()), History(), Summaries()
+    for record in records:
+        statistics.add(record)
+        history.add(record)
+    for finding in findings:
+        summaries.add(finding)
+    statistics.settle()
+    return report_verdict(report(statistics), history, summaries)
+
+
+def polled(seconds: int, failing: range = range(0), unit: int = 1) -> list[NamedTransaction]:
+    return [
+        asked(at, unit, Outcome.NO_ANSWER, None) if at in failing else asked(at, unit)
+        for at in range(seconds)
+    ]
+
+
+@pytest.mark.parametrize(
+    ("failing", "said"),
+    [
+        (range(60, 100), "Unit 1 leaves 100 % of its requests without an answer since 22:14:20."),
+        (range(30), "Unit 1 leaves 100 % of its requests without an answer until 22:13:50."),
+        (
+            range(30, 60),
+            "Unit 1 leaves 100 % of its requests without an answer from 22:13:50 to 22:14:20.",
+        ),
+        (range(0, 100, 4), "Unit 1 leaves 25 % of its requests without an answer."),
+    ],
+)
+def test_the_share_is_of_the_time_in_which_it_shows(failing: range, said: str) -> None:
+    assert judged(polled(100, failing)).sentence == said
+
+
+def test_rare_failures_are_small_things() -> None:
+    told = judged(polled(1000, range(500, 502)))
+    assert told.level == "doubt"
+    assert told.sentence == (
+        "Everything is well, but for small things: "
+        "unit 1 leaves 2 of its requests without an answer."
+    )
+
+
+def test_a_unit_that_became_slower_is_told_since_when() -> None:
+    told = judged([asked(at, latency_ms=5 if at < 60 else 45) for at in range(100)])
+    assert told.sentence == (
+        "Unit 1 answers slower since 22:14:20: in 45.0 ms on average, before in 5.0 ms."
+    )
+
+
+def test_a_unit_that_is_slow_and_fast_in_turn_is_not_told_to_be_slower() -> None:
+    told = judged([asked(at, latency_ms=45 if at > 70 and at % 2 else 5) for at in range(100)])
+    assert told.troubles == []
+
+
+def test_the_worst_come_first_and_the_sentence_has_three() -> None:
+    records = [one for unit in range(1, 6) for one in polled(50, range(50), unit)]
+    told = judged([*records, *polled(50, unit=9)])
+    assert told.told == 3
+    assert told.sentence.endswith("; 2 more troubles below.")
+    assert len(told.troubles) == 5
+
+
+def test_an_attack_is_told_by_who_makes_it() -> None:
+    finding = Finding(
+        code="SEC-201", message="", ts_ns=0, link="rs485", source="10.0.0.66:50000", unit=1
+    )
+    told = judged(polled(20), finding)
+    assert [one.rank for one in told.troubles] == [Rank.ATTACK]
+    assert told.sentence.startswith("10.0.0.66: a host asks many addresses")
+
+
+def test_an_error_of_a_rule_is_no_alarm() -> None:
+    finding = Finding(code="MB-104", message="", ts_ns=0, link="rs485", unit=1)
+    told = judged(polled(20), finding)
+    assert told.level == "doubt"
+    assert told.sentence.startswith("Everything is well, but for small things: MB-104, 1 time: ")
+
+
+def test_an_empty_capture_is_said() -> None:
+    assert judged([]).sentence == "There is no transaction in the capture."
