@@ -6,7 +6,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from statistics import median
 from typing import TYPE_CHECKING
@@ -41,6 +41,9 @@ SLOWER = 2
 more."""
 _ENOUGH_BINS = 8
 """Fewer bins do not show when a unit became slower."""
+_MANY_SLOW = 3
+_FEW_SLOW = 0.25
+"""If more than this share of the units is slow, that is a small thing."""
 _THROUGHOUT = 0.1
 """A trouble that shows in the first tenth of a unit's time was there from the beginning."""
 _ENDED = 0.25
@@ -143,6 +146,7 @@ def report_verdict(
         others = [one for other, one in medians.items() if other != row]
         troubles += _unit_troubles(unit, median(others) if others else 0)
     troubles.sort(key=lambda one: (one.rank, -one.weight))
+    troubles = _joined_slow(troubles, len(units))
     grave = sum(one.rank < Rank.RULE for one in troubles)
     told = min(grave, IN_SENTENCE) if grave else min(len(troubles), 1)
     return ReportVerdict(_sentence(troubles, units, total), troubles, told)
@@ -192,6 +196,22 @@ def _all_well(
     usual = total.latency.percentile(50)
     half = f", half of them within {in_ms(usual)} ms" if usual else ""
     return f"{who} {requests}{half}"
+
+
+def _joined_slow(troubles: list[VerdictTrouble], units: int) -> list[VerdictTrouble]:
+    """The troubles with many slow units told as one: they may be slow by their kind."""
+    slow = [one for one in troubles if one.rank is Rank.SLOW]
+    if len(slow) < _MANY_SLOW:
+        return troubles
+    worst = slow[0]
+    joined = replace(
+        worst,
+        rank=Rank.SLOW if len(slow) <= units * _FEW_SLOW else Rank.MINOR,
+        text=f"{len(slow)} of {units} units are slow; {worst.text}",
+        of=None,
+    )
+    others = [one for one in troubles if one.rank is not Rank.SLOW]
+    return sorted([joined, *others], key=lambda one: one.rank)
 
 
 def _line_troubles(links: Sequence[LinkReport], history: History) -> list[VerdictTrouble]:

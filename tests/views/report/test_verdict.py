@@ -78,6 +78,19 @@ def test_a_unit_that_is_slow_and_fast_in_turn_is_not_told_to_be_slower() -> None
     assert told.troubles == []
 
 
+def test_many_slow_units_are_told_as_one() -> None:
+    records = [
+        asked(at, unit, latency_ms=90 if unit < 4 else 5) for at in range(20) for unit in range(16)
+    ]
+    told = judged(records)
+    assert [one.text for one in told.troubles] == [
+        "4 of 16 units are slow; unit 0 is slow: half of its answers take 90.0 ms or more, those "
+        "of the others 5.0 ms"
+    ]
+    assert told.level == "bad"
+    assert judged([one for one in records if one.unit < 8]).level == "doubt"
+
+
 def test_the_worst_come_first_and_the_sentence_has_three() -> None:
     records = [one for unit in range(1, 6) for one in polled(50, range(50), unit)]
     told = judged([*records, *polled(50, unit=9)])

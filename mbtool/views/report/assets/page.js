@@ -133,16 +133,16 @@ function chart(spec) {
     const axis = { stroke: ink, grid: rule, ticks: rule, font: "12px system-ui, sans-serif" };
     mine.plot = new uPlot({
       width: Math.max(width || plot.clientWidth, 200), height: spec.height || 200, tzDate: utc,
-      padding: [8, 8, 0, 0], legend: { show: false },
+      padding: [8, 28, 0, 0], legend: { show: false },
       cursor: { sync: spec.sync ? { key: spec.sync } : undefined, drag: { x: true, y: false }, points: { size: 6 } },
       scales: { x: { time: !spec.at, ...(spec.scaleX || {}) }, y: spec.scaleY || { range: (u, low, high) => [Math.min(0, low ?? 0), (high ?? 0) > 0 ? high * 1.08 : 1] } },
-      axes: [{ ...axis, space: 80, values: spec.at ? spec.axisX : axisTimes, ...(spec.axis0 || {}) }, { ...axis, size: 58, space: 28, ...(spec.axisY || {}) }],
+      axes: [{ ...axis, space: 80, values: spec.at ? spec.axisX : axisTimes, ...(spec.axis0 || {}) }, { ...axis, size: 58, space: 20, ...(spec.axisY || {}) }],
       series: [{}, ...spec.series.map((one, place) => {
         const stroke = palette(one.color ?? place);
         return {
           label: clean(one.label), stroke, width: one.width ?? 1.5, show: shown[place], dash: DASHES[Math.floor((one.color ?? place) / 8) % 3],
           fill: one.fill ? `${stroke}${one.fill === true ? "33" : one.fill}` : undefined,
-          paths: one.paths, fillTo: one.fillTo, points: one.points ?? { show: false }, spanGaps: one.spanGaps ?? false,
+          paths: one.paths, fillTo: one.fillTo, points: { show: spec.dots !== false && spec.data[place + 1].filter((v) => v !== null && v !== undefined).length < 40, size: 5 }, spanGaps: one.spanGaps ?? false,
         };
       })],
       hooks: { setCursor: [(u) => { const text = read(u.cursor.idx); if (readout.textContent !== text) readout.textContent = clean(text); }] },
@@ -218,7 +218,7 @@ function verdict() {
   get("sentence").textContent = clean(sentence);
   document.title = clean(`mbtool report: ${stats.sources.join(", ")}`);
   get("what").append(clean(stats.sources.join(", ")));
-  const lead = (one, text) => el("button", { type: "button", class: "link screen", "aria-label": `Show the transactions of: ${one.text}`, on: { click: () => search(one.search) } }, text);
+  const lead = (one, text) => el("button", { type: "button", class: "link screen", "aria-label": `${text}: the transactions of ${one.text}`, on: { click: () => search(one.search) } }, text);
   const told = troubles.filter((one) => one.told && one.search), others = troubles.filter((one) => !one.told);
   if (told.length) get("troubles").before(el("p", { class: "screen" }, "Transactions of ", told.flatMap((one, at) => [at ? ", " : "", lead(one, one.who)])));
   get("troubles").append(...others.slice(0, 40).map((one) => el("li", {}, one.text, " ", one.search ? lead(one, "show") : null)));
@@ -246,7 +246,7 @@ function findings() {
     const text = `${one.code} ${one.severity} ${one.meaning} ${one.place} ${cases.map((each) => each.message).join(" ")}`.toLowerCase();
     const said = cases.map((each, at) => el("div", {}, jump(each.us, one.code), ` ${at && each.message === cases[0].message ? "the same" : each.message}`));
     const row = tableRow(heads, [
-      el("button", { type: "button", class: "link", "aria-label": `Show the transactions with ${one.code}`, on: { click: () => search(one.code) } }, one.code),
+      el("button", { type: "button", class: "link", "aria-label": `${one.code}: the transactions with it`, on: { click: () => search(one.code) } }, one.code),
       el("span", { class: `tag ${["error", "warning"].includes(one.severity) ? one.severity : "note"}` }, one.severity),
       count(one.count), one.place,
       el("div", {}, el("div", {}, one.meaning), el("div", { class: "soft" }, said),
@@ -286,7 +286,7 @@ function failures() {
     const sums = series.map((one) => `${plural(total(one.column), one.label.replace(/s$/, ""))}`);
     if (!series.some((one) => total(one.column))) return soft(`No request of ${title} failed.`);
     return chart({
-      title: `Failures over time, ${title}`, note: BINNED, summary: `${sums.join(", ")}.`, sync: "time",
+      title: `Failures over time, ${title}`, note: BINNED, summary: `${sums.join(", ")}.`, sync: "time", dots: false,
       data: [times, ...series.map((one) => one.column)],
       series: series.map((one) => ({ ...one, paths: stepped, fill: true, show: total(one.column) > 0 })),
     });
@@ -326,7 +326,7 @@ function latency() {
     title: "Mean latency by unit over time", note: BINNED, measure: "ms", sync: "time", height: 240,
     summary: `${plural(timed.length, "unit")}.`,
     data: [times, ...timed.map((one) => one.mean_ms)],
-    series: timed.map((one, at) => ({ label: unitName(one.link, one.unit), show: at < 8, spanGaps: true, points: { show: timed.length < 4 && bins.count < 60 } })),
+    series: timed.map((one, at) => ({ label: unitName(one.link, one.unit), show: at < 8, spanGaps: true })),
     axisY: { label: "ms", labelSize: 18, size: 52, stroke: color("--soft") },
   }) : null;
   const most = timed.length ? chart({
@@ -351,7 +351,7 @@ function histogram(name, one) {
     data: [steps.map((_, at) => at), steps.map((step) => step.count)], at: (x) => `${labels[x] ?? ""} ms`,
     axisX: (u, splits) => splits.map((x) => (Number.isInteger(x) && steps[x] ? labels[x] : "")),
     axis0: { splits: () => steps.map((_, at) => at) }, scaleX: { range: () => [-0.6, steps.length - 0.4] },
-    series: [{ label: "answers", paths: uPlot.paths.bars({ size: [0.8, 60] }), fill: "99" }],
+    dots: false, series: [{ label: "answers", paths: uPlot.paths.bars({ size: [0.8, 60] }), fill: "99" }],
   });
 }
 
@@ -364,7 +364,7 @@ function cycle() {
     for (const list of master.lists) made.push(cycleTable(link, list, who, made.length < OPEN_CYCLES));
     const between = master.between.map((one) => `${pollText(pollOf(link, one.poll))} ×${count(one.count)}`);
     if (between.length && master.lists.length) made.push(soft(`In no cycle${who ? ` of ${who}` : ""}: ${between.slice(0, 20).join("; ")}${between.length > 20 ? ` and ${between.length - 20} more` : ""}.`));
-    if (master.response_timeout_ms !== null) made.push(soft(`The master${who ? ` (${who})` : ""} waits ${digits(master.response_timeout_ms)} ms for an answer.`));
+    if (master.response_timeout_ms) made.push(soft(`The master${who ? ` (${who})` : ""} waits ${digits(master.response_timeout_ms)} ms for an answer.`));
   }
   if (!made.length) return;
   show("cycle", made.slice(0, 60));
@@ -385,7 +385,7 @@ function cycleTable(link, list, who, isOpen) {
     ? ` A cycle with a missing answer takes ${digits(list.with_missing_ms)} ms, one without ${digits(list.without_missing_ms)} ms.` : "";
   return el("details", { open: isOpen }, el("summary", {}, el("h3", {}, `${who ? `${who}: ` : ""}${plural(list.steps.length, "poll")} every ${span(list.cycle_ms / 1000)}`)),
     soft(`${plural(list.cycles, "cycle")} of ${digits(list.min_ms)} to ${digits(list.max_ms)} ms, ${count(list.other_cycles)} others.${missing}`),
-    table("One cycle, in order", ["~poll", ">pause before, ms", ">took, ms", ">cycles with missing", "+timeline"], rows));
+    table(`One cycle in order${who ? `, ${who}` : ""}, every ${span(list.cycle_ms / 1000)}`, ["~poll", ">pause before, ms", ">took, ms", ">cycles with missing", "+timeline"], rows));
 }
 
 const PARTS = [["characters_share", "characters"], ["other_bytes_share", "bytes in no frame"], ["slaves_share", "waiting for slaves"], ["missing_share", "waiting for missing answers"]];
@@ -495,7 +495,7 @@ function bandChart(group, where, lines, title) {
   const shortened = (text) => (text.length > 20 ? `${text.slice(0, 19)}…` : text);
   const spelled = (one, at) => (v) => { const bit = v > lane(at) + 0.5 ? 1 : 0; return new Map(one.texts).get(bit) ?? String(bit); };
   return chart({
-    title: `Bits of ${where}`, note: "a bar where the bit is 1", sync: "time", height: 60 + 26 * group.length, legend: false,
+    title: `Bits of ${where}`, note: "a bar where the bit is 1", sync: "time", height: 60 + 26 * group.length, legend: false, dots: false,
     summary: group.map((one) => `${title(one)}: ${plural(one.changes, "change")}`).join(", "), data: joined,
     scaleY: { range: () => [-0.1, group.length] },
     axisY: { size: 150, splits: () => group.map((_, at) => lane(at) + 0.4), values: () => group.map((one) => shortened(clean(one.name))) },
@@ -542,7 +542,7 @@ function draw() {
   const outcomeClass = (outcome) => (outcome === "ok" || outcome === "broadcast" ? "nowrap" : "nowrap bad-text");
   body.replaceChildren(...page.map((at) => {
     const row = rows[at], outcome = texts[row[OUTCOME]];
-    const cells = [el("a", { href: `#t${Number(row[NUMBER])}`, "aria-label": `transaction ${row[NUMBER]}` }, count(row[NUMBER])),
+    const cells = [el("a", { href: `#t${Number(row[NUMBER])}`, "aria-label": `${count(row[NUMBER])}: transaction` }, count(row[NUMBER])),
       el("span", { class: "mono" }, rowTime(row)), ...(several ? [texts[row[LINK]]] : []), String(row[UNIT]), texts[row[WHAT]], texts[row[RESULT]],
       el("span", { class: outcomeClass(outcome) }, outcome), row[LATENCY] < 0 ? "" : digits(row[LATENCY] / 1000), texts[row[CODES]]];
     return tableRow(HEADS, cells, true, { id: `t${row[NUMBER]}`, class: at === here ? "here" : null, tabindex: "-1" });
@@ -598,7 +598,8 @@ function transactions() {
     soft(out ? `${count(rows.length)} of ${count(all.transactions)} transactions: the first ones, and ${lost ? `${count(all.kept_with_trouble)} of the ${count(all.with_trouble)}` : "all"} that failed or have a finding. ${count(out)} are left out; mbtool report --all puts them all into the page.` : `All ${plural(all.transactions, "transaction")}.`),
     el("div", { class: "tools" }, el("label", {}, "Search transactions", field), earlier, later, told),
     el("p", { class: "soft screen" }, "Words must all occur; unit:5 and #12 are exact. Also: no-answer, exception, a code such as MB-401, a time."),
-    frame("Transactions", HEADS, body, true));
+    frame("Transactions", HEADS, body, true),
+    el("p", { class: "soft printed" }, "On paper at most 40 rows of those on the screen."));
   draw();
   addEventListener("hashchange", byHash);
 }
