@@ -35,7 +35,7 @@ class SeriesKey(NamedTuple):
     """The name of a point; of a register `holding 12`."""
 
 
-class _Poll:
+class _FollowedPoll:
     """The last values of a poll, and the series of its registers or points."""
 
     __slots__ = ("names", "series", "values")
@@ -53,7 +53,7 @@ class Values:
         self._most = most
         self.series: dict[SeriesKey, ValueSeries] = {}
         self._left_out: set[SeriesKey] = set()
-        self._polls: dict[tuple[object, ...], _Poll] = {}
+        self._polls: dict[tuple[object, ...], _FollowedPoll] = {}
 
     @property
     def left_out(self) -> int:
@@ -71,7 +71,7 @@ class Values:
         key = (one.link, one.unit, one.function, one.address, one.quantity, one.write_address)
         poll = self._polls.get(key)
         if poll is None:
-            poll = _Poll()
+            poll = _FollowedPoll()
             if len(self._polls) < MAX_POLLS:
                 self._polls[key] = poll
         before, poll.values = poll.values, values
@@ -85,7 +85,7 @@ class Values:
                 poll.series = self._registers(one, function.table, len(values))
             _add_changes(poll.series, values, before or (), at_ns)
 
-    def _add_points(self, one: NamedTransaction, poll: _Poll, at_ns: int) -> None:
+    def _add_points(self, one: NamedTransaction, poll: _FollowedPoll, at_ns: int) -> None:
         names = [point.name for point in one.points]
         if names != poll.names:
             poll.names = names
