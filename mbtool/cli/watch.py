@@ -220,6 +220,7 @@ def _show(
 
     Raises typer.Exit with the exit code, or what ended the feed.
     """
+    from mbtool.cli import exit_codes
     from mbtool.cli.options import condition
     from mbtool.cli.watching.app import WatchApp
 
@@ -235,11 +236,11 @@ def _show(
         feed.stop()
     if feed.error is not None:
         raise feed.error
-    if interrupt.asked or code is None:
-        raise KeyboardInterrupt
-    if app.return_code:
+    if app.return_code:  # The screen itself failed, and has told why.
         raise typer.Exit(app.return_code)
-    raise typer.Exit(code)
+    if interrupt.asked:
+        raise KeyboardInterrupt
+    raise typer.Exit(code or exit_codes.DONE)
 
 
 def _end(interrupt: Interrupt, duration_s: float | None) -> Callable[[], bool]:

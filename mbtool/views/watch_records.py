@@ -193,7 +193,7 @@ SLAVE_COLUMNS = (
         cell=lambda row, _: str(row.unit), sort=lambda row: row.unit,
     ),
     WatchColumn(
-        name="device", title="device", width=16, rank=1,
+        name="device", title="device", width=16, rank=4,
         cell=lambda row, _: row.device or "", sort=lambda row: row.device or "",
     ),
     WatchColumn(
@@ -203,7 +203,7 @@ SLAVE_COLUMNS = (
     _failures("exceptions", "exc"),
     _failures("missing", "miss"),
     WatchColumn(
-        name="retries", title="retry", width=5, is_right=True, rank=2,
+        name="retries", title="retry", width=5, is_right=True, rank=3,
         cell=lambda row, _: count(row.retries), sort=lambda row: row.retries,
     ),
     WatchColumn(
@@ -212,12 +212,12 @@ SLAVE_COLUMNS = (
         sort=lambda row: row.median_ns,
     ),
     WatchColumn(
-        name="max", title="maxms", width=5, is_right=True,
+        name="max", title="maxms", width=5, is_right=True, rank=2,
         cell=lambda row, _: in_ms(row.slowest_ns) if row.slowest_ns else "",
         sort=lambda row: row.slowest_ns,
     ),
     WatchColumn(
-        name="age", title="age", width=4, is_right=True,
+        name="age", title="age", width=4, is_right=True, rank=1,
         cell=lambda row, context: age(context.now_ns - row.last_ns),
         sort=lambda row: -row.last_ns,
     ),

@@ -53,7 +53,7 @@ class WatchFeed(ABC):
         self.remarks: deque[str] = deque(maxlen=MAX_REMARKS)
         """Lines for the user, the last one last."""
         self.error: BaseException | None = None
-        """What ended the thread; None while all is well."""
+        """What ended the thread or the reading of a file; None while all is well."""
         self.is_over = False
         """True once no further record comes by itself."""
         self._stopping = threading.Event()
@@ -293,7 +293,7 @@ class FileFeed(WatchFeed):
                     if self._stopping.is_set():
                         return
         except MbtoolError as error:
-            self.remarks.append(str(error))
+            self.error = error  # What was read before can be seen and played.
         self._add(batch)
         self._note(batch)
         self._settle(None)

@@ -144,7 +144,7 @@ def test_a_file_that_ends_early_is_told_and_shown_as_far_as_it_goes() -> None:
     feed.start()
     until(lambda: feed.is_read)
     assert shown(feed) == 11
-    assert list(feed.remarks) == ["a.pcap: cut"]
+    assert str(feed.error) == "a.pcap: cut"
     feed.stop()
 
 

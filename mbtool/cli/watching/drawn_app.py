@@ -96,6 +96,7 @@ class DrawnApp(App[int]):
         """How often the screen was drawn."""
         self._frozen_ns = 0
         self._told_remarks = 0
+        self._told_error = False
         self._follows = True
         self._cursor_keys: list[Any] = [None] * len(VIEWS)
 
@@ -144,7 +145,7 @@ class DrawnApp(App[int]):
         if not self.is_up:
             return
         if self._is_asked_to_end():
-            self.exit(exit_codes.INTERRUPTED)
+            self.exit(exit_codes.DONE)
             return
         self._tell_remarks()
         if time.perf_counter() >= self._next_draw_s:
@@ -234,11 +235,11 @@ class DrawnApp(App[int]):
             self._told_remarks = hash(remarks[-1])
             self.tell(remarks[-1], "yellow")
         error = self.feed.error
-        if isinstance(error, MbtoolError) and not self.screen_stack[0].query_one("#note").has_class(
-            "told"
-        ):
-            self.tell(f"{error}; q ends", "bold red")
-        elif error is not None and not isinstance(error, MbtoolError):
+        if isinstance(error, MbtoolError):
+            if not self._told_error:
+                self._told_error = True
+                self.tell(f"{error}; q ends" if self.feed.is_live else str(error), "bold red")
+        elif error is not None:
             self.exit(exit_codes.UNREADABLE)
 
     @property

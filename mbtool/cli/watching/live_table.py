@@ -24,7 +24,8 @@ if TYPE_CHECKING:
 
     from mbtool.views.watch_columns import FittedColumn
 
-_CURSOR = Style(reverse=True)
+_CURSOR = Style(bgcolor="grey30")
+"""The row of the cursor. It is not reversed, as values that changed are."""
 _WHEEL_ROWS = 3
 
 
@@ -120,7 +121,7 @@ class LiveTable(Widget, can_focus=True):
         strip = strip_of(row_spans(self.rows[index], self._columns, self._drawing), width)
         strip = strip.apply_style(self.rich_style)
         if index == self._cursor and self.has_focus:
-            strip = Strip(Segment.apply_style(strip, None, _CURSOR), width)
+            strip = Strip(Segment.apply_style(strip, post_style=_CURSOR), width)
         return strip
 
     def on_click(self, event: Click) -> None:

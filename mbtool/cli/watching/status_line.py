@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import PurePath
 from typing import TYPE_CHECKING
 
+from mbtool.core.wording import counted
 from mbtool.views.tables import printable
 from mbtool.views.watch_columns import cut_spans
 from mbtool.workflows.watch import FileFeed
@@ -59,7 +60,7 @@ def tabs_text(views: Sequence[WatchView], shown: int) -> Spans:
     """The views with their keys; the one that is shown is reversed."""
     spans: Spans = []
     for at, view in enumerate(views):
-        title = f" {at + 1} {view.name} "
+        title = f"{at + 1} {view.name} "
         spans.append((title, "bold reverse" if at == shown else ""))
     return spans
 
@@ -75,7 +76,9 @@ def status_text(state: ScreenState, width: int) -> Spans:
         spans.append((f"rec {printable(PurePath(state.recording).name)}  ", "bold red"))
     if isinstance(state.feed, FileFeed):
         spans.append((f"{_position(state.feed)}  ", "bold"))
-    heard = f"{board.transactions:,} transactions, {board.events:,} events"
+    heard = (
+        f"{counted(board.transactions, 'transaction', ',')}, {counted(board.events, 'event', ',')}"
+    )
     spans.append((heard, ""))
     marked = len(state.feed.watched.marked)
     if marked:

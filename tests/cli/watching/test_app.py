@@ -45,7 +45,7 @@ def test_the_polls_are_shown_first_with_what_changed_lit() -> None:
     async def test() -> None:
         async with screen(line()) as seen:
             assert "1 polls" in seen.lines[0]
-            assert "4 transactions, 1 events" in seen.lines[1]
+            assert "4 transactions, 1 event" in seen.lines[1]
             assert seen.lines[3].split()[:5] == ["1", "03", "holding", "0..1", "10"]
             (strip,) = [one for one in seen.app.table.render_line(1)._segments if one.text == "21"]
             assert strip.style is not None
@@ -397,11 +397,11 @@ def test_a_key_ends_the_screen_with_its_exit_code(key: str, code: int) -> None:
     run(test)
 
 
-def test_a_signal_ends_the_screen() -> None:
+def test_a_signal_or_the_end_of_the_duration_ends_the_screen() -> None:
     async def test() -> None:
         async with screen(line(), is_asked_to_end=lambda: True) as seen:
             await seen.until(lambda: seen.app.return_value is not None)
-            assert seen.app.return_value == exit_codes.INTERRUPTED
+            assert seen.app.return_value == exit_codes.DONE
 
     run(test)
 
