@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from mbtool.watching.watched_rows import Record
 
-CALLS_PER_TRANSACTION = 40
+CALLS_PER_TRANSACTION = 35
 """The most calls of Python functions that a board spends on one transaction of a steady poll."""
 
 
