@@ -122,9 +122,9 @@ class ColumnReading(PartReading):
                         yield self._noted(_block_of(self._break_off(error)))
                 self._files_read += 1
         except InputError:
-            yield self._ended()
+            yield from self._ended()
             raise
-        yield self._ended()
+        yield from self._ended()
         self.results.raise_first()
 
     def _file_blocks(self, path: str) -> Iterator[DecodedBlock]:
@@ -134,13 +134,13 @@ class ColumnReading(PartReading):
             self._kinds.add(capture.kind)
             self._heard_here = None
             if self._part is None:
-                yield self._ended()
+                yield from self._ended()
             self._part = Part()
             is_first = True
             for block in capture.guarded(read_blocks(capture.stream, capture.name)):
                 if is_first and not self._seam.is_continued_by(block.packet(0)):
                     self._note_order(block.packet(0))
-                    yield self._ended()
+                    yield from self._ended()
                     self._part = Part()
                 if is_first:
                     self._enter()
@@ -158,14 +158,14 @@ class ColumnReading(PartReading):
             self._column_decoder = ColumnDecoder(self._decoder, (*ports, *rtu_ports))
         return self._column_decoder
 
-    def _ended(self) -> DecodedBlock:
-        """End the capture: what its decoder still holds."""
-        file = self.file
+    def _ended(self) -> Iterator[DecodedBlock]:
+        """End the capture: yield what its decoder still holds, as of the file read last."""
+        file, captures = self.file, self.captures
         block = _block_of(self._end_capture())
-        begun, self.file = self.file, file  # The records are of the file that was read last.
-        self._noted(block)
-        self.file = begun
-        return block
+        begun = self.file, self.captures
+        self.file, self.captures = file, captures
+        yield self._noted(block)
+        self.file, self.captures = begun
 
     def _note_block(self, capture: CaptureFile, block: PacketBlock) -> None:
         self._items += len(block)
