@@ -24,6 +24,7 @@ settings.load_profile("same-examples")
 SLOW = frozenset((
     "adversary", "benchmarks", "differential", "end_to_end", "golden", "properties",
     "cli/test_ask.py", "cli/test_decode.py", "cli/test_decode_parquet.py",
+    "cli/test_environments.py",
     "cli/test_line.py", "cli/test_main.py", "cli/test_output.py",
     "cli/test_replay.py", "cli/test_replay_slave.py", "cli/test_slave.py", "cli/test_sniff.py",
     "columns/test_equality.py", "columns/test_headers.py", "columns/test_lines.py",

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from mbtool.cli.connection_options import ConnectionOptions
     from mbtool.cli.options import PortOptions, TcpPorts
     from mbtool.core import LinkSpec
     from mbtool.decode.line_timing import LineTiming
@@ -34,17 +36,42 @@ def heard_ports(links: Sequence[LinkSpec], options: PortOptions) -> TcpPorts:
     return given if given.ports else given._replace(ports=[DEFAULT_PORT])
 
 
-def allowed_networks(links: Sequence[LinkSpec], networks: Sequence[str] | None) -> AllowedPeers:
-    """The networks whose masters a tap accepts.
+def allowed_networks(
+    links: Sequence[LinkSpec],
+    networks: Sequence[str] | None,
+    connections: ConnectionOptions | None = None,
+) -> AllowedPeers:
+    """The networks whose masters a tap accepts, and the limits of their connections.
 
-    Raises UsageError for a text that is no network, and if there are networks but no tap.
+    Raises UsageError for a text that is no network, and if there are networks or limits but no tap.
     """
     from mbtool.core import TapLink, UsageError
     from mbtool.ports.allowed_peers import AllowedPeers
+    from mbtool.ports.connection_limits import ConnectionLimits
 
     if networks and not any(isinstance(one, TapLink) for one in links):
         raise UsageError("--allow is for taps, and there is none; write tap:LISTEN=TARGET")
-    return AllowedPeers.parse(networks or ())
+    limits = ConnectionLimits() if connections is None else connections.read()
+    if limits != ConnectionLimits() and not any(isinstance(one, TapLink) for one in links):
+        raise UsageError(
+            "--max-connections, --max-rate and --idle are for taps, and there is none; "
+            "write tap:LISTEN=TARGET"
+        )
+    return AllowedPeers.parse(networks or (), limits)
+
+
+def read_only_taps(links: Sequence[LinkSpec], ports: TcpPorts) -> list[LinkSpec]:
+    """The links, with each tap made read-only. Raises UsageError if there is no tap."""
+    from mbtool.core import TapLink, UsageError
+
+    if not any(isinstance(one, TapLink) for one in links):
+        raise UsageError("--read-only is for taps, and there is none; write tap:LISTEN=TARGET")
+    return [
+        replace(one, read_only=True, is_rtu=one.target.port in ports.rtu_ports)
+        if isinstance(one, TapLink)
+        else one
+        for one in links
+    ]
 
 
 def sniffer_of(

@@ -210,11 +210,21 @@ def _refused(error: OSError) -> int:
     """Print an error of the operating system, usually of writing to standard output."""
     if error.errno in (errno.EMFILE, errno.ENFILE):
         message = "too many files are open; allow more with `ulimit -n 1024`"
+    elif error.errno == errno.ENOENT and not _has_folder():
+        message = "the current folder has been deleted; change to one that is there"
     elif error.filename is not None or error.errno not in _WRITE_ERRORS:
         message = str(error)
     else:
         message = f"standard output: cannot be written: {error.strerror}"
     return _fail(message, exit_codes.UNREADABLE)
+
+
+def _has_folder() -> bool:
+    try:
+        os.getcwd()
+    except OSError:
+        return False
+    return True
 
 
 def _fail(message: str, code: int) -> int:

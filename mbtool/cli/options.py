@@ -103,6 +103,15 @@ AllowOption = Annotated[
     ),
 ]
 
+ReadOnlyOption = Annotated[
+    bool,
+    typer.Option(
+        "--read-only",
+        help="Let a tap pass on only requests that read. It answers all others itself, with "
+        "exception 01, and says so.",
+    ),
+]
+
 
 class TcpPorts(NamedTuple):
     """The TCP ports on which mbtool looks for Modbus."""

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from mbtool.cli.connection_options import ConnectionOptions
 from mbtool.cli.option_groups import takes_groups
 from mbtool.cli.options import AllowOption, DeviceOption, RawOption, SourceOptions, WhereOption
 from mbtool.cli.replay_options import (
@@ -36,6 +37,7 @@ def replay(
     raw: RawOption = False,
     source: SourceOptions,
     allow: AllowOption = None,
+    connections: ConnectionOptions,
 ) -> None:
     """Play one side of a recording, or both.
 
@@ -63,7 +65,7 @@ def replay(
         from mbtool.ports.allowed_peers import AllowedPeers
 
         slave_options = as_slave.read(shared, is_loop=pace.loop)
-        peers = AllowedPeers.parse(allow or ())
+        peers = AllowedPeers.parse(allow or (), connections.read())
         play_as_slave(file, links, slave_options, peers, prints=as_slave.print_)
         return
     link = parse_link(one_link(side, links), ANSWERED)

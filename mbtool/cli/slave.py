@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from mbtool.cli.connection_options import ConnectionOptions
+from mbtool.cli.option_groups import takes_groups
 from mbtool.cli.options import AllowOption
 
 if TYPE_CHECKING:
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
 _WITH_UNIT = re.compile(r"(\d{1,3})=(.+)", re.ASCII | re.DOTALL)
 
 
+@takes_groups
 def slave(
     profile: Annotated[
         str,
@@ -27,6 +30,7 @@ def slave(
             help="A built-in profile (see mbtool devices), or the path of a TOML file.",
         ),
     ],
+    *,
     on: Annotated[
         list[str],
         typer.Option(
@@ -81,6 +85,7 @@ def slave(
         ),
     ] = False,
     allow: AllowOption = None,
+    connections: ConnectionOptions,
 ) -> None:
     """Answer as a device does, or several, until Ctrl-C.
 
@@ -120,7 +125,7 @@ def slave(
         others=others,
         state_file=state,
         fault_file=fault,
-        allowed=AllowedPeers.parse(allow or ()),
+        allowed=AllowedPeers.parse(allow or (), connections.read()),
         monitor=monitor,
         strict_timing=strict_timing,
         on_trouble=lambda text: say(f"mbtool: {text}"),

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from mbtool.cli.connection_options import ConnectionOptions
 from mbtool.cli.option_groups import takes_groups
 from mbtool.cli.options import (
     AllowOption,
@@ -17,6 +18,7 @@ from mbtool.cli.options import (
     EventsOption,
     Format,
     PortOptions,
+    ReadOnlyOption,
     SilenceOptions,
     TableOptionGroup,
     WhereOption,
@@ -84,6 +86,8 @@ def sniff(
     table: TableOptionGroup,
     events: EventsOption = None,
     allow: AllowOption = None,
+    connections: ConnectionOptions,
+    read_only: ReadOnlyOption = False,
     tls: TlsOptions,
 ) -> None:
     """Listen on links, show each transaction as it ends, and log it.
@@ -91,7 +95,7 @@ def sniff(
     Sniffing never writes to the line; only a tap passes on what it hears. --where chooses what is
     shown; the log gets everything.
     """
-    from mbtool.cli.listening import allowed_networks, heard_ports, sniffer_of
+    from mbtool.cli.listening import allowed_networks, heard_ports, read_only_taps, sniffer_of
     from mbtool.cli.live_output import LiveOutput
     from mbtool.cli.options import assignments, condition
     from mbtool.cli.output import open_output
@@ -110,9 +114,10 @@ def sniff(
     specs = tls.on_taps([parse_link(link, HEARD) for link in links])
     for warning in tls.warnings():
         say(f"mbtool: {warning}")
-    allowed = allowed_networks(specs, allow)
+    allowed = allowed_networks(specs, allow, connections)
     devices, wanted = assignments(device), condition(where)
     tcp_ports = heard_ports(specs, ports)
+    specs = read_only_taps(specs, tcp_ports) if read_only else specs
     timing = LineTiming(devices, *silences.read())
     rotation = None if rotate is None else Rotation.parse(rotate)
     # Finding the settings of a line may take minutes, so check for errors before that.

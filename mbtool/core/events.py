@@ -26,6 +26,8 @@ class EventKind(StrEnum):
     """Data that was dropped because a limit of this program was exceeded."""
     REFUSED = "refused"
     """A tap could not make a connection: the slave cannot be reached, or TLS failed."""
+    BLOCKED = "blocked"
+    """A tap that is read-only did not pass a request on, and answered it itself."""
     OPENED = "opened"
     CLOSED = "closed"
     UNREADABLE = "unreadable"

@@ -165,6 +165,10 @@ class TapLink:
     target: Endpoint
     listen_tls: ListenTls | None = field(default=None, kw_only=True)
     target_tls: TargetTls | None = field(default=None, kw_only=True)
+    read_only: bool = field(default=False, kw_only=True)
+    """True if the tap passes on only requests that read."""
+    is_rtu: bool = field(default=False, kw_only=True)
+    """True if the target speaks RTU over TCP; only a tap that is read-only has to know."""
 
     @property
     def tls_sides(self) -> tuple[str, ...]:

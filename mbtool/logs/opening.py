@@ -64,6 +64,8 @@ def create_log(
             settings |= {PORTS: _listed(named), RTU_PORTS: _listed(rtu_ports)}
         elif isinstance(link, TapLink) and link.target.port in rtu_ports:
             settings[RTU_PORTS] = str(link.target.port)
+        if isinstance(link, TapLink) and link.read_only:
+            settings["read_only"] = "true"
         if isinstance(link, TapLink) and link.tls_sides:
             settings["tls"] = " ".join(link.tls_sides)
         log.add_link(link.name, settings)

@@ -1,4 +1,7 @@
-"""Decides which machines may connect to a TCP listener: this one, and those given by --allow."""
+"""Decides which machines may connect to a TCP listener: this one, and those given by --allow.
+
+The limits of their connections go with it.
+"""
 
 # This machine may always connect, through its loopback address. Other machines may connect if their
 # address is in a network given by --allow. A network of prefix length 0 (0.0.0.0/0 or ::/0) admits
@@ -15,10 +18,12 @@ from ipaddress import IPv4Address, IPv4Network, IPv6Address, IPv6Network
 from typing import TYPE_CHECKING, Self
 
 from mbtool.core import UsageError
+from mbtool.ports.connection_limits import ConnectionLimits
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+_NO_LIMITS = ConnectionLimits()
 _MAPPED_BITS = 96
 """An IPv4-mapped IPv6 address (::ffff:a.b.c.d) has 96 bits before the 32 of the IPv4 address."""
 
@@ -28,15 +33,16 @@ class AllowedPeers:
     """The machines that may connect: this one, and all whose address is in one of `networks`."""
 
     networks: tuple[IPv4Network | IPv6Network, ...] = ()
+    limits: ConnectionLimits = _NO_LIMITS
 
     @classmethod
-    def parse(cls, texts: Iterable[str]) -> Self:
+    def parse(cls, texts: Iterable[str], limits: ConnectionLimits = _NO_LIMITS) -> Self:
         """Read the values of --allow, each a network or the address of one machine.
 
         Raises UsageError for a value that is neither, such as 192.168.1.7/24: an address inside a
         network.
         """
-        return cls(tuple(_network(text) for text in texts))
+        return cls(tuple(_network(text) for text in texts), limits)
 
     def __contains__(self, host: object) -> bool:
         """True if a machine with this IP address may connect; False if `host` is no IP address."""

@@ -20,11 +20,13 @@ import os
 import socket
 import struct
 import sys
+import time
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from mbtool.core import Endpoint, LinkError, UsageError
 from mbtool.ports.allowed_peers import THIS_MACHINE, AllowedPeers, plain_address
+from mbtool.ports.connection_limits import ConnectionRate
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -51,6 +53,7 @@ class TcpListener:
         self._link = link
         self._endpoint = endpoint
         self._allowed = allowed
+        self._rate = ConnectionRate(allowed.limits.per_second)
         self._told_s = -TELL_EVERY_S
         """When `serve` last called its `on_exhausted`, in seconds on the event loop's clock."""
 
@@ -82,8 +85,15 @@ class TcpListener:
         return self._endpoint
 
     def refusal(self, host: str) -> str | None:
-        """Return a text that says why a peer with this address may not connect; None if it may."""
-        return None if host in self._allowed else f"{_shown(host)} is in no network of --allow"
+        """Return a text that says why a peer with this address may not connect; None if it may.
+
+        It is called once for each connection, and takes this one into account for the rate.
+        """
+        if host not in self._allowed:
+            return f"{_shown(host)} is in no network of --allow"
+        if not self._rate.admits(time.monotonic()):
+            return f"more than {self._rate.per_second:g} connections a second; see --max-rate"
+        return None
 
     async def serve(
         self,

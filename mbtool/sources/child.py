@@ -17,10 +17,12 @@ In the main process the decoder is busy, which would make the times wrong.
 
 from __future__ import annotations
 
+import errno
 import os
 import subprocess
 import sys
 
+from mbtool.core import LinkError
 from mbtool.ports.clock import share_clock
 
 GRACE_S = 5.0
@@ -30,8 +32,21 @@ GRACE_S = 5.0
 def start_child(module: str, *arguments: str) -> subprocess.Popen[bytes]:
     """Run a module of this package as a child, with pipes for its standard input and output.
 
-    Its clock tells the same time as the parent's.
+    Its clock tells the same time as the parent's. Raises LinkError if the system starts no more
+    processes.
     """
+    try:
+        return _started(module, *arguments)
+    except OSError as error:
+        if error.errno not in (errno.EAGAIN, errno.ENOMEM):
+            raise
+        raise LinkError(
+            f"a process that this needs cannot be started: {error.strerror}; "
+            "`ulimit -u` shows how many processes this user may have"
+        ) from error
+
+
+def _started(module: str, *arguments: str) -> subprocess.Popen[bytes]:
     command = [sys.executable, "-P", "-m", module, *arguments]
     environment = share_clock(dict(os.environ))
     if sys.platform == "win32":

@@ -28,6 +28,7 @@ from typing import TYPE_CHECKING
 from mbtool.core import Chunk, Connection, Direction, Endpoint, EventKind, Stamp, WireEvent
 from mbtool.packets import CloseReason, StreamClosed, StreamOpened
 from mbtool.ports.clock import now_ns
+from mbtool.ports.connection_limits import SPARE_S
 from mbtool.ports.tcp_listener import reset
 from mbtool.ports.tls import failure
 from mbtool.ports.tls_peer import described
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from mbtool.sources.inbox import Sink
+    from mbtool.sources.read_only import ReadOnlyScreen
 
 CONNECT_S = 10.0
 """Timeout in seconds for the target to accept, and for the master to complete a TLS handshake."""
@@ -65,11 +67,13 @@ class TcpRelay:
         on_end: Callable[[TcpRelay], None],
         listen_tls: ssl.SSLContext | None = None,
         target_tls: tuple[ssl.SSLContext, str] | None = None,
+        screen: ReadOnlyScreen | None = None,
     ) -> None:
         """`target_tls` is the TLS context for the target, and the name its certificate must have.
 
         `on_accept` gets the relay, the master's transport and address; it returns true to keep the
-        connection. `on_end` is called when both sides are closed.
+        connection. `on_end` is called when both sides are closed. `screen`
+        chooses the requests that are passed on; None passes on all bytes.
         """
         self._link = link
         self._target = target
@@ -82,6 +86,9 @@ class TcpRelay:
         self._connection: Connection | None = None
         self._connecting: asyncio.Task[None] | None = None
         self._reason: CloseReason | None = None
+        self.screen = screen
+        self._has_answered = False
+        """True once bytes have come from the slave."""
         self._is_open = False
         self.active_s = 0.0
         """When bytes last arrived from either side, in seconds on the event loop's clock."""
@@ -101,6 +108,37 @@ class TcpRelay:
                 with suppress(AttributeError):
                     side.transport.abort()
 
+    def is_unused(self, now_s: float) -> bool:
+        """True if the slave never answered, or a side has ended, and nothing came for SPARE_S.
+
+        `now_s` is the time on the event loop's clock.
+        """
+        is_ending = self.master.has_ended or self.slave.has_ended
+        return now_s - self.active_s >= SPARE_S and (is_ending or not self._has_answered)
+
+    def screened(self, ts_ns: int, data: bytes) -> bytes:
+        """Record bytes of the master, refuse what only a read-only tap refuses; return the rest."""
+        assert self.screen is not None
+        self.received(self.master, ts_ns, data)
+        result = self.screen.ask(data, ts_ns)
+        for refused in result.refused:
+            self._tell(EventKind.BLOCKED, f"read-only: {refused}; answered here with exception 01")
+        if result.is_broken:
+            self._tell(EventKind.BLOCKED, "read-only: bytes that are no requests; connection ended")
+            self.abort(CloseReason.RESET)
+            return b""
+        self.answer_refused()
+        return result.onward
+
+    def answer_refused(self) -> None:
+        """Send and record the exceptions that are due, if the master still listens."""
+        assert self.screen is not None
+        onward = self.master.transport
+        due = self.screen.due()
+        if due and onward is not None and not onward.is_closing():
+            onward.write(due)
+            self.received(self.slave, now_ns(), due)
+
     def connected(self, side: _RelaySide, transport: asyncio.Transport) -> None:
         loop = asyncio.get_running_loop()
         self.active_s = loop.time()
@@ -117,6 +155,7 @@ class TcpRelay:
 
     def received(self, side: _RelaySide, ts_ns: int, data: bytes) -> None:
         self.active_s = asyncio.get_running_loop().time()
+        self._has_answered = self._has_answered or side is self.slave
         for at in range(0, len(data), MAX_PIECE):
             self._inbox.put(
                 Chunk(
@@ -196,12 +235,15 @@ class TcpRelay:
                 reset(self.master.transport)
 
     def _tell_refused(self, message: str) -> None:
+        self._tell(EventKind.REFUSED, message)
+
+    def _tell(self, kind: EventKind, message: str) -> None:
         assert self._connection is not None
         self._inbox.put(
             WireEvent(
                 ts_ns=now_ns(),
                 link=self._link,
-                kind=EventKind.REFUSED,
+                kind=kind,
                 message=message,
                 source=str(self._connection.master),
                 destination=str(self._target),
@@ -240,7 +282,7 @@ class _RelaySide(asyncio.Protocol):
         self.who = "master" if direction is Direction.REQUEST else "slave"
         self.transport: asyncio.Transport | None = None
         self.is_lost = False
-        self._has_ended = False
+        self.has_ended = False
         self._is_told_to_close = False
         self._early = b""
         """Bytes that arrived before the other side was connected, not yet passed on."""
@@ -271,9 +313,18 @@ class _RelaySide(asyncio.Protocol):
         if onward is None:
             self._early += data
             return
+        screen = self._relay.screen
+        if screen is not None and self.direction is Direction.REQUEST:
+            data = self._relay.screened(ts_ns, data)
+            if data and not onward.is_closing():
+                onward.write(data)
+            return
         if not onward.is_closing():
             onward.write(data)
         self._relay.received(self, ts_ns, data)
+        if screen is not None:
+            screen.respond(data, ts_ns)
+            self._relay.answer_refused()
 
     def pass_on_early(self) -> None:
         """Pass on the bytes that came before the other side was connected, with the time of now."""
@@ -282,9 +333,9 @@ class _RelaySide(asyncio.Protocol):
             self.data_received(early)
 
     def eof_received(self) -> bool:
-        self._has_ended = True
+        self.has_ended = True
         onward = self.peer.transport
-        if self.peer._has_ended or onward is None:
+        if self.peer.has_ended or onward is None:
             return False
         if onward.can_write_eof():
             with suppress(OSError):  # The other side has been reset; connection_lost will say so.
@@ -303,13 +354,13 @@ class _RelaySide(asyncio.Protocol):
         self._relay.lost(self, None if is_over else exc)
 
     def pause_writing(self) -> None:
-        if self.peer.transport is not None and not self.peer._has_ended:
+        if self.peer.transport is not None and not self.peer.has_ended:
             self.peer.transport.pause_reading()
 
     def resume_writing(self) -> None:
         # A transport that has already read the end of file would report it a second time if it
         # resumed reading.
-        if self.peer.transport is not None and not self.peer._has_ended:
+        if self.peer.transport is not None and not self.peer.has_ended:
             self.peer.transport.resume_reading()
 
 

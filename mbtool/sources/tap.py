@@ -17,9 +17,13 @@
 # its log before they run out, so a tap with `waits` accepts no master until `accept` is called.
 # Masters that connect earlier, or while no more files can be opened, wait in the system's queue.
 #
-# Limits: 64 connections at once; a further one is reset, with an event. A connection without a byte
-# for an hour is closed: few masters poll so rarely, and connections whose peers have vanished would
-# otherwise add up to 64.
+# Limits, each by default; the user's (ports/connection_limits.py) replace them: 64 connections at
+# once; a further one is reset, with an event, unless another one has been of no use for SPARE_S:
+# that one is then closed. So a flood of connections keeps no place longer than that. A connection
+# without a byte for an hour is closed: few masters poll so rarely, and connections whose peers have
+# vanished would otherwise add up to 64.
+#
+# A tap that is read-only passes on only requests that read (read_only.py).
 
 from __future__ import annotations
 
@@ -35,6 +39,7 @@ from mbtool.ports.tcp_listener import TcpListener, reset
 from mbtool.ports.tls import client_context, server_context
 from mbtool.sources.inbox import Ended
 from mbtool.sources.outbox import Outbox
+from mbtool.sources.read_only import ReadOnlyScreen
 from mbtool.sources.relay import TcpRelay
 from mbtool.sources.source import LiveSource
 
@@ -72,8 +77,8 @@ class TapSource(LiveSource[TapLink]):
         """If `waits` is true, the tap accepts no connection before `accept` is called."""
         super().__init__(link, inbox)
         self._listener = TcpListener(link, link.listen, allowed)
-        self._max_connections = max_connections
-        self._idle_s = idle_s
+        self._max_connections = allowed.limits.connections or max_connections
+        self._idle_s = allowed.limits.idle_s or idle_s
         self._waits = waits
         self._listen_tls: ssl.SSLContext | None = None
         self._target_tls: tuple[ssl.SSLContext, str] | None = None
@@ -154,6 +159,7 @@ class TapSource(LiveSource[TapLink]):
             on_end=self._relays.discard,
             listen_tls=self._listen_tls,
             target_tls=self._target_tls,
+            screen=ReadOnlyScreen(is_rtu=self._link.is_rtu) if self._link.read_only else None,
         )
 
     def _admit(self, relay: TcpRelay, transport: asyncio.Transport, master: Endpoint) -> bool:
@@ -161,7 +167,7 @@ class TapSource(LiveSource[TapLink]):
         refusal = self._listener.refusal(master.host)
         if refusal is not None:
             self._tell(EventKind.REFUSED, refusal, str(master))
-        elif len(self._relays) >= self._max_connections:
+        elif len(self._relays) >= self._max_connections and not self._make_room():
             text = f"connection turned away: {self._max_connections} are open already"
             self._tell(EventKind.DISCARDED, text, str(master))
         else:
@@ -169,6 +175,13 @@ class TapSource(LiveSource[TapLink]):
             return True
         reset(transport)
         return False
+
+    def _make_room(self) -> bool:
+        """Close the connection that has been of no use longest; return False if all are of use."""
+        unused = [relay for relay in self._relays if relay.is_unused(self._loop.time())]
+        if unused:
+            min(unused, key=lambda relay: relay.active_s).abort(CloseReason.DISCARDED)
+        return bool(unused)
 
     def _tell(self, kind: EventKind, message: str, master: str = "") -> None:
         self._outbox.put(

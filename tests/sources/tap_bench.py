@@ -6,6 +6,8 @@ import socket
 from typing import TYPE_CHECKING
 
 from mbtool.core import Endpoint, ListenTls, TapLink, TargetTls
+from mbtool.ports.allowed_peers import AllowedPeers
+from mbtool.ports.connection_limits import ConnectionLimits
 from mbtool.sources.inbox import Inbox
 from mbtool.sources.tap import TapSource
 from tests.sources.live_helpers import PATIENCE_S
@@ -34,10 +36,17 @@ class Bench:
         *,
         max_connections: int = 64,
         idle_s: float = 3600.0,
+        read_only: bool = False,
+        limits: ConnectionLimits | None = None,
     ) -> TapSource:
-        link = TapLink(ANY_PORT, self.target, listen_tls=listen, target_tls=target)
+        link = TapLink(
+            ANY_PORT, self.target, listen_tls=listen, target_tls=target, read_only=read_only
+        )
+        allowed = AllowedPeers(limits=limits or ConnectionLimits())
         return self._stack.enter_context(
-            TapSource(link, self.inbox, max_connections=max_connections, idle_s=idle_s)
+            TapSource(
+                link, self.inbox, allowed=allowed, max_connections=max_connections, idle_s=idle_s
+            )
         )
 
     def call(self, tap: TapSource, tls: ssl.SSLContext | None = None) -> socket.socket:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import select
 import socket
 import struct
 import threading
@@ -27,6 +28,8 @@ from mbtool.core import (
 from mbtool.packets import CloseReason, StreamClosed, StreamOpened
 from mbtool.ports.allowed_peers import AllowedPeers
 from mbtool.ports.clock import now_ns
+from mbtool.ports.connection_limits import ConnectionLimits
+from mbtool.sources import relay
 from mbtool.sources.inbox import Ended, Inbox
 from mbtool.sources.relay import _why
 from mbtool.sources.tap import TapSource
@@ -448,3 +451,90 @@ def test_a_tap_that_other_machines_can_reach_wants_to_know_which(bench: Bench) -
     ):
         master.sendall(REQUEST)
         assert bench.accept().recv(100) == REQUEST
+
+
+WRITE = bytes.fromhex(
+    "0002"          # transaction id
+    "0000"          # protocol id
+    "0006"          # length
+    "11"            # unit id
+    "06 0001 1234"  # write single register, address 1
+)  # fmt: skip
+REFUSAL = bytes.fromhex("0002 0000 0003 11 86 01")
+
+
+def test_a_read_only_tap_answers_a_write_itself_and_passes_reads_on(bench: Bench) -> None:
+    tap = bench.tap(read_only=True)
+    master = bench.call(tap)
+    slave = bench.accept()
+    master.sendall(WRITE)
+    assert master.recv(100) == REFUSAL
+    master.sendall(REQUEST)
+    assert slave.recv(100) == REQUEST
+    slave.sendall(b"\x00\x01\x00\x00\x00\x03\x11\x83\x02")
+    assert master.recv(100).endswith(b"\x83\x02")
+    master.close()
+    slave.close()
+    items = take_until(bench.inbox, lambda item: isinstance(item, StreamClosed))
+    said = [one for one in items if isinstance(one, WireEvent)]
+    assert [one.kind for one in said] == [EventKind.BLOCKED]
+    assert "unit 17: write single register not passed on" in said[0].message
+    chunks = [(one.direction, one.data) for one in items if isinstance(one, Chunk)]
+    assert chunks[:3] == [
+        (Direction.REQUEST, WRITE),
+        (Direction.RESPONSE, REFUSAL),
+        (Direction.REQUEST, REQUEST),
+    ]
+
+
+def test_a_read_only_tap_ends_a_connection_of_bytes_that_are_no_requests(bench: Bench) -> None:
+    tap = bench.tap(read_only=True)
+    master = bench.call(tap)
+    slave = bench.accept()
+    master.sendall(b"\xff" * 2000)
+    with suppress(ConnectionResetError):
+        assert master.recv(100) == b""
+    with suppress(ConnectionResetError):
+        assert slave.recv(100) == b""
+
+
+def test_a_flood_of_silent_connections_makes_room_for_a_master(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(relay, "SPARE_S", 0.0)
+    tap = bench.tap(max_connections=3)
+    silent = [bench.call(tap) for _ in range(3)]
+    slaves = [bench.accept() for _ in silent]
+    master = bench.call(tap)
+    slave = bench.accept()
+    master.sendall(REQUEST)
+    assert slave.recv(100) == REQUEST
+    (closed, *_), _, _ = select.select([*silent, *slaves], [], [], PATIENCE_S)
+    with suppress(ConnectionResetError):
+        assert closed.recv(100) == b""
+
+
+def test_a_connection_that_was_answered_keeps_its_place(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(relay, "SPARE_S", 0.0)
+    tap = bench.tap(max_connections=1)
+    master = bench.call(tap)
+    slave = bench.accept()
+    slave.sendall(b"answer")
+    assert master.recv(100) == b"answer"
+    with suppress(ConnectionResetError):
+        assert bench.call(tap).recv(100) == b""
+    slave.sendall(b"again")
+    assert master.recv(100) == b"again"
+
+
+def test_connections_beyond_the_rate_are_reset_with_an_event(bench: Bench) -> None:
+    tap = bench.tap(limits=ConnectionLimits(per_second=0.01))
+    bench.call(tap)
+    with suppress(ConnectionResetError):
+        assert bench.call(tap).recv(100) == b""
+    last = take_until(bench.inbox, lambda item: isinstance(item, WireEvent))[-1]
+    assert isinstance(last, WireEvent)
+    assert last.kind is EventKind.REFUSED
+    assert last.message == "more than 0.01 connections a second; see --max-rate"

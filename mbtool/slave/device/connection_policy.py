@@ -20,6 +20,9 @@ from dataclasses import dataclass
 from enum import Enum, auto
 
 MAX_NOTES = 16
+SPARE_NS = 1_000_000_000
+"""If all places are taken, a master that has sent nothing for so long since it connected leaves its
+place to a new one (TCP guide, V1.0b, 4.3.2: the oldest unused connection is closed)."""
 
 
 class Loss(Enum):
@@ -40,6 +43,8 @@ class Peer:
     host: str
     heard_ns: int
     """The time in ns when the master last sent bytes, or connected. The shell updates it."""
+    connected_ns: int = -1
+    """The time in ns when the master connected; -1 if its place is never given to another."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,11 +107,15 @@ class ConnectionPolicy:
 
     def admit(self, host: str, now_ns: int) -> Admission:
         """Decide whether a master that has connected from the address `host` may stay."""
+        leaves = None
         if len(self.peers) >= self.places:
-            return Admission(None, is_full=True)
-        peer = Peer(host, now_ns)
+            leaves = next((one for one in self.peers if _is_unused(one, now_ns)), None)
+            if leaves is None:
+                return Admission(None, is_full=True)
+            self.peers.remove(leaves)
+        peer = Peer(host, now_ns, connected_ns=now_ns)
         self.peers.append(peer)
-        return Admission(peer)
+        return Admission(peer, leaves)
 
     def lost(self, peer: Peer, loss: Loss, now_ns: int) -> None:
         """Forget a master whose connection has ended, so that another may connect.
@@ -115,3 +124,8 @@ class ConnectionPolicy:
         """
         if peer in self.peers:
             self.peers.remove(peer)
+
+
+def _is_unused(peer: Peer, now_ns: int) -> bool:
+    """True if a master has sent nothing since it connected, SPARE_NS ago or earlier."""
+    return peer.heard_ns == peer.connected_ns <= now_ns - SPARE_NS

@@ -8,9 +8,11 @@
 # requests for which the responder gives none. Bytes from one master never affect the connections of
 # others.
 #
-# Bounds sets the first three of these limits; a device's own rules replace the first two:
+# Bounds sets the first three of these limits; a device's own rules replace the first two, and the
+# user's limits (ports/connection_limits.py) replace both:
 #
-#     connections   a connection beyond this number is closed at once, and counted
+#     connections   a connection beyond this number is closed at once, and counted, unless another
+#                   one has been open for a second without a request: then that one is closed
 #     idle          a connection without a complete request for so long is closed
 #     waiting       a connection with so many pending responses is not read
 #     unread        a connection whose master does not read its responses is not read
@@ -74,6 +76,10 @@ class TcpSlave(Shell):
         self.responder = responder
         self.bounds = bounds or Bounds()
         self.rules = rules or ConnectionPolicy(self.bounds.connections, self.bounds.idle_s)
+        if allowed.limits.connections is not None:
+            self.rules.places = allowed.limits.connections
+        if allowed.limits.idle_s is not None:
+            self.rules.idle_s = allowed.limits.idle_s
         self.on_exchange = on_exchange
         self.connections: set[MasterConnection] = set()
         self.clock = steady_clock()

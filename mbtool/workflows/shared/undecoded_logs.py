@@ -22,7 +22,9 @@ if TYPE_CHECKING:
     from mbtool.core import Chunk, Packet
     from mbtool.logs import LogReader
 
-_OF_SOURCES = frozenset({EventKind.LINE_ERROR, EventKind.REFUSED, EventKind.CLOCK_STEP})
+_OF_SOURCES = frozenset(
+    {EventKind.LINE_ERROR, EventKind.REFUSED, EventKind.BLOCKED, EventKind.CLOCK_STEP}
+)
 _OF_TAPS = frozenset({EventKind.OPENED, EventKind.CLOSED})
 """Only a tap tells that a connection was opened or closed; packets show it."""
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mbtool.slave.device.connection_policy import ConnectionPolicy, Loss
+from mbtool.slave.device.connection_policy import SPARE_NS, ConnectionPolicy, Loss
 
 
 def test_so_many_masters_are_let_in_and_no_more() -> None:
@@ -22,3 +22,15 @@ def test_nothing_else_is_asked_for() -> None:
     rules = ConnectionPolicy()
     assert (rules.keep_alive, rules.closed_until_ns, rules.changed) == (None, None, False)
     assert rules.split_s == float("inf")
+
+
+def test_a_master_that_never_asked_makes_room_after_a_second() -> None:
+    policy = ConnectionPolicy(places=2)
+    busy, silent = policy.admit("10.0.0.1", 0).peer, policy.admit("10.0.0.2", 0).peer
+    assert busy is not None
+    busy.heard_ns = 1
+    assert policy.admit("10.0.0.3", SPARE_NS - 1).is_full
+    admission = policy.admit("10.0.0.3", SPARE_NS)
+    assert admission.leaves is silent
+    assert policy.peers == [busy, admission.peer]
+    assert policy.admit("10.0.0.4", SPARE_NS).is_full

@@ -1,0 +1,55 @@
+"""The options that limit the connections to a slave and to a tap."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from mbtool.cli.option_groups import OptionGroup
+
+if TYPE_CHECKING:
+    from mbtool.ports.connection_limits import ConnectionLimits
+
+
+@dataclass(frozen=True, slots=True)
+class ConnectionOptions(OptionGroup):
+    """How many connections, how fast, and how long they may idle."""
+
+    max_connections: Annotated[
+        int | None,
+        typer.Option(
+            "--max-connections",
+            metavar="N",
+            min=1,
+            help="The most masters connected over TCP at once. [default: 32 to a slave, or as many "
+            "as its device takes; 64 to a tap]",
+        ),
+    ] = None
+    max_rate: Annotated[
+        float | None,
+        typer.Option(
+            "--max-rate",
+            metavar="N",
+            min=0.01,
+            help="The most new TCP connections in a second. [default: 100]",
+        ),
+    ] = None
+    idle: Annotated[
+        float | None,
+        typer.Option(
+            "--idle",
+            metavar="S",
+            min=0.1,
+            help="Close a TCP connection without a request, or a tap's without a byte, after so "
+            "many seconds. [default: 600 of a slave, 3600 of a tap]",
+        ),
+    ] = None
+
+    def read(self) -> ConnectionLimits:
+        from mbtool.ports.connection_limits import ConnectionLimits
+
+        return ConnectionLimits(
+            connections=self.max_connections, per_second=self.max_rate, idle_s=self.idle
+        )

@@ -1,0 +1,119 @@
+"""Every command in environments that are broken: one line, a code, never a traceback."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from mbtool.cli import exit_codes
+from mbtool.cli.main import app
+from tests.cli.forked import ENVIRONMENTS
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="forks processes")
+
+CAPTURES = Path(__file__).resolve().parents[2] / "captures"
+LOG, CAPTURE = CAPTURES / "fa3-at1m8x-setup.mcap", CAPTURES / "fa3-at1m8x-setup.pcapng"
+TAP = "tap:127.0.0.1:0=127.0.0.1:1"
+COMMANDS: dict[str, list[str | Path]] = {
+    "": ["--help"],
+    "version": ["--version"],
+    "sniff": ["sniff", TAP, "--duration", "0"],
+    "sniff -w": ["sniff", TAP, "--duration", "0", "-w", "sniff.mcap"],
+    "sniff of a port": ["sniff", "rtu:/dev/tty-no@19200-8E1", "--duration", "0"],
+    "decode": ["decode", LOG],
+    "decode of packets": ["decode", CAPTURE, "--format", "csv"],
+    "decode of standard input": ["decode", "-"],
+    "inventory": ["inventory", CAPTURE],
+    "check": ["check", LOG],
+    "stats": ["stats", CAPTURE],
+    "convert": ["convert", CAPTURE, "convert.mcap"],
+    "recover": ["recover", LOG, "-o", "recover.mcap"],
+    "replay --as-slave": ["replay", LOG, "--as-slave", "--on", "tcp:127.0.0.1:0"],
+    "replay --as-master": ["replay", LOG, "--as-master", "--to", "tcp:127.0.0.1:1"],
+    "diff": ["diff", LOG, LOG],
+    "slave": ["slave", "fa3-at1m8x", "--on", "tcp:127.0.0.1:0"],
+    "slave --state": ["slave", "fa3-at1m8x", "--on", "tcp:127.0.0.1:0", "--state", "state.toml"],
+    "watch": ["watch", CAPTURE],
+    "report": ["report", CAPTURE, "-o", "report.html"],
+    "extcap": ["extcap", "--help"],
+    "read": ["read", "tcp:127.0.0.1:1", "holding 0..9"],
+    "write": ["write", "tcp:127.0.0.1:1", "holding 0=1", "--yes"],
+    "poll": ["poll", "tcp:127.0.0.1:1", "holding 0..9", "--count", "1"],
+    "devices": ["devices"],
+    "devices NAME": ["devices", "fa3-at1m8x"],
+    "devices --match": ["devices", "--match", CAPTURE],
+    "devices new": ["devices", "new", "pump.toml"],
+    "devices draft": ["devices", "draft", LOG],
+    "devices schema": ["devices", "schema"],
+    "links": ["links"],
+    "line": ["line", "left", "right"],
+    "demo": ["demo"],
+}
+STARTS_PROCESSES = {"line", "demo"}
+"""The commands that start processes where they can, which takes long."""
+RUNS = {"replay --as-slave", "replay --as-master", "slave", "slave --state", *STARTS_PROCESSES}
+"""The commands that run until they are stopped, once they have said that they run."""
+FAILS = {
+    "full output": "standard output: cannot be written: No space left on device",
+    "deleted folder": "the current folder has been deleted",
+    "8 files": "too many files are open",
+    "no file may grow": "cannot be written: File too large",
+    "no process": "cannot be started: Resource temporarily unavailable",
+}
+"""What at least one command says in an environment."""
+
+
+def test_there_is_a_case_of_each_command() -> None:
+    tried = {str(line[0]) for line in COMMANDS.values()}
+    names = {one.name or one.callback.__name__ for one in app.registered_commands if one.callback}
+    assert names | {"devices"} <= tried
+
+
+@pytest.mark.parametrize("environment", ENVIRONMENTS)
+def test_every_command_ends_with_a_code_and_at_most_one_line_of_error(
+    tmp_path: Path, environment: str
+) -> None:
+    commands = {
+        name: [str(each) for each in line]
+        for name, line in COMMANDS.items()
+        if name not in _left_out(environment)
+    }
+    told = _run(environment, tmp_path, commands)
+    assert told.keys() == commands.keys()
+    wrong = {name: end for name, end in told.items() if not _is_orderly(*end)}
+    assert not wrong
+    if environment in FAILS:
+        assert any(FAILS[environment] in err for _, err in told.values())
+    if environment == "full output":
+        printing = {"", "version", "decode", "check", "stats", "devices", "links", "line"}
+        assert {name: told[name][0] for name in printing} == dict.fromkeys(printing, 3)
+
+
+def _left_out(environment: str) -> set[str]:
+    if environment == "closed errors":
+        return RUNS
+    return set() if environment in FAILS else STARTS_PROCESSES
+
+
+def _is_orderly(code: int, err: str) -> bool:
+    if code in (exit_codes.USAGE, exit_codes.UNREADABLE):
+        errors = [line for line in err.splitlines() if line.startswith("mbtool: ")]
+        return "Traceback" not in err and (len(errors) == 1 or not err)
+    return code in (0, 1, exit_codes.INTERRUPTED) and "Traceback" not in err
+
+
+def _run(
+    environment: str, folder: Path, commands: dict[str, list[str]]
+) -> dict[str, tuple[int, str]]:
+    done = subprocess.run(
+        [sys.executable, "-m", "tests.cli.forked", environment, folder, json.dumps(commands)],
+        stdout=subprocess.PIPE,
+        cwd=Path(__file__).resolve().parents[2],
+        check=True,
+    )
+    result: dict[str, tuple[int, str]] = json.loads(done.stdout)
+    return result
