@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import os
 import sys
 from collections import Counter
@@ -379,17 +378,12 @@ def _close(file: TextIO) -> None:
 
 @contextmanager
 def told_as_lost(name: str) -> Iterator[None]:
-    """Turn an OSError, such as a full disk, into an OutputError.
-
-    BrokenPipeError stays, and so does the error of a process with too many open files.
-    """
+    """Turn an OSError, such as a full disk, into an OutputError; BrokenPipeError stays."""
     try:
         yield
     except BrokenPipeError:
         raise
     except OSError as error:
-        if error.errno in (errno.EMFILE, errno.ENFILE):
-            raise
         raise OutputError(f"{name}: cannot be written: {error.strerror or error}") from error
 
 
