@@ -85,7 +85,7 @@ def watch(
         raise UsageError("--raw, --link and --play go with files")
     if not any(live) and (write is not None or overwrite or allow):
         raise UsageError("--write, --overwrite and --allow go with a link")
-    if not (sys.stdin.isatty() and sys.stdout.isatty()):
+    if sys.stdin is None or not (sys.stdin.isatty() and sys.stdout.isatty()):
         raise UsageError("watch needs a terminal; into a pipe or file, use sniff, decode or stats")
     if any(live):
         _watch_links(sources, write, device, where, source, silences, allow, duration, overwrite)
