@@ -128,34 +128,37 @@ class _Source:
     def __init__(self, stream: BinaryIO) -> None:
         self._stream = stream
         self._held = b""
+        self._at = 0
+        """The number of bytes of `_held` that were taken. To cut them off each time would copy the
+        rest of a large piece for each small one."""
         self._error: Exception | None = None
         self._is_ended = False
 
     def peek(self, size: int) -> bytes:
         """The next bytes; fewer than `size` at the end, or in front of an error."""
-        if len(self._held) < size:
-            pieces = [self._held]
-            missing = size - len(self._held)
+        missing = size - (len(self._held) - self._at)
+        if missing > 0:
+            pieces = [self._held[self._at :]]
             while missing > 0 and self._error is None and not self._is_ended:
                 piece = self._read(max(missing, BLOCK_BYTES))
                 pieces.append(piece)
                 missing -= len(piece)
-            self._held = b"".join(pieces)
-        return self._held[:size]
+            self._held, self._at = b"".join(pieces), 0
+        return self._held[self._at : self._at + size]
 
     def take(self, size: int) -> bytes:
         """Remove and return the next bytes, fewer at the end. Raises a held error of reading."""
         taken = self.peek(size)
         if len(taken) < size and self._error is not None:
             raise self._error
-        self._held = self._held[len(taken) :]
+        self._at += len(taken)
         return taken
 
     read = take
 
     def drop(self, size: int) -> None:
         """Remove bytes that were seen with `peek`."""
-        self._held = self._held[size:]
+        self._at += size
 
     def raise_error(self) -> None:
         """Raise the held error of reading, if there is one."""

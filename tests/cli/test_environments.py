@@ -57,6 +57,10 @@ STARTS_PROCESSES = {"line", "demo"}
 """The commands that start processes where they can, which takes long."""
 RUNS = {"replay --as-slave", "replay --as-master", "slave", "slave --state", *STARTS_PROCESSES}
 """The commands that run until they are stopped, once they have said that they run."""
+EACH = 3
+"""In each environment, every third command is tried: another third in the next environment."""
+PRINTING = {"", "version", "decode", "check", "stats", "devices", "links", "line"}
+"""The commands that cannot do without standard output."""
 FAILS = {
     "full output": "standard output: cannot be written: No space left on device",
     "deleted folder": "the current folder has been deleted",
@@ -74,13 +78,15 @@ def test_there_is_a_case_of_each_command() -> None:
 
 
 @pytest.mark.parametrize("environment", ENVIRONMENTS)
-def test_every_command_ends_with_a_code_and_at_most_one_line_of_error(
+def test_a_command_ends_with_a_code_and_at_most_one_line_of_error(
     tmp_path: Path, environment: str
 ) -> None:
+    turn = list(ENVIRONMENTS).index(environment)
     commands = {
         name: [str(each) for each in line]
-        for name, line in COMMANDS.items()
+        for number, (name, line) in enumerate(COMMANDS.items())
         if name not in _left_out(environment)
+        and ((number + turn) % EACH == 0 or (name in PRINTING and environment == "full output"))
     }
     told = _run(environment, tmp_path, commands)
     assert told.keys() == commands.keys()
@@ -89,8 +95,7 @@ def test_every_command_ends_with_a_code_and_at_most_one_line_of_error(
     if environment in FAILS:
         assert any(FAILS[environment] in err for _, err in told.values())
     if environment == "full output":
-        printing = {"", "version", "decode", "check", "stats", "devices", "links", "line"}
-        assert {name: told[name][0] for name in printing} == dict.fromkeys(printing, 3)
+        assert {name: told[name][0] for name in PRINTING} == dict.fromkeys(PRINTING, 3)
 
 
 def _left_out(environment: str) -> set[str]:
