@@ -111,8 +111,10 @@ class Board:
     def _note_poll(
         self, poll: WatchedPoll, kept: KeptRecord, one: NamedTransaction, at_ns: int
     ) -> None:
-        poll.last, poll.last_ns = kept, at_ns
         poll.latencies.append(one.latency_ns)
+        if at_ns < poll.last_ns:
+            return  # A request without answer is known late; what is shown is newer.
+        poll.last, poll.last_ns = kept, at_ns
         if one.outcome is not Outcome.OK and one.outcome is not Outcome.BROADCAST:
             return
         values = one.request_values if one.response_values is None else one.response_values

@@ -126,11 +126,13 @@ class WatchedSlave:
         at_ns = one.start_ns
         self.tally.add(one)
         self.first_ns = self.first_ns or at_ns
-        self.last_ns = at_ns
+        self.last_ns = max(at_ns, self.last_ns)
         self.device = one.device or self.device
         self.findings += len(one.findings)
         if one.outcome is Outcome.NO_ANSWER:
-            if self.silent_since_ns is None:
+            # A request without answer is known late: the slave may have answered others since.
+            is_newest = self.answered_ns is None or at_ns > self.answered_ns
+            if self.silent_since_ns is None and is_newest:
                 self.silent_since_ns = at_ns
         elif one.response_ns is not None:
             self.answered_ns, self.silent_since_ns = one.response_ns, None

@@ -56,6 +56,16 @@ def test_an_error_keeps_the_last_values() -> None:
     assert row.latencies == (5 * MS, None)
 
 
+def test_a_request_that_is_told_late_as_unanswered_replaces_nothing_newer() -> None:
+    board = board_of(read(0, 7), read(200, 8), unanswered(100, quantity=1))
+    (row,) = poll_rows(board)
+    assert (row.values, row.missing, row.last_ns) == ([8], 1, START_NS + 200 * MS)
+    assert row.kept is board.records[1]
+    (slave,) = slave_rows(board)
+    assert slave.silent_since_ns is None
+    assert slave.last_ns == START_NS + 200 * MS
+
+
 def test_the_period_is_known_once_requests_are_in_order() -> None:
     board = board_of(*(read(at, 1) for at in range(0, 1000, 100)))
     assert poll_rows(board)[0].period_ns == 0
