@@ -297,7 +297,7 @@ def opened(
     `demand_inputs`.
     """
     if path is None and not is_kept:
-        _demand_standard_output()
+        demand_standard_output()
     demand_inputs()
     if path is not None and not overwrite and os.path.isfile(path):
         raise UsageError(
@@ -307,7 +307,7 @@ def opened(
         yield file, path or _STANDARD_OUTPUT_NAME
 
 
-def _demand_standard_output() -> None:
+def demand_standard_output() -> None:
     """Raise OutputError if standard output is closed."""
     if sys.__stdout__ is None:
         raise OutputError(

@@ -82,8 +82,10 @@ def stats(
     figures come anew each second until Ctrl-C; nothing is logged, as sniff -w does that.
     docs/stats.md explains each figure.
     """
+    from mbtool.cli.output import demand_standard_output
     from mbtool.core import UsageError
 
+    demand_standard_output()
     live = [is_link(one) for one in sources]
     if any(live) and not all(live):
         raise UsageError("name files or links, not both")
@@ -117,13 +119,14 @@ class _Shown:
         from mbtool.cli.console import PipeConsole
         from mbtool.cli.output import told_as_lost
         from mbtool.overview.statistics_report import report
+        from mbtool.sources.files import shown_name
         from mbtool.views.statistics_document import statistics_document
 
         links = report(statistics)
         with told_as_lost("standard output"):
             if self.as_json:
                 text = statistics_document(
-                    statistics, links, sources=self.sources, where=self.where
+                    statistics, links, sources=[*map(shown_name, self.sources)], where=self.where
                 )
                 sys.stdout.write(text)
             elif statistics.transactions or any(link.connections for link in links):

@@ -190,6 +190,13 @@ def place_of(path: str) -> tuple[object, bool]:
     return (status.st_dev, status.st_ino), stat.S_ISFIFO(status.st_mode)
 
 
+def shown_name(path: str) -> str:
+    """The name of a file in messages and records; a byte that is no UTF-8 is written in hex."""
+    if path == STANDARD_INPUT:
+        return "standard input"
+    return os.fsencode(path).decode("utf-8", "backslashreplace")
+
+
 def open_capture(path: str | Path, line: LineSettings | None = None) -> CaptureFile:
     """Open a capture file, or standard input for `-`.
 
@@ -199,7 +206,7 @@ def open_capture(path: str | Path, line: LineSettings | None = None) -> CaptureF
     """
     if not str(path):
         raise UsageError("a file's name is empty; name a capture or a log, or - for standard input")
-    name = "standard input" if str(path) == STANDARD_INPUT else str(path)
+    name = shown_name(str(path))
     try:
         file = _open(path)
     except (OSError, ValueError) as error:

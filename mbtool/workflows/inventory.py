@@ -18,6 +18,7 @@ from mbtool.overview.baseline import changes
 from mbtool.overview.identification import identify
 from mbtool.overview.inventory import Inventory
 from mbtool.overview.inventory_rows import INVENTORY_FORMAT, InventoryDocument
+from mbtool.sources.files import shown_name
 from mbtool.sources.makers import maker
 from mbtool.workflows.shared.read_all import unwatched
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
@@ -78,7 +79,9 @@ class InventoryRun:
         profiles = {one.name: one for one in map(load_profile, builtin_profiles())}
         profiles |= {one.name: one for one in self.reading.assignments.profiles}
         return inventory.document(
-            self._files, partial(identify, profiles=list(profiles.values())), maker
+            [*map(shown_name, self._files)],
+            partial(identify, profiles=list(profiles.values())),
+            maker,
         )
 
 

@@ -18,6 +18,7 @@ from mbtool.overview.statistics_report import report
 from mbtool.ports.clock import now_ns
 from mbtool.series.history import History
 from mbtool.series.values import Values
+from mbtool.sources.files import shown_name
 from mbtool.sources.makers import maker
 from mbtool.version import __version__
 from mbtool.views.findings_table import Summaries
@@ -32,7 +33,6 @@ from mbtool.views.report.page import page
 from mbtool.views.report.transaction_rows import TransactionRows
 from mbtool.workflows.check import CheckRun
 from mbtool.workflows.diff import DiffOptions, compare
-from mbtool.workflows.shared.file_results import shown_name
 from mbtool.workflows.shared.read_all import unwatched
 
 if TYPE_CHECKING:
@@ -146,21 +146,22 @@ class ReportRun:
     def _contents(self, comparison: ComparisonWith | None) -> ReportContents:
         profiles = {one.name: one for one in map(load_profile, builtin_profiles())}
         profiles |= {one.name: one for one in self.reading.assignments.profiles}
+        names = [*map(shown_name, self._files)]
         return ReportContents(
             version=__version__,
             made_ns=now_ns(),
-            sources=self._files,
+            sources=names,
             statistics=self.statistics,
             links=report(self.statistics),
             inventory=self._inventory.document(
-                self._files, partial(identify, profiles=list(profiles.values())), maker
+                names, partial(identify, profiles=list(profiles.values())), maker
             ),
             findings=self._findings,
             number_of_findings=self._number_of_findings,
             history=self._history,
             values=self._values,
             rows=self._rows,
-            origins=[self._origin(file) for file in map(shown_name, self._files)],
+            origins=[self._origin(file) for file in names],
             remarks=[*self.remarks, *([] if self.error is None else [str(self.error)])],
             lacking=self._lacking,
             number_lacking=self._number_lacking,

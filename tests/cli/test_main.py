@@ -378,6 +378,33 @@ def test_a_result_that_goes_nowhere_is_one_line(capture: Path, more: list[str]) 
     assert _said_through(">&- 2>&-", "decode", capture, *more).returncode == exit_codes.UNREADABLE
 
 
+def test_statistics_that_go_nowhere_are_one_line(capture: Path) -> None:
+    ran = _said_through(">&-", "stats", capture)
+    assert ran.returncode == exit_codes.UNREADABLE
+    assert ran.stderr.startswith("mbtool: standard output: closed")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="file names of other systems are Unicode")
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["decode", "--format", "jsonl"],
+        ["decode", "--format", "csv"],
+        ["stats", "--json"],
+        ["inventory", "--format", "json"],
+    ],
+)
+def test_a_file_name_that_is_no_utf_8_is_written_in_hex(
+    mbtool: CommandLine, capture: Path, arguments: list[str]
+) -> None:
+    odd = os.fsencode(capture.parent) + b"/m\xfcller.pcap"
+    os.rename(capture, odd)
+    told = mbtool(*arguments, os.fsdecode(odd))
+    assert told.code == exit_codes.DONE
+    assert "xfcller.pcap" in told.out
+    told.out.encode()  # Nothing in it is unfit for a file.
+
+
 @pytest.mark.parametrize("redirection", [">&-", ">&- 2>&-", "2>&-"])
 def test_closed_streams_are_no_error_where_a_file_gets_the_result(
     capture: Path, redirection: str

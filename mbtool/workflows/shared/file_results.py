@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import CutError, DamageError, InputError, WireEvent
 from mbtool.packets import CaptureHead
-from mbtool.sources.files import STANDARD_INPUT
+from mbtool.sources.files import shown_name
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -120,8 +120,3 @@ class FileResults:
             f"{row[3]}".rstrip()
             for row in rows
         ]
-
-
-def shown_name(path: str) -> str:
-    """The name of a file in messages."""
-    return "standard input" if path == STANDARD_INPUT else path
