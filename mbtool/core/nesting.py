@@ -14,10 +14,11 @@ import re
 MAX_DEPTH = 16
 """The most levels of brackets, and the most parts of a dotted key."""
 
+# Only sets of characters are repeated possessively (`*+`): with groups, Python before 3.11.5 is wrong.
 _QUOTED_OR_COMMENT = re.compile(
-    r'"""(?:[^\\"]|\\.|"(?!""))*+(?:"""|\\?\Z)'
-    r"|'''(?:[^']|'(?!''))*+(?:'''|\Z)"
-    r'|"(?:[^"\\\n]|\\.)*+"?'
+    r'"""[^\\"]*+(?:(?:\\.|"(?!""))[^\\"]*+)*(?:"""|\\?\Z)'
+    r"|'''[^']*+(?:'(?!'')[^']*+)*(?:'''|\Z)"
+    r'|"[^"\\\n]*+(?:\\.[^"\\\n]*+)*"?'
     r"|'[^'\n]*+'?"
     r"|\#[^\n]*+",
     re.DOTALL,

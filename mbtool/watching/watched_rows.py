@@ -131,7 +131,7 @@ class WatchedSlave:
         self.findings += len(one.findings)
         if one.outcome is Outcome.NO_ANSWER:
             # A request without answer is known late: the slave may have answered others since.
-            is_newest = self.answered_ns is None or at_ns > self.answered_ns
+            is_newest = self.answered_ns is None or at_ns >= self.answered_ns
             if self.silent_since_ns is None and is_newest:
                 self.silent_since_ns = at_ns
         elif one.response_ns is not None:
