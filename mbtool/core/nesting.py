@@ -14,7 +14,8 @@ import re
 MAX_DEPTH = 16
 """The most levels of brackets, and the most parts of a dotted key."""
 
-# Only sets of characters are repeated possessively (`*+`): with groups, Python before 3.11.5 is wrong.
+# Only sets of characters are repeated possessively (`*+`): Python before 3.11.5 repeats groups
+# wrongly.
 _QUOTED_OR_COMMENT = re.compile(
     r'"""[^\\"]*+(?:(?:\\.|"(?!""))[^\\"]*+)*(?:"""|\\?\Z)'
     r"|'''[^']*+(?:'(?!'')[^']*+)*(?:'''|\Z)"
