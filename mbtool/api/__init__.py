@@ -1,1 +1,4 @@
-"""What `import mbtool` gives: docs/python.md. Its names are listed in mbtool/__init__.py."""
+"""The Python interface, `import mbtool`; docs/python.md describes it.
+
+mbtool/__init__.py lists the public names and the module of each.
+"""

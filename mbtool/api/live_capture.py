@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 class LiveCapture:
-    """What is heard on links while its `with` block runs; made by `mbtool.sniff`.
+    """Transactions and events heard on links while its `with` block runs; `mbtool.sniff` makes it.
 
     The end of the block completes the log, if there is one.
     """

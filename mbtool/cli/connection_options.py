@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class ConnectionOptions(OptionGroup):
-    """How many connections, how fast, and how long they may idle."""
+    """Options that limit TCP connections: their number, new ones a second, and idle seconds."""
 
     max_connections: Annotated[
         int | None,

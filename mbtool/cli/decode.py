@@ -39,7 +39,8 @@ if TYPE_CHECKING:
 
 STANDARD_INPUT = "-"
 _WORTH_BYTES = 1024 * 1024
-"""Of smaller files importing numpy takes longer than it saves."""
+"""Bytes that the files must have together to be read as arrays: for fewer, importing numpy takes
+longer than arrays save."""
 _LOOK_AGAIN_S = 0.2
 """With --follow, the time in s between two attempts to read on in the log."""
 

@@ -22,7 +22,7 @@ NONE = "none"
 
 @dataclass(frozen=True, slots=True)
 class WiresharkOptions(OptionGroup):
-    """What Wireshark asks; extcap(4) describes it."""
+    """The options with which Wireshark calls an extcap program; extcap(4) describes them."""
 
     extcap_interfaces: Annotated[
         bool, typer.Option("--extcap-interfaces", help=f"{_ASKED_BY}: which interfaces there are.")
@@ -48,7 +48,7 @@ class WiresharkOptions(OptionGroup):
 
 @dataclass(frozen=True, slots=True)
 class LineOptions(OptionGroup):
-    """What the user has chosen in the dialog."""
+    """The settings of the serial line that the user chose in Wireshark's dialog."""
 
     port: Annotated[
         str | None, typer.Option("--port", metavar="PORT", help="The port that hears the line.")

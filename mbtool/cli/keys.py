@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from mbtool.replay.steering import Progress
 
 KEYS = ("space pauses, s steps, + and - change the speed, q ends", "keys: space s + - q")
-"""What the keys do, in words; and shorter, for a terminal of 80 columns."""
+"""Two texts that name the keys and their effect; the second one fits a terminal of 80 columns."""
 
 _LOOK_S = 0.03
 """Time in s between two checks for keys: too short for a person to notice."""

@@ -73,7 +73,7 @@ class LinesPrinter(Printer):
     """Prints each transaction as a line of text that depends on nothing before it."""
 
     separator: str
-    """What stands between the numbers of a list of values."""
+    """The text between two numbers of a list of values."""
 
     def __init__(self, file: TextIO) -> None:
         self._file = file

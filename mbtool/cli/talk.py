@@ -24,7 +24,7 @@ _wipes: list[Callable[[], None]] = []
 
 
 class _Waiting:
-    """How `say` treats a standard error that takes no text, such as a stopped terminal."""
+    """Settings of `say` for a standard error that takes no text, as of a stopped terminal."""
 
     patience_s: float | None = None
     """Drop the message after so many seconds; None to wait for ever."""

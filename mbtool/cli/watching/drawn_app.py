@@ -93,7 +93,7 @@ class DrawnApp(App[int]):
         self._contexts = [DrawContext() for _ in VIEWS]
         self._next_draw_s = 0.0
         self.drawings = 0
-        """How often the screen was drawn."""
+        """The number of times that the screen was drawn."""
         self._frozen_ns = 0
         self._told_remarks = 0
         self._told_error = False

@@ -137,7 +137,7 @@ class LiveTable(Widget, can_focus=True):
         self.move(-_WHEEL_ROWS)
 
     def _place_of_cursor(self, rows: Sequence[Any]) -> int:
-        """Where the row of the cursor is now."""
+        """The index of the row that the cursor is on, after rows were added or left out."""
         at = self._cursor
         if at < len(rows) and rows[at].key == self._key:
             return at

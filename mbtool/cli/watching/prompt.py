@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class Asking(StrEnum):
-    """What is being typed."""
+    """The kind of text that the user is typing: a filter, a search, a name."""
 
     FILTER = "filter"
     FIND = "find"
