@@ -161,6 +161,7 @@ def decode(
             if is_live:
                 out.wait()
             if limit is not None and out.is_full:
+                reading.results.raise_first()
                 break
         else:
             for doubt in lines.untold():

@@ -369,6 +369,16 @@ def test_a_capture_is_not_followed(mbtool: CommandLine, capture: Path) -> None:
     assert told.err == (f"mbtool: {capture}: not a log (.mcap); only a plain one can be followed\n")
 
 
+def test_a_limit_hides_no_file_that_could_not_be_read(
+    mbtool: CommandLine, tmp_path: Path, capture: Path
+) -> None:
+    told = mbtool("decode", tmp_path / "absent.pcap", capture, "--limit", 1)
+    assert told.code == exit_codes.UNREADABLE
+    assert len(told.out.splitlines()) == 3
+    assert "1 transaction: 1 ok\n" in told.err
+    assert told.err.endswith("absent.pcap: there is no such file\n")
+
+
 def test_an_absent_input_leaves_an_older_output_alone(mbtool: CommandLine, tmp_path: Path) -> None:
     older = tmp_path / "older.jsonl"
     older.write_text("{}\n")

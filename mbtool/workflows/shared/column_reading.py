@@ -13,7 +13,7 @@ from mbtool.columns.packet_block import read_blocks
 from mbtool.columns.plain_lines import BlockLines
 from mbtool.columns.plain_records import plain_records
 from mbtool.columns.poll_runs import PollRuns
-from mbtool.core import CutError, DamageError, InputError, WireEvent
+from mbtool.core import InputError, WireEvent
 from mbtool.devices import Namer
 from mbtool.overview.answered_run import AnsweredRun
 from mbtool.packets import serial_pieces
@@ -109,26 +109,9 @@ class ColumnReading(PartReading):
                 yield part
 
     def _blocks(self) -> Iterator[DecodedBlock]:
-        try:
-            for number, path in enumerate(self._paths, 1):
-                if path in self.results.refused:
-                    self._files_read += 1
-                    continue
-                try:
-                    yield from self._file_blocks(path)
-                except (CutError, DamageError) as error:
-                    self.results.break_off(path, error)
-                    if number < len(self._paths):
-                        yield self._noted(_block_of(self._break_off(error)))
-                self._files_read += 1
-        except InputError:
-            yield from self._ended()
-            raise
-        yield from self._ended()
-        self.results.raise_first()
+        return self.results.in_turn(self._file_blocks, self._broken_off, self._ended)
 
     def _file_blocks(self, path: str) -> Iterator[DecodedBlock]:
-        self.results.begin(path)
         with open_capture(path) as capture:
             self._current = capture
             self._kinds.add(capture.kind)
@@ -166,6 +149,9 @@ class ColumnReading(PartReading):
         self.file, self.captures = file, captures
         yield self._noted(block)
         self.file, self.captures = begun
+
+    def _broken_off(self, error: InputError) -> Iterator[DecodedBlock]:
+        yield self._noted(_block_of(self._break_off(error)))
 
     def _note_block(self, capture: CaptureFile, block: PacketBlock) -> None:
         self._items += len(block)

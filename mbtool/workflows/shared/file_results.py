@@ -1,19 +1,24 @@
-"""The result of reading one file of several: its records and errors, for a table at the end."""
+"""Reads the files of one reading in turn, and tells at the end what came of each.
+
+A file that is cut or damaged stops no other; its error is raised when all are read.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from mbtool.core import CutError, DamageError, InputError, WireEvent
 from mbtool.packets import CaptureHead
 from mbtool.sources.files import shown_name
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from mbtool.decode.decoder import Record
     from mbtool.logs import LogReader
+
+T = TypeVar("T")
 
 
 @dataclass(slots=True)
@@ -43,6 +48,8 @@ class FileResults:
         self._paths = paths
         self.refused: dict[str, InputError] = {}
         """The errors of files that cannot be read at all, by path; the other files are read."""
+        self.files_read = 0
+        """The number of files that are done, also those left out."""
         self._opened: dict[str, FileResult] = {}
         """The results of the files opened so far, by name."""
         self.heads: dict[str, CaptureHead] = {}
@@ -62,10 +69,44 @@ class FileResults:
         """Leave a file out, as it cannot be read at all."""
         self.refused[path] = error
 
-    def begin(self, path: str) -> None:
-        """Begin a file; it is about to be opened."""
-        name = shown_name(path)
-        self._opened[name] = FileResult(name)
+    def in_turn(
+        self,
+        read: Callable[[str], Iterator[T]],
+        go_on: Callable[[InputError], Iterator[T]],
+        end: Callable[[], Iterator[T]],
+    ) -> Iterator[T]:
+        """Yield what `read` gives for each path that is not refused.
+
+        `go_on` is called between a file that is cut or damaged and the next one; `end` behind the
+        last file, or behind one that cannot be opened. Raises InputError for a file that cannot be
+        opened, then the errors of `raise_first`.
+        """
+        try:
+            for number, path in enumerate(self._paths, 1):
+                if path not in self.refused:
+                    yield from self._one(path, read, go_on, is_last=number == len(self._paths))
+                self.files_read += 1
+        except InputError:
+            yield from end()
+            raise
+        yield from end()
+        self.raise_first()
+
+    def _one(
+        self,
+        path: str,
+        read: Callable[[str], Iterator[T]],
+        go_on: Callable[[InputError], Iterator[T]],
+        *,
+        is_last: bool,
+    ) -> Iterator[T]:
+        result = self._opened[shown_name(path)] = FileResult(shown_name(path))
+        try:
+            yield from read(path)
+        except (CutError, DamageError) as error:
+            result.error = error
+            if not is_last:
+                yield from go_on(error)
 
     def note(self, name: str, record: Record) -> None:
         """Count a record of a file."""
@@ -83,10 +124,6 @@ class FileResults:
         if result is not None:
             result.transactions += transactions
             result.events += events
-
-    def break_off(self, path: str, error: InputError) -> None:
-        """Note why a file could not be read to its end."""
-        self._opened[shown_name(path)].error = error
 
     def raise_first(self) -> None:
         """Raise the first error of a file that is cut or damaged, or else of one not read at all.

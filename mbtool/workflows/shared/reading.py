@@ -22,8 +22,6 @@ from typing import TYPE_CHECKING
 from msgspec.structs import replace
 
 from mbtool.core import (
-    CutError,
-    DamageError,
     EventKind,
     InputError,
     Packet,
@@ -84,7 +82,6 @@ class Reading:
         """The decoder of the current capture; keeps open transactions from file to file."""
         self._part: Part | None = None
         self._seam = Seam()
-        self._files_read = 0
         self._items = 0
         """Number of items given to the decoder: packets, serial reads, events of the source."""
         self._serial_packets = 0
@@ -131,12 +128,12 @@ class Reading:
     def fraction(self) -> float | None:
         """The share of the files that has been read, 0 to 1; None if unknown, as for a pipe."""
         part = self._current.fraction() if self._current is not None else 0.0
-        return None if part is None else (self._files_read + part) / len(self._paths)
+        return None if part is None else (self.results.files_read + part) / len(self._paths)
 
     @property
     def progress_text(self) -> str:
         """A text for a progress bar about the file that is being read: `file 3 of 60`."""
-        return f"file {min(self._files_read + 1, len(self._paths))} of {len(self._paths)}"
+        return f"file {min(self.results.files_read + 1, len(self._paths))} of {len(self._paths)}"
 
     @property
     def why_empty(self) -> str | None:
@@ -168,7 +165,7 @@ class Reading:
 
     @property
     def _is_complete(self) -> bool:
-        return self._files_read == len(self._paths)
+        return self.results.files_read == len(self._paths)
 
     @property
     def remarks(self) -> list[str]:
@@ -229,26 +226,9 @@ class Reading:
             yield record
 
     def _records(self) -> Iterator[Record]:
-        try:
-            for number, path in enumerate(self._paths, 1):
-                if path in self.results.refused:
-                    self._files_read += 1
-                    continue
-                try:
-                    yield from self._file_records(path)
-                except (CutError, DamageError) as error:
-                    self.results.break_off(path, error)
-                    if number < len(self._paths):
-                        yield from self._break_off(error)
-                self._files_read += 1
-        except InputError:
-            yield from self._end_capture()
-            raise
-        yield from self._end_capture()
-        self.results.raise_first()
+        return self.results.in_turn(self._file_records, self._break_off, self._end_capture)
 
     def _file_records(self, path: str) -> Iterator[Record]:
-        self.results.begin(path)
         with open_capture(path, self._options.line) as capture:
             self._current = capture
             self._kinds.add(capture.kind)
