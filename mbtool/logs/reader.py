@@ -205,10 +205,12 @@ class LogReader(ClosesOnExit):
             if wait is None:
                 self._check_end(record)
                 return
-            self.closed = not is_open_end(self._records)
-            if self.closed or not wait():
-                return
+            is_open = is_open_end(self._records)
             self._records.seek(record.offset)
+            # What is no open end was perhaps written while it was read; then the DataEnd is gone.
+            self.closed = not is_open and self._records.look_at_record() == record
+            if self.closed or (is_open and not wait()):
+                return
 
     def _check_end(self, record: McapRecord) -> None:
         """Check the CRC of the data section, and what follows it."""

@@ -4,7 +4,9 @@ import io
 import os
 import tempfile
 import threading
+from contextlib import closing
 from functools import cache
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
@@ -32,7 +34,7 @@ from tests.logs.samples import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from mbtool.logs.messages import LogItem
 
@@ -439,6 +441,53 @@ def test_following_gives_each_item_once_as_it_reaches_the_disk(tmp_path: Path) -
     assert found == written
     assert len(found) == 2 * 9
     assert next(steps) == 13  # The closed log ended it.
+
+
+class GrowingFile:
+    """A log that grows between two reads, as the reader and the recorder are two processes."""
+
+    def __init__(self, path: Path, grow: Callable[[], None], reads: int) -> None:
+        """Call `grow` before one read, which is `reads` reads behind each seek."""
+        self._file = path.open("rb", buffering=0)
+        self._grow = grow
+        self._behind_a_seek = reads
+        self._left = -1
+
+    def read(self, size: int, /) -> bytes:
+        if self._left == 0:
+            self._grow()
+        self._left -= 1
+        return self._file.read(size)
+
+    def seek(self, offset: int, /) -> int:
+        self._left = self._behind_a_seek
+        return self._file.seek(offset)
+
+    def close(self) -> None:
+        self._file.close()
+
+
+@pytest.mark.parametrize("reads", range(4))
+def test_a_log_that_grows_while_its_end_is_read_is_followed_on(tmp_path: Path, reads: int) -> None:
+    path = tmp_path / "x.mcap"
+    writer = LogWriter(path, capture={})
+    writer.tick(0)
+    written: list[LogItem] = [chunk(step) for step in range(3)]
+    rest, ticks = iter(written), count(10**18, 10**9)
+
+    def grow() -> None:
+        if (item := next(rest, None)) is None:
+            writer.close()
+        else:
+            writer.write(item)
+            writer.tick(next(ticks))
+
+    waits = iter(range(100))
+    file = GrowingFile(path, grow, reads)
+    with closing(file), closing(writer):
+        log = LogReader(file, "x.mcap", wait=lambda: next(waits, None) is not None)
+        assert [*log.items()] == written
+        assert log.closed
 
 
 def test_following_ends_when_wait_returns_false(tmp_path: Path) -> None:
