@@ -14,6 +14,7 @@ from mbtool.cli.option_groups import takes_groups
 from mbtool.cli.options import (
     DeviceOption,
     EndOption,
+    OverwriteOption,
     RawOption,
     SilenceOptions,
     SourceOptions,
@@ -83,6 +84,7 @@ def check(
             "--output", "-o", metavar="OUT", help="Write to a file: .json, .sarif or .txt."
         ),
     ] = None,
+    overwrite: OverwriteOption = False,
     each: Annotated[
         bool,
         typer.Option(
@@ -123,7 +125,7 @@ def check(
     chosen = format_ or format_by_name(path, _SUFFIXES, CheckFormat.TABLE)
     with (
         verdict_kept(lambda: bool(run.counts)),
-        opened(path, run.reading.demand_files) as (file, name),
+        opened(path, run.reading.demand_files, overwrite=overwrite) as (file, name),
         told_as_lost(name),
         interruptible() as interrupt,
         _finished(
@@ -144,18 +146,21 @@ def _finished(
     """Yield the printer while the context is open.
 
     When the context ends, even by an error, the output is completed, and the user gets remarks and
-    the number of findings.
+    the number of findings, unless there was nothing to look at.
     """
     from mbtool.cli.talk import say
 
+    has_failed = True
     try:
         yield printer
+        has_failed = False
     finally:
         printer.end(run)
         file.flush()
         for remark in run.remarks:
             say(remark)
-        say(_sentence(run) + ("" if path is None else f" -> {path}"))
+        if run.transactions or run.counts or not (has_failed or run.is_outside):
+            say(_sentence(run) + ("" if path is None else f" -> {path}"))
 
 
 class _Printer(ABC):

@@ -12,7 +12,16 @@ from __future__ import annotations
 from enum import Enum
 from typing import Any
 
+from typer import BadParameter
 from typer.core import TyperArgument, TyperCommand
+
+_NUMBERS = {
+    "Input should be a valid integer": "a whole number",
+    "Input should be a valid number": "a number",
+    "Input should be greater than or equal to": "at least",
+    "Input should be less than or equal to": "at most",
+}
+"""How pydantic begins to tell what is wrong with a number, and what `_in_plain_words` says."""
 
 
 class Command(TyperCommand):
@@ -71,7 +80,19 @@ class _PlainValues:
         if isinstance(type_, type) and issubclass(type_, Enum) and value in list(type_):
             return type_(value)
         param._runtime_param = None  # typer makes its own.
-        return param.get_runtime_param().coerce(value, param=param, ctx=ctx)
+        try:
+            return param.get_runtime_param().coerce(value, param=param, ctx=ctx)
+        except BadParameter as error:
+            error.message = _in_plain_words(error.message, value)
+            raise
+
+
+def _in_plain_words(message: str, value: Any) -> str:
+    """What is wrong with a value, in place of the words in which pydantic says it."""
+    for beginning, words in _NUMBERS.items():
+        if message.startswith(beginning):
+            return f"{value!r} is not {words}{message.removeprefix(beginning).partition(',')[0]}"
+    return message
 
 
 def _written(argument: TyperArgument) -> str:

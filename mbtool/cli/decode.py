@@ -17,6 +17,7 @@ from mbtool.cli.options import (
     EventChoice,
     EventsOption,
     Format,
+    OverwriteOption,
     RawOption,
     SilenceOptions,
     SortKey,
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
     from mbtool.workflows.shared.column_reading import ColumnReading
     from mbtool.workflows.shared.model_hints import ModelHints
     from mbtool.workflows.shared.reading import Reading, ReadingOptions
+    from mbtool.workflows.shared.time_window import TimeWindow
 
 STANDARD_INPUT = "-"
 _WORTH_BYTES = 1024 * 1024
@@ -71,9 +73,7 @@ def decode(
             "--output", "-o", metavar="OUT", help="Write to a file: .jsonl, .csv, .parquet or .txt."
         ),
     ] = None,
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Replace the file of --output if there is one.")
-    ] = False,
+    overwrite: OverwriteOption = False,
     start: StartOption = None,
     end: EndOption = None,
     limit: Annotated[
@@ -116,7 +116,7 @@ def decode(
     reading = columns or Reading(files, options)
     hints = ModelHints(reading.profile_for)
     with (
-        _with_remarks(reading, hints),
+        _with_remarks(reading, hints, window),
         open_output(
             output,
             format_,
@@ -216,15 +216,16 @@ def _print_columns(
 
 
 @contextmanager
-def _with_remarks(reading: Reading, hints: ModelHints) -> Iterator[None]:
+def _with_remarks(reading: Reading, hints: ModelHints, window: TimeWindow) -> Iterator[None]:
     """When the context ends, even by an error, print the remarks about the files."""
     from mbtool.cli.talk import say
 
     try:
         yield
     finally:
-        for remark in (*reading.remarks, *hints.remarks):
-            say(remark)
+        for remark in (*reading.remarks, *hints.remarks, window.why_empty):
+            if remark is not None:
+                say(remark)
 
 
 def _is_piped() -> bool:

@@ -10,6 +10,7 @@ import typer
 from mbtool.cli.option_groups import takes_groups
 from mbtool.cli.options import (
     DeviceOption,
+    OverwriteOption,
     RawOption,
     SilenceOptions,
     SourceOptions,
@@ -74,6 +75,7 @@ def inventory(
             "--output", "-o", metavar="OUT", help="Write to a file: .txt, .json, .csv or .dot."
         ),
     ] = None,
+    overwrite: OverwriteOption = False,
     each: Annotated[
         bool,
         typer.Option(
@@ -92,6 +94,7 @@ def inventory(
     from mbtool.cli import exit_codes
     from mbtool.cli.options import condition
     from mbtool.cli.output import (
+        demand_new,
         demand_other_file,
         format_by_name,
         named_file,
@@ -118,9 +121,10 @@ def inventory(
     # The output is opened only when everything is read, so that an error does not overwrite an
     # older output.
     run.reading.demand_files()
+    demand_new(path, overwrite=overwrite)
     document = run.take(say, with_progress)
     new = changes_since(baseline, document, options, say) if baseline else None
-    with opened(path, lambda: None) as (file, name), told_as_lost(name):
+    with opened(path, lambda: None, overwrite=overwrite) as (file, name), told_as_lost(name):
         _write(file, chosen, document, new, __version__, everything=each)
         file.flush()
     say_if_empty(run.reading)

@@ -89,6 +89,9 @@ EndOption = Annotated[
     str | None,
     typer.Option("--end", metavar="WHEN", help="Take what begins before then, as with --start."),
 ]
+OverwriteOption = Annotated[
+    bool, typer.Option("--overwrite", help="Replace the file of --output if there is one.")
+]
 RawOption = Annotated[
     bool,
     typer.Option("--raw", help="Decode a log's evidence afresh, in place of what it says."),

@@ -288,23 +288,27 @@ def opened(
     demand_inputs: Callable[[], None],
     *,
     is_kept: bool = False,
-    overwrite: bool = True,
+    overwrite: bool = False,
 ) -> Iterator[tuple[TextIO, str]]:
     """Open a file or standard output; yield it with its name for messages.
 
-    The arguments are those of `open_output`. Raises UsageError if the file cannot be written, or
-    exists and may not be overwritten, OutputError if standard output is closed, and the errors of
-    `demand_inputs`.
+    The arguments are those of `open_output`. Raises UsageError if the file cannot be written,
+    OutputError if standard output is closed, and the errors of `demand_inputs` and `demand_new`.
     """
     if path is None and not is_kept:
         demand_standard_output()
     demand_inputs()
+    demand_new(path, overwrite=overwrite)
+    with _open_file(path) as file:
+        yield file, path or _STANDARD_OUTPUT_NAME
+
+
+def demand_new(path: str | None, *, overwrite: bool) -> None:
+    """Raise UsageError if the file exists and may not be overwritten."""
     if path is not None and not overwrite and os.path.isfile(path):
         raise UsageError(
             f"{path}: the file exists; name another, remove it, or replace it with --overwrite"
         )
-    with _open_file(path) as file:
-        yield file, path or _STANDARD_OUTPUT_NAME
 
 
 def demand_standard_output() -> None:

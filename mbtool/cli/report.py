@@ -10,6 +10,7 @@ from mbtool.cli.option_groups import takes_groups
 from mbtool.cli.options import (
     DeviceOption,
     EndOption,
+    OverwriteOption,
     RawOption,
     SilenceOptions,
     SourceOptions,
@@ -26,6 +27,7 @@ def report(
     output: Annotated[
         str, typer.Option("--output", "-o", metavar="OUT", help="The page to write: R.html.")
     ],
+    overwrite: OverwriteOption = False,
     device: DeviceOption = None,
     against: Annotated[
         str | None,
@@ -64,6 +66,7 @@ def report(
     docs/report.md explains it.
     """
     from mbtool.cli.output import (
+        demand_new,
         demand_other_file,
         named_file,
         opened,
@@ -92,11 +95,12 @@ def report(
     )
     run.demand_codes()
     run.reading.demand_files()
+    demand_new(path, overwrite=overwrite)
     # The output is opened only when everything is read, so that an error does not overwrite an
     # older page.
     run.read(with_progress)
     text = run.page(against, say)
-    with opened(path, lambda: None) as (file, name), told_as_lost(name):
+    with opened(path, lambda: None, overwrite=overwrite) as (file, name), told_as_lost(name):
         file.write(text)
         file.flush()
     for remark in run.remarks:

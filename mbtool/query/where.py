@@ -99,17 +99,20 @@ def parse_where(text: str) -> Where:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # Python warns of "\d", which is valid in a pattern.
-            tree = ast.parse(_WORDS_AND_TEXTS.sub(_as_call, text), mode="eval")
+            source = _WORDS_AND_TEXTS.sub(_as_call, text)
+            tree = ast.parse(source, mode="eval")
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         raise UsageError(f"--where {_short(text)!r} is not an expression; {_EXAMPLE}") from error
-    return _Compiler(text).condition(tree.body, MAX_DEPTH)
+    return _Compiler(text, source).condition(tree.body, MAX_DEPTH)
 
 
 class _Compiler:
     """Turns the nodes of one expression's syntax tree into functions."""
 
-    def __init__(self, text: str) -> None:
+    def __init__(self, text: str, source: str) -> None:
+        """`text` is as the user wrote it, `source` as Python reads it."""
         self._text = text
+        self._parsed = source
 
     def condition(self, node: ast.expr, depth: int) -> Where:
         if not depth:
@@ -255,9 +258,9 @@ class _Compiler:
                 )
 
     def _number(self, node: ast.expr, number: float) -> Term:
-        return Term(
-            text=self._source(node), value=lambda _: number, kind=ValueKind.NUMBER, number=number
-        )
+        # As the user wrote it: Python would write 1e999 as 1e309, and 1e5 as 100000.0.
+        text = _short(ast.get_source_segment(self._parsed, node) or self._source(node))
+        return Term(text=text, value=lambda _: number, kind=ValueKind.NUMBER, number=number)
 
     def _refused(self, why: str) -> UsageError:
         return self._wrong(f"{why}; {_EXAMPLE}")

@@ -173,7 +173,8 @@ def _lines(row: SlaveRow, most: int) -> Iterator[str]:
             yield f"fits {fit.profile}, by {fit.why}"
         else:
             nearest = f"; nearest {fit.nearest}, {fit.score} of 100" if fit.nearest else ""
-            yield f"no profile: {fit.why}{nearest}"
+            alone = "from its traffic alone no profile is sure" if row.device else "no profile"
+            yield f"{alone}: {fit.why}{nearest}"
     yield from _use_lines(row.uses, most)
     if row.exceptions:
         texts = (

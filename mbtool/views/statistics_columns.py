@@ -8,7 +8,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from textwrap import wrap
 
 from mbtool.views.tables import printable
@@ -45,6 +45,8 @@ class StyledLine:
 
     text: str
     style: str = ""
+    without: tuple[str, ...] = ()
+    """Of the titles of a table: those of the columns that have no room."""
 
 
 def table_lines(
@@ -66,10 +68,12 @@ def table_lines(
     else:
         room = min(longest, max(_room(columns, kept, width), 8))
     titles = StatisticsRow(title, [one.title for one in columns], "bold")
-    return [
+    without = tuple(one.title for at, one in enumerate(columns) if at not in kept)
+    first, *others = (
         StyledLine(_line(one, columns, kept, room, is_cut=width is not None), one.style)
         for one in (titles, *rows)
-    ]
+    )
+    return [replace(first, without=without), *others]
 
 
 def _room(columns: Sequence[StatisticsColumn], kept: Sequence[int], width: int) -> int:
@@ -97,11 +101,11 @@ def shortened(text: str, room: int | None) -> str:
     return text[: max(room - len(_MORE), 0)] + _MORE
 
 
-def more_line(number: int, what: str) -> list[StyledLine]:
-    """A line with the number of rows that are not shown; no line if the number is 0."""
-    if number <= 0:
+def more_line(number: int, top: int, what: str) -> list[StyledLine]:
+    """A line that says how many of `number` rows are not shown; no line if `top` shows them all."""
+    if number <= top:
         return []
-    return [StyledLine(f"  ... {number:,} more {what}; --top shows them", "dim")]
+    return [StyledLine(f"  ... {number - top:,} more {what}; --top {number} shows all", "dim")]
 
 
 def wrapped(line: StyledLine, width: int | None) -> list[StyledLine]:

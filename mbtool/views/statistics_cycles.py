@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from mbtool.core.wording import counted as counted_words
 from mbtool.views.statistics_columns import (
     StatisticsColumn,
     StatisticsRow,
@@ -57,12 +58,22 @@ def cycle_lines(links: Sequence[LinkReport], width: int | None, top: int) -> lis
         for one in found[:top]
     ]
     lines = table_lines("poll cycles", _LIST, rows, width)
-    lines += more_line(len(found) - top, "cycles")
-    for one in found[: max(top // _LISTS_WITH_STEPS, 1)]:
-        if len(one[2].steps) > 1:
-            title = "  in this order" if len(found) == 1 else f"  in order: {_name(one, links)}"
-            lines += [*_step_lines(one[2], title, width, top), *_repeated_line(one[2], width)]
-    return lines + _between_lines(links, width, top)
+    lines += more_line(len(found), top, "cycles")
+    long = [one for one in found if len(one[2].steps) > 1]
+    shown = max(top // _LISTS_WITH_STEPS, 1)
+    for one in long[:shown]:
+        title = "  in this order" if len(found) == 1 else f"  in order: {_name(one, links)}"
+        lines += [*_step_lines(one[2], title, width, top), *_repeated_line(one[2], width)]
+    return [*lines, *_untold_lists(len(long), shown), *_between_lines(links, width, top)]
+
+
+def _untold_lists(number: int, shown: int) -> list[StyledLine]:
+    """A line that says of how many lists the polls are not shown; no line if they all are."""
+    if number <= shown:
+        return []
+    lists = counted_words(number - shown, "more list", ",")
+    top = number * _LISTS_WITH_STEPS
+    return [StyledLine(f"  ... the polls of {lists}; --top {top} shows them", "dim")]
 
 
 def _name(found: Found, links: Sequence[LinkReport]) -> str:
@@ -97,7 +108,7 @@ def _step_lines(
         )
         for step in one.steps[:top]
     ]
-    return table_lines(title, _STEP, rows, width) + more_line(len(one.steps) - top, "polls")
+    return table_lines(title, _STEP, rows, width) + more_line(len(one.steps), top, "polls")
 
 
 def _repeated_line(one: PollList[PollStatistics], width: int | None) -> list[StyledLine]:
@@ -123,4 +134,4 @@ def _between_lines(links: Sequence[LinkReport], width: int | None, top: int) -> 
         if timeout_ns is not None:
             text = f"the master waits {duration(timeout_ns)} for an answer"
             lines.append(StyledLine(text))
-    return lines[:top]
+    return lines[:top] + more_line(len(lines), top, "masters with polls in no cycle")

@@ -70,6 +70,7 @@ def _link(link: LinkReport) -> dict[str, Any]:
         "end": _iso(link.end_ns) if link.has_times else None,
         "watched_s": link.watched_ns / 1e9,
         **_tally(link.tally, link),
+        "repetitions": sum(one.poll.repetitions for one in link.polls),
         "load": None if link.load is None else _load(link.load),
         "functions": [
             {

@@ -2,11 +2,13 @@
 
 # An empty section is left out. A section lists at most `top` rows; the last line says how many more
 # there are. On a terminal, sections are shortened, then left out, until the lines fit the height.
+# The last line names the sections and columns that have no room.
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from mbtool.core.wording import plural
 from mbtool.modbus import Outcome, short_name
 from mbtool.overview.distribution import Bucket
 from mbtool.overview.request_tally import RequestTally, merged
@@ -89,26 +91,33 @@ def statistics_lines(
     Without `top`, a section has as many rows as fit the height, FEWEST to USUAL.
     """
     if top is not None or height is None:
-        return _joined(_sections(links, width, top or USUAL))
+        return _joined(_sections(links, width, top or USUAL), (), width)
     for fewer in range(USUAL, FEWEST, -1):
-        lines = _joined(_sections(links, width, fewer))
+        lines = _joined(_sections(links, width, fewer), (), width)
         if len(lines) < height:
             return lines
     sections = _sections(links, width, FEWEST)
     left_out: list[str] = []
-    while len(lines := _joined(sections)) >= height - 1 and len(sections) > MOST_IMPORTANT:
+    while (
+        len(lines := _joined(sections, left_out, width)) >= height
+        and len(sections) > MOST_IMPORTANT
+    ):
         left_out.insert(0, sections.pop()[0])
-    if left_out:
-        text = f"left out: {', '.join(left_out)}; --top 10 shows all"
-        lines.append(StyledLine(shortened(text, width), "dim"))
     return lines
 
 
-def _joined(sections: Sequence[tuple[str, list[StyledLine]]]) -> list[StyledLine]:
+def _joined(
+    sections: Sequence[tuple[str, list[StyledLine]]], left_out: Sequence[str], width: int | None
+) -> list[StyledLine]:
+    """The lines of all sections, and those that tell what has no room."""
     lines: list[StyledLine] = []
     for _, section in sections:
         lines += [StyledLine(""), *section] if lines else section
-    return lines
+    told = [f"{', '.join(left_out)} (--top {USUAL})"] if left_out else []
+    if columns := dict.fromkeys(title for line in lines for title in line.without):
+        told.append(f"{plural(len(columns), 'column')} {', '.join(columns)} (a wider terminal)")
+    text = f"left out: {'; '.join(told)}"
+    return [*lines, *(wrapped(StyledLine(text, "dim"), width) if told else ())]
 
 
 def _sections(
@@ -142,7 +151,7 @@ def _links(links: Sequence[LinkReport], width: int | None, top: int) -> list[Sty
         for one in ordered[:top]
     ]
     lines = table_lines("link", (*_COUNTS, *_FAILED, *_LATENCY), rows, width)
-    return lines + more_line(len(links) - top, "links")
+    return lines + more_line(len(links), top, "links")
 
 
 def _functions(links: Sequence[LinkReport], width: int | None, top: int) -> list[StyledLine]:
@@ -159,7 +168,7 @@ def _functions(links: Sequence[LinkReport], width: int | None, top: int) -> list
         for link, one in found[:top]
     ]
     lines = table_lines("unit, function", (*_COUNTS, *_FAILED, *_LATENCY), rows, width)
-    return lines + more_line(len(found) - top, "functions")
+    return lines + more_line(len(found), top, "functions")
 
 
 def _function_text(one: FunctionReport) -> str:
@@ -181,7 +190,7 @@ def _polls(links: Sequence[LinkReport], width: int | None, top: int) -> list[Sty
         return []
     columns = _POLLS if any(link.load is not None for link in links) else _POLLS[:-1]
     lines = table_lines("polls, slowest first", columns, rows, width)
-    return lines + more_line(len(found) - top, "polls")
+    return lines + more_line(len(found), top, "polls")
 
 
 def _of_master(link: LinkReport, one: PollReport) -> str:
@@ -243,7 +252,7 @@ def _load(links: Sequence[LinkReport], width: int | None) -> list[StyledLine]:
             parts.append(f"for missing answers {percent(load.share(load.spent.missing_ns))}")
         parts.append(f"free {percent(load.share(load.pauses_ns))}")
         text = f"{_prefix(link, links)}line: {', '.join(parts)}"
-        lines.append(StyledLine(shortened(text, width)))
+        lines += wrapped(StyledLine(text), width)
         lines += _longest_polls(link, width)
     return lines
 
@@ -293,7 +302,7 @@ def _hours(links: Sequence[LinkReport], top: int) -> list[StyledLine]:
     for begin_ns, requests, missing in worst:
         text = f"  {day(begin_ns)} {clock_time(begin_ns)[:5]} {missing:>9,} of {requests:,}"
         lines.append(StyledLine(text))
-    return lines + more_line(len(missing_in) - top, "hours")
+    return lines + more_line(len(missing_in), top, "hours")
 
 
 def _connections(links: Sequence[LinkReport], width: int | None, top: int) -> list[StyledLine]:
@@ -317,7 +326,7 @@ def _connections(links: Sequence[LinkReport], width: int | None, top: int) -> li
     if not any(_is_notable(one) for _, _, one in found):
         return []
     lines = table_lines("connections", _CONNECTIONS, rows, width)
-    return lines + more_line(len(found) - top, "pairs")
+    return lines + more_line(len(found), top, "pairs")
 
 
 def _is_notable(one: ConnectionTally) -> bool:

@@ -20,6 +20,8 @@ _BAD, _DOUBT = "red", "yellow"
 _MOST_UNITS = 3
 _SLOW = 3
 """A unit is called slow if its median latency is at least so many times the median of all units."""
+_FEWEST_LATENCIES = 5
+"""The median of fewer answers says nothing of a unit: one slow answer would decide it."""
 
 
 def verdict(links: Sequence[LinkReport]) -> list[StyledLine]:
@@ -86,10 +88,9 @@ def _missing(links: Sequence[LinkReport], total: RequestTally) -> list[StyledLin
     worst = ", ".join(f"{count:,} of {name}" for name, count in some.most_common(_MOST_UNITS))
     more = f" and {len(some) - _MOST_UNITS} more" if len(some) > _MOST_UNITS else ""
     repeated = sum(one.poll.repetitions for link in links for one in link.polls)
-    word = "retry" if repeated == 1 else "retries"
-    retries = f"; {repeated:,} {word}" if repeated else ""
+    again = f"; {repeated:,} asked again at once" if repeated else ""
     number = total.unanswered
-    text = f"! {counted(number, 'answer', ',')} missing: {worst}{more}{retries}{cost}"
+    text = f"! {counted(number, 'answer', ',')} missing: {worst}{more}{again}{cost}"
     return [*lines, StyledLine(text, _BAD)]
 
 
@@ -149,6 +150,8 @@ def _slow(links: Sequence[LinkReport], total: RequestTally) -> list[StyledLine]:
     for link in links:
         for unit in dict.fromkeys(one.unit for one in link.functions):
             latency = merged([one.tally for one in link.functions if one.unit == unit]).latency
+            if latency.count < _FEWEST_LATENCIES:
+                continue
             name = f"unit {unit}" if len(links) == 1 else f"{link.name} unit {unit}"
             slowest = max(slowest, (latency.percentile(50), name))
     if not usual or slowest[0] < _SLOW * usual:

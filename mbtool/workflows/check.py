@@ -159,7 +159,14 @@ class CheckRun:
     @property
     def remarks(self) -> list[str]:
         """Lines for the user about the files, beside the findings."""
-        return [*self.reading.remarks, *self._remarks, *self._hints.remarks]
+        outside = self._window.why_empty
+        remarks = [*self.reading.remarks, *self._remarks, *self._hints.remarks]
+        return remarks if outside is None else [*remarks, outside]
+
+    @property
+    def is_outside(self) -> bool:
+        """True if the files have transactions, but none in the window."""
+        return self._window.why_empty is not None
 
     def findings(self) -> Iterator[FileFinding]:
         """Yield the findings with chosen codes, capture by capture.

@@ -120,6 +120,7 @@ def test_a_cut_capture_leaves_a_whole_document(
         ([SHOWS, "-o", str(FOLDER)], ": a directory; name a file in it"),
         ([SHOWS, "-o", SHOWS], "is an input and would be overwritten"),
         ([SHOWS, SHOWS], "named twice"),
+        ([SHOWS, "--port", "502", "--limit", "x"], "--limit: 'x' is no limit; write CODE=NUMBER/"),
         ([SHOWS, "--device", "5"], "device '5'"),
         ([SHOWS, "--limit", "SEC-201=20"], "--limit: 'SEC-201=20' is no limit; write CODE=NUMBER/"),
         ([SHOWS, "--limit", "SEC-9=1/1s"], "--limit: 'SEC-9' has no limit; those that have: SEC-"),
@@ -136,6 +137,36 @@ def test_a_wrong_word_is_told_in_one_line(
     assert captured.out == ""
     assert says in captured.err
     assert captured.err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("window", "place"),
+    [
+        (["--start", "2h"], "after --start"),
+        (["--end", "2020-01-01"], "before --end"),
+        (["--start", "2020-01-01", "--end", "2020-01-02"], "between --start and --end"),
+    ],
+)
+def test_a_window_without_a_transaction_is_told_and_not_taken_for_a_clean_one(
+    window: list[str], place: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for command in ("check", "decode"):
+        assert run([command, SHOWS, *window]) == exit_codes.DONE
+        said = capsys.readouterr().err
+        assert f"no transaction {place}: the first is of 2026-" in said
+        assert "no findings" not in said
+
+
+def test_what_could_not_be_read_is_not_told_as_clean(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    broken = tmp_path / "broken.pcap"
+    broken.write_bytes(Path(SHOWS).read_bytes()[:30])
+    assert run(["check", str(broken)]) == exit_codes.UNREADABLE
+    assert "no findings" not in capsys.readouterr().err
+    broken.write_bytes(Path(NEARLY).read_bytes()[:-1])
+    assert run(["check", str(broken)]) == exit_codes.UNREADABLE
+    assert "no findings in " in capsys.readouterr().err
 
 
 def test_an_absent_capture_is_unreadable_and_costs_no_output(

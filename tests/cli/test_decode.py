@@ -369,6 +369,18 @@ def test_a_capture_is_not_followed(mbtool: CommandLine, capture: Path) -> None:
     assert told.err == (f"mbtool: {capture}: not a log (.mcap); only a plain one can be followed\n")
 
 
+@pytest.mark.parametrize(
+    ("limit", "why"),
+    [("x", "not a whole number"), ("1.5", "not a whole number"), ("0", "not at least 1")],
+)
+def test_a_limit_that_is_no_number_is_told_in_plain_words(
+    mbtool: CommandLine, capture: Path, limit: str, why: str
+) -> None:
+    told = mbtool("decode", capture, "--limit", limit)
+    said = f"mbtool: Invalid value for '--limit': '{limit}' is {why}; see mbtool decode --help\n"
+    assert (told.code, told.err) == (exit_codes.USAGE, said)
+
+
 def test_a_limit_hides_no_file_that_could_not_be_read(
     mbtool: CommandLine, tmp_path: Path, capture: Path
 ) -> None:

@@ -136,6 +136,6 @@ def test_an_output_is_left_as_it_is_if_nothing_can_be_read(
     out = tmp_path / "old.json"
     out.write_text("old")
     assert mbtool("inventory", "absent.pcap", "-o", out).code == exit_codes.UNREADABLE
-    told = mbtool("inventory", FA3, "--baseline", "absent.pcap", "-o", out)
+    told = mbtool("inventory", FA3, "--baseline", "absent.pcap", "-o", out, "--overwrite")
     assert told.code == exit_codes.UNREADABLE
     assert out.read_text() == "old"

@@ -101,7 +101,7 @@ def test_help_has_every_option_of_the_readme(mbtool: CommandLine) -> None:
         (["decode"], "Missing argument 'FILE'; see mbtool decode --help"),
         (["slave", "fa3-at1m8x"], "Missing option '--on'; see mbtool slave --help"),
         (["decode", "a", "--format", "xml"], "'xml' is not one of 'table', 'jsonl', 'csv'"),
-        (["decode", "a", "--limit", "0"], "greater than or equal to 1; see mbtool decode"),
+        (["decode", "a", "--limit", "0"], "'0' is not at least 1; see mbtool decode"),
         (["decode", "a", "--port", "70000"], "Invalid value for '--port'"),
         (
             ["decode", "a", "--where", "unit ="],

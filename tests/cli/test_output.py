@@ -106,6 +106,22 @@ def test_a_file_that_was_there_is_replaced_only_with_overwrite(
     assert path.read_text().startswith("request_ns,")
 
 
+@pytest.mark.parametrize(
+    ("command", "name"), [("check", "a.json"), ("inventory", "a.csv"), ("report", "a.html")]
+)
+def test_what_sums_up_replaces_a_file_only_with_overwrite_too(
+    mbtool: CommandLine, capture: Path, command: str, name: str
+) -> None:
+    path = capture.with_name(name)
+    path.write_text("older")
+    told = mbtool(command, capture, "-o", path)
+    assert (told.code, told.out) == (exit_codes.USAGE, "")
+    assert told.err.startswith(f"mbtool: {path}: the file exists; ")
+    assert path.read_text() == "older"
+    assert mbtool(command, capture, "-o", path, "--overwrite").code == exit_codes.DONE
+    assert path.read_text() != "older"
+
+
 def test_an_input_that_brings_nothing_leaves_no_empty_file_behind(
     mbtool: CommandLine, capture: Path
 ) -> None:

@@ -22,7 +22,7 @@ def test_the_verdict_comes_first_and_tables_have_fixed_widths(mbtool: CommandLin
     assert told.code == exit_codes.DONE
     assert told.lines == [
         "rtu rs485 19200-8E1, unit 1 idec-ft1a-touch: 4 requests in 341 ms (11.7/s), 75 % answered",
-        "! 1 answer missing: 1 of unit 1; 1 retry; waiting took 87 % of the time",
+        "! 1 answer missing: 1 of unit 1; 1 asked again at once; waiting took 87 % of the time",
         "",
         "line: busy 9.9 %, waits for slaves 2.5 %, for missing answers 87 %, free 0.8 %",
         "",
@@ -61,7 +61,7 @@ def test_the_document_says_what_was_asked_for(mbtool: CommandLine) -> None:
 def test_top_limits_the_rows_of_each_table(mbtool: CommandLine) -> None:
     few = mbtool("stats", LINE, "--top", "2").lines
     assert sum(line.startswith("1 ") for line in few) == 2
-    assert "  ... 7 more polls; --top shows them" in few
+    assert "  ... 7 more polls; --top 9 shows all" in few
     many = mbtool("stats", LINE, "--top", "50").lines
     assert not any("more" in line for line in many)
 

@@ -325,6 +325,8 @@ def test_an_endpoint_a_time_or_a_pattern_holds(text: str) -> None:
     ("text", "why"),
     [
         ("unit == 300", "unit is never 300; it is a number from 0 to 255"),
+        ("unit == 1e999", "unit is never 1e999; it is a number from 0 to 255"),
+        ('link like "x*" and unit == -0x100', "unit is never -0x100; it is a number from 0"),
         ("300 == unit", "unit is never 300; it is a number from 0 to 255"),
         ("unit in (1, 300)", "unit is never 300"),
         ("unit > 255", "unit is never > 255"),

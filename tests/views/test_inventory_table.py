@@ -98,6 +98,7 @@ def test_profiles_are_named_with_how_sure_that_is_or_none_fits() -> None:
             row(1, fit=ProfileFit(profile="wago-750", score=91, why="its answers")),
             row(2, fit=ProfileFit(score=33, nearest="wago-750", why="3 contradict it")),
             row(3, device="pump"),
+            row(4, device="pump", fit=ProfileFit(why="1 request tells too little")),
         ],
     )
     lines = printed(document)
@@ -105,7 +106,9 @@ def test_profiles_are_named_with_how_sure_that_is_or_none_fits() -> None:
     assert "      fits wago-750, by its answers" in lines
     assert lines[4].split() == ["10.0.0.7", "2", "slave", "none", "fits"]
     assert "      no profile: 3 contradict it; nearest wago-750, 33 of 100" in lines
-    assert lines[-2].split() == ["10.0.0.7", "3", "slave", "pump", "(named)"]
+    assert lines[-5].split() == ["10.0.0.7", "3", "slave", "pump", "(named)"]
+    alone = "from its traffic alone no profile is sure: 1 request tells too little"
+    assert lines[-1] == f"      {alone}"
 
 
 def test_macs_stand_with_their_makers() -> None:

@@ -49,9 +49,39 @@ def test_all_fits_the_terminal(plant: list[LinkReport], width: int, height: int)
 
 
 def test_a_small_terminal_says_what_has_no_room(plant: list[LinkReport]) -> None:
-    last = statistics_lines(plant, width=80, height=20)[-1].text
-    assert last.startswith("left out: ")
-    assert last.endswith("--top 10 shows all")
+    *_, last = statistics_lines(plant, width=80, height=20)
+    assert last.text == (
+        "left out: poll cycles, histogram (--top 10); column line (a wider terminal)"
+    )
+
+
+@pytest.mark.parametrize("width", [60, 80, 100])
+@pytest.mark.parametrize("height", [100, None])
+def test_a_narrow_terminal_says_which_columns_have_no_room(
+    plant: list[LinkReport], width: int, height: int | None
+) -> None:
+    wide, narrow = (
+        " ".join(line.text for line in statistics_lines(plant, width=one, height=height))
+        for one in (200, width)
+    )
+    shown, _, told = narrow.partition("left out: column")
+    for title in ("p99", "max", "+-ms", "+miss ms"):
+        assert (f" {title} " in f"{shown} ") is not (f" {title}" in told)
+    assert "left out" not in wide
+
+
+def test_the_number_that_is_said_to_show_all_shows_all(plant: list[LinkReport]) -> None:
+    def texts(top: int) -> list[str]:
+        return [line.text for line in statistics_lines(plant, width=120, height=24, top=top)]
+
+    assert "  ... 7 more polls; --top 9 shows all" in texts(2)
+    assert not any("more" in line and "polls;" in line for line in texts(9))
+
+
+def test_lists_whose_polls_have_no_room_are_counted(plant: list[LinkReport]) -> None:
+    told = [line.text for line in statistics_lines(plant, width=120, top=5)]
+    assert "  ... the polls of 1 more list; --top 10 shows them" in told
+    assert not any("more list" in line.text for line in statistics_lines(plant, width=120, top=10))
 
 
 def test_a_pipe_has_all_sections(plant: list[LinkReport]) -> None:
@@ -78,11 +108,14 @@ def test_the_worst_comes_right_after_the_sum() -> None:
 
 
 def test_a_slow_unit_is_named() -> None:
-    lines = lines_of(
-        *(request(at * 100) for at in range(10)),
-        *(request(at * 100 + 50, unit=7, latency_ns=40_000_000) for at in range(3)),
-    )
-    assert "! unit 7 is slow: p50 40.0 ms, of all 5.0 ms" in lines
+    def told(times: int) -> list[str]:
+        return lines_of(
+            *(request(at * 100) for at in range(10)),
+            *(request(at * 100 + 50, unit=7, latency_ns=40_000_000) for at in range(times)),
+        )
+
+    assert "! unit 7 is slow: p50 40.0 ms, of all 5.0 ms" in told(5)
+    assert not any("slow" in line and line.startswith("!") for line in told(4))
 
 
 def test_hours_are_told_where_answers_are_missing_in_some_of_them() -> None:
@@ -116,8 +149,8 @@ def test_connections_are_told_where_there_is_something_to_tell() -> None:
 
 
 def test_top_limits_the_rows_of_each_section(plant: list[LinkReport]) -> None:
-    lines = [line.text for line in statistics_lines(plant, width=80, height=24, top=2)]
-    assert any(line.endswith("more polls; --top shows them") for line in lines)
+    lines = [line.text for line in statistics_lines(plant, width=120, height=24, top=2)]
+    assert any("more polls; --top " in line for line in lines)
     assert not any(line.startswith("left out") for line in lines)
 
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import UsageError, WireEvent
 from mbtool.core.moments import TimePoint, parse_moment
+from mbtool.views.cells import clock_time, day
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -30,6 +31,10 @@ class TimeWindow:
     start: TimePoint | None
     end: TimePoint | None
     _first_ns: int | None = field(default=None, init=False)
+    _times: tuple[int, int] | None = field(default=None, init=False)
+    """The times (ns) of the earliest and the latest transaction that `in` was asked about."""
+    _has_any: bool = field(default=False, init=False)
+    """True if a transaction was in the window."""
 
     @classmethod
     def parse(cls, start: str | None, end: str | None) -> TimeWindow:
@@ -80,7 +85,25 @@ class TimeWindow:
 
     def __contains__(self, record: Record) -> bool:
         """True if a record begins in the window. Only for records that `begun` has yielded."""
-        return self.contains_ns(record.ts_ns if isinstance(record, WireEvent) else record.start_ns)
+        if isinstance(record, WireEvent):
+            return self.contains_ns(record.ts_ns)
+        start_ns = record.start_ns
+        earliest, latest = self._times or (start_ns, start_ns)
+        self._times = min(earliest, start_ns), max(latest, start_ns)
+        is_in = self.contains_ns(start_ns)
+        self._has_any |= is_in
+        return is_in
+
+    @property
+    def why_empty(self) -> str | None:
+        """A line for the user if there were transactions, but none of them in the window."""
+        if self._has_any or self._times is None:
+            return None
+        place = "after --start" if self.end is None else "before --end"
+        if self.start is not None and self.end is not None:
+            place = "between --start and --end"
+        first, last = (f"{day(ns)} {clock_time(ns)}" for ns in self._times)
+        return f"no transaction {place}: the first is of {first}, the last of {last} UTC"
 
     def contains_ns(self, ts_ns: int) -> bool:
         """True if a time in UTC ns is in the window, once `begun` has yielded a record."""
