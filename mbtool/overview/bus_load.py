@@ -4,7 +4,8 @@
 #
 #     characters   bytes on the line, by baud rate and character format
 #     slaves       from the end of a request to the start of its response
-#     missing      from the end of a request to when the master gave up waiting
+#     missing      from the end of a request to when the master gave up waiting; nothing for an
+#                  answer with a wrong CRC, after which the master does not wait any longer
 #     pauses       all the rest: the master asks nothing
 #
 # The time that a master waits for an answer is estimated once for each master (master_tape.py),
@@ -61,7 +62,7 @@ def line_time(tally: RequestTally, link: LinkStatistics, timeout_ns: int) -> Lin
     return LineTime(
         characters_ns=link.wire_ns(tally.wire_bytes),
         slaves_ns=tally.latency.total,
-        missing_ns=tally.unanswered * timeout_ns,
+        missing_ns=(tally.unanswered - tally.damaged) * timeout_ns,
     )
 
 

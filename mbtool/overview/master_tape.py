@@ -31,6 +31,8 @@ class TapedRequest(NamedTuple):
     """True if the slave should have answered and did not."""
     wire_ns: int
     """How long the request took on a serial line; 0 on a network."""
+    is_damaged: bool = False
+    """True if the answer is missing because it came with a wrong CRC or LRC."""
 
 
 class MasterTape:
@@ -85,7 +87,7 @@ class MasterTape:
 
     def _requests(self) -> list[Asked[PollStatistics]]:
         asked = [
-            Asked(one.poll, one.at_ns - one.wire_ns, one.end_ns, one.is_missing)
+            Asked(one.poll, one.at_ns - one.wire_ns, one.end_ns, one.is_missing, one.is_damaged)
             for one in self._asked
         ]
         for at_ns, polls, ends_ns in self._later:

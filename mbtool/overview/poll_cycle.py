@@ -86,6 +86,9 @@ class Asked(NamedTuple, Generic[P]):
     """When the response was complete or, without a response, when the request was."""
     is_missing: bool
     """True if the slave had to answer and did not."""
+    is_damaged: bool = False
+    """True if the answer is missing because it came with a wrong CRC or LRC: then the master may
+    go on before its timeout is over."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,24 +173,27 @@ def find_lists(asked: Iterable[Asked[P]]) -> PollLists[P]:
 
 
 def response_timeout(in_order: Sequence[Asked[P]]) -> int | None:
-    """How long (ns) the master waits for an answer; None if no answer is missing.
+    """How long (ns) the master waits for an answer; None if it never waited in vain.
 
     This is nearly the shortest time from a request without answer to the next request: after some
     of them the master also pauses.
     """
     waits = sorted(
-        after.begin_ns - one.end_ns for one, after in pairwise(in_order) if one.is_missing
+        after.begin_ns - one.end_ns
+        for one, after in pairwise(in_order)
+        if one.is_missing and not one.is_damaged
     )
     return max(waits[len(waits) // 10], 0) if waits else None
 
 
 def _without_repetitions(asked: Sequence[Asked[P]], timeout_ns: int) -> list[PollStart[P]]:
     if not any(one.is_missing for one in asked):
-        return [PollStart(*one) for one in asked]
+        return [PollStart(*one[:4]) for one in asked]
     starts: list[PollStart[P]] = []
     was_missing = False
     for one in asked:
-        end_ns = one.end_ns + (timeout_ns if one.is_missing else 0)
+        is_waited_for = one.is_missing and not one.is_damaged
+        end_ns = one.end_ns + (timeout_ns if is_waited_for else 0)
         is_soon = bool(starts) and one.begin_ns - starts[-1].end_ns <= _SOON * timeout_ns
         if was_missing and is_soon and starts[-1].poll == one.poll:
             starts[-1] = starts[-1]._replace(end_ns=end_ns)

@@ -61,14 +61,24 @@ class RequestOrder:
             self._order(heappop(self._heap))
 
     def add(
-        self, at_ns: int, poll: PollStatistics, end_ns: int, wire_ns: int, *, is_missing: bool
+        self,
+        at_ns: int,
+        poll: PollStatistics,
+        end_ns: int,
+        wire_ns: int,
+        *,
+        is_missing: bool,
+        is_damaged: bool = False,
     ) -> None:
         """Take a request, as TapedRequest has it."""
         self._taken += 1
         if at_ns < self._ordered_ns:
             self.late += 1
             return
-        heappush(self._heap, TapedRequest(at_ns, self._taken, poll, end_ns, is_missing, wire_ns))
+        heappush(
+            self._heap,
+            TapedRequest(at_ns, self._taken, poll, end_ns, is_missing, wire_ns, is_damaged),
+        )
         if len(self._heap) > WINDOW:
             self._order(heappop(self._heap))
 

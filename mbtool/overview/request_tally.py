@@ -22,6 +22,7 @@ class RequestTally:
     """
 
     __slots__ = (
+        "damaged",
         "exception_names",
         "exceptions",
         "latency",
@@ -35,6 +36,8 @@ class RequestTally:
         self.outcomes: dict[Outcome, int] = {}
         self.exceptions: dict[int, int] = {}
         self.exception_names: dict[int, str] = {}
+        self.damaged = 0
+        """The number of unanswered requests whose answer came with a wrong CRC or LRC."""
         self.retries = 0
         """The number of requests that repeat an equal one without answer."""
         self.latency = Distribution()
@@ -70,6 +73,7 @@ class RequestTally:
         for code, count in other.exceptions.items():
             self.exceptions[code] = self.exceptions.get(code, 0) + count
             self.exception_names.setdefault(code, other.exception_names[code])
+        self.damaged += other.damaged
         self.retries += other.retries
         self.latency.merge(other.latency)
         self.request_bytes += other.request_bytes

@@ -21,6 +21,7 @@ from mbtool.overview.poll_statistics import PollKey, PollStatistics, poll_key
 from mbtool.overview.request_order import RequestOrder
 from mbtool.overview.request_tally import RequestTally
 from mbtool.overview.statistics_connections import ConnectionTally
+from mbtool.serial_line.damaged_answers import DamagedAnswers
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -63,6 +64,7 @@ class Statistics:
         """The counts of connections, by link and the master's host."""
         self.transactions = 0
         self._order = RequestOrder(self.links)
+        self._damaged = DamagedAnswers()
         self._hosts: dict[str, str] = {}
 
     @property
@@ -117,6 +119,8 @@ class Statistics:
             return None
         poll = self._poll(one)
         poll.tally.add(one)
+        is_damaged = self._damaged.has(one)
+        poll.tally.damaged += is_damaged
         if link.has_times:
             self._order.add(
                 one.request_ns,
@@ -124,6 +128,7 @@ class Statistics:
                 max(one.response_ns or one.request_ns, one.request_ns),
                 link.wire_ns(len(one.request_raw or b"")),
                 is_missing=one.outcome is Outcome.NO_ANSWER,
+                is_damaged=is_damaged,
             )
         return poll
 
@@ -152,6 +157,7 @@ class Statistics:
             self.polls.move_to_end(polls[kind].key)
 
     def _add_event(self, event: WireEvent) -> None:
+        self._damaged.note(event)
         if event.kind in _CONNECTIONS:
             key = event.link, self._host(event.source)
             tally = self.connections.get(key)

@@ -1,9 +1,7 @@
 """Counts over time what the units and the links of a capture did."""
 
 # Memory: MAX_ROWS units and links with MAX_BINS bins (time_bins.py) each; units beyond are counted
-# for their link only. A unit whose answers have wrong CRCs: the CRC of such a frame is wrong, so
-# its unit id proves nothing. The frame counts for the unit whose request was open when it came,
-# which is known when that request turns out to have no answer.
+# for their link only.
 
 from __future__ import annotations
 
@@ -12,6 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.core import EventKind, WireEvent
 from mbtool.modbus import Outcome
+from mbtool.serial_line.damaged_answers import DamagedAnswers
 from mbtool.series.time_bins import TimeBins, note_value
 
 if TYPE_CHECKING:
@@ -74,10 +73,7 @@ class History:
     def __init__(self) -> None:
         self.bins = TimeBins(max(len(UnitSum), len(LinkSum)))
         """Rows of units have a UnitRow as key, and rows of links the link's name."""
-        self._bad_check_ns: dict[str, int] = {}
-        """By link, the time of the last frame with a wrong CRC or LRC."""
-        self.bad_checks: dict[UnitRow, int] = {}
-        """By unit, how many of its answers had a wrong CRC or LRC."""
+        self._damaged = DamagedAnswers()
 
     def add(self, record: NamedTransaction | WireEvent) -> None:
         if isinstance(record, WireEvent):
@@ -105,14 +101,13 @@ class History:
             unit[UnitSum.LATENCIES] += 1
             unit[UnitSum.LATENCY_NS] += latency_ns
             note_value(unit, latency_ns)
-        elif outcome is Outcome.NO_ANSWER and self._bad_check_ns.pop(one.link, -1) >= at_ns:
+        elif self._damaged.has(one):
             unit[UnitSum.BAD_CHECK] += 1
-            self.bad_checks[row] = self.bad_checks.get(row, 0) + 1
 
     def _add_event(self, event: WireEvent) -> None:
         if event.kind is EventKind.BAD_CHECK:
             place = LinkSum.BAD_CHECK
-            self._bad_check_ns[event.link] = event.ts_ns
+            self._damaged.note(event)
         elif event.kind in _NO_FRAME:
             place = LinkSum.NO_FRAME
         elif event.kind in _LACKING:

@@ -98,10 +98,18 @@ class PlaceColumns:
 
     def _shorten(self, column: TableColumn, texts: Iterable[str]) -> None:
         """Show the addresses of a column by their last number if all are of one network."""
-        found = [_IN_A_NETWORK.fullmatch(text) for text in texts if text]
-        networks = {one and one[1] for one in found}
-        if self._is_narrow and len(networks) == 1 and (network := networks.pop()) is not None:
+        if self._is_narrow and (network := common_network(texts)) is not None:
             self.networks[column] = network
+
+
+def common_network(texts: Iterable[str]) -> str | None:
+    """The first three numbers of IPv4 addresses (`10.0.0`), or None if they are not of one network.
+
+    Empty texts do not count.
+    """
+    found = [_IN_A_NETWORK.fullmatch(text) for text in texts if text]
+    networks = {one and one[1] for one in found}
+    return networks.pop() if len(networks) == 1 else None
 
 
 def places_of(record: Record) -> Places:

@@ -101,6 +101,7 @@ def _tally(tally: RequestTally, link: LinkReport) -> dict[str, Any]:
             {"code": code, "name": tally.exception_names[code], "count": count}
             for code, count in sorted(tally.exceptions.items())
         ],
+        "wrong_crc": tally.damaged,
         "retries": tally.retries,
         "request_bytes": tally.request_bytes,
         "response_bytes": tally.response_bytes,

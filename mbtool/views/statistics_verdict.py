@@ -73,19 +73,25 @@ def _missing(links: Sequence[LinkReport], total: RequestTally) -> list[StyledLin
         return []
     dead: list[str] = []
     some: Counter[str] = Counter()
+    damaged: set[str] = set()
     for link in links:
         for unit in dict.fromkeys(one.unit for one in link.functions):
             tally = merged([one.tally for one in link.functions if one.unit == unit])
             if tally.unanswered:
                 name = f"unit {unit}" if len(links) == 1 else f"{link.name} unit {unit}"
                 some[name] += tally.unanswered
-                if tally.unanswered == tally.transactions:
+                if is_damaged := tally.damaged * 2 > tally.unanswered:
+                    damaged.add(name)
+                if tally.unanswered == tally.transactions and not is_damaged:
                     dead.append(name)
     lines = [StyledLine(f"! {_listed(dead)} never answered", _BAD)] if dead else []
     share = sum(link.load.spent.missing_ns for link in links if link.load is not None)
     watched = sum(link.watched_ns for link in links if link.load is not None)
     cost = f"; waiting took {percent(share / watched)} of the time" if share and watched else ""
-    worst = ", ".join(f"{count:,} of {name}" for name, count in some.most_common(_MOST_UNITS))
+    worst = ", ".join(
+        f"{count:,} of {name}{' with a wrong CRC' if name in damaged else ''}"
+        for name, count in some.most_common(_MOST_UNITS)
+    )
     more = f" and {len(some) - _MOST_UNITS} more" if len(some) > _MOST_UNITS else ""
     repeated = sum(one.poll.repetitions for link in links for one in link.polls)
     again = f"; {repeated:,} asked again at once" if repeated else ""
@@ -105,14 +111,14 @@ def _exceptions(total: RequestTally) -> list[StyledLine]:
         return []
     by_count = sorted(total.exceptions.items(), key=lambda one: -one[1])
     codes = ", ".join(
-        f"{count:,} x {_exception_text(code, total.exception_names[code])}"
+        f"{count:,} x {exception_text(code, total.exception_names[code])}"
         for code, count in by_count[:_MOST_UNITS]
     )
     more = f" and {len(by_count) - _MOST_UNITS} more codes" if len(by_count) > _MOST_UNITS else ""
     return [StyledLine(f"! {counted(number, 'exception', ',')}: {codes}{more}", _BAD)]
 
 
-def _exception_text(code: int, name: str) -> str:
+def exception_text(code: int, name: str) -> str:
     """`02 illegal data address`; the name of an unknown code has the code in it."""
     return name if name.startswith("exception") else f"{code:02X} {name}".rstrip()
 

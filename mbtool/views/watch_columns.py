@@ -7,14 +7,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Hashable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from mbtool.views.tables import printable
 from mbtool.watching.value_formats import ValueFormat
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
+
+    from mbtool.views.watch_places import PlaceColumn
 
 Span = tuple[str, str]
 Spans = list[Span]
@@ -64,12 +66,23 @@ class FittedColumn:
 
     column: WatchColumn
     width: int
+    prefix: str = ""
+    """What is left out at the beginning of the cells' texts."""
 
 
 def fitted(
-    columns: Sequence[WatchColumn], width: int, chosen: Collection[str] | None = None
+    columns: Sequence[WatchColumn],
+    width: int,
+    chosen: Collection[str] | None = None,
+    places: Mapping[str, PlaceColumn] | None = None,
 ) -> list[FittedColumn]:
-    """The columns that are shown at a width; `chosen` names those that the user wants."""
+    """The columns that are shown at a width; `chosen` names those that the user wants.
+
+    Without a choice, those of `places` are among them, as wide as they say there.
+    """
+    places = places or {}
+    if chosen is None:
+        columns = [_placed(one, places) for one in columns]
     kept = [one for one in columns if (one.is_usual if chosen is None else one.name in chosen)]
     kept = kept or list(columns[:1])
     while True:
@@ -86,8 +99,15 @@ def fitted(
         if not size:
             size = share + (1 if more > 0 else 0)
             more -= 1
-        result.append(FittedColumn(one, max(size, 1)))
+        place = places.get(one.name) if chosen is None else None
+        result.append(FittedColumn(one, max(size, 1), "" if place is None else place.prefix))
     return result
+
+
+def _placed(column: WatchColumn, places: Mapping[str, PlaceColumn]) -> WatchColumn:
+    """A column that is always shown, if it is one of the places."""
+    place = places.get(column.name)
+    return column if place is None else replace(column, width=place.width, rank=0, is_usual=True)
 
 
 def title_spans(
@@ -111,6 +131,7 @@ def row_spans(row: Any, columns: Sequence[FittedColumn], context: DrawContext) -
             spans.append((" ", ""))
         cell = one.column.cell(row, context)
         if isinstance(cell, str):
+            cell = cell.removeprefix(one.prefix)
             spans.append((_aligned(printable(cell), one.width, is_right=one.column.is_right), ""))
         else:
             spans += cut_spans(cell, one.width)

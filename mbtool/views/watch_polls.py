@@ -37,7 +37,8 @@ def poll_values(row: PollRow, context: DrawContext) -> Spans:
     if isinstance(one, WireEvent):
         return []
     if one.outcome not in (Outcome.OK, Outcome.BROADCAST):
-        return [(result_text(one), "bold red"), *_separated(_values(row, one, context))]
+        text = "wrong CRC" if row.is_damaged else result_text(one)
+        return [(text, "bold red"), *_separated(_values(row, one, context))]
     return _values(row, one, context) or [(result_text(one), "dim")]
 
 

@@ -8,8 +8,10 @@ from mbtool.core import WireEvent
 from mbtool.devices import finding_text
 from mbtool.modbus import Outcome
 from mbtool.views.cells import clock_time, event_text, transaction_text
+from mbtool.views.place_columns import host_of
 from mbtool.views.statistics_words import in_ms, percent
 from mbtool.views.watch_columns import DrawContext, Spans, WatchColumn
+from mbtool.views.watch_troubles import slave_trouble
 from mbtool.views.watch_words import age, count
 from mbtool.watching.value_formats import ValueFormat
 
@@ -90,8 +92,13 @@ RECORD_COLUMNS = (
         sort=lambda row: -1 if _latency(row) is None else _latency(row),
     ),
     _field("link", "link", 15),
-    _field("source", "master", 21),
-    _field("destination", "slave", 21),
+    WatchColumn(
+        name="master", title="master", width=15, is_usual=False,
+        cell=lambda row, _: host_of(_text_of("source", row) or None),
+        sort=lambda row: _text_of("source", row),
+    ),
+    _field("source", "from", 21),
+    _field("destination", "to", 21),
     WatchColumn(
         name="unit", title="un", width=3, is_right=True,
         cell=lambda row, _: _text_of("unit", row),
@@ -156,18 +163,13 @@ TROUBLE_COLUMNS = (
 )  # fmt: skip
 
 
-def slave_state(row: WatchedSlaveRow, context: DrawContext) -> Spans:
+def slave_state(row: WatchedSlaveRow, _: DrawContext) -> Spans:
     """How the slave answers, in words; what is wrong comes first."""
-    if row.answered_ns is None and row.missing:
-        return [("never answered", "bold red")]
-    if row.silent_since_ns is not None:
-        return [(f"no answer since {clock_time(row.silent_since_ns)[:8]}", "bold red")]
-    if row.missing:
-        return [(f"answers; {percent(row.missing / row.asked)} missing", "yellow")]
-    if row.exceptions or row.malformed:
-        share = (row.exceptions + row.malformed) / row.asked
-        return [(f"answers; {percent(share)} errors", "yellow")]
-    return [("answers", "green") if row.answered else ("", "")]
+    trouble = slave_trouble(row)
+    if not trouble:
+        return [("answers", "green") if row.answered else ("", "")]
+    is_silent = row.silent_since_ns is not None or row.answered_ns is None
+    return [(trouble, "bold red" if is_silent else "yellow")]
 
 
 def _failures(name: str, title: str) -> WatchColumn:

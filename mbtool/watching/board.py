@@ -17,6 +17,7 @@ from mbtool.core import WireEvent
 from mbtool.devices.references import write_reference
 from mbtool.modbus import FUNCTIONS, Outcome
 from mbtool.overview.statistics import MAX_POLLS, Statistics
+from mbtool.serial_line.damaged_answers import DamagedAnswers
 from mbtool.watching.watched_rows import (
     NEVER_NS,
     KeptRecord,
@@ -54,6 +55,7 @@ class Board:
         """`format_of` gives the settings of a serial link, `profile_for` the profile of a slave."""
         self.profile_for = profile_for
         self.statistics = Statistics(format_of)
+        self._damaged = DamagedAnswers()
         self.records: deque[KeptRecord] = deque(maxlen=kept)
         """The last transactions and events, in the order in which they were decoded."""
         self.polls: OrderedDict[int, WatchedPoll] = OrderedDict()
@@ -74,13 +76,15 @@ class Board:
             self.events += 1
             self.statistics.add(record)
             self.last_ns = max(self.last_ns, record.ts_ns)
+            self._damaged.note(record)
             self._note_trouble(record.kind.value, kept, record.link, None, record.ts_ns)
             return
         self.transactions += 1
         at_ns = record.start_ns
         if at_ns > self.last_ns:
             self.last_ns = at_ns
-        self._note_slave(record)
+        is_damaged = self._damaged.has(record)
+        self._note_slave(record, is_damaged=is_damaged)
         statistics = self.statistics.add(record)
         if statistics is not None:
             poll = self.polls.get(statistics.number)
@@ -90,7 +94,7 @@ class Board:
                     self.polls.popitem(last=False)
             else:
                 self.polls.move_to_end(statistics.number)
-            self._note_poll(poll, kept, record, at_ns)
+            self._note_poll(poll, kept, record, at_ns, is_damaged=is_damaged)
         for code in record.findings:
             self._note_trouble(code, kept, record.link, record.unit, at_ns)
 
@@ -98,7 +102,7 @@ class Board:
         """Put transactions whose request came before a time (UTC ns) in order; all for None."""
         self.statistics.settle(before_ns)
 
-    def _note_slave(self, one: NamedTransaction) -> None:
+    def _note_slave(self, one: NamedTransaction, *, is_damaged: bool) -> None:
         key = one.link, one.unit
         slave = self.slaves.get(key)
         if slave is None:
@@ -106,15 +110,21 @@ class Board:
                 self.left_out += 1
                 return
             slave = self.slaves[key] = WatchedSlave(one.link, one.unit)
-        slave.add(one)
+        slave.add(one, is_damaged=is_damaged)
 
     def _note_poll(
-        self, poll: WatchedPoll, kept: KeptRecord, one: NamedTransaction, at_ns: int
+        self,
+        poll: WatchedPoll,
+        kept: KeptRecord,
+        one: NamedTransaction,
+        at_ns: int,
+        *,
+        is_damaged: bool,
     ) -> None:
         poll.latencies.append(one.latency_ns)
         if at_ns < poll.last_ns:
             return  # A request without answer is known late; what is shown is newer.
-        poll.last, poll.last_ns = kept, at_ns
+        poll.last, poll.last_ns, poll.is_damaged = kept, at_ns, is_damaged
         if one.outcome is not Outcome.OK and one.outcome is not Outcome.BROADCAST:
             return
         values = one.request_values if one.response_values is None else one.response_values

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.modbus import Outcome
+from mbtool.overview.slow_units import slow_units
 from mbtool.watching.watched_rows import KeptRecord, errors_of
 
 if TYPE_CHECKING:
@@ -22,6 +23,8 @@ class PollRow(NamedTuple):
     key: Hashable
     kept: KeptRecord
     """The last transaction."""
+    is_damaged: bool
+    """True if its answer came with a wrong CRC or LRC."""
     poll: PollKey
     function_name: str
     reference: str | None
@@ -85,9 +88,13 @@ class WatchedSlaveRow(NamedTuple):
     answered: int
     exceptions: int
     missing: int
+    damaged: int
+    """The number of missing answers that came, but with a wrong CRC or LRC."""
     malformed: int
     retries: int
     median_ns: int
+    usual_ns: float | None
+    """The median latency of the other units, if this one is slow beside them; else None."""
     slowest_ns: int
     last_ns: int
     answered_ns: int | None
@@ -133,7 +140,8 @@ def record_rows(board: Board) -> list[RecordRow]:
 
 def slave_rows(board: Board) -> list[WatchedSlaveRow]:
     """The slaves by link and unit."""
-    return [_slave_row(slave) for _, slave in sorted(board.slaves.items())]
+    slow = slow_units({key: slave.tally.latency for key, slave in board.slaves.items()})
+    return [_slave_row(slave, slow.get(key)) for key, slave in sorted(board.slaves.items())]
 
 
 def trouble_rows(board: Board) -> list[TroubleRow]:
@@ -155,6 +163,7 @@ def _poll_row(number: int, poll: WatchedPoll) -> PollRow:
     return PollRow(
         key=number,
         kept=poll.last,
+        is_damaged=poll.is_damaged,
         poll=statistics.key,
         function_name=statistics.function_name,
         reference=statistics.reference,
@@ -204,7 +213,7 @@ def _pair(point: WatchedPoint) -> tuple[int, int] | None:
     return (values[at], values[at + 1]) if 0 <= at < len(values) - 1 else None
 
 
-def _slave_row(slave: WatchedSlave) -> WatchedSlaveRow:
+def _slave_row(slave: WatchedSlave, usual_ns: float | None) -> WatchedSlaveRow:
     tally = slave.tally
     return WatchedSlaveRow(
         key=(slave.link, slave.unit),
@@ -216,9 +225,11 @@ def _slave_row(slave: WatchedSlave) -> WatchedSlaveRow:
         answered=tally.count(Outcome.OK),
         exceptions=tally.count(Outcome.EXCEPTION),
         missing=tally.unanswered,
+        damaged=tally.damaged,
         malformed=tally.count(Outcome.MALFORMED),
         retries=tally.retries,
         median_ns=tally.latency.percentile(50),
+        usual_ns=usual_ns,
         slowest_ns=tally.latency.greatest,
         last_ns=slave.last_ns,
         answered_ns=slave.answered_ns,

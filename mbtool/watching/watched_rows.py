@@ -44,6 +44,8 @@ class WatchedPoll:
     last: KeptRecord
     last_ns: int = NEVER_NS
     """The time of the last request, in UTC ns."""
+    is_damaged: bool = False
+    """True if the last answer came with a wrong CRC or LRC."""
     values: list[int] | None = None
     """The values that were last read or written; None before the first ones."""
     changed_ns: list[int] = field(default_factory=list)
@@ -122,9 +124,10 @@ class WatchedSlave:
     """The time of the first request that was left without answer since the last answer."""
     findings: int = 0
 
-    def add(self, one: NamedTransaction) -> None:
+    def add(self, one: NamedTransaction, *, is_damaged: bool = False) -> None:
         at_ns = one.start_ns
         self.tally.add(one)
+        self.tally.damaged += is_damaged
         self.first_ns = self.first_ns or at_ns
         self.last_ns = max(at_ns, self.last_ns)
         self.device = one.device or self.device

@@ -166,3 +166,30 @@ def test_a_document_is_one_of_plain_ascii_whatever_a_log_says() -> None:
     assert text.isascii()
     assert "\x1b" not in text
     assert json.loads(text)["links"][0]["polls"][0]["reference"].startswith("\x1b[2J")
+
+
+def test_damaged_answers_are_told_and_cost_no_waiting() -> None:
+    """Unit 2 is dead: the master waits 400 ms. Unit 3's answers are damaged: it goes on at once."""
+    records: list[NamedTransaction | WireEvent] = []
+    for at_ms in range(0, 10_000, 1000):
+        damaged_ns = START_NS + (at_ms + 620) * 1_000_000
+        records += [
+            request(at_ms),
+            unanswered(at_ms + 200, unit=2),
+            WireEvent(ts_ns=damaged_ns, link="line", kind=EventKind.BAD_CHECK, message="", raw=b""),
+            unanswered(at_ms + 610, unit=3),
+            request(at_ms + 630),
+        ]
+    statistics = Statistics(lambda _: LINE)
+    for one in records:
+        statistics.add(one)
+    statistics.settle()
+    (link,) = report(statistics)
+    assert link.tally.damaged == 10
+    assert link.load is not None
+    assert link.load.share(link.load.spent.missing_ns) == pytest.approx(0.41, abs=0.03)
+    lines = [line.text for line in statistics_lines([link], width=120)]
+    assert "! unit 2 never answered" in lines
+    assert "! 20 answers missing: 10 of unit 2, 10 of unit 3 with a wrong CRC" in lines[2]
+    text = statistics_document(statistics, [link], sources=["x"], where=None)
+    assert json.loads(text)["links"][0]["wrong_crc"] == 10

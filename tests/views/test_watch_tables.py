@@ -7,10 +7,19 @@ from typing import TYPE_CHECKING, Any
 from mbtool.core import EventKind, WireEvent
 from mbtool.devices import PointValue
 from mbtool.modbus import Outcome, Transport, Verdict, ascii_adu
-from mbtool.views.watch_columns import DrawContext, WatchColumn, row_text
+from mbtool.views.watch_columns import (
+    DrawContext,
+    FittedColumn,
+    WatchColumn,
+    fitted,
+    row_spans,
+    row_text,
+)
 from mbtool.views.watch_detail import record_detail, slave_detail
+from mbtool.views.watch_places import place_columns
 from mbtool.views.watch_polls import POINT_COLUMNS, POLL_COLUMNS, poll_values
 from mbtool.views.watch_records import RECORD_COLUMNS, SLAVE_COLUMNS, TROUBLE_COLUMNS, slave_state
+from mbtool.views.watch_troubles import trouble_line
 from mbtool.watching.board import Board
 from mbtool.watching.board_rows import point_rows, poll_rows, record_rows, slave_rows, trouble_rows
 from mbtool.watching.value_formats import ValueFormat
@@ -23,6 +32,12 @@ if TYPE_CHECKING:
 
     from mbtool.views.watch_columns import Spans
     from mbtool.watching.watched_rows import Record
+
+
+def damaged(at_ms: float) -> WireEvent:
+    at_ns = START_NS + round(at_ms * MS)
+    return WireEvent(ts_ns=at_ns, link="line", kind=EventKind.BAD_CHECK, message="", raw=b"")
+
 
 NOISE = WireEvent(
     ts_ns=START_NS, link="line", kind=EventKind.SKIPPED, message="noise", raw=b"\xfe\xfd"
@@ -154,10 +169,71 @@ def test_the_state_of_a_slave_is_in_words() -> None:
 
     fails = request(5, outcome=Outcome.EXCEPTION, exception=2)
     assert state(read(0, 1)) == "answers"
-    assert state(unanswered(0)) == "never answered"
+    assert state(unanswered(0)) == "never answers"
     assert state(read(0, 1), unanswered(5)) == "no answer since 00:00:00"
-    assert state(unanswered(0), read(5, 1)) == "answers; 50 % missing"
-    assert state(read(0, 1), fails) == "answers; 50 % errors"
+    assert state(unanswered(0), read(5, 1)) == "50 % unanswered"
+    assert state(read(0, 1), fails) == "50 % refused"
+    assert state(read(0, 1), damaged(7), unanswered(5)) == "50 % wrong CRC"
+    assert state(damaged(7), unanswered(5)) == "every answer has a wrong CRC"
+
+
+def test_a_poll_whose_last_answer_was_damaged_says_so() -> None:
+    (row,) = poll_rows(board_of(read(0, 7), damaged(12), unanswered(10, quantity=1)))
+    assert text_of(poll_values(row, DrawContext())) == "wrong CRC last 7 "
+
+
+SICK = (
+    *(read(at, 1) for at in range(0, 90, 10)),
+    *(unanswered(at, unit=2) for at in range(1, 90, 10)),
+    *(read(at, 1, unit=3, latency_ns=90 * MS) for at in range(2, 90, 10)),
+)
+
+
+def test_the_line_of_troubles_has_the_worst_first_and_what_fits() -> None:
+    rows = slave_rows(board_of(*SICK))
+    assert trouble_line(rows, 78) == "unit 2 never answers; unit 3 slow, 90.0 ms (others 5.0)"
+    assert trouble_line(rows, 40) == "unit 2 never answers; 1 more: key 5"
+    assert trouble_line(rows, 10) == "unit 2 never answers; 1 more: key 5"
+
+
+def test_the_line_of_troubles_names_hosts_where_there_are_several() -> None:
+    board = board_of(
+        *(read(at, 1, link="10.0.0.2") for at in range(3)),
+        *(unanswered(at, link="10.0.0.3") for at in range(3)),
+    )
+    assert trouble_line(slave_rows(board), 78) == "unit 1 at .3 never answers"
+
+
+def test_few_failures_and_many_slow_units_are_no_trouble() -> None:
+    few = [*(read(at, 1) for at in range(300)), unanswered(300)]
+    assert trouble_line(slave_rows(board_of(*few)), 78) == ""
+    latencies = [5, 5, 5, 5, 50, 50, 50]
+    slow = [
+        read(at, 1, unit=unit, latency_ns=ms * MS)
+        for at in range(5)
+        for unit, ms in enumerate(latencies)
+    ]
+    assert trouble_line(slave_rows(board_of(*slow)), 78) == ""
+
+
+def test_links_and_masters_are_shown_where_there_are_several() -> None:
+    links = ["10.0.0.2", "10.0.0.103"]
+    assert place_columns(links[:1], ["10.0.0.1"], 80) == {}
+    assert place_columns(links, [], 80) == {"link": (4, "10.0.0")}
+    assert place_columns(links, [], 120) == {"link": (10, "")}
+    assert place_columns(["a"], ["10.0.0.1", "fe80::1"], 80) == {"master": (8, "")}
+
+
+def test_a_place_takes_its_width_before_other_columns_and_is_shown_short() -> None:
+    board = board_of(read(0, 1, link="10.0.0.2"), read(0, 1, link="10.0.0.3"))
+    places = place_columns(["10.0.0.2", "10.0.0.3"], [], 80)
+    columns = fitted(POLL_COLUMNS, 80, None, places)
+    assert columns[0] == FittedColumn(columns[0].column, 4, "10.0.0")
+    lines = [text_of(row_spans(row, columns, DrawContext())) for row in poll_rows(board)]
+    assert [line[:4] for line in lines] == [".2  ", ".3  "]
+    assert {len(line) for line in lines} == {80}
+    chosen = fitted(POLL_COLUMNS, 80, ["unit", "values"], places)
+    assert [one.column.name for one in chosen] == ["unit", "values"]
 
 
 def test_the_detail_names_fields_and_says_why_and_how_sure() -> None:

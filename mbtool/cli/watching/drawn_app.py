@@ -25,15 +25,18 @@ from mbtool.cli.watching.watch_views import VIEWS
 from mbtool.core import MbtoolError
 from mbtool.views.watch_columns import DrawContext, fitted
 from mbtool.views.watch_detail import record_detail, slave_detail
-from mbtool.watching.board_rows import WatchedSlaveRow
+from mbtool.views.watch_places import place_columns
+from mbtool.views.watch_troubles import trouble_line
+from mbtool.watching.board_rows import WatchedSlaveRow, slave_rows
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from textual.app import ComposeResult
 
     from mbtool.cli.watching.watch_views import WatchView
     from mbtool.views.watch_columns import Spans
+    from mbtool.views.watch_places import PlaceColumn
     from mbtool.watching.board import Board
     from mbtool.workflows.watch import WatchFeed
     from mbtool.workflows.watch_saving import Saver
@@ -42,6 +45,9 @@ DRAWS_PER_S = 5
 _SHARE = 8
 """A pause is at least so many times as long as the drawing before it took."""
 _LONGEST_PAUSE_S = 2.0
+_LOOK_S = 1.0
+_LOOK_SHARE = 50
+"""Slaves in trouble are looked for each second, or after so many times the time it took."""
 _TYPING_S = 0.15
 """A filter is applied once nothing was typed for so long, in s."""
 _SEEK_NS = 10_000_000_000
@@ -57,6 +63,8 @@ class DrawnApp(App[int]):
     #detail { height: 10; display: none; border-top: solid $accent; }
     #detail.open { display: block; }
     #detail-text { height: auto; }
+    #troubles { display: none; }
+    #troubles.told { display: block; }
     #note { height: auto; max-height: 2; display: none; }
     #note.told { display: block; }
     HelpPanel { width: 50; max-width: 70%; }
@@ -94,6 +102,8 @@ class DrawnApp(App[int]):
         self._next_draw_s = 0.0
         self.drawings = 0
         """The number of times that the screen was drawn."""
+        self._troubles = ""
+        self._next_look_s = 0.0
         self._frozen_ns = 0
         self._told_remarks = 0
         self._told_error = False
@@ -103,6 +113,7 @@ class DrawnApp(App[int]):
     def compose(self) -> ComposeResult:
         yield OneLine("tabs")
         yield OneLine("status")
+        yield OneLine("troubles")
         yield LiveTable()
         with VerticalScroll(id="detail", can_focus=False):
             yield Static(id="detail-text", markup=False)
@@ -164,6 +175,7 @@ class DrawnApp(App[int]):
             with self.feed.lock:
                 now_ns = self.feed.now_ns()
                 rows = self.view.rows(self.board, width)
+                self._look_for_troubles(width)
         self.context.now_ns = now_ns
         self.context.is_over = self.feed.is_over or not self.feed.is_live
         self.context.marked = self.feed.watched.marked
@@ -171,13 +183,31 @@ class DrawnApp(App[int]):
         column = next((one for one in self.view.columns if one.name == name), None)
         if column is not None:
             rows = sorted(rows, key=column.sort, reverse=descending)
-        columns = fitted(self.view.columns, width, self.settings.columns.get(self.view.name))
+        chosen = self.settings.columns.get(self.view.name)
+        columns = fitted(self.view.columns, width, chosen, self._places(width))
         table = self.table
         table.can_follow = self.view.can_follow
         table.show(rows, columns, self.context, (None if column is None else name, descending))
         self._draw_lines(width)
         self._draw_detail()
         self.call_after_refresh(self._drawn, began_s)
+
+    def _places(self, width: int) -> Mapping[str, PlaceColumn]:
+        """The columns of links and masters, where there are several."""
+        statistics = self.board.statistics
+        with self.feed.lock:
+            links = tuple(statistics.links)
+            masters = {master for _, master in statistics.tapes if master}
+        return place_columns(links, masters, width)
+
+    def _look_for_troubles(self, width: int) -> None:
+        """Find the slaves in trouble, at most once a second; the feed's lock is held."""
+        began_s = time.perf_counter()
+        if began_s < self._next_look_s:
+            return
+        self._troubles = trouble_line(slave_rows(self.board), width - 2)
+        took_s = time.perf_counter() - began_s
+        self._next_look_s = began_s + max(_LOOK_S, _LOOK_SHARE * took_s)
 
     def _drawn(self, began_s: float) -> None:
         """Wait before the next drawing, by the processor time that this one took."""
@@ -197,6 +227,9 @@ class DrawnApp(App[int]):
         )
         base.query_one("#tabs", OneLine).show(tabs_text(VIEWS, self.view_at))
         base.query_one("#status", OneLine).show(status_text(state, width))
+        troubles = base.query_one("#troubles", OneLine)
+        troubles.show([(f"! {self._troubles}", "bold red")])
+        troubles.set_class(bool(self._troubles), "told")
         keys = keys_line(width, is_of_files=not self.feed.is_live)
         base.query_one("#keys", OneLine).show(keys)
 

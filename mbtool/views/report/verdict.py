@@ -8,16 +8,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
-from statistics import median
 from typing import TYPE_CHECKING
 
 from mbtool.core.wording import counted
 from mbtool.devices.checking.rules import Severity, rule_of
 from mbtool.modbus import Outcome
 from mbtool.overview.request_tally import RequestTally, merged
+from mbtool.overview.slow_units import SLOW_NS, are_many, slow_units
 from mbtool.series.history import History, LinkSum, UnitRow, UnitSum
 from mbtool.views.cells import clock_time, day
 from mbtool.views.place_columns import host_of
+from mbtool.views.statistics_verdict import exception_text
 from mbtool.views.statistics_words import in_ms, percent
 
 if TYPE_CHECKING:
@@ -30,20 +31,15 @@ IN_SENTENCE = 3
 """The first sentence names at most so many troubles; all of them stand below it."""
 FEW = 0.01
 """A share of requests below this, 1 %, is told as a count, and is no reason for alarm."""
-SLOW = 3
-"""A unit is slow if its median latency is so many times what the median of the other units is..."""
-SLOW_NS = 10_000_000
-"""...and at least this long, in ns."""
-_ENOUGH_ANSWERS = 5
-"""The median latency of fewer answers tells nothing."""
 SLOWER = 2
 """A unit has become slower if its mean latency is so many times that of its first half, and SLOW_NS
 more."""
 _ENOUGH_BINS = 8
 """Fewer bins do not show when a unit became slower."""
-_MANY_SLOW = 3
-_FEW_SLOW = 0.25
-"""If more than this share of the units is slow, that is a small thing."""
+JOINED_SLOW = 3
+"""So many slow units are told as one trouble."""
+_MANY_REFUSING = 4
+"""So many refusing units, at least half of all, are told as one trouble."""
 _THROUGHOUT = 0.1
 """A trouble that shows in the first tenth of a unit's time was there from the beginning."""
 _ENDED = 0.25
@@ -78,7 +74,8 @@ class VerdictTrouble:
     """The unit, host or code that has it."""
     search: str = ""
     """What finds the transactions of it in the table of the report."""
-    of: UnitRow | None = None
+    units: frozenset[UnitRow] = frozenset()
+    is_refusal: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,14 +87,13 @@ class _Unit:
     tally: RequestTally
     history: History | None
     """None if the bytes of its line have no times."""
-    bad_checks: int
-    """The number of its answers with a wrong CRC or LRC."""
 
     def trouble(self, rank: Rank, text: str, weight: float, word: str = "") -> VerdictTrouble:
         search = f"{link_word(self.row.link)}unit:{self.row.unit} {word}".rstrip()
         return VerdictTrouble(
-            rank=rank, text=text, weight=weight, who=self.name, search=search, of=self.row
-        )
+            rank=rank, text=text, weight=weight, who=self.name, search=search,
+            units=frozenset((self.row,)), is_refusal=word == "exception",
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,19 +130,13 @@ def report_verdict(
     several = len(links) > 1
     names = {row: _name(row, several=several) for row in units}
     timed = {link.name for link in links if link.has_times}
-    medians = {
-        row: one.latency.percentile(50)
-        for row, one in units.items()
-        if one.latency.count >= _ENOUGH_ANSWERS
-    }
+    slow = slow_units({row: one.latency for row, one in units.items()})
     troubles = [*_line_troubles(links, history), *_finding_troubles(findings)]
     for row, tally in units.items():
         of_time = history if row.link in timed else None
-        unit = _Unit(row, names[row], tally, of_time, history.bad_checks.get(row, 0))
-        others = [one for other, one in medians.items() if other != row]
-        troubles += _unit_troubles(unit, median(others) if others else 0)
+        troubles += _unit_troubles(_Unit(row, names[row], tally, of_time), slow.get(row))
     troubles.sort(key=lambda one: (one.rank, -one.weight))
-    troubles = _joined_slow(troubles, len(units))
+    troubles = _joined_slow(_joined_refusals(troubles, len(units)), len(units))
     grave = sum(one.rank < Rank.RULE for one in troubles)
     told = min(grave, IN_SENTENCE) if grave else min(len(troubles), 1)
     return ReportVerdict(_sentence(troubles, units, total), troubles, told)
@@ -179,7 +169,7 @@ def _sentence(
     if more:
         parts.append(f"{counted(more, 'more trouble')} below")
     else:
-        sick = {one.of for one in grave if one.of is not None}
+        sick = {unit for one in grave for unit in one.units}
         if len(units) > len(sick):
             parts.append("everything else is well" if not minor else "nothing else is grave")
     text = "; ".join(parts)
@@ -198,20 +188,41 @@ def _all_well(
     return f"{who} {requests}{half}"
 
 
+def _joined_refusals(troubles: list[VerdictTrouble], units: int) -> list[VerdictTrouble]:
+    """The troubles with many units that refuse told as one: a master asks what they do not have."""
+    refusing = [one for one in troubles if one.rank is Rank.FAILING and one.is_refusal]
+    if len(refusing) < _MANY_REFUSING or len(refusing) * 2 < units:
+        return troubles
+    worst = refusing[0]
+    some = f"all {units}" if len(refusing) == units else f"{len(refusing)} of {units}"
+    joined = replace(
+        worst,
+        text=f"{some} units refuse requests: {worst.text}",
+        units=_units_of(refusing),
+    )
+    place = troubles.index(worst)
+    others = [one for one in troubles if one not in refusing]
+    return [*others[:place], joined, *others[place:]]
+
+
 def _joined_slow(troubles: list[VerdictTrouble], units: int) -> list[VerdictTrouble]:
     """The troubles with many slow units told as one: they may be slow by their kind."""
     slow = [one for one in troubles if one.rank is Rank.SLOW]
-    if len(slow) < _MANY_SLOW:
+    if len(slow) < JOINED_SLOW:
         return troubles
     worst = slow[0]
     joined = replace(
         worst,
-        rank=Rank.SLOW if len(slow) <= units * _FEW_SLOW else Rank.MINOR,
+        rank=Rank.MINOR if are_many(len(slow), units) else Rank.SLOW,
         text=f"{len(slow)} of {units} units are slow; {worst.text}",
-        of=None,
+        units=_units_of(slow),
     )
     others = [one for one in troubles if one.rank is not Rank.SLOW]
     return sorted([joined, *others], key=lambda one: one.rank)
+
+
+def _units_of(troubles: Sequence[VerdictTrouble]) -> frozenset[UnitRow]:
+    return frozenset(unit for one in troubles for unit in one.units)
 
 
 def _line_troubles(links: Sequence[LinkReport], history: History) -> list[VerdictTrouble]:
@@ -219,7 +230,7 @@ def _line_troubles(links: Sequence[LinkReport], history: History) -> list[Verdic
     troubles = []
     for link in links:
         frames = sum(history.bins.column(link.name, LinkSum.BAD_CHECK))
-        known = sum(n for row, n in history.bad_checks.items() if row.link == link.name)
+        known = link.tally.damaged
         if frames > known:
             troubles.append(
                 VerdictTrouble(
@@ -254,14 +265,16 @@ def _rank(grave: Rank, share: float, count: int) -> Rank:
     return grave if share >= FEW and count >= _ENOUGH else Rank.MINOR
 
 
-def _unit_troubles(unit: _Unit, usual: float) -> list[VerdictTrouble]:
-    """`usual` is the median latency of the other units in ns; 0 if they do not answer."""
+def _unit_troubles(unit: _Unit, usual: float | None) -> list[VerdictTrouble]:
+    """For a slow unit, `usual` is the median latency of the others in ns; else None."""
     name, tally = unit.name, unit.tally
     asked = tally.transactions - tally.count(Outcome.UNSOLICITED)
     found = []
     if tally.unanswered and tally.unanswered == asked:
-        text = f"{name} never answers ({counted(asked, 'request', ',')})"
-        return [unit.trouble(Rank.DEAD, text, asked)]
+        never = f"{name} never answers ({counted(asked, 'request', ',')})"
+        if tally.damaged * 2 > asked:
+            never = f"{name} gives no answer with a right CRC ({counted(asked, 'request', ',')})"
+        return [unit.trouble(Rank.DEAD, never, asked)]
     if tally.unanswered:
         found.append(_unanswered(unit))
     if tally.count(Outcome.EXCEPTION):
@@ -272,8 +285,7 @@ def _unit_troubles(unit: _Unit, usual: float) -> list[VerdictTrouble]:
         text = f"{name} gives {counted(malformed, 'malformed answer', ',')} ({percent(share)})"
         found.append(unit.trouble(_rank(Rank.FAILING, share, malformed), text, share, "malformed"))
     own = tally.latency.percentile(50)
-    is_known = usual and tally.latency.count >= _ENOUGH_ANSWERS
-    if is_known and own >= max(SLOW * usual, SLOW_NS):
+    if usual is not None:
         text = f"{name} is slow: half of its answers take {in_ms(own)} ms or more, "
         text += f"those of the others {in_ms(usual)} ms"
         found.append(unit.trouble(Rank.SLOW, text, own / usual))
@@ -316,9 +328,9 @@ def _unanswered(unit: _Unit) -> VerdictTrouble:
     if not of:
         lost, of = unit.tally.unanswered, unit.tally.transactions
     share = lost / of
-    requests = f"{_share(share, lost)} of its requests"
-    if unit.bad_checks * 2 > unit.tally.unanswered:
-        is_all = unit.bad_checks == unit.tally.unanswered
+    requests = _requests(share, lost)
+    if unit.tally.damaged * 2 > unit.tally.unanswered:
+        is_all = unit.tally.damaged == unit.tally.unanswered
         how = "with a wrong CRC" if is_all else "with a wrong CRC or not at all"
         text = f"{unit.name} answers {requests} {how}{when}"
     else:
@@ -332,14 +344,27 @@ def _refusals(unit: _Unit) -> VerdictTrouble:
     if not of:
         refused, of = tally.count(Outcome.EXCEPTION), tally.transactions
     share = refused / of
-    code = max(tally.exceptions, key=lambda one: tally.exceptions[one])
-    text = f"{unit.name} refuses {_share(share, refused)} of its requests, mostly with {code:02X} "
-    text += f"{tally.exception_names[code]}{when}"
+    text = f"{unit.name} refuses {_requests(share, refused)}{when}, "
+    text += _codes(tally)
     return unit.trouble(_rank(Rank.FAILING, share, refused), text, share, "exception")
 
 
-def _share(share: float, count: int) -> str:
-    return percent(share) if share >= FEW else f"{count:,}"
+def _codes(tally: RequestTally) -> str:
+    """The exception code that was given for most refusals, or the two that were."""
+    total = sum(tally.exceptions.values())
+    often = sorted(tally.exceptions, key=lambda one: -tally.exceptions[one])
+    first, *others = (exception_text(code, tally.exception_names[code]) for code in often)
+    if not others:
+        return f"with {first}"
+    if tally.exceptions[often[0]] * 2 > total:
+        return f"mostly with {first}"
+    return f"with {first}{f', {others[0]} or others' if len(others) > 1 else f' or {others[0]}'}"
+
+
+def _requests(share: float, count: int) -> str:
+    if share == 1:
+        return "all its requests"
+    return f"{percent(share) if share >= FEW else f'{count:,}'} of its requests"
 
 
 def _period(unit: _Unit, what: UnitSum) -> tuple[str, int, int]:
@@ -398,9 +423,14 @@ def _finding_troubles(findings: Summaries) -> list[VerdictTrouble]:
             rank, text = Rank.ATTACK, f"{who}: {meaning} ({code})"
         elif code == "RTU-204":
             rank, text = Rank.UNREADABLE, f"{first.link}: {meaning}"
-        elif summary.severity is Severity.ERROR:
+        elif summary.severity is Severity.ERROR or _is_of_a_manual(code, summary.severity):
             rank, text = Rank.RULE, f"{code}, {counted(number, 'time', ',')}: {meaning}"
         else:
             continue
         troubles.append(VerdictTrouble(rank=rank, text=text, weight=number, who=code, search=code))
     return troubles
+
+
+def _is_of_a_manual(code: str, severity: Severity) -> bool:
+    """True for a warning of a device's manual; those of the standard are told by the counts."""
+    return severity is Severity.WARNING and not code.startswith(("MB-", "RTU-", "TCP-"))

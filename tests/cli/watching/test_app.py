@@ -62,7 +62,7 @@ def test_the_polls_are_shown_first_with_what_changed_lit() -> None:
         ("2", "holding 101"),
         ("3", "skipped: noise"),
         ("4", "MB-101"),
-        ("5", "never answered"),
+        ("5", "never answers"),
         ("6", "asked"),
     ],
 )
@@ -72,6 +72,28 @@ def test_a_number_shows_a_view(key: str, text: str) -> None:
             await seen.press(key)
             assert text in seen.text
             assert seen.app.view_at == int(key) - 1
+
+    run(test)
+
+
+def test_slaves_in_trouble_and_whose_row_it_is_stand_in_each_view() -> None:
+    feed = GivenFeed(
+        [
+            *(read(at, 1, link="10.0.0.2") for at in range(3)),
+            *(unanswered(at, link="10.0.0.7", reference="holding 0..9") for at in range(3)),
+        ]
+    )
+
+    async def test() -> None:
+        async with screen(feed) as seen:
+            for key in "31":
+                await seen.press(key)
+                assert seen.lines[2] == "! unit 1 at .7 never answers"
+                assert any(".7     1 03 " in line for line in seen.lines)
+            feed.give(*(read(at, 1, link="10.0.0.7") for at in range(900, 1300)))
+            seen.app._next_look_s = 0
+            await seen.redraw()
+            assert "request" in seen.lines[2]
 
     run(test)
 

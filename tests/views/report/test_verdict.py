@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import msgspec
 import pytest
 
-from mbtool.core import SerialFormat
+from mbtool.core import EventKind, SerialFormat
 from mbtool.devices.checking.finding import Finding
 from mbtool.modbus import Outcome
 from mbtool.overview.statistics import Statistics
@@ -14,7 +15,7 @@ from mbtool.overview.statistics_report import report
 from mbtool.series.history import History
 from mbtool.views.findings_table import Summaries
 from mbtool.views.report.verdict import Rank, ReportVerdict, report_verdict
-from tests.series.test_history import asked
+from tests.series.test_history import asked, event
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -44,11 +45,11 @@ def polled(seconds: int, failing: range = range(0), unit: int = 1) -> list[Named
 @pytest.mark.parametrize(
     ("failing", "said"),
     [
-        (range(60, 100), "Unit 1 leaves 100 % of its requests without an answer since 22:14:20."),
-        (range(30), "Unit 1 leaves 100 % of its requests without an answer until 22:13:50."),
+        (range(60, 100), "Unit 1 leaves all its requests without an answer since 22:14:20."),
+        (range(30), "Unit 1 leaves all its requests without an answer until 22:13:50."),
         (
             range(30, 60),
-            "Unit 1 leaves 100 % of its requests without an answer from 22:13:50 to 22:14:20.",
+            "Unit 1 leaves all its requests without an answer from 22:13:50 to 22:14:20.",
         ),
         (range(0, 100, 4), "Unit 1 leaves 25 % of its requests without an answer."),
     ],
@@ -106,6 +107,52 @@ def test_an_attack_is_told_by_who_makes_it() -> None:
     told = judged(polled(20), finding)
     assert [one.rank for one in told.troubles] == [Rank.ATTACK]
     assert told.sentence.startswith("10.0.0.66: a host asks many addresses")
+
+
+def test_a_unit_whose_answers_are_all_damaged_is_not_called_dead() -> None:
+    records = [
+        one
+        for at in range(20)
+        for one in (event(at + 0.02, EventKind.BAD_CHECK), asked(at, 1, Outcome.NO_ANSWER, None))
+    ]
+    told = judged([*records, *polled(20, unit=2)])
+    assert told.sentence == (
+        "Unit 1 gives no answer with a right CRC (20 requests); everything else is well."
+    )
+
+
+def refused(at: float, unit: int, *codes: int) -> list[NamedTransaction]:
+    one = asked(at, unit, Outcome.EXCEPTION)
+    return [
+        msgspec.structs.replace(one, exception=code, exception_name=f"name {code}")
+        for code in codes
+    ]
+
+
+def test_the_codes_of_refusals_are_told_as_often_as_they_came() -> None:
+    def told(*codes: int) -> str:
+        return judged(refused(1, 1, *codes)).sentence.removeprefix("Unit 1 refuses ")
+
+    assert told(2, 2, 2) == "all its requests, with 02 name 2."
+    assert told(1, 2, 2) == "all its requests, mostly with 02 name 2."
+    assert told(1, 1, 2, 2) == "all its requests, with 01 name 1 or 02 name 2."
+    assert told(1, 2, 3) == "all its requests, with 01 name 1, 02 name 2 or others."
+
+
+def test_many_units_that_refuse_are_told_as_one() -> None:
+    records = [one for unit in range(1, 6) for one in refused(1, unit, 2, 2, 2)]
+    told = judged(records)
+    assert told.sentence == (
+        "All 5 units refuse requests: unit 1 refuses all its requests, with 02 name 2."
+    )
+    assert judged([*records, *polled(3, unit=9)]).sentence.endswith("; everything else is well.")
+
+
+def test_a_warning_of_a_manual_is_a_small_thing() -> None:
+    finding = Finding(code="FA3-X6", message="", ts_ns=0, link="rs485", unit=1)
+    assert judged(polled(20), finding).level == "doubt"
+    finding = Finding(code="TCP-101", message="", ts_ns=0, link="rs485", unit=1)
+    assert judged(polled(20), finding).level == "well"
 
 
 def test_an_error_of_a_rule_is_no_alarm() -> None:

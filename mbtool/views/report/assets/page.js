@@ -83,7 +83,9 @@ function frame(caption, heads, body, cards) {
 function tableRow(heads, cells, cards, attributes) {
   return el("tr", { role: cards ? "row" : null, ...attributes }, cells.map((cell, at) => el("td", { class: kindOf(heads[at]), role: cards ? "cell" : null, "data-label": cards ? nameOf(heads[at]) : null }, cell)));
 }
-function table(caption, heads, rows, cards = false) {
+function table(caption, allHeads, allRows, cards = false) {
+  const filled = allHeads.map((_, at) => allRows.some((cells) => cells[at] !== "" && cells[at] !== null));
+  const heads = allHeads.filter((_, at) => filled[at]), rows = allRows.map((cells) => cells.filter((_, at) => filled[at]));
   const row = (cells) => tableRow(heads, cells, cards);
   const body = el("tbody", { role: cards ? "rowgroup" : null }, rows.slice(0, FEW_ROWS).map(row));
   const region = frame(caption, heads, body, cards);
@@ -284,7 +286,7 @@ function failures() {
   const make = (units, title) => {
     const series = FAILURES.map(([key, label, at]) => ({ key, label, color: at, column: added(units.map((one) => one[key])) }));
     const sums = series.map((one) => `${plural(total(one.column), one.label.replace(/s$/, ""))}`);
-    if (!series.some((one) => total(one.column))) return soft(`No request of ${title} failed.`);
+    if (!series.some((one) => total(one.column))) return soft(units.length === bins.units.length ? "No request failed." : `No request of ${title} failed.`);
     return chart({
       title: `Failures over time, ${title}`, note: BINNED, summary: `${sums.join(", ")}.`, sync: "time", dots: false,
       data: [times, ...series.map((one) => one.column)],
@@ -301,10 +303,10 @@ function failures() {
   const rows = stats.links.flatMap((link) => link.functions.map((one) => [link, one]))
     .filter(([, one]) => one.no_answer || one.exception || one.malformed || one.unsolicited || one.not_captured || one.retries)
     .sort(([, a], [, b]) => b.no_answer + b.exception - a.no_answer - a.exception)
-    .map(([link, one]) => [...(several ? [link.link] : []), String(one.unit), `${hex(one.function)} ${one.function_name}`, count(one.transactions), some(one.no_answer), some(one.exception),
+    .map(([link, one]) => [...(several ? [link.link] : []), String(one.unit), `${hex(one.function)} ${one.function_name}`, count(one.transactions), some(one.no_answer), some(one.wrong_crc), some(one.exception),
       one.exceptions.map((each) => `${hex(each.code)} ${each.name} ×${count(each.count)}`).join(", "), some(one.retries), some(one.malformed), some(one.unsolicited), some(one.not_captured)]);
   show("failures", failing.length > 1 ? choice : null, place,
-    rows.length ? table("Failures by unit and function", [...(several ? ["link"] : []), ">unit", "~function", ">asked", ">no answer", ">exceptions", "+which", ">retries", ">malformed", ">unasked", ">not captured"], rows) : null,
+    rows.length ? table("Failures by unit and function", [...(several ? ["link"] : []), ">unit", "~function", ">asked", ">no answer", ">wrong CRC", ">exceptions", "+which", ">retries", ">malformed", ">unasked", ">not captured"], rows) : null,
     rows.some((row) => row[row.length - 1]) ? soft("What was not captured is the capture’s loss, and no device’s fault.") : null,
     bins.units_left_out ? soft(`The chart has the ${count(bins.units.length)} units that were asked most; ${plural(bins.units_left_out, "unit")} left out.`) : null);
 }
@@ -349,7 +351,10 @@ function histogram(name, one) {
     title: `Latency of ${name}`, note: "number of answers by latency in ms", head: "ms", height: 200,
     summary: `${plural(one.count, "answer")}, half of them within ${digits(one.p50_ms)} ms, 95 % within ${digits(one.p95_ms)} ms.`,
     data: [steps.map((_, at) => at), steps.map((step) => step.count)], at: (x) => `${labels[x] ?? ""} ms`,
-    axisX: (u, splits) => splits.map((x) => (Number.isInteger(x) && steps[x] ? labels[x] : "")),
+    axisX: (u, splits) => {
+      const every = Math.ceil((steps.length * 7 * Math.max(...labels.map((text) => text.length + 1))) / Math.max(u.bbox.width / devicePixelRatio, 1));
+      return splits.map((x) => (steps[x] && x % every === 0 ? labels[x] : ""));
+    },
     axis0: { splits: () => steps.map((_, at) => at) }, scaleX: { range: () => [-0.6, steps.length - 0.4] },
     dots: false, series: [{ label: "answers", paths: uPlot.paths.bars({ size: [0.8, 60] }), fill: "99" }],
   });
@@ -479,8 +484,8 @@ function valueChart(one, where, title, [x, y]) {
   const texts = new Map(one.texts);
   const words = one.kind === "state";
   const known = [...new Set(y)].sort((a, b) => a - b);
-  const shortened = (text) => (text.length > 18 ? `${text.slice(0, 17)}…` : text);
-  const y0 = words ? { splits: () => known, values: (u, splits) => splits.map((v) => shortened(clean(texts.get(v) ?? number(v)))), size: 130 } : {};
+  const shortened = (text) => (text.length > 17 ? `${text.slice(0, 16)}…` : text);
+  const y0 = words ? { splits: () => known, values: (u, splits) => splits.map((v) => shortened(clean(texts.get(v) ?? number(v)))), size: 140 } : {};
   return chart({
     title, note: `${where}${one.measure ? `, ${one.measure}` : ""}, ${plural(one.changes, "change")}`, sync: "time", height: 150, measure: words ? "" : one.measure,
     summary: y.length ? `From ${number(Math.min(...y))} to ${number(Math.max(...y))}.` : "", data: [x, y], axisY: y0,
@@ -492,7 +497,7 @@ function valueChart(one, where, title, [x, y]) {
 function bandChart(group, where, lines, title) {
   const lane = (at) => group.length - 1 - at;
   const joined = uPlot.join(group.map((one, at) => { const [x, y] = lines(one); return [x, y.map((v) => lane(at) + (v ? 0.8 : 0.02))]; }));
-  const shortened = (text) => (text.length > 20 ? `${text.slice(0, 19)}…` : text);
+  const shortened = (text) => (text.length > 18 ? `${text.slice(0, 17)}…` : text);
   const spelled = (one, at) => (v) => { const bit = v > lane(at) + 0.5 ? 1 : 0; return new Map(one.texts).get(bit) ?? String(bit); };
   return chart({
     title: `Bits of ${where}`, note: "a bar where the bit is 1", sync: "time", height: 60 + 26 * group.length, legend: false, dots: false,

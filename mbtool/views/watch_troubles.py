@@ -1,0 +1,74 @@
+"""What is wrong with which slave, in a few words: for a line of the live views and its table."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from mbtool.overview.slow_units import are_many
+from mbtool.views.cells import clock_time
+from mbtool.views.place_columns import common_network
+from mbtool.views.statistics_words import in_ms, percent
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from mbtool.watching.board_rows import WatchedSlaveRow
+
+FEW = 0.01
+"""Failures of a smaller share of the requests, 1 %, and fewer than ENOUGH are not told."""
+ENOUGH = 3
+
+
+def slave_trouble(row: WatchedSlaveRow) -> str:
+    """What is wrong with a slave, the worst first; empty for a slave that is well."""
+    if row.answered_ns is None and row.missing:
+        is_damaged = row.damaged * 2 > row.missing
+        return "every answer has a wrong CRC" if is_damaged else "never answers"
+    parts = []
+    if row.silent_since_ns is not None and row.damaged * 2 <= row.missing:
+        parts.append(f"no answer since {clock_time(row.silent_since_ns)[:8]}")
+    elif row.missing:
+        word = "wrong CRC" if row.damaged * 2 > row.missing else "unanswered"
+        parts.append(f"{percent(row.missing / row.asked)} {word}")
+    refused = row.exceptions + row.malformed
+    if refused:
+        word = "refused" if row.exceptions >= row.malformed else "malformed"
+        parts.append(f"{percent(refused / row.asked)} {word}")
+    if row.usual_ns is not None:
+        parts.append(f"slow, {in_ms(row.median_ns)} ms (others {in_ms(row.usual_ns)})")
+    return ", ".join(parts)
+
+
+def trouble_line(rows: Sequence[WatchedSlaveRow], width: int) -> str:
+    """The slaves in trouble, those that never answer first, as many as fit; empty if all are well.
+
+    The worst one is always told.
+    """
+    links = {row.link for row in rows}
+    network = common_network(links) or ""
+    slow = sum(row.usual_ns is not None for row in rows)
+    told = not are_many(slow, len(rows))
+    sick = sorted((row for row in rows if _fails(row) or (told and row.usual_ns)), key=_weight)
+    text = ""
+    for at, row in enumerate(sick):
+        place = f" at {row.link.removeprefix(network)}" if len(links) > 1 else ""
+        part = f"{'; ' if text else ''}unit {row.unit}{place} {slave_trouble(row)}"
+        left = len(sick) - at
+        more = f"; {left} more: key 5"
+        room = width - len(text) - (len(more) if left > 1 else 0)
+        if text and len(part) > room:
+            return f"{text}{more}"
+        text += part
+    return text
+
+
+def _failed(row: WatchedSlaveRow) -> int:
+    return row.missing + row.exceptions + row.malformed
+
+
+def _fails(row: WatchedSlaveRow) -> bool:
+    return _failed(row) >= ENOUGH and _failed(row) >= FEW * row.asked
+
+
+def _weight(row: WatchedSlaveRow) -> tuple[bool, float]:
+    return row.answered_ns is not None, -_failed(row) / (row.asked or 1)
