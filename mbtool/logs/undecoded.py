@@ -3,6 +3,10 @@
 # A recorder writes a mark (DecodingMark) when its decoder falls behind, and one when it has caught
 # up. Few logs have any. A closed log lists its topics in its summary, so that only a log that has
 # marks, or was not closed, is read for them.
+#
+# A log that was not closed, because its recorder was killed or writes on, may lack the records of
+# its last moments without a mark: for less than BEHIND_NS of the recorder. If it is not large, it
+# is read to see if any of its evidence is later than its last record.
 
 from __future__ import annotations
 
@@ -15,7 +19,7 @@ from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.records import Channel, Footer, SummaryOffset
 
-from mbtool.core import InputError
+from mbtool.core import Chunk, InputError, Packet, WireEvent
 from mbtool.logs.layout import (
     DECODING_TOPIC,
     FOOTER_SIZE,
@@ -25,6 +29,10 @@ from mbtool.logs.layout import (
     Opcode,
 )
 from mbtool.logs.reader import LogReader
+
+MAX_LOOKED_THROUGH = 16 << 20
+"""A log of at most so many bytes is decoded again for its last moments: for some seconds. For a
+larger one the user is told how to."""
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -45,6 +53,36 @@ def undecoded_pieces(path: str | Path) -> int:
             return LogReader(stream, str(path)).undecoded()
     except (OSError, InputError):
         return 0
+
+
+def ends_undecoded(path: str | Path) -> bool | None:
+    """True if the evidence of a log that was not closed goes on behind its last record.
+
+    None for a file that is larger than MAX_LOOKED_THROUGH, damaged or no log.
+    """
+    try:
+        with open(path, "rb") as stream:
+            end = stream.seek(0, os.SEEK_END)
+            if not FOOTER_SIZE + len(MAGIC) <= end <= MAX_LOOKED_THROUGH:
+                return None
+            if _footer(stream, end).summary_start:
+                return False
+            stream.seek(0)
+            return _has_late_evidence(LogReader(stream, str(path)))
+    except (OSError, InputError, McapError, ValueError, struct.error):
+        return None
+
+
+def _has_late_evidence(log: LogReader) -> bool:
+    heard_ns = recorded_ns = 0
+    for item in log.items():
+        if isinstance(item, Chunk | Packet):
+            heard_ns = max(heard_ns, item.ts_ns)
+        elif isinstance(item, WireEvent):
+            recorded_ns = max(recorded_ns, item.ts_ns)
+        else:
+            recorded_ns = max(recorded_ns, item.request_ns or 0, item.response_ns or 0)
+    return heard_ns > recorded_ns and not log.closed
 
 
 def _may_have_marks(stream: BinaryIO) -> bool:

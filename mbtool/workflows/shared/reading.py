@@ -95,7 +95,7 @@ class Reading:
         self._heard: list[HeardLine] = []
         """For each file that does not tell the baud rate, a check of the assumed baud rate."""
         self._missing = MissingParts()
-        self._logs = LogRemarks(paths)
+        self._logs = LogRemarks(paths, is_raw=options.raw)
         self.results = FileResults(paths)
         self._misordered: list[str] = []
         self._kinds: set[CaptureKind] = set()

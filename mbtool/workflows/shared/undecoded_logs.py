@@ -1,18 +1,22 @@
 """Knows which logs hold evidence that was not decoded when they were made."""
 
+# Logs that were not closed may lack the records of their last moments, too: those of up to
+# MAX_LOOKED_THROUGH bytes together are decoded again if their evidence goes on behind the records.
+#
 # Such a log is decoded again from its beginning, as what a packet or a byte means depends on what
 # came before it. Its records are left out, but not the events that its evidence cannot give: what
 # drivers, taps and interfaces told.
 
 from __future__ import annotations
 
+import os
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind, WireEvent
 from mbtool.core.wording import counted
 from mbtool.logs.links import SPEC
-from mbtool.logs.undecoded import undecoded_pieces
+from mbtool.logs.undecoded import MAX_LOOKED_THROUGH, ends_undecoded, undecoded_pieces
 from mbtool.sources.files import place_of
 from mbtool.views.cells import clock_time, day
 
@@ -34,8 +38,10 @@ _LOSSES_OF_SOURCES = ("not recorded", "turned away")
 class LogRemarks:
     """Tells which logs among some files are not decoded to their end, or were not closed."""
 
-    def __init__(self, paths: Sequence[str]) -> None:
+    def __init__(self, paths: Sequence[str], *, is_raw: bool) -> None:
+        """`is_raw` is True if the user wants all logs to be decoded again."""
         self._paths = paths
+        self._is_raw = is_raw
         self._unread: dict[str, int] = {}
         """The number of undecoded chunks and packets of logs that can be read only once: pipes and
         compressed files."""
@@ -44,7 +50,7 @@ class LogRemarks:
     @property
     def are_undecoded(self) -> bool:
         """True if all logs among the files are to be decoded again."""
-        return bool(self._counts)
+        return bool(self._counts) or any(self._ends.values())
 
     def note(self, log: LogReader, name: str) -> None:
         """Take a log that has been read to its end."""
@@ -53,8 +59,16 @@ class LogRemarks:
             self._unread[name] = int(text)
         if not log.closed:
             end = f"ends at {day(log.end_ns)} {clock_time(log.end_ns)} UTC"
-            end = end if log.end_ns else "holds nothing"
+            end = end + self._last_moments(name) if log.end_ns else "holds nothing"
             self._unclosed.append(f"{name}: was not closed; it {end}")
+
+    def _last_moments(self, name: str) -> str:
+        """What the user is told of the last moments of a log that was not closed."""
+        if self._is_raw or self._counts:
+            return ""
+        if self.are_undecoded:
+            return "; it is decoded again, for its last moments"
+        return "" if name in self._ends else "; --raw also decodes its last moments"
 
     @property
     def remarks(self) -> list[str]:
@@ -69,8 +83,27 @@ class LogRemarks:
     @cached_property
     def _counts(self) -> Mapping[str, int]:
         """The number of undecoded chunks and packets, by path."""
-        counts = {path: undecoded_pieces(path) for path in self._paths if not place_of(path)[1]}
+        counts = {path: undecoded_pieces(path) for path in self._files}
         return {path: count for path, count in counts.items() if count}
+
+    @cached_property
+    def _ends(self) -> Mapping[str, bool]:
+        """For each log that was looked through: True if its end is not decoded.
+
+        Empty if the files are large together, as all of them would be decoded again.
+        """
+        try:
+            if sum(map(os.path.getsize, self._files)) > MAX_LOOKED_THROUGH:
+                return {}
+        except OSError:  # Reading the file will raise the error.
+            return {}
+        ends = {path: ends_undecoded(path) for path in self._files}
+        return {path: is_so for path, is_so in ends.items() if is_so is not None}
+
+    @property
+    def _files(self) -> list[str]:
+        """The paths that are no pipes."""
+        return [path for path in self._paths if not place_of(path)[1]]
 
 
 def heard(log: LogReader) -> Iterator[Chunk | Packet | WireEvent]:

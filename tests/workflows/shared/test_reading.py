@@ -629,6 +629,41 @@ def test_says_where_a_log_ends_that_was_not_closed(tmp_path: Path, raw: bool) ->
         assert reading.remarks == remarks
 
 
+def _killed_late(path: Path) -> Path:
+    """A log of three exchanges whose recorder was killed before it had decoded the last one."""
+    decoder = Decoder(Namer(Assignments()), lines={LINE.name: LINE})
+    with LogWriter(path.with_name("open.mcap"), capture={"host": "bench"}) as log:
+        log.add_link(LINE.name, {"spec": "rtu:/dev/rs485@19200-8E1"})
+        for chunk in [*exchange(0), *exchange(100)]:
+            log.write(chunk)
+            for record in decoder.feed(chunk):
+                log.write(record)
+        for chunk in exchange(200):
+            log.write(chunk)
+        log.tick(0)
+        log.tick(10**10)
+        path.write_bytes(path.with_name("open.mcap").read_bytes())
+    return path
+
+
+def test_the_last_moments_of_a_log_that_was_not_closed_are_decoded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = _killed_late(tmp_path / "killed.mcap")
+    reading = Reading([str(path)], ReadingOptions())
+    assert len(_transactions(list(reading.records()))) == 3
+    (remark,) = reading.remarks
+    assert remark.endswith(" UTC; it is decoded again, for its last moments")
+    monkeypatch.setattr("mbtool.workflows.shared.undecoded_logs.MAX_LOOKED_THROUGH", 1)
+    too_large = Reading([str(path)], ReadingOptions())
+    assert len(_transactions(list(too_large.records()))) < 3
+    (remark,) = too_large.remarks
+    assert remark.endswith(" UTC; --raw also decodes its last moments")
+    packed = path.with_suffix(".gz")
+    packed.write_bytes(gzip.compress(path.read_bytes()))
+    assert len(_transactions(_read(packed))) < 3
+
+
 def test_an_empty_log_that_was_not_closed_holds_nothing(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     with LogWriter(path, capture={}):
