@@ -83,9 +83,11 @@ class Bus:
         # Bytes that the splitter still holds may be the response, so no request times out yet.
         return [*decoded, *self._pairing.advance(now_ns)] if self._splitter.is_idle else decoded
 
-    def close(self) -> list[Decoded]:
-        """End the line: return everything that is still held."""
-        return [*self._paired(self._splitter.close()), *self._pairing.close()]
+    def close(self, end_ns: int | None = None) -> list[Decoded]:
+        """End the line: return everything that is still held; `end_ns` as for Pairing.close."""
+        events = self._splitter.close()
+        end_ns = _until_unread(events, end_ns)
+        return [*self._paired(events), *self._pairing.close(end_ns)]
 
     def _note_origin(self, size: int, place: StreamPlace | None) -> None:
         if self._origins is None:
@@ -195,14 +197,20 @@ class ConnectionDecoder:
         """Note that nothing arrived until `now_ns`."""
         return [*self._pairing.advance(now_ns)]
 
-    def close(self) -> list[Decoded]:
-        """End the connection: return everything that is still held."""
+    def close(self, end_ns: int | None = None) -> list[Decoded]:
+        """End the connection: return everything that is still held.
+
+        `end_ns` is when its capture ended; None if the connection itself ended.
+        """
         decoded: list[Decoded] = []
         for direction, splitter in self._splitters.items():
-            decoded += self._paired(splitter.close(), direction)
+            events = splitter.close()
+            if direction is Direction.RESPONSE:
+                end_ns = _until_unread(events, end_ns)
+            decoded += self._paired(events, direction)
         losses = [_LostBytes(one, progress.end(), None) for one, progress in self._progress.items()]
         decoded += self._lost(losses, self._last_ns)
-        return [*decoded, *self._pairing.close()]
+        return [*decoded, *self._pairing.close(end_ns)]
 
     def _placed(
         self, events: list[Adu | Skipped], direction: Direction, ts_ns: int
@@ -261,6 +269,13 @@ def _paired(
             decoded += pairing.advance(event.ts_ns)
             decoded.append(skipped_event(event, link, endpoints))
     return decoded
+
+
+def _until_unread(events: list[Adu | Skipped], end_ns: int | None) -> int | None:
+    """When a capture ended for its requests: bytes skipped at its end may begin a response."""
+    if end_ns is None:
+        return None
+    return min([end_ns, *(event.ts_ns for event in events if isinstance(event, Skipped))])
 
 
 def skipped_event(

@@ -69,6 +69,8 @@ _EVERY_PORT = frozenset(range(1 << 16))
 _DROPPED = (
     f"connection no longer followed: it was silent longest of more than {MAX_CONNECTIONS} at once"
 )
+_UNSEEN_ENDS = frozenset((CloseReason.CAPTURE_END, CloseReason.DISCARDED))
+"""Reasons why a connection is followed no longer, although it may go on."""
 _LOSS = frozenset((EventKind.DISCARDED, EventKind.GAP, EventKind.CUT))
 """Events that mean that the following bytes of a serial line may be missing."""
 
@@ -137,6 +139,8 @@ class Decoder:
 
     def feed(self, item: Evidence) -> list[Record]:
         """Take the next item of evidence."""
+        if isinstance(item, WireEvent):
+            return self._wire_event(item)
         self._last_ns = max(self._last_ns, item.ts_ns)
         if not isinstance(item, Packet):
             return _HANDLERS[type(item)](self, item)
@@ -165,7 +169,7 @@ class Decoder:
     def end_line(self, link: str) -> list[Record]:
         """End a serial link; later bytes under the same name belong to another line."""
         bus = self._buses.pop(link, None)
-        return [] if bus is None else self._to_records(bus.close())
+        return [] if bus is None else self._to_records(bus.close(self._last_ns))
 
     def break_lines(self) -> list[Record]:
         """End all serial links, as bytes may be missing; TCP connections notice that themselves."""
@@ -217,7 +221,7 @@ class Decoder:
         detectors, self._detectors = self._detectors, OrderedDict()
         records: list[Record] = []
         for detector in detectors.values():
-            records += self._end(detector)
+            records += self._end(detector, self._last_ns)
         return records + self.break_lines()
 
     def _dispatch(self, items: Iterable[StreamItem]) -> list[Record]:
@@ -243,7 +247,7 @@ class Decoder:
         records = self._to_records(decoded)
         if len(self._detectors) > MAX_CONNECTIONS:
             _, oldest = self._detectors.popitem(last=False)
-            records += self._end(oldest)
+            records += self._end(oldest, self._last_ns)
         return records
 
     def _quiet(self, quiet: Quiet) -> list[Record]:
@@ -281,7 +285,9 @@ class Decoder:
 
     def _stream_closed(self, item: StreamClosed) -> list[Record]:
         detector = self._detectors.pop(item.connection, None)
-        records = [] if detector is None else self._end(detector)
+        is_cut_off = item.reason in _UNSEEN_ENDS
+        end_ns = max(item.ts_ns, self._last_ns) if is_cut_off else None
+        records = [] if detector is None else self._end(detector, end_ns)
         state = None if detector is None else detector.state
         if state is not ProtocolState.MODBUS and not self._is_expected(item.connection):
             return records
@@ -314,8 +320,11 @@ class Decoder:
         """Return the event. If it means lost bytes, first end the links on which they were lost."""
         if event.kind is EventKind.GAP and not event.link:
             # A damaged place in a log: bytes of any link may be missing.
-            return [*self._close_all(), event]
-        return [*(self.end_line(event.link) if event.kind in _LOSS else ()), event]
+            records = self._close_all()
+        else:
+            records = self.end_line(event.link) if event.kind in _LOSS else []
+        self._last_ns = max(self._last_ns, event.ts_ns)  # Only now: what is lost came before it.
+        return [*records, event]
 
     def _bus(self, chunk: Chunk) -> Bus | TapPair:
         link = chunk.link
@@ -365,8 +374,9 @@ class Decoder:
         named = connection.slave.port in ports or connection.master.port in ports
         return named or not self._any_port
 
-    def _end(self, detector: ProtocolDetector) -> list[Record]:
-        return self._to_records(self._foreign_once(detector, detector.close()))
+    def _end(self, detector: ProtocolDetector, end_ns: int | None) -> list[Record]:
+        """End a connection, or at `end_ns` only its capture."""
+        return self._to_records(self._foreign_once(detector, detector.close(end_ns)))
 
     def _foreign_once(self, detector: ProtocolDetector, decoded: list[Decoded]) -> list[Decoded]:
         """Leave out what an endpoint that is not Modbus has had already; not at a named port."""

@@ -58,6 +58,8 @@ class MasterHabits:
         as twice the mean."""
         self._fastest_ns: dict[int | None, int] = {}
         """By function code, the shortest latency, in ns."""
+        self.longest_ns = 0
+        """The longest latency of all, in ns."""
         self._in_a_row = 0
         """The number of requests in a row that came while no other one waited."""
         self.is_sequential = False
@@ -160,6 +162,7 @@ class MasterHabits:
         self._usual_ns[function] = usual_ns
         fastest_ns = self._fastest_ns.get(function, latencies[0])
         self._fastest_ns[function] = min(fastest_ns, *latencies)
+        self.longest_ns = max(self.longest_ns, *latencies)
 
     def note_answered(self, number: int) -> None:
         """Note a response to the request with a number."""
@@ -180,6 +183,7 @@ class MasterHabits:
         self._usual_ns[function] = (7 * usual_ns + min(latency_ns, 2 * usual_ns)) // 8
         fastest_ns = self._fastest_ns.get(function, latency_ns)
         self._fastest_ns[function] = min(fastest_ns, latency_ns)
+        self.longest_ns = max(self.longest_ns, latency_ns)
 
     def is_too_early(self, function: int, latency_ns: int) -> bool:
         """True if a latency is less than half the shortest latency of this slave so far.

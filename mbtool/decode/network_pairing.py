@@ -59,11 +59,14 @@ from mbtool.decode.plain_stretch import plain_request
 from mbtool.decode.stream_progress import AduPlace
 from mbtool.decode.transactions import (
     Ends,
+    capture_ended,
     no_answer,
     response_not_captured,
     unsolicited,
     with_response,
 )
+from mbtool.decode.unanswered_counts import UnansweredCounts
+from mbtool.decode.unfinished import unfinished_in
 from mbtool.modbus.adu import Adu, Verdict
 from mbtool.modbus.transaction import Outcome
 
@@ -94,8 +97,7 @@ class NetworkPairing:
         self._habits = MasterHabits()
         self._requests = 0
         """The number of requests so far."""
-        self._unanswered: dict[tuple[int, bytes], int] = {}
-        """By unit and PDU, the number of requests in a row that had no answer."""
+        self._unanswered = UnansweredCounts()
         self._dropped = DroppedRequests()
         self.response_is_cut = False
         """True while the capture has only the start of a response that is not yet read."""
@@ -109,10 +111,8 @@ class NetworkPairing:
     def feed(self, adu: Adu, place: AduPlace | None = None) -> list[Transaction]:
         """Take the next ADU, in order of time."""
         done = self.advance(adu.start_ns)
-        if adu.direction is not Direction.RESPONSE:
-            self._add_request(adu, place, done)
-        else:
-            self._respond(adu, place, done)
+        take = self._respond if adu.direction is Direction.RESPONSE else self._add_request
+        take(adu, place, done)
         return done
 
     def is_at_rest(self, now_ns: int) -> bool:
@@ -182,9 +182,13 @@ class NetworkPairing:
                     self._close(requests.pop(0), done)
         return done
 
-    def close(self) -> list[Transaction]:
-        """End the connection: open requests stay without an answer."""
+    def close(self, end_ns: int | None = None) -> list[Transaction]:
+        """End the connection: open requests stay without an answer.
+
+        `end_ns` is when its capture ended; None if the connection itself ended.
+        """
         done: list[Transaction] = []
+        unfinished = {id(one): unfinished_in(one, self._habits, end_ns) for one in self._readings}
         for reading in self._readings:
             reading.give_up([one for one in reading.waiting if reading.awaits(one)])
         self._decide(done)
@@ -192,7 +196,10 @@ class NetworkPairing:
         rest = sorted((*reading.passed, *reading.waiting), key=lambda one: one.number)
         self._readings = [PairReading([], [])]
         for one in rest:
-            self._close(one, done)
+            if one.adu is not None and one.number in unfinished[id(reading)]:
+                done.append(capture_ended(self._ends, one.adu))
+            else:
+                self._close(one, done)
         return done
 
     def _add_request(self, request: Adu, place: AduPlace | None, done: list[Transaction]) -> None:
@@ -305,10 +312,8 @@ class NetworkPairing:
         if found:
             limit = min(option.cost for option in found) + MARGIN
             return [option for option in found if option.cost <= limit]
-        if is_only_one:
-            one = self._of_other_id(reading, response, place)
-            if one is not None:
-                return [PairOption(0.0, one)]
+        if is_only_one and (one := self._of_other_id(reading, response, place)) is not None:
+            return [PairOption(0.0, one)]
         return [PairOption(UNASKED, None)]
 
     def _of_other_id(
@@ -423,7 +428,7 @@ class NetworkPairing:
             return 0
         assert answered.adu is not None
         key = request_key(answered.adu)
-        retries = self._unanswered.pop(key, 0)
+        retries = self._unanswered.take(answered.adu)
         for requests in (reading.passed, reading.waiting):
             for earlier in requests:
                 if earlier.number > answered.number:
@@ -440,11 +445,5 @@ class NetworkPairing:
         if one.may_be_lost or one.adu.missing or self.response_is_cut:
             done.append(response_not_captured(self._ends, one.adu))
             return
-        retries = 0
-        if one.counts:
-            key = request_key(one.adu)
-            retries = self._unanswered.pop(key, 0)
-            if len(self._unanswered) >= MAX_OPEN_REQUESTS:
-                del self._unanswered[next(iter(self._unanswered))]
-            self._unanswered[key] = retries + 1
+        retries = self._unanswered.add(one.adu) if one.counts else 0
         done.append(no_answer(self._ends, one.adu, retries))

@@ -21,8 +21,16 @@ from typing import TYPE_CHECKING
 from msgspec.structs import replace
 
 from mbtool.core import Direction, EventKind, WireEvent
-from mbtool.core.limits import MAX_OPEN_REQUESTS
-from mbtool.decode.transactions import Ends, broadcast, no_answer, unsolicited, with_response
+from mbtool.decode.transactions import (
+    Ends,
+    broadcast,
+    capture_ended,
+    no_answer,
+    unsolicited,
+    with_response,
+)
+from mbtool.decode.unanswered_counts import UnansweredCounts
+from mbtool.decode.unfinished import may_be_answered
 from mbtool.modbus.adu import Verdict
 from mbtool.modbus.request_match import is_response_code
 from mbtool.serial_line.line_statistics import LatencyStatistics
@@ -72,13 +80,14 @@ class Pairing:
         self._is_surely_overtaken = False
         """True if the master of the overtaken request was certainly still waiting."""
         self._requests = 0
+        self._slowest_ns = 0
+        """The longest time from a request to its response, in ns."""
         self._answered_at: deque[int] = deque(maxlen=ENOUGH_OVERTAKEN)
         """The number of requests heard when each of the last overtaken requests got its
         response."""
         self._has_told = False
         """True if it was said that there are two masters."""
-        self._unanswered: dict[tuple[int, bytes], int] = {}
-        """By unit and PDU, the number of requests in a row that had no answer."""
+        self._unanswered = UnansweredCounts()
 
     def feed(self, adu: Adu, _place: AduPlace | None = None) -> list[Transaction | WireEvent]:
         """Take the next ADU, in order of time; return what it completes.
@@ -111,7 +120,8 @@ class Pairing:
         else:
             done.append(unsolicited(self._ends, adu))
             return done
-        retries = self._unanswered.pop((request.unit, request.pdu), 0)
+        self._slowest_ns = max(self._slowest_ns, adu.start_ns - request.end_ns)
+        retries = self._unanswered.take(request)
         done.append(with_response(self._ends, request, adu, retries, ()))
         return done
 
@@ -166,20 +176,28 @@ class Pairing:
             confidence = min(request.confidence, adu.confidence)
             self._open = replace(request, confidence=confidence, verdicts=verdicts)
 
-    def close(self) -> list[Transaction]:
-        """End the line: return the transactions of the requests that have no response."""
-        requests = self._overtaken, self._open
-        self._overtaken = self._open = None
-        return [self._unanswered_request(request) for request in requests if request is not None]
+    def close(self, end_ns: int | None = None) -> list[Transaction]:
+        """End the line: return the transactions of the requests that have no response.
+
+        `end_ns` is when its capture ended; None if no response can come any more.
+        """
+        requests, self._overtaken, self._open = (self._overtaken, self._open), None, None
+        return [
+            capture_ended(self._ends, request)
+            if end_ns is not None and self._may_be_answered(request, end_ns)
+            else self._unanswered_request(request)
+            for request in requests
+            if request is not None
+        ]
+
+    def _may_be_answered(self, request: Adu, end_ns: int) -> bool:
+        """True if a response to a request may come after `end_ns`."""
+        waited_ns = end_ns - request.end_ns
+        return not self._ends.timed or may_be_answered(waited_ns, self._slowest_ns)
 
     def _unanswered_request(self, request: Adu) -> Transaction:
         """The transaction of a request that got no response; count it."""
-        key = request.unit, request.pdu
-        retries = self._unanswered.pop(key, 0)
-        if len(self._unanswered) >= MAX_OPEN_REQUESTS:
-            del self._unanswered[next(iter(self._unanswered))]
-        self._unanswered[key] = retries + 1
-        return no_answer(self._ends, request, retries)
+        return no_answer(self._ends, request, self._unanswered.add(request))
 
 
 def _in_doubt(adu: Adu) -> Adu:

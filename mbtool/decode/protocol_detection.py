@@ -194,14 +194,17 @@ class ProtocolDetector:
             candidate.add(candidate.decoder.advance(now_ns))
         return []
 
-    def close(self) -> list[Decoded]:
-        """End the connection: decide if still undecided, and return what is held."""
+    def close(self, end_ns: int | None = None) -> list[Decoded]:
+        """End the connection: decide if still undecided, and return what is held.
+
+        `end_ns` is when its capture ended; None if the connection itself ended.
+        """
         if self.state is ProtocolState.MODBUS:
-            return self._candidates[0].decoder.close()
+            return self._candidates[0].decoder.close(end_ns)
         if self.state is ProtocolState.FOREIGN or not self._seen:
             return []
         for candidate in self._candidates:
-            candidate.add(candidate.decoder.close())
+            candidate.add(candidate.decoder.close(end_ns))
         decoded = self._decide(is_last=True)
         if decoded or self.state is not ProtocolState.UNDECIDED:
             return decoded

@@ -112,9 +112,9 @@ class TapPair:
             decoded += self._pairing.advance(now_ns)
         return decoded
 
-    def close(self) -> list[Decoded]:
-        """End the line: return everything that is still held."""
-        return [*self._take_all(), *self._pairing.close()]
+    def close(self, end_ns: int | None = None) -> list[Decoded]:
+        """End the line: return everything that is still held; `end_ns` as for Pairing.close."""
+        return [*self._take_all(), *self._pairing.close(end_ns)]
 
     def _restart_if_set_back(self, ts_ns: int, known_ns: int) -> list[Decoded]:
         """Return all held events and forget all times if the clock was set back."""

@@ -131,6 +131,11 @@ def response_not_captured(
     return _alone(ends, request, Outcome.NOT_CAPTURED, 0, verdicts)
 
 
+def capture_ended(ends: Ends, request: Adu) -> Transaction:
+    """A request whose response may have come after the end of the capture."""
+    return response_not_captured(ends, request, (Verdict.CAPTURE_END,))
+
+
 def broadcast(ends: Ends, request: Adu) -> Transaction:
     """A request to all units, which no unit answers (Serial Line V1.02, 2.1)."""
     return _alone(ends, request, Outcome.BROADCAST, 0)

@@ -88,6 +88,8 @@ class Verdict(StrEnum):
     OVER_LIMIT = "over-limit"
     """The decoder dropped this request because of its limit of open requests; or this is the
     response to such a request. The two are not joined."""
+    CAPTURE_END = "capture-end"
+    """The capture of this link ends, or is interrupted, sooner than the response may come."""
 
 
 class Checksum(msgspec.Struct, frozen=True, gc=False):

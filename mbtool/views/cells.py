@@ -199,6 +199,8 @@ def result_text(
 def _lacking_response(transaction: NamedTransaction) -> str | None:
     """A text on which part of the response the capture lacks; None if the response is complete."""
     is_cut = Verdict.CUT in transaction.verdicts
+    if Verdict.CAPTURE_END in transaction.verdicts:
+        return "capture ends before an answer"
     if transaction.response_raw is None:
         return "request cut, no answer captured" if is_cut else "answer not captured"
     is_whole = whole_pdu(transaction.transport, transaction.response_raw) is not None

@@ -31,6 +31,7 @@ def known(decoder: Decoder) -> dict[str, Any]:
     pairing["_last_two"] = [
         None if one is None or one.adu is None else one.adu.raw for one in inner._pairing._last_two
     ]
+    pairing["_unanswered"] = len(inner._pairing._unanswered)
     for name in ("_ends", "_dropped", "_readings"):
         del pairing[name]
     (reading,) = inner._pairing._readings

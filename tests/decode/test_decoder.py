@@ -111,7 +111,7 @@ def test_an_ascii_line_is_decoded_as_ascii() -> None:
     data = ascii_adu(1, READ)
     (one,) = _decoded([Chunk(ts_ns=START_NS, link="com", data=data)], decoder)
     assert isinstance(one, NamedTransaction)
-    assert (one.transport, one.outcome) == (Transport.ASCII, Outcome.NO_ANSWER)
+    assert (one.transport, one.outcome) == (Transport.ASCII, Outcome.NOT_CAPTURED)
 
 
 def test_the_bytes_of_a_relay_become_transactions_however_they_are_cut() -> None:
@@ -250,7 +250,7 @@ def test_a_damaged_place_in_a_log_ends_everything_incomplete_on_all_links() -> N
     asked = relayed(1, REQUEST, READ)
     answered = relayed(3, RESPONSE, VALUES)
     records = _decoded([half, asked, damaged, heard(3, VALUES), answered, *exchange(100)])
-    assert _outcomes(records[: records.index(damaged)]) == ["no-answer", "skipped"]
+    assert _outcomes(records[: records.index(damaged)]) == ["not-captured", "skipped"]
     assert sorted(_outcomes(records[records.index(damaged) :])) == [
         "gap", "ok", "unsolicited", "unsolicited",
     ]  # fmt: skip
@@ -280,7 +280,7 @@ def test_silence_on_one_line_does_not_affect_another() -> None:
 def test_closing_twice_returns_nothing_more() -> None:
     decoder = _decoder()
     decoder.feed(heard(0, READ))
-    assert _outcomes(decoder.close()) == ["no-answer"]
+    assert _outcomes(decoder.close()) == ["not-captured"]
     assert decoder.close() == []
 
 
@@ -300,7 +300,7 @@ def test_the_number_of_connections_is_limited(monkeypatch: pytest.MonkeyPatch) -
         "10.0.0.1:50000",
         "10.0.0.1:50001",
     ]
-    assert _outcomes(decoder.close()) == ["no-answer"] * 3
+    assert _outcomes(decoder.close()) == ["not-captured"] * 3
 
 
 def test_the_connection_silent_for_longest_is_closed_first(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -350,7 +350,9 @@ def test_a_line_gives_the_same_live_and_from_its_bytes(
             chunk = Chunk(ts_ns=chunk.ts_ns, link=chunk.link, data=chunk.data[:-1] + b"\xee")
         evidence.append(chunk)
         live.append(chunk)
-    live.append(Quiet(START_NS + (at_ms + 20_000) * MS, LINE.name))
+    # How long the line was silent at the end of the capture is evidence, too.
+    for items in (live, evidence):
+        items.append(Quiet(START_NS + (at_ms + 20_000) * MS, LINE.name))
     assert _decoded(live) == _decoded(evidence)
 
 
@@ -541,9 +543,9 @@ def test_a_line_that_ended_does_not_affect_the_next_line_of_its_name() -> None:
     request, response = exchange(0)
     decoder.begin_line(SerialLink(request.link, SerialFormat()))
     assert decoder.feed(request) == []
-    (unanswered,) = decoder.end_line(request.link)
-    assert isinstance(unanswered, NamedTransaction)
-    assert unanswered.outcome is Outcome.NO_ANSWER
+    (interrupted,) = decoder.end_line(request.link)
+    assert isinstance(interrupted, NamedTransaction)
+    assert interrupted.outcome is Outcome.NOT_CAPTURED
     records = [*decoder.feed(response), *decoder.close()]
     assert [one.outcome for one in records if isinstance(one, NamedTransaction)] == [
         Outcome.UNSOLICITED
@@ -773,8 +775,8 @@ def test_fragments_of_two_interfaces_are_reassembled_separately() -> None:
     begun = talk.handshake()
     whole = in_fragments(talk.request(mbap_adu(1, 1, READ)), 24)
     items = [*begun, whole[0], *_seen_by("eth1", whole[1:])]
-    assert _outcomes(_decoded(items, _across())) == ["opened", "no-answer", "closed"]
-    assert "no-answer" not in _outcomes(_decoded(items))
+    assert _outcomes(_decoded(items, _across())) == ["opened", "not-captured", "closed"]
+    assert "not-captured" not in _outcomes(_decoded(items))
 
 
 def _across() -> Decoder:

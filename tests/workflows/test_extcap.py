@@ -52,9 +52,9 @@ def _written(records: list[Record], assignments: Assignments) -> _Pipe:
 def test_frames_become_packets_that_decode_as_the_line(tmp_path: Path) -> None:
     chunks = [
         *exchange(0),
-        *exchange(100, WRITE, WRITE),
-        *exchange(200, READ, REFUSED),
-        heard(300, READ),
+        *exchange(100, READ, REFUSED),
+        heard(200, READ),
+        *exchange(300, WRITE, WRITE),
     ]
     records = _records(chunks, TOUCH)
     path = tmp_path / "live.pcapng"

@@ -108,6 +108,9 @@ class ResponseRules:
         is_ambiguous = Verdict.AMBIGUOUS in transaction.verdicts
         if is_ambiguous and transaction.outcome in _UNPAIRED:
             self._forget(connection, transaction.unit)
+        if Verdict.CAPTURE_END in transaction.verdicts:
+            state.last_request_ns = max(state.last_request_ns, at_ns)
+            return
         if transaction.outcome is Outcome.NOT_CAPTURED:
             self._forget(connection, transaction.unit)  # The capture lacks one half.
             return

@@ -91,7 +91,7 @@ def test_a_capture_that_begins_earlier_is_another(tmp_path: Path) -> None:
     # The cut divides an exchange.
     for paths in ([second, other, first], [first, other]):
         outcomes = _outcomes(_read(paths))
-        assert "no-answer" in outcomes
+        assert "not-captured" in outcomes
         assert "unsolicited" in outcomes
 
 
@@ -131,7 +131,7 @@ def test_a_serial_line_does_not_go_on_behind_a_cut(tmp_path: Path) -> None:
     parts = _written(tmp_path, packets[:4], packets[4:])
     parts[0] = _cut(parts[0].rename(tmp_path / "cut.pcap"))
     _, records = _read_to_the_cut(parts)
-    assert _outcomes(records) == ["ok", "no-answer", "ok"]
+    assert _outcomes(records) == ["ok", "not-captured", "ok"]
 
 
 @pytest.mark.parametrize("raw", [False, True])
@@ -248,12 +248,12 @@ def test_a_rotated_log_decodes_to_the_same_as_the_whole(
 def test_a_part_that_is_missing_or_misplaced_joins_nothing(tmp_path: Path) -> None:
     first, second, *_ = _rotated(tmp_path / "parts", exchange(0))
     assert _outcomes(_read([first, second], raw=True)) == ["ok"]
-    assert _outcomes(_read([second, first], raw=True)) == ["unsolicited", "no-answer"]
+    assert _outcomes(_read([second, first], raw=True)) == ["unsolicited", "not-captured"]
     request, *_, response = parts = _rotated(
         tmp_path / "three", [exchange(0)[0], *exchange(5)[:1], exchange(0)[1]]
     )
     assert len(parts) == 3
-    assert _outcomes(_read([request, response], raw=True)) == ["no-answer", "unsolicited"]
+    assert _outcomes(_read([request, response], raw=True)) == ["not-captured", "unsolicited"]
 
 
 def test_two_recordings_are_not_parts_of_one(tmp_path: Path) -> None:
@@ -262,7 +262,7 @@ def test_two_recordings_are_not_parts_of_one(tmp_path: Path) -> None:
     for name, chunk in (("a", request), ("b", response)):
         (tmp_path / name).mkdir()
         paths.append(_whole(tmp_path / name, [chunk]))
-    assert _outcomes(_read(paths, raw=True)) == ["no-answer", "unsolicited"]
+    assert _outcomes(_read(paths, raw=True)) == ["not-captured", "unsolicited"]
 
 
 def test_a_log_and_a_capture_are_not_parts_of_one(tmp_path: Path) -> None:
@@ -270,7 +270,7 @@ def test_a_log_and_a_capture_are_not_parts_of_one(tmp_path: Path) -> None:
     log = _whole(tmp_path, packets[:4])
     (capture,) = _written(tmp_path, packets[4:])
     joined = _read([log, capture], raw=True)
-    assert _outcomes(joined) == ["no-answer", "unsolicited"]
+    assert _outcomes(joined) == ["not-captured", "unsolicited"]
 
 
 def test_part_numbers_follow_each_other() -> None:

@@ -194,14 +194,14 @@ def test_a_cut_capture_gives_all_before_the_cut(tmp_path: Path) -> None:
     assert len(_transactions(records)) == 3
 
 
-def test_a_request_before_a_cut_comes_out_unanswered(tmp_path: Path) -> None:
+def test_a_request_before_a_cut_has_an_answer_that_is_not_captured(tmp_path: Path) -> None:
     whole = pcap(captured(1)[:5])
     path = tmp_path / "cut.pcap"
     path.write_bytes(whole[:-3])
     records: list[Record] = []
     with pytest.raises(CutError):
         records.extend(Reading([str(path)], ReadingOptions()).records())
-    assert [one.outcome.value for one in _transactions(records)] == ["no-answer"]
+    assert [one.outcome.value for one in _transactions(records)] == ["not-captured"]
 
 
 @pytest.mark.parametrize("raw", [False, True])
@@ -245,7 +245,7 @@ def test_a_request_is_not_joined_to_a_response_behind_damage(tmp_path: Path) -> 
     with pytest.raises(DamageError):
         records.extend(Reading([str(path)], ReadingOptions(raw=True)).records())
     assert [getattr(one, "outcome", None) or one.kind for one in records] == [  # type: ignore[union-attr]
-        "no-answer", "gap", "unsolicited",
+        "not-captured", "gap", "unsolicited",
     ]  # fmt: skip
 
 
@@ -504,7 +504,7 @@ def test_each_file_of_bytes_is_a_line_of_its_own(tmp_path: Path) -> None:
         path.write_bytes(data)
     options = ReadingOptions(line=RTU)
     found = _transactions(list(Reading([str(path) for path in paths], options).records()))
-    assert [one.outcome for one in found] == ["no-answer", "unsolicited"]
+    assert [one.outcome for one in found] == ["not-captured", "unsolicited"]
 
 
 @pytest.mark.parametrize(
