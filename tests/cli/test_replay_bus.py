@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import select
 import signal
 import sys
 import tty
@@ -14,7 +15,7 @@ import pytest
 
 from mbtool.cli import exit_codes
 from mbtool.modbus import rtu_adu
-from tests.cli.program import CommandLine, Program
+from tests.cli.program import PATIENCE_S, CommandLine, Program
 from tests.workflows.evidence import READ, VALUES
 
 if TYPE_CHECKING:
@@ -38,14 +39,23 @@ def _port() -> Iterator[tuple[str, int]]:
         os.close(far)
 
 
+def _read(near: int, size: int) -> bytes:
+    """The next bytes: a pseudo-terminal hands them on a little later, and not always at once."""
+    data = b""
+    while len(data) < size and select.select([near], [], [], PATIENCE_S)[0]:
+        data += os.read(near, size - len(data))
+    return data
+
+
 def test_every_byte_is_sent_and_how_true_the_times_were_is_told(
     mbtool: CommandLine, capture: Path
 ) -> None:
+    sent = (rtu_adu(1, READ) + rtu_adu(1, VALUES)) * 3
     with _port() as (port, near):
         told = mbtool("replay", capture, "--as-bus", "--on", f"rtu:{port}@115200-8N1")
-        heard = os.read(near, 4096)
+        heard = _read(near, len(sent))
     assert (told.code, told.out) == (exit_codes.DONE, "")
-    assert heard == (rtu_adu(1, READ) + rtu_adu(1, VALUES)) * 3
+    assert heard == sent
     first, last = told.err.splitlines()
     assert first.startswith(f"{capture}: 51 bytes on rtu:{port}@115200-8N1, ")
     assert first.endswith(" s; Ctrl-C ends")
