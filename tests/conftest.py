@@ -27,7 +27,8 @@ settings.load_profile("same-examples")
 # many captures.
 SLOW = frozenset((
     "adversary", "benchmarks", "differential", "end_to_end", "golden", "properties",
-    "cli/test_ask.py", "cli/test_decode.py", "cli/test_decode_parquet.py",
+    "cli/test_ask.py", "cli/test_decode.py", "cli/test_decode_jobs.py",
+    "cli/test_decode_parquet.py",
     "cli/test_environments.py",
     "cli/test_line.py", "cli/test_main.py", "cli/test_output.py",
     "cli/test_replay.py", "cli/test_replay_slave.py", "cli/test_slave.py", "cli/test_sniff.py",

@@ -17,6 +17,7 @@ from mbtool.cli.options import (
     EventChoice,
     EventsOption,
     Format,
+    JobsOption,
     OverwriteOption,
     RawOption,
     SilenceOptions,
@@ -29,10 +30,8 @@ from mbtool.cli.options import (
 from mbtool.cli.progress import with_progress
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Iterator
 
-    from mbtool.cli.output import RecordOutput
-    from mbtool.cli.talk import Interrupt
     from mbtool.decode.decoder import Record
     from mbtool.workflows.shared.column_reading import ColumnReading
     from mbtool.workflows.shared.model_hints import ModelHints
@@ -92,8 +91,10 @@ def decode(
         SortKey | None,
         typer.Option("--sort", help="Order of the rows; all of them are held until the end."),
     ] = None,
+    jobs: JobsOption = None,
 ) -> None:
     """Decode captures and logs into transactions, a line for each."""
+    from mbtool.cli.column_output import print_columns, processes_for
     from mbtool.cli.options import condition
     from mbtool.cli.output import demand_other_file, open_output, say_if_empty
     from mbtool.cli.talk import interruptible, say
@@ -151,7 +152,7 @@ def decode(
 
         if columns is not None:
             records = iter(())
-            _print_columns(columns, out, note, interrupt)
+            print_columns(columns, out, note, interrupt, processes_for(files, jobs))
         if not (follow or out.on_terminal):
             records = with_progress(reading, records)
         for record in window.begun(records, at_once=follow or is_live):
@@ -193,26 +194,6 @@ def _columns(
             is_shown = output is None and sys.stdout is not None and sys.stdout.isatty()
             return None if is_shown else column_reading(files, options, at_least=_WORTH_BYTES)
     return None
-
-
-def _print_columns(
-    columns: ColumnReading,
-    out: RecordOutput,
-    note: Callable[[Record], None],
-    interrupt: Interrupt,
-) -> None:
-    """Print all transactions, those of many packets at once."""
-    if out.takes_tables:
-        for batch in interrupt.breakable(columns.batches()):
-            for record in batch.records:
-                note(record)
-            out.add_table(batch.table)
-        return
-    printer = out.lines
-    for lines in interrupt.breakable(columns.lines(printer.line_of, printer.separator)):
-        for record in lines.records:
-            note(record)
-        out.add_lines(lines)
 
 
 @contextmanager

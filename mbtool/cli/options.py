@@ -96,6 +96,16 @@ RawOption = Annotated[
     bool,
     typer.Option("--raw", help="Decode a log's evidence afresh, in place of what it says."),
 ]
+JobsOption = Annotated[
+    int | None,
+    typer.Option(
+        "--jobs",
+        metavar="N",
+        min=1,
+        help="Processes that work on large captures at once; 1 for one core. [default: the cores "
+        "there are]",
+    ),
+]
 AllowOption = Annotated[
     list[str] | None,
     typer.Option(

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections import Counter
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO, TypeVar
 
@@ -17,17 +15,18 @@ from mbtool.cli.options import EventChoice, Format, SortKey
 from mbtool.cli.printers import LinesPrinter, ParquetPrinter, demand_columns, printer_for
 from mbtool.cli.record_order import SORTED
 from mbtool.cli.talk import say
-from mbtool.core import EventKind, MbtoolError, OutputError, UsageError, WireEvent
-from mbtool.core.wording import plural
-from mbtool.modbus import Outcome, Verdict
+from mbtool.cli.tally import CONNECTION_EVENTS, Tally
+from mbtool.core import MbtoolError, OutputError, UsageError, WireEvent
 from mbtool.views.table_options import TableOptions
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
+    from contextlib import AbstractContextManager
 
     from mbtool.cli.printers import Printer, ProfileFor
     from mbtool.columns.plain_lines import LineBatch
     from mbtool.columns.schema import Table
+    from mbtool.columns.table_counts import TransactionCounts
     from mbtool.decode.decoder import Record
     from mbtool.query.where import Where
     from mbtool.workflows.shared.reading import Reading
@@ -49,19 +48,6 @@ _STANDARD_OUTPUT = "-"
 _STANDARD_OUTPUT_NAME = "standard output"
 
 F = TypeVar("F")
-
-CONNECTION_EVENTS = frozenset((EventKind.OPENED, EventKind.CLOSED))
-"""Events that are no trouble: a connection was opened or closed."""
-
-_WORDS = {
-    Outcome.OK: "ok",
-    Outcome.EXCEPTION: "exception",
-    Outcome.NO_ANSWER: "without answer",
-    Outcome.NOT_CAPTURED: "not captured",
-    Outcome.UNSOLICITED: "unsolicited",
-    Outcome.BROADCAST: "broadcast",
-    Outcome.MALFORMED: "malformed",
-}
 
 OUTPUT_FORMATS = {
     ".jsonl": Format.JSONL,
@@ -139,11 +125,26 @@ class RecordOutput:
 
     def add_table(self, table: Table) -> None:
         """Print a table of transactions, without the filter and the limit."""
+        from mbtool.columns.table_counts import table_counts
+
         assert isinstance(self._printer, ParquetPrinter)
-        self._read += table.num_rows
-        self._tally.add_table(table)
+        self.count(table_counts(table))
         with told_as_lost(self._name):
             self._printer.print_table(table)
+
+    def count(self, counts: TransactionCounts) -> None:
+        """Count transactions that are printed, or were printed by another process."""
+        self._read += counts.outcomes.total()
+        self._tally.add_counts(counts)
+
+    @property
+    def file_descriptor(self) -> int:
+        return self._file.fileno()
+
+    def is_written_elsewhere(self) -> None:
+        """Leave the Parquet file to another process."""
+        assert isinstance(self._printer, ParquetPrinter)
+        self._printer.is_elsewhere = True
 
     @property
     def lines(self) -> LinesPrinter:
@@ -158,8 +159,16 @@ class RecordOutput:
             if not isinstance(record, WireEvent):
                 self._tally.add(record)
         self._read += batch.outcomes.total()
-        with told_as_lost(self._name):
-            self.lines.print_lines(batch.text)
+        self.add_text(batch.text)
+
+    def add_text(self, lines: str) -> None:
+        """Print lines that are not counted here."""
+        with self.told_as_lost():
+            self.lines.print_lines(lines)
+
+    def told_as_lost(self) -> AbstractContextManager[None]:
+        """Turn an OSError into an OutputError that names this output; BrokenPipeError stays."""
+        return told_as_lost(self._name)
 
     def wait(self) -> None:
         """Flush what has been printed, as the next record may take a while."""
@@ -403,48 +412,3 @@ def verdict_kept(is_no: Callable[[], bool]) -> Iterator[None]:
         if not is_no():
             raise
         raise typer.Exit(exit_codes.NO) from None
-
-
-@dataclass(slots=True)
-class Tally:
-    """Counts transactions by outcome, and events by kind."""
-
-    outcomes: Counter[Outcome] = field(default_factory=Counter)
-    events: Counter[EventKind] = field(default_factory=Counter)
-    ambiguous: int = 0
-
-    def add(self, record: Record) -> None:
-        if isinstance(record, WireEvent):
-            self.events[record.kind] += 1
-        else:
-            self.outcomes[record.outcome] += 1
-            self.ambiguous += Verdict.AMBIGUOUS in record.verdicts
-
-    def add_table(self, table: Table) -> None:
-        for one in table["outcome"].value_counts().to_pylist():
-            self.outcomes[Outcome(one["values"])] += one["counts"]
-        verdicts = table["verdicts"].combine_chunks().flatten().to_pylist()
-        self.ambiguous += verdicts.count(Verdict.AMBIGUOUS)
-
-    @property
-    def transactions(self) -> int:
-        return self.outcomes.total()
-
-    def sentence(self) -> str:
-        """Sum up: `12 transactions: 10 ok, 2 exception; 3 events: 3 skipped`."""
-        text = f"{self.transactions} {plural(self.transactions, 'transaction')}"
-        parts = [
-            f"{self.outcomes[key]} {word}" for key, word in _WORDS.items() if self.outcomes[key]
-        ]
-        if parts:
-            text += ": " + ", ".join(parts)
-        if self.ambiguous:
-            text += f" ({self.ambiguous} ambiguous)"
-        troubles = {
-            kind: count for kind, count in self.events.items() if kind not in CONNECTION_EVENTS
-        }
-        if troubles:
-            total = sum(troubles.values())
-            text += f"; {total} {plural(total, 'event')}: "
-            text += ", ".join(f"{count} {kind.value}" for kind, count in sorted(troubles.items()))
-        return text

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from functools import cached_property
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, TextIO
 
@@ -13,6 +14,7 @@ from mbtool.logs import CsvWriter, csv_line, event_to_jsonl, transaction_to_json
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from mbtool.columns.parquet import ParquetRows
     from mbtool.columns.schema import Table
     from mbtool.decode.decoder import Record
     from mbtool.devices import NamedTransaction, Profile
@@ -72,6 +74,7 @@ class _TablePrinter(Printer):
 class LinesPrinter(Printer):
     """Prints each transaction as a line of text that depends on nothing before it."""
 
+    format: Format
     separator: str
     """The text between two numbers of a list of values."""
 
@@ -88,6 +91,7 @@ class LinesPrinter(Printer):
 
 
 class _JsonLinesPrinter(LinesPrinter):
+    format = Format.JSONL
     separator = ","
 
     def line_of(self, transaction: NamedTransaction) -> str:
@@ -101,6 +105,7 @@ class _JsonLinesPrinter(LinesPrinter):
 
 
 class _CsvPrinter(LinesPrinter):
+    format = Format.CSV
     separator = " "
 
     def __init__(self, file: TextIO) -> None:
@@ -119,9 +124,15 @@ class ParquetPrinter(Printer):
     """Writes transactions to a Parquet file."""
 
     def __init__(self, file: TextIO) -> None:
+        self._file = file
+        self.is_elsewhere = False
+        """True if another process writes the file."""
+
+    @cached_property
+    def _rows(self) -> ParquetRows:
         from mbtool.columns.parquet import ParquetRows
 
-        self._rows = ParquetRows(file.buffer)
+        return ParquetRows(self._file.buffer)
 
     def print(self, record: Record, number: int) -> None:
         if not isinstance(record, WireEvent):
@@ -132,7 +143,8 @@ class ParquetPrinter(Printer):
         self._rows.write_table(table)
 
     def flush(self) -> None:
-        self._rows.close()
+        if not self.is_elsewhere:
+            self._rows.close()
 
 
 def demand_columns() -> None:

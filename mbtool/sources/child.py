@@ -21,22 +21,26 @@ import errno
 import os
 import subprocess
 import sys
+from typing import TYPE_CHECKING
 
 from mbtool.core import LinkError
 from mbtool.ports.clock import share_clock
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 GRACE_S = 5.0
 """A child that does not end within this time, in seconds, is killed."""
 
 
-def start_child(module: str, *arguments: str) -> subprocess.Popen[bytes]:
+def start_child(module: str, *arguments: str, files: Sequence[int] = ()) -> subprocess.Popen[bytes]:
     """Run a module of this package as a child, with pipes for its standard input and output.
 
-    Its clock tells the same time as the parent's. Raises LinkError if the system starts no more
-    processes.
+    It has the descriptors `files`, too (not on Windows). Its clock tells the same time as the
+    parent's. Raises LinkError if the system starts no more processes.
     """
     try:
-        return _started(module, *arguments)
+        return _started(module, *arguments, files=files)
     except OSError as error:
         if error.errno not in (errno.EAGAIN, errno.ENOMEM):
             raise
@@ -46,7 +50,7 @@ def start_child(module: str, *arguments: str) -> subprocess.Popen[bytes]:
         ) from error
 
 
-def _started(module: str, *arguments: str) -> subprocess.Popen[bytes]:
+def _started(module: str, *arguments: str, files: Sequence[int]) -> subprocess.Popen[bytes]:
     command = [sys.executable, "-P", "-m", module, *arguments]
     environment = share_clock(dict(os.environ))
     if sys.platform == "win32":
@@ -65,6 +69,7 @@ def _started(module: str, *arguments: str) -> subprocess.Popen[bytes]:
         bufsize=0,
         env=environment,
         process_group=0,
+        pass_fds=files,
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from mbtool.cli.output import Tally
+from mbtool.cli.tally import Tally
 from mbtool.core import EventKind, WireEvent
 from mbtool.modbus import Outcome, Verdict
 from tests.logs.samples import transaction

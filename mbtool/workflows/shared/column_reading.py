@@ -100,6 +100,13 @@ class ColumnReading(PartReading):
                 self._note(record)
             yield batch
 
+    def decoded(self) -> Iterator[DecodedBlock]:
+        """Yield what `batches` makes tables of. Raises as `batches` does."""
+        for block in self._blocks():
+            for _, record in block.records:
+                self._note(record)
+            yield block
+
     def parts(self) -> Iterator[Record | AnsweredRun]:
         runs = PollRuns()
         for block in self._blocks():

@@ -36,7 +36,7 @@ def column_reading(
 
     None also if the files have fewer bytes than `at_least`; compressed ones count ten times.
     """
-    if find_spec("numpy") is None or sum(map(_size, paths)) < at_least:
+    if find_spec("numpy") is None or unpacked_bytes(paths) < at_least:
         return None
     from mbtool.workflows.shared.column_reading import ColumnReading, can_read_columns
 
@@ -44,6 +44,11 @@ def column_reading(
         if can_read_columns(paths, options):
             return ColumnReading(paths, options)
     return None
+
+
+def unpacked_bytes(paths: Sequence[str]) -> int:
+    """About how many bytes files have once they are unpacked; a pipe counts nothing."""
+    return sum(map(_size, paths))
 
 
 def _size(path: str) -> int:

@@ -1,0 +1,105 @@
+"""Prints what is read from captures as arrays, if there is much of it by several processes."""
+
+from __future__ import annotations
+
+import os
+import sys
+from contextlib import ExitStack, suppress
+from typing import TYPE_CHECKING
+
+from mbtool.cli.options import Format
+from mbtool.core import LinkError
+from mbtool.workflows.shared.reading_choice import unpacked_bytes
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from mbtool.cli.output import RecordOutput
+    from mbtool.cli.talk import Interrupt
+    from mbtool.columns.column_decoder import DecodedBlock
+    from mbtool.decode.decoder import Record
+    from mbtool.workflows.shared.block_processes import BlockProcesses
+    from mbtool.workflows.shared.column_reading import ColumnReading
+
+    Note = Callable[[Record], None]
+
+WORTH_PROCESSES = 64 * 1024 * 1024
+"""Bytes that the files must have together to be worth another process."""
+
+
+def processes_for(files: Sequence[str], jobs: int | None) -> int:
+    """The number of processes to read files with; `jobs` is what the user allows."""
+    if sys.platform == "win32" or unpacked_bytes(files) < WORTH_PROCESSES:
+        return 1
+    return jobs or cores()
+
+
+def cores() -> int:
+    """The number of cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def print_columns(
+    columns: ColumnReading, out: RecordOutput, note: Note, interrupt: Interrupt, jobs: int
+) -> None:
+    """Print all transactions, those of many packets at once."""
+    with out.told_as_lost(), ExitStack() as ended:
+        processes = _processes(out, jobs)
+        if processes is not None:
+            _print_apart(columns, out, note, interrupt, ended.enter_context(processes))
+        elif out.takes_tables:
+            for batch in interrupt.breakable(columns.batches()):
+                for record in batch.records:
+                    note(record)
+                out.add_table(batch.table)
+        else:
+            printer = out.lines
+            for lines in interrupt.breakable(columns.lines(printer.line_of, printer.separator)):
+                for record in lines.records:
+                    note(record)
+                out.add_lines(lines)
+
+
+def _processes(out: RecordOutput, jobs: int) -> BlockProcesses | None:
+    """Processes that print; None for one job, or if the system starts no more processes."""
+    if jobs == 1:
+        return None
+    from mbtool.workflows.shared.block_processes import BlockProcesses
+
+    with suppress(LinkError):
+        if out.takes_tables:
+            processes = BlockProcesses(Format.PARQUET.value, jobs, out.file_descriptor)
+            out.is_written_elsewhere()
+            return processes
+        return BlockProcesses(out.lines.format.value, jobs)
+    return None
+
+
+def _print_apart(
+    columns: ColumnReading,
+    out: RecordOutput,
+    note: Note,
+    interrupt: Interrupt,
+    processes: BlockProcesses,
+) -> None:
+    """Let other processes print what this one decodes."""
+
+    def blocks() -> Iterator[DecodedBlock]:
+        for block in columns.decoded():
+            for _, record in block.sorted_records():
+                note(record)
+            yield block
+
+    is_table = out.takes_tables
+    try:
+        for printed in interrupt.breakable(processes.printed(blocks())):
+            for record in printed.made:
+                note(record)
+            if not is_table:
+                out.add_text(printed.text)
+                out.count(printed.counts)
+    finally:
+        if is_table:  # After an error, too: what was decoded before it is in the file.
+            out.count(processes.complete())

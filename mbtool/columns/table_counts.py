@@ -1,0 +1,33 @@
+"""Counts the transactions of a table by their outcomes."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from mbtool.modbus import Outcome, Verdict
+
+if TYPE_CHECKING:
+    from mbtool.columns.schema import Table
+
+
+@dataclass(slots=True)
+class TransactionCounts:
+    """How many transactions ended how, and how many of them are ambiguous."""
+
+    outcomes: Counter[Outcome] = field(default_factory=Counter)
+    ambiguous: int = 0
+
+    def add(self, other: TransactionCounts) -> None:
+        self.outcomes += other.outcomes
+        self.ambiguous += other.ambiguous
+
+
+def table_counts(table: Table) -> TransactionCounts:
+    """The counts of a table with the columns of schema.py."""
+    outcomes: Counter[Outcome] = Counter()
+    for one in table["outcome"].value_counts().to_pylist():
+        outcomes[Outcome(one["values"])] += one["counts"]
+    verdicts = table["verdicts"].combine_chunks().flatten().to_pylist()
+    return TransactionCounts(outcomes, verdicts.count(Verdict.AMBIGUOUS))

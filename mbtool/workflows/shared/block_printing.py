@@ -1,0 +1,131 @@
+"""The process that prints decoded blocks: python -m mbtool.workflows.shared.block_printing."""
+
+# The parent (block_processes.py) decodes; this process makes lines or Parquet of what it decoded.
+# The arguments are the format, the descriptor of the Parquet file (or -), and the descriptors of
+# files in memory. The parent writes a block into one of these files, and then a line to standard
+# input: the index of the file, and the sizes of the pieces in it. The reply is a pickled object on
+# standard output, behind its size. Lines of text are in the same file.
+#
+# When standard input ends, the Parquet file is completed: also if the parent is killed.
+
+from __future__ import annotations
+
+import os
+import pickle
+import sys
+from collections import Counter
+from typing import TYPE_CHECKING, Protocol
+
+from mbtool.columns.table_counts import TransactionCounts, table_counts
+from mbtool.core import InputError, WireEvent
+from mbtool.logs import csv_line, transaction_to_jsonl
+from mbtool.modbus import Outcome, Verdict
+from mbtool.workflows.shared.block_pieces import SIZE, PrintedBlock, read_pieces, write_pieces
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from mbtool.columns.column_decoder import DecodedBlock
+    from mbtool.decode.decoder import Record
+    from mbtool.devices import NamedTransaction
+
+PARQUET = "parquet"
+
+
+class _BlockPrinter(Protocol):
+    def print(self, block: DecodedBlock) -> PrintedBlock: ...
+    def close(self) -> None: ...
+
+
+def main() -> None:
+    kind, output, *slots = sys.argv[1:]
+    files = [int(one) for one in slots]
+    replies = os.fdopen(os.dup(1), "wb")
+    try:
+        printer = _ParquetBlocks(int(output)) if kind == PARQUET else _LineBlocks(kind)
+        _print_all(printer, files, replies.write, replies.flush)
+        printer.close()
+    except BrokenPipeError:
+        return  # The parent has ended.
+    except (OSError, InputError) as error:
+        _reply(error, replies.write)
+    replies.close()
+
+
+def _print_all(
+    printer: _BlockPrinter,
+    files: list[int],
+    write: Callable[[bytes], object],
+    flush: Callable[[], None],
+) -> None:
+    for line in sys.stdin.buffer:
+        number, *sizes = map(int, line.split())
+        body, *buffers = read_pieces(files[number], sizes)
+        printed = printer.print(pickle.loads(body, buffers=buffers))
+        data = printed.text.encode("utf-8", "surrogatepass")
+        printed.text, printed.text_bytes = "", write_pieces(files[number], [data])[0]
+        _reply(printed, write)
+        flush()
+
+
+def _reply(reply: PrintedBlock | Exception, write: Callable[[bytes], object]) -> None:
+    data = pickle.dumps(reply, pickle.HIGHEST_PROTOCOL)
+    write(SIZE.pack(len(data)) + data)
+
+
+class _ParquetBlocks:
+    """Writes the transactions of blocks to a Parquet file."""
+
+    def __init__(self, descriptor: int) -> None:
+        from mbtool.columns.block_table import BlockTables
+        from mbtool.columns.parquet import ParquetRows
+
+        self._tables = BlockTables()
+        self._file = os.fdopen(descriptor, "wb")
+        self._rows = ParquetRows(self._file)
+
+    def print(self, block: DecodedBlock) -> PrintedBlock:
+        batch = self._tables.batch(block)
+        self._rows.write_table(batch.table)
+        return PrintedBlock(table_counts(batch.table), _made(batch.records, block))
+
+    def close(self) -> None:
+        self._rows.close()
+        self._file.close()
+
+
+class _LineBlocks:
+    """Makes the lines of the transactions of blocks."""
+
+    def __init__(self, kind: str) -> None:
+        from mbtool.columns.plain_lines import BlockLines
+
+        self._lines = BlockLines(*_LINES[kind])
+
+    def print(self, block: DecodedBlock) -> PrintedBlock:
+        batch = self._lines.batch(block)
+        rows = [one for one in batch.records if not isinstance(one, WireEvent)]
+        outcomes: Counter[Outcome] = Counter(one.outcome for one in rows) + batch.outcomes
+        ambiguous = sum(Verdict.AMBIGUOUS in one.verdicts for one in rows)
+        counts = TransactionCounts(outcomes, ambiguous)
+        return PrintedBlock(counts, _made(batch.records, block), batch.text)
+
+    def close(self) -> None:
+        pass
+
+
+_LINES: dict[str, tuple[Callable[[NamedTransaction], str], str]] = {
+    "jsonl": (lambda one: transaction_to_jsonl(one).decode(), ","),
+    "csv": (csv_line, " "),
+}
+"""By format, the line of a transaction, and the text between two values of a list."""
+
+
+def _made(records: list[Record], block: DecodedBlock) -> list[NamedTransaction]:
+    """The transactions that follow those of the block itself in the records of its batch."""
+    more = records[len(block.records) :]
+    return [one for one in more if not isinstance(one, WireEvent)]
+
+
+if __name__ == "__main__":
+    main()
