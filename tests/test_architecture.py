@@ -34,8 +34,9 @@ PURE_ROOMS = (
 )  # fmt: skip
 
 ROOMS_OF_TESTS_ONLY = {
-    "adversary", "benchmarks", "cases", "certificates", "differential", "end_to_end", "golden",
-    "properties",
+    "adversary", "benchmarks", "cases", "certificates", "differential", "end_to_end", "fuzz",
+    "golden",
+    "kills", "properties", "soak",
 }  # fmt: skip
 """Folders of tests/ that test several rooms at once, or hold what tests read."""
 

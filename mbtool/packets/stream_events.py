@@ -22,6 +22,8 @@ class CloseReason(StrEnum):
     """No packet came for longer than the reassembler keeps a connection."""
     DISCARDED = "discarded"
     """The reassembler had too many connections, and this was the least recently used one."""
+    CROWDED_OUT = "unused, so it made room for another"
+    """A tap had no place left, and this connection had been of no use for the longest time."""
     CAPTURE_END = "capture-end"
 
 

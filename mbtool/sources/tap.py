@@ -180,7 +180,7 @@ class TapSource(LiveSource[TapLink]):
         """Close the connection that has been of no use longest; return False if all are of use."""
         unused = [relay for relay in self._relays if relay.is_unused(self._loop.time())]
         if unused:
-            min(unused, key=lambda relay: relay.active_s).abort(CloseReason.DISCARDED)
+            min(unused, key=lambda relay: relay.active_s).abort(CloseReason.CROWDED_OUT)
         return bool(unused)
 
     def _tell(self, kind: EventKind, message: str, master: str = "") -> None:

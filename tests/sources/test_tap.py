@@ -512,6 +512,9 @@ def test_a_flood_of_silent_connections_makes_room_for_a_master(
     (closed, *_), _, _ = select.select([*silent, *slaves], [], [], PATIENCE_S)
     with suppress(ConnectionResetError):
         assert closed.recv(100) == b""
+    items = take_until(bench.inbox, lambda item: isinstance(item, StreamClosed))
+    assert isinstance(items[-1], StreamClosed)
+    assert items[-1].reason is CloseReason.CROWDED_OUT
 
 
 def test_a_connection_that_was_answered_keeps_its_place(
