@@ -32,6 +32,7 @@ SLOW = frozenset((
     "cli/test_environments.py",
     "cli/test_line.py", "cli/test_main.py", "cli/test_output.py",
     "cli/test_replay.py", "cli/test_replay_slave.py", "cli/test_slave.py", "cli/test_sniff.py",
+    "cli/test_status.py",
     "columns/test_equality.py", "columns/test_headers.py", "columns/test_lines.py",
     "cli/watching/test_app.py", "cli/watching/test_playing.py",
     "devices/test_wrong_profiles.py", "logs/test_damaged_logs.py", "logs/test_reader.py",

@@ -39,8 +39,9 @@ class LiveOutput(RecordOutput):
         *,
         is_kept: bool,
         is_hurried: Callable[[], bool],
+        is_silent: bool = False,
     ) -> None:
-        """`is_kept` is True if a log keeps the records.
+        """`is_kept` is True if a log keeps the records; with `is_silent` they are only counted.
 
         `is_hurried` is True once the user has asked for the end of the command.
         """
@@ -49,7 +50,7 @@ class LiveOutput(RecordOutput):
         self._queue = queue if isinstance(queue, ViewQueue) else None
         self._is_kept = is_kept
         self._is_hurried = is_hurried
-        self._has_reader = True
+        self._has_reader = not is_silent
         self._not_shown = 0
         """Number of records left out since the last one that was shown."""
 

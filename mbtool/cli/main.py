@@ -44,6 +44,7 @@ from mbtool.cli.report import report
 from mbtool.cli.slave import slave
 from mbtool.cli.sniff import sniff
 from mbtool.cli.stats import stats
+from mbtool.cli.status import status
 from mbtool.cli.talk import say
 from mbtool.cli.watch import watch
 from mbtool.core import InputError, LinkError, MbtoolError, OutputError
@@ -74,6 +75,7 @@ app = typer.Typer(
 )
 for command in (
     sniff,
+    status,
     decode,
     inventory,
     check,
@@ -229,5 +231,5 @@ def _has_folder() -> bool:
 
 def _fail(message: str, code: int) -> int:
     """Print an error as one line; returns the exit code."""
-    say(f"mbtool: {' '.join(message.split())}")
+    say(f"mbtool: {' '.join(message.split())}", is_error=True)
     return code

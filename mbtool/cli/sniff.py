@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from contextlib import ExitStack
 from functools import partial
 from math import inf
@@ -29,9 +30,11 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from mbtool.cli.output import RecordOutput
+    from mbtool.cli.service import ServiceRun
     from mbtool.cli.talk import Interrupt
     from mbtool.core import SerialLink
     from mbtool.devices import Assignments
+    from mbtool.workflows.shared.checked_log import FindingsLog
     from mbtool.workflows.shared.recorder import Log
     from mbtool.workflows.sniff import Sniffer
 
@@ -80,6 +83,14 @@ def sniff(
             help="Open a serial port or an interface that is lost again when it is back.",
         ),
     ] = True,
+    service: Annotated[
+        bool,
+        typer.Option(
+            "--service",
+            help="Run unattended: print no rows, tell systemd how it goes, write heartbeats into "
+            "the log for mbtool status, and go on behind the parts of an earlier run.",
+        ),
+    ] = False,
     ports: PortOptions,
     silences: SilenceOptions,
     format_: Annotated[Format, typer.Option("--format", help="How to print.")] = Format.TABLE,
@@ -99,6 +110,7 @@ def sniff(
     from mbtool.cli.live_output import LiveOutput
     from mbtool.cli.options import assignments, condition
     from mbtool.cli.output import open_output
+    from mbtool.cli.service import ServiceRun
     from mbtool.cli.talk import interruptible, never_waiting, say
     from mbtool.core import UsageError, parse_link
     from mbtool.core.link_spec import HEARD
@@ -111,6 +123,8 @@ def sniff(
 
     if rotate is not None and write is None:
         raise UsageError("--rotate needs a log to rotate: name one with -w FILE.mcap")
+    if service and rotate is None:
+        raise UsageError("--service needs a log in parts: name it with -w FILE.mcap --rotate 1h")
     specs = tls.on_taps([parse_link(link, HEARD) for link in links])
     for warning in tls.warnings():
         say(f"mbtool: {warning}")
@@ -126,21 +140,28 @@ def sniff(
         check_log_path(write, overwrite=overwrite)
     specs = timing.given(with_settings(specs, say))
     begin: Callable[[], Log] | None = None
+    run = ServiceRun(os.environ) if service else None
     if write is not None:
-        create = partial(
+        created = partial(
             create_log,
             write,
             specs,
             devices,
             rotation=rotation,
             overwrite=overwrite,
+            continues=service,
             **tcp_ports._asdict(),
+        )
+        create: Callable[[], FindingsLog] = (
+            created if run is None else partial(run.with_heartbeats, created)
         )
         begin = partial(begin_checked, create, timing, serial_lines(specs), tcp_ports.expected)
     sniffer = sniffer_of(specs, timing, tcp_ports, allowed, begin, reconnects=reconnect)
     with interruptible() as interrupt, never_waiting(), ExitStack() as opened:
         is_hurried = partial(getattr, interrupt, "asked")
-        live = partial(LiveOutput, is_kept=write is not None, is_hurried=is_hurried)
+        live = partial(
+            LiveOutput, is_kept=write is not None, is_hurried=is_hurried, is_silent=service
+        )
         opened.enter_context(sniffer)
         # The sniffer is opened first and closed first: the log is complete before the output waits
         # for its reader.
@@ -159,8 +180,12 @@ def sniff(
             opened.pop_all(),
         ):
             say(f"listening on {', '.join(sniffer.places)}; Ctrl-C ends")
-            ends = _end(interrupt, out, duration)
+            if run is not None:
+                run.begin(sniffer)
+            ends = _end(interrupt, out, duration, run)
             _show(sniffer, out, devices, serial_lines(specs), ends, is_hurried)
+            if run is not None:
+                run.end()
         if write is not None:
             first = part_path(Path(write), 1)
             say(f"log: {write if rotation is None else f'{first} and those behind it'}")
@@ -169,7 +194,7 @@ def sniff(
 
 
 def _end(
-    interrupt: Interrupt, out: RecordOutput, duration_s: float | None
+    interrupt: Interrupt, out: RecordOutput, duration_s: float | None, run: ServiceRun | None
 ) -> Callable[[int], bool]:
     """Return a function that takes the time in ns and returns True if the run must end."""
     from mbtool.ports.clock import now_ns
@@ -178,6 +203,8 @@ def _end(
 
     def ends(at_ns: int) -> bool:
         out.wait()
+        if run is not None:
+            run.look()
         return interrupt.asked or out.is_full or at_ns >= end_ns
 
     return ends

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import select
 import signal
 import sys
@@ -48,8 +49,8 @@ def _has_room(timeout_s: float) -> bool:
         return True
 
 
-def say(text: str) -> None:
-    """Print a message to standard error, if it is still open.
+def say(text: str, *, is_error: bool = False) -> None:
+    """Print a message to standard error, if it is still open; in systemd's journal, with its level.
 
     Characters that a terminal would obey, such as those in a file's name, are escaped.
     """
@@ -59,7 +60,23 @@ def say(text: str) -> None:
         _Waiting.patience_s = 0.0
         return
     with suppress(OSError):
-        print(escaped(text), file=sys.stderr, flush=True)  # noqa: T201 - the one place that talks
+        print(_for_journal(text, is_error=is_error) + escaped(text), file=sys.stderr, flush=True)  # noqa: T201 - the one place that talks
+
+
+def _for_journal(text: str, *, is_error: bool) -> str:
+    """The level of a line as systemd reads it (sd-daemon(3)), if standard error is its journal."""
+    journal = os.environ.get("JOURNAL_STREAM")
+    if not journal:
+        return ""
+    try:
+        status = os.fstat(sys.stderr.fileno())
+    except (OSError, ValueError):
+        return ""
+    if journal != f"{status.st_dev}:{status.st_ino}":
+        return ""
+    if is_error:
+        return "<3>"
+    return "<4>" if text.startswith("mbtool: ") else "<6>"
 
 
 def escaped(text: str) -> str:

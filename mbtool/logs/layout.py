@@ -27,6 +27,7 @@ FORMAT_VERSION = 1
 CAPTURE = "mbtool.capture"
 LINK = "mbtool.link"
 DEVICE = "mbtool.device"
+STATUS = "mbtool.status"
 RECOVERED = "mbtool.recovered"
 DECODING_TOPIC = "decoding"
 """The topic, without its slash, of the marks that say how far the decoder is behind."""
@@ -87,6 +88,7 @@ __all__ = [
     "PROFILE_MEDIA_TYPE",
     "RECORD_HEAD",
     "RECOVERED",
+    "STATUS",
     "TAIL_SIZE",
     "Opcode",
     "data_end",

@@ -37,12 +37,14 @@ def create_log(
     any_port: bool = False,
     rotation: Rotation | None = None,
     overwrite: bool = False,
+    continues: bool = False,
 ) -> LogWriter | RotatingLog:
     """Create a log, and write to it everything that is needed to decode its evidence again.
 
-    `ports`, `rtu_ports` and `any_port` are the TCP ports that the run decodes on interfaces. Raises
-    UsageError if the file cannot be created or has the suffix of another format, OutputError if
-    another recorder has it open.
+    With `continues`, a rotated log goes on behind the parts that exist. `ports`, `rtu_ports` and
+    `any_port` are the TCP ports that the run decodes on interfaces. Raises UsageError if the file
+    cannot be created or has the suffix of another format, OutputError if another recorder has it
+    open.
     """
     _check_suffix(path)
     capture = {
@@ -56,7 +58,7 @@ def create_log(
     if rotation is None:
         log = LogWriter(path, capture=capture, replace=overwrite)
     else:
-        log = RotatingLog(path, rotation, capture=capture, replace=overwrite)
+        log = RotatingLog(path, rotation, capture=capture, replace=overwrite, continues=continues)
     for link in links:
         settings = {SPEC: str(link)}
         if isinstance(link, InterfaceLink):

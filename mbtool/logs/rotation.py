@@ -69,8 +69,9 @@ class RotatingLog(ClosesOnExit):
         *,
         capture: Mapping[str, str],
         replace: bool = False,
+        continues: bool = False,
     ) -> None:
-        """Create the first file.
+        """Create the first file; with `continues`, the first part behind those that exist.
 
         Raises UsageError if the file exists (unless `replace`) or cannot be created, OutputError if
         another recorder has it open.
@@ -80,9 +81,11 @@ class RotatingLog(ClosesOnExit):
         self._capture = dict(capture)
         self._replace = replace
         self._number = 1
+        self._continues = continues
         self._metadata: list[Callable[[LogWriter], None]] = []
         self._mark: DecodingMark | None = None
         """The last mark; a new file begins with it if the decoder is behind."""
+        self._status: Mapping[str, str] = {}
         self._began_ns: int | None = None
         self._now_ns: int | None = None
         self._writer = self._open()
@@ -117,6 +120,11 @@ class RotatingLog(ClosesOnExit):
     def add_profile(self, name: str, profile_json: bytes) -> None:
         self._add_to_each(lambda writer: writer.add_profile(name, profile_json))
 
+    def add_status(self, values: Mapping[str, str]) -> None:
+        """Add a heartbeat to the file that is being written; a new file begins with the last."""
+        self._status = values
+        self._writer.add_status(values)
+
     def tick(self, now_ns: int) -> None:
         if self._began_ns is None:
             self._began_ns = now_ns
@@ -143,6 +151,8 @@ class RotatingLog(ClosesOnExit):
             self._writer = self._open()
             for add in self._metadata:
                 add(self._writer)
+            if self._status:
+                self._writer.add_status(self._status)
             if self._mark is not None and self._mark.waiting:
                 self._writer.write(msgspec.structs.replace(self._mark, dropped=0))
 
@@ -158,7 +168,7 @@ class RotatingLog(ClosesOnExit):
 
     def _open(self) -> LogWriter:
         path = self._part()
-        while self._number > 1 and not self._replace and path.exists():
+        while (self._number > 1 or self._continues) and not self._replace and path.exists():
             self._number += 1
             path = self._part()
         capture = {**self._capture, "part": str(self._number)}

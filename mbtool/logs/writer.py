@@ -41,6 +41,7 @@ from mbtool.logs.layout import (
     MAGIC,
     PROFILE,
     PROFILE_MEDIA_TYPE,
+    STATUS,
     packed,
 )
 from mbtool.logs.messages import (
@@ -164,6 +165,10 @@ class LogWriter(ClosesOnExit):
     def add_device(self, who: str, profile: str) -> None:
         """Record which device has which profile; `who` names the device as `--device` does."""
         self._container.add_metadata(DEVICE, _clean({"who": who, "profile": profile}))
+
+    def add_status(self, values: Mapping[str, str]) -> None:
+        """Add a heartbeat of the recording."""
+        self._container.add_metadata(STATUS, _clean(values))
 
     def add_profile(self, name: str, profile_json: bytes) -> None:
         """Attach a complete device profile, as JSON."""

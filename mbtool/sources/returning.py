@@ -87,6 +87,7 @@ class ReturningSource(LiveSource[SerialLink | InterfaceLink]):
             if not is_lost:
                 return  # `close` puts the Ended, when the source is closed.
         self._lost_ns = monotonic_ns()
+        self.is_lost = True
         self._tell(f"{item.error} It is opened again when it is back")
         self._wanted.set()
 
@@ -114,6 +115,7 @@ class ReturningSource(LiveSource[SerialLink | InterfaceLink]):
                 continue
             self._source = self._make(self, places)
             if self._opens():
+                self.is_lost = False
                 away_s = (monotonic_ns() - self._lost_ns) / 1e9
                 moved = [place for port, place in places.items() if place != port]
                 where = f" as {', '.join(moved)}" if moved else ""

@@ -27,6 +27,8 @@ class LiveSource(ABC, Generic[HeardLink]):
         self._link = link
         self._inbox = inbox
         self._thread: Thread | None = None
+        self.is_lost = False
+        """True while the link is lost and looked for."""
 
     @property
     def link(self) -> str:

@@ -106,6 +106,11 @@ class Sniffer:
         """The open links as text; a tap with port 0 shows the port that the system chose."""
         return [source.place for source in self.sources]
 
+    @property
+    def lost_links(self) -> list[str]:
+        """The names of the links that are lost at present, and looked for."""
+        return [source.link for source in self.sources if source.is_lost]
+
     def __enter__(self) -> Self:
         """Open the links and begin the log. Raises LinkError, and the errors of `begin_log`."""
         with ExitStack() as opened:

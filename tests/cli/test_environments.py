@@ -24,6 +24,7 @@ COMMANDS: dict[str, list[str | Path]] = {
     "sniff": ["sniff", TAP, "--duration", "0"],
     "sniff -w": ["sniff", TAP, "--duration", "0", "-w", "sniff.mcap"],
     "sniff of a port": ["sniff", "rtu:/dev/tty-no@19200-8E1", "--duration", "0"],
+    "status": ["status", LOG],
     "decode": ["decode", LOG],
     "decode of packets": ["decode", CAPTURE, "--format", "csv"],
     "decode of standard input": ["decode", "-"],

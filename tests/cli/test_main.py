@@ -24,6 +24,7 @@ from tests.workflows.evidence import capture_file
 README = Path(__file__).resolve().parents[2] / "README.md"
 COMMANDS = (
     "sniff",
+    "status",
     "decode",
     "inventory",
     "check",

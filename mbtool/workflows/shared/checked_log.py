@@ -6,12 +6,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 from mbtool.core import WireEvent
 from mbtool.devices import NamedTransaction
 from mbtool.devices.checking.capture_context import CaptureContext
 from mbtool.devices.checking.checker import Checker
+from mbtool.workflows.shared.recorder import Log
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
@@ -19,12 +20,17 @@ if TYPE_CHECKING:
     from mbtool.core import SerialLink
     from mbtool.decode.line_timing import LineTiming
     from mbtool.devices.checking.finding import Finding
-    from mbtool.logs import LogWriter, RotatingLog
     from mbtool.logs.messages import DecodingMark, LogItem
 
 
+class FindingsLog(Log, Protocol):
+    """A log that takes findings, too."""
+
+    def add_finding(self, finding: Finding, known_ns: int) -> None: ...
+
+
 def begin_checked(
-    begin: Callable[[], LogWriter | RotatingLog],
+    begin: Callable[[], FindingsLog],
     timing: LineTiming,
     lines: Mapping[str, SerialLink],
     ports: frozenset[int] | None,
@@ -41,7 +47,7 @@ def begin_checked(
 class CheckedLog:
     """Passes everything on to a log, and adds the findings."""
 
-    def __init__(self, log: LogWriter | RotatingLog, context: CaptureContext) -> None:
+    def __init__(self, log: FindingsLog, context: CaptureContext) -> None:
         self._log = log
         self._checker = Checker(context)
         self._last_ns = 0

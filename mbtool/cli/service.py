@@ -1,0 +1,75 @@
+"""What `sniff --service` does beside recording: it tells the service manager how it goes."""
+
+# docs/service.md describes the heartbeats, the messages and a unit for systemd.
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from mbtool.core.wording import counted
+from mbtool.ports.clock import monotonic_ns, now_ns
+from mbtool.ports.service_manager import ServiceManager
+from mbtool.workflows.shared.heartbeat import HeartbeatLog
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from mbtool.logs import LogWriter, RotatingLog
+    from mbtool.workflows.sniff import Sniffer
+
+STATUS_NS = 10_000_000_000
+"""The time in ns between two statuses."""
+STUCK_NS = 20_000_000_000
+"""A log that nothing was written to for so many ns, not even a tick, is stuck, as on a disk that
+does not answer. Then the manager gets no sign of life."""
+
+
+class ServiceRun:
+    """One run of `sniff --service`."""
+
+    def __init__(self, environment: Mapping[str, str]) -> None:
+        self._manager = ServiceManager(environment)
+        self._sniffer: Sniffer | None = None
+        self._log: HeartbeatLog | None = None
+        self._status_ns = self._alive_ns = 0
+
+    def with_heartbeats(self, create: Callable[[], LogWriter | RotatingLog]) -> HeartbeatLog:
+        """Create the log with `create`; the result adds heartbeats to it."""
+        self._log = HeartbeatLog(create(), self._lost_links, now_ns())
+        return self._log
+
+    def begin(self, sniffer: Sniffer) -> None:
+        """Tell the manager that the recording has begun."""
+        self._sniffer = sniffer
+        self._manager.ready(self._sentence())
+
+    def look(self) -> None:
+        """Tell the manager what is due; called several times a second."""
+        at_ns = monotonic_ns()
+        if at_ns - self._status_ns >= STATUS_NS:
+            self._status_ns = at_ns
+            self._manager.status(self._sentence())
+        every_s = self._manager.watchdog_s
+        is_due = every_s is not None and at_ns - self._alive_ns >= every_s / 3 * 1e9
+        if is_due and (self._log is None or now_ns() - self._log.ticked_ns < STUCK_NS):
+            self._alive_ns = at_ns
+            self._manager.alive()
+
+    def end(self) -> None:
+        self._manager.stopping()
+
+    def _lost_links(self) -> list[str]:
+        return [] if self._sniffer is None else self._sniffer.lost_links
+
+    def _sentence(self) -> str:
+        if self._log is None:
+            return "recording"
+        counts = self._log.counts
+        lost = self._lost_links()
+        parts = [f"{counted(counts.outcomes.total(), 'transaction', ',')}"]
+        parts += [f"{counts.outcomes[name]:,} {name}" for name in sorted(counts.outcomes)]
+        if counts.lost_bytes or counts.lost_packets:
+            parts.append(f"{counts.lost_bytes:,} bytes and {counts.lost_packets:,} packets lost")
+        if counts.waiting:
+            parts.append(f"decoder {counts.waiting:,} pieces behind")
+        return "; ".join([f"lost: {', '.join(lost)}" if lost else "recording", ", ".join(parts)])

@@ -1,0 +1,110 @@
+"""Reads how a recording is doing: from a log, also while it is being written."""
+
+# Only the heads of records are read, and those of metadata in full, so a log of a gigabyte takes a
+# moment. Reading ends at the first record that reaches beyond the file; metadata that is damaged is
+# passed over.
+
+from __future__ import annotations
+
+import io
+import struct
+import sys
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, BinaryIO
+
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.records import Metadata
+
+from mbtool.core import InputError
+from mbtool.core.errors import reason_of
+from mbtool.logs import layout
+from mbtool.logs.layout import MAGIC, MAX_RECORD, RECORD_HEAD, Opcode
+
+if sys.platform != "win32":
+    import fcntl
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+
+@dataclass(slots=True)
+class LogStatus:
+    """What a log says of its recording."""
+
+    size: int
+    """The size of the file in bytes."""
+    is_held: bool | None
+    """True if a recorder has the log open; None if the system does not tell."""
+    capture: dict[str, str] = field(default_factory=dict)
+    links: dict[str, str] = field(default_factory=dict)
+    """The spec of each link, by its name."""
+    heartbeat: dict[str, str] = field(default_factory=dict)
+    """The last heartbeat of `sniff --service`; empty if there is none."""
+    is_closed: bool = False
+    """True if the log has a summary, which it gets when it is closed."""
+
+
+def read_status(path: Path) -> LogStatus:
+    """Read a log. Raises InputError if the file cannot be read or is no log."""
+    try:
+        with path.open("rb") as stream:
+            size = stream.seek(0, io.SEEK_END)
+            status = LogStatus(size, _is_held(stream))
+            stream.seek(0)
+            if stream.read(len(MAGIC)) != MAGIC:
+                raise InputError(f"{path}: not an MCAP file, so not a log")
+            for opcode, content in _records(stream, size):
+                _learn(status, opcode, content)
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be read: {reason_of(error)}") from error
+    if not status.capture:
+        raise InputError(f"{path}: not a log of mbtool")
+    return status
+
+
+def _learn(status: LogStatus, opcode: int, content: bytes) -> None:
+    if opcode == Opcode.FOOTER:
+        status.is_closed = any(content[:8])  # The offset of the summary; 0: there is none.
+        return
+    try:
+        record = Metadata.read(ReadDataStream(io.BytesIO(content)))
+    except (McapError, struct.error, UnicodeDecodeError):
+        return
+    values = {str(key): str(value) for key, value in record.metadata.items()}
+    match record.name:
+        case layout.CAPTURE:
+            status.capture |= values
+        case layout.LINK:
+            status.links[values.get("name", "")] = values.get("spec", "")
+        case layout.STATUS:
+            status.heartbeat = values
+
+
+def _records(stream: BinaryIO, size: int) -> Iterator[tuple[int, bytes]]:
+    """The metadata and the footer; other records are passed over."""
+    at = len(MAGIC)
+    while at + RECORD_HEAD.size <= size:
+        stream.seek(at)
+        opcode, length = RECORD_HEAD.unpack(stream.read(RECORD_HEAD.size))
+        at += RECORD_HEAD.size + length
+        if at > size or length > MAX_RECORD:
+            return
+        if opcode in (Opcode.METADATA, Opcode.FOOTER):
+            yield opcode, stream.read(length)
+        if opcode == Opcode.FOOTER:
+            return
+
+
+def _is_held(stream: BinaryIO) -> bool | None:
+    """True if a recorder has locked the file (creating.py)."""
+    if sys.platform == "win32":
+        return None
+    try:
+        fcntl.flock(stream.fileno(), fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:
+        return None  # A file system without locks.
+    return False

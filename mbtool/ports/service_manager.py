@@ -1,0 +1,64 @@
+"""Tells a service manager such as systemd that a service is ready, alive, or ending."""
+
+# The protocol of sd_notify(3): a datagram of lines NAME=value to the Unix socket that the
+# environment variable NOTIFY_SOCKET names; a name that begins with "@" is one of Linux's abstract
+# names. WATCHDOG_USEC, in microseconds, says that the manager wants WATCHDOG=1 at least so often,
+# else it kills the service; WATCHDOG_PID names the process that this is for. Without NOTIFY_SOCKET
+# nothing is sent. A manager that takes no message is no reason to end a recording.
+
+from __future__ import annotations
+
+import os
+import socket
+from contextlib import suppress
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+MAX_STATUS = 500
+"""The most characters of a status."""
+
+
+class ServiceManager:
+    """The manager that the environment names, if any."""
+
+    def __init__(self, environment: Mapping[str, str]) -> None:
+        self._address = environment.get("NOTIFY_SOCKET", "")
+        self.watchdog_s = _watchdog_s(environment)
+        """How often the manager wants `alive`, in seconds; None if it does not."""
+
+    def ready(self, status: str) -> None:
+        """Tell that the service has begun; with a status in one line for people."""
+        self._send(f"READY=1\n{_status(status)}")
+
+    def status(self, status: str) -> None:
+        self._send(_status(status))
+
+    def alive(self) -> None:
+        self._send("WATCHDOG=1")
+
+    def stopping(self) -> None:
+        self._send("STOPPING=1")
+
+    def _send(self, text: str) -> None:
+        if not self._address or not hasattr(socket, "AF_UNIX"):
+            return
+        address = f"\0{self._address[1:]}" if self._address.startswith("@") else self._address
+        with (
+            suppress(OSError),
+            socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as channel,
+        ):
+            channel.setblocking(False)
+            channel.sendto(text.encode(), address)
+
+
+def _watchdog_s(environment: Mapping[str, str]) -> float | None:
+    if environment.get("WATCHDOG_PID", str(os.getpid())) != str(os.getpid()):
+        return None
+    text = environment.get("WATCHDOG_USEC", "")
+    return int(text) / 1e6 if text.isdecimal() and len(text) < 20 and int(text) else None
+
+
+def _status(text: str) -> str:
+    return f"STATUS={' '.join(text.split())[:MAX_STATUS]}"

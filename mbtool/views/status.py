@@ -1,0 +1,106 @@
+"""The lines of `mbtool status`, and its JSON document."""
+
+from __future__ import annotations
+
+import datetime
+from typing import TYPE_CHECKING, Any
+
+from mbtool.core.wording import counted
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+_DAY_S, _HOUR_S, _MINUTE_S = 86_400, 3600, 60
+
+
+def status_lines(
+    path: str,
+    state: str,
+    size: int,
+    capture: Mapping[str, str],
+    links: Mapping[str, str],
+    heartbeat: Mapping[str, str],
+    numbers: Mapping[str, int],
+    now_ns: int,
+) -> list[str]:
+    """A line for each thing that is known; `numbers` are the counters of the last heartbeat."""
+    rows = [("log", f"{path}, {counted(size, 'byte', ',')}"), ("state", state)]
+    if "part" in capture:
+        rows.append(("part", capture["part"]))
+    rows += [("host", capture.get("host", "")), ("command", capture.get("command", ""))]
+    rows += [("link", f"{name}  {spec}".rstrip()) for name, spec in links.items()]
+    if not heartbeat:
+        rows.append(("counters", "none: only sniff --service writes them"))
+    else:
+        rows += _counters(heartbeat, numbers, now_ns)
+    return [f"{name:<13}{text}" for name, text in rows if text]
+
+
+def _counters(
+    heartbeat: Mapping[str, str], numbers: Mapping[str, int], now_ns: int
+) -> list[tuple[str, str]]:
+    began_ns, at_ns = numbers.get("began_ns", 0), numbers.get("ts_ns", 0)
+    transactions = _named(numbers, "transactions.")
+    events = _named(numbers, "events.")
+    waiting = numbers.get("waiting", 0)
+    lost = [
+        counted(numbers.get("lost_bytes", 0), "byte", ","),
+        counted(numbers.get("lost_packets", 0), "packet", ","),
+    ]
+    return [
+        ("since", f"{_utc(began_ns)}, for {_duration(at_ns - began_ns)}"),
+        ("heartbeat", f"{_utc(at_ns)}, {_duration(now_ns - at_ns)} ago"),
+        ("lost links", heartbeat.get("lost_links", "")),
+        ("heard", f"{numbers.get('bytes', 0):,} bytes; the last at {_utc(numbers['last_ns'])}")
+        if numbers.get("last_ns")
+        else ("heard", "nothing"),
+        ("transactions", transactions or "none"),
+        ("events", events),
+        ("not recorded", ", ".join(lost)),
+        ("not decoded", counted(waiting, "piece", ",") if waiting else ""),
+    ]
+
+
+def _named(numbers: Mapping[str, int], prefix: str) -> str:
+    """The counters whose names begin with a prefix: `1,200 ok, 3 no-answer`."""
+    some = {key[len(prefix) :]: count for key, count in numbers.items() if key.startswith(prefix)}
+    return ", ".join(f"{count:,} {name}" for name, count in some.items())
+
+
+def status_document(
+    path: str,
+    state: str,
+    size: int,
+    capture: Mapping[str, str],
+    links: Mapping[str, str],
+    heartbeat: Mapping[str, str],
+    numbers: Mapping[str, int],
+    now_ns: int,
+) -> dict[str, Any]:
+    """The same for scripts; times are UTC ns, and `age_s` is that of the last heartbeat."""
+    document: dict[str, Any] = {"log": path, "state": state, "bytes": size}
+    document |= {"capture": dict(capture), "links": dict(links)}
+    if heartbeat:
+        lost_links = heartbeat.get("lost_links", "").split()
+        document["heartbeat"] = {**numbers, "lost_links": lost_links}
+        document["age_s"] = round((now_ns - numbers.get("ts_ns", 0)) / 1e9, 3)
+    return document
+
+
+def _utc(ns: int) -> str:
+    try:
+        at = datetime.datetime.fromtimestamp(ns // 1_000_000_000, datetime.UTC)
+    except (OverflowError, ValueError, OSError):
+        return "unknown"
+    return f"{at:%Y-%m-%d %H:%M:%S} UTC"
+
+
+def _duration(ns: int) -> str:
+    seconds = max(0, ns // 1_000_000_000)
+    if seconds >= _DAY_S:
+        return f"{seconds // _DAY_S} d {seconds % _DAY_S // _HOUR_S} h"
+    if seconds >= _HOUR_S:
+        return f"{seconds // _HOUR_S} h {seconds % _HOUR_S // _MINUTE_S} min"
+    if seconds >= _MINUTE_S:
+        return f"{seconds // _MINUTE_S} min {seconds % _MINUTE_S} s"
+    return f"{seconds} s"

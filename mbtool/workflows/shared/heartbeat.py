@@ -1,0 +1,125 @@
+"""A log of `sniff --service`, which also gets a heartbeat with counters; `mbtool status` reads it.
+
+The heartbeat is a metadata record `mbtool.status` (docs/service.md), written at the start, every
+minute, when a link is lost or back, and at the end.
+"""
+
+# The recorder's thread calls `write` and `tick`. So a heartbeat also shows that this thread runs.
+# Memory: the counters.
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import TYPE_CHECKING
+
+from mbtool.core import Chunk, EventKind, Packet, WireEvent
+from mbtool.devices import NamedTransaction
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from mbtool.devices.checking.finding import Finding
+    from mbtool.logs import LogWriter, RotatingLog
+    from mbtool.logs.messages import DecodingMark, LogItem
+
+HEARTBEAT_NS = 60_000_000_000
+"""The time in ns between two heartbeats."""
+
+
+class Counts:
+    """What a recording has heard so far."""
+
+    def __init__(self) -> None:
+        self.pieces = 0
+        self.bytes = 0
+        self.outcomes: Counter[str] = Counter()
+        self.events: Counter[str] = Counter()
+        self.lost_bytes = 0
+        self.lost_packets = 0
+        self.waiting = 0
+        """How many chunks and packets the decoder is behind."""
+        self.last_ns = 0
+        """When something was last heard, UTC ns."""
+
+    def add(self, item: LogItem | DecodingMark) -> None:
+        if isinstance(item, Chunk | Packet):
+            self.pieces += 1
+            self.bytes += len(item.data)
+            self.last_ns = max(self.last_ns, item.ts_ns)
+        elif isinstance(item, NamedTransaction):
+            self.outcomes[item.outcome] += 1
+        elif isinstance(item, WireEvent):
+            self.events[item.kind] += 1
+            if item.kind is EventKind.DISCARDED:
+                self.lost_bytes += item.missing
+                self.lost_packets += item.packets
+        else:
+            self.waiting = item.waiting
+
+    def values(self) -> dict[str, str]:
+        """The counters as a heartbeat has them."""
+        transactions = {f"transactions.{name}": str(n) for name, n in self.outcomes.items()}
+        events = {f"events.{name}": str(count) for name, count in self.events.items()}
+        return {
+            "pieces": str(self.pieces),
+            "bytes": str(self.bytes),
+            "last_ns": str(self.last_ns),
+            "lost_bytes": str(self.lost_bytes),
+            "lost_packets": str(self.lost_packets),
+            "waiting": str(self.waiting),
+            **transactions,
+            **events,
+        }
+
+
+class HeartbeatLog:
+    """Passes everything on to a log, counts it, and adds the heartbeats."""
+
+    def __init__(
+        self, log: LogWriter | RotatingLog, lost_links: Callable[[], list[str]], now_ns: int
+    ) -> None:
+        """`lost_links` returns the names of the links that are lost at present."""
+        self._log = log
+        self._lost_links = lost_links
+        self._began_ns = now_ns
+        self._beat_ns: int | None = None
+        self._told_lost: list[str] = []
+        self.counts = Counts()
+        self.ticked_ns = now_ns
+        """When the recorder's thread called last; a watchdog looks at it."""
+
+    def write(self, item: LogItem | DecodingMark) -> None:
+        self.counts.add(item)
+        self._log.write(item)
+
+    def add_finding(self, finding: Finding, known_ns: int) -> None:
+        self._log.add_finding(finding, known_ns)
+
+    def tick(self, now_ns: int) -> None:
+        self.ticked_ns = now_ns
+        lost = self._lost_links()
+        if (
+            self._beat_ns is None
+            or lost != self._told_lost
+            or not 0 <= now_ns - self._beat_ns < HEARTBEAT_NS
+        ):
+            self._beat_ns, self._told_lost = now_ns, lost
+            self._beat("recording", now_ns)
+        self._log.tick(now_ns)
+
+    def close(self, final: Mapping[str, str]) -> None:
+        try:
+            self._beat("ended", self.ticked_ns)
+        finally:
+            self._log.close(final)
+
+    def _beat(self, state: str, now_ns: int) -> None:
+        self._log.add_status(
+            {
+                "state": state,
+                "ts_ns": str(now_ns),
+                "began_ns": str(self._began_ns),
+                "lost_links": " ".join(self._told_lost),
+                **self.counts.values(),
+            }
+        )
