@@ -83,6 +83,15 @@ def decode(
         bool, typer.Option("--follow", help="Go on as a log that is being written grows.")
     ] = False,
     raw: RawOption = False,
+    sunspec: Annotated[
+        str | None,
+        typer.Option(
+            "--sunspec",
+            metavar="FOLDER",
+            help="Name SunSpec devices by the models that they say they have; FOLDER is a copy of "
+            "json of github.com/sunspec/models. Files are read twice.",
+        ),
+    ] = None,
     source: SourceOptions,
     silences: SilenceOptions,
     events: EventsOption = None,
@@ -102,16 +111,19 @@ def decode(
     from mbtool.workflows.shared.log_records import followed
     from mbtool.workflows.shared.model_hints import ModelHints
     from mbtool.workflows.shared.reading import Reading
+    from mbtool.workflows.shared.sunspec_devices import SunSpecFolder, with_sunspec
     from mbtool.workflows.shared.time_window import TimeWindow
     from mbtool.workflows.shared.unreadable_lines import UnreadableLines
 
-    if follow and (raw or source.link is not None or len(files) > 1):
-        raise UsageError("--follow goes with one log, and not with --raw or --link")
+    if follow and (raw or source.link is not None or sunspec is not None or len(files) > 1):
+        raise UsageError("--follow goes with one log, and not with --raw, --link or --sunspec")
     demand_other_file(files, output)
     window = TimeWindow.parse(start, end)
     fits = condition(where)
     wanted = fits if window.is_whole else lambda one: one in window and fits(one)
     options = source.read(device, raw=raw, silences=silences)
+    if sunspec is not None:
+        options = with_sunspec(files, options, SunSpecFolder(sunspec), say)
     is_whole = where is None and window.is_whole and limit is None and sort is None and not follow
     columns = _columns(files, options, format_, output, events) if is_whole else None
     reading = columns or Reading(files, options)

@@ -2,7 +2,8 @@
 
 # `mbtool devices` lists the profiles, `mbtool devices NAME` shows one. A word that is not one of
 # the commands below is the name or path of a profile and goes to the hidden command "show". A file
-# with the name of a command can be shown by its path: ./new. The commands are in devices_own.py.
+# with the name of a command can be shown by its path: ./new. The commands are in
+# devices_import.py and devices_own.py.
 
 from __future__ import annotations
 
@@ -12,7 +13,8 @@ import typer
 from typer.core import TyperGroup
 
 from mbtool.cli.command import Command
-from mbtool.cli.devices_own import draft, export, import_, new, schema
+from mbtool.cli.devices_import import import_
+from mbtool.cli.devices_own import draft, export, new, schema
 from mbtool.cli.option_groups import takes_groups
 from mbtool.cli.options import ListFormat, SourceOptions
 

@@ -252,6 +252,15 @@ class Point(_Part, frozen=True, kw_only=True):
     unit: Annotated[str | None, _about("The unit of the value: degC, bar.")] = None
     scale: Annotated[float, _about("value = number in the register x `scale` + `offset`.")] = 1.0
     offset: Annotated[float, _about("Added after scaling.")] = 0.0
+    scale_from: Annotated[
+        str | None,
+        _about(
+            "The point that holds a power of ten, -10 to 10, by which the number is multiplied."
+        ),
+    ] = None
+    no_value: Annotated[int | None, _about("The number in the register that means: no value.")] = (
+        None
+    )
     decimals: Annotated[
         Annotated[int, Meta(ge=0, le=15)] | None, _about("Decimal places; by default, as needed.")
     ] = None

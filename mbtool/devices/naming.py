@@ -5,6 +5,9 @@
 # requests, so the vocabulary caches these for at most _MAX_CACHED requests. Naming a repeated
 # request then costs one look-up and the decoding of its values.
 #
+# The scale of a point can stand in another register (`scale_from`). Its power of ten is the one
+# that this slave gave last, in the same response or an earlier one (scale_factors.py).
+#
 # Function 17H reads and writes. Its reference has both ranges. Its points are the written ones,
 # with values from the request, and the read ones, with values from the response. Function 16H
 # writes masks, which are no values, so it has no points.
@@ -13,7 +16,7 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -38,6 +41,7 @@ from mbtool.devices.profile_checks import (
 )
 from mbtool.devices.references import write_reference
 from mbtool.devices.response_checks import response_findings
+from mbtool.devices.scale_factors import ScaleFactors
 from mbtool.devices.standard_checks import LAST_UNIT, form_codes
 from mbtool.devices.values import PointInstance, point_instances, point_values
 from mbtool.modbus.adu import Verdict
@@ -103,6 +107,18 @@ class _Meaning:
     """The meanings of the word in `answer`."""
     findings: tuple[str, ...] = ()
 
+    def scaled(self, powers: Mapping[str, int]) -> _Meaning:
+        """The same with the powers of ten that points take from other registers."""
+        return replace(
+            self,
+            written=tuple(
+                (at, each.scaled_by(powers.get(each.scale_from or ""))) for at, each in self.written
+            ),
+            read=tuple(
+                (at, each.scaled_by(powers.get(each.scale_from or ""))) for at, each in self.read
+            ),
+        )
+
 
 class _Vocabulary:
     """Names transactions with one profile, or without one; prepared once so that naming is fast."""
@@ -118,6 +134,7 @@ class _Vocabulary:
         own = profile.last_unit if profile is not None else None
         self._last_unit = LAST_UNIT if own is None else own
         """The highest unit that a slave with this profile has on a serial line."""
+        self._scale_factors: ScaleFactors | None = None
         self._ranges: Ranges = {}
         self._fixed_data: dict[int, bytes] = {}
         if profile is not None:
@@ -125,6 +142,9 @@ class _Vocabulary:
 
     def name(self, transaction: Transaction) -> NamedTransaction:
         meaning = self._meaning(transaction)
+        if self._scale_factors is not None:
+            powers = self._scale_factors.after(transaction, meaning.read)
+            meaning = meaning.scaled(powers)
         points = _points(meaning, transaction)
         function_name, exception_name = transaction.function_name, transaction.exception_name
         if meaning.function_name is not None:
@@ -176,6 +196,9 @@ class _Vocabulary:
     def _compile(self, profile: Profile) -> None:
         self._ranges = value_ranges(profile)
         self._fixed_data = fixed_data(profile)
+        sources = {one.scale_from for one in profile.points if one.scale_from is not None}
+        if sources:
+            self._scale_factors = ScaleFactors(sources)
         for table in Table:
             for writing in (False, True):
                 points = point_instances(profile, table, writing=writing)

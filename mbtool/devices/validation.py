@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, NoReturn
 from mbtool.core.errors import ProfileError, UsageError
 from mbtool.core.silence import Silence
 from mbtool.devices.model import READ_AND_WRITE, Access, Area, Point, Profile
+from mbtool.devices.point_types import PointType
 from mbtool.devices.validation_of_characters import validate_characters
 from mbtool.devices.validation_of_points import PartErrors, validate_point
 from mbtool.modbus.adu import Transport
@@ -236,6 +237,23 @@ def _validate_points(profile: Profile, file: str) -> None:
                         errors.wrong(
                             "address", f'{point.table} {_address(word)} is "{other}" already'
                         )
+    _validate_scale_points(profile, file)
+
+
+def _validate_scale_points(profile: Profile, file: str) -> None:
+    """Check that each `scale_from` names one register with a plain number."""
+    named = {point.name: point for point in profile.points}
+    for point in profile.points:
+        if point.scale_from is None:
+            continue
+        errors = PartErrors(file, f'points "{point.name}"')
+        scale = named.get(point.scale_from)
+        if scale is None:
+            errors.wrong("scale_from", f"there is no point {point.scale_from!r}")
+        if scale.type not in (PointType.INT16, PointType.UINT16) or scale.count > 1:
+            errors.wrong("scale_from", f"{scale.name!r} is not one point of type int16 or uint16")
+        if (scale.scale, scale.offset, scale.scale_from, scale.block) != (1, 0, None, None):
+            errors.wrong("scale_from", f"{scale.name!r} has a scale, an offset or a block itself")
 
 
 def _access(profile: Profile, point: Point, address: int, errors: PartErrors) -> Access:

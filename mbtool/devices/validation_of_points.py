@@ -11,6 +11,7 @@ from mbtool.devices.model import WORD_BITS, Point
 from mbtool.devices.point_types import PointType, WordOrder
 from mbtool.devices.values import PointInstance
 
+_WITHOUT_NUMBER = (PointType.BIT, PointType.STRING, PointType.FLOAT32, PointType.FLOAT64)
 _PLACEHOLDER = re.compile(r"\{(n|reference)\}")
 
 
@@ -50,6 +51,7 @@ def validate_point(point: Point, errors: PartErrors) -> None:
     if point.words == 1 and point.word_order is WordOrder.LOW_FIRST:
         errors.wrong("word_order", f"{point.type} has one register; 'byte_order' swaps its bytes")
     _validate_scale(point, errors)
+    _validate_no_value(point, errors)
     _validate_channels(point, errors)
     _validate_bits(point, errors)
     _validate_texts(point, errors)
@@ -76,9 +78,22 @@ def _validate_scale(point: Point, errors: PartErrors) -> None:
         errors.wrong("offset", f"{point.offset} is no number to add; -50 would be one")
     if point.type.is_number:
         return
-    for key, neutral in (("scale", 1), ("offset", 0), ("decimals", None)):
+    for key, neutral in (("scale", 1), ("scale_from", None), ("offset", 0), ("decimals", None)):
         if getattr(point, key) != neutral:
             errors.wrong(key, f"only numbers have it, for example int16, not {point.type}")
+
+
+def _validate_no_value(point: Point, errors: PartErrors) -> None:
+    if point.no_value is None:
+        return
+    allowed = point.type.whole_numbers or range(1 << WORD_BITS)
+    if point.type in _WITHOUT_NUMBER:
+        errors.wrong("no_value", f"only whole numbers have it, for example int16, not {point.type}")
+    if point.no_value not in allowed:
+        errors.wrong(
+            "no_value",
+            f"{point.no_value} does not fit {point.type}, which holds {allowed[0]}..{allowed[-1]}",
+        )
 
 
 def _validate_channels(point: Point, errors: PartErrors) -> None:
@@ -140,8 +155,10 @@ def _validate_range(point: Point, errors: PartErrors) -> None:
             "default", f"only a point of one register has a default, not the {point.words} of this"
         )
     value = PointInstance(point, point.address, "").value([point.default]).value
-    if value is None:
+    if value is None and point.type is PointType.BCD16:
         errors.wrong("default", f"0x{point.default:04X} is no {point.type}")
+    if value is None:
+        return
     shown = point.default if value == point.default else f"{point.default}, a value of {value},"
     if low is not None and value < low:
         errors.wrong("default", f"{shown} is less than the minimum, {low}")

@@ -4,8 +4,11 @@
 # `word_order` reverses the registers; the result is big-endian.
 #
 # value = number * scale + offset is computed in decimal, so that 3 * 0.1 is 0.3 and 64-bit numbers
-# keep all digits. Strings are UTF-8, which includes ASCII; other bytes are shown as \xNN. NULs and
-# spaces at the end of a string are padding.
+# keep all digits. If a register of the device holds the scale (scale_from), a point has no value
+# until scaled_by() is told the power of ten.
+#
+# Strings are UTF-8, which includes ASCII; other bytes are shown as \xNN. NULs and spaces at the end
+# of a string are padding.
 
 from __future__ import annotations
 
@@ -14,6 +17,8 @@ import struct
 from decimal import Decimal
 from fractions import Fraction
 from typing import TYPE_CHECKING, Literal
+
+from msgspec.structs import replace
 
 from mbtool.core.errors import UsageError
 from mbtool.devices.model import WORD_BITS, Access, Point
@@ -29,6 +34,7 @@ if TYPE_CHECKING:
 
 _MAX_CACHED = 256
 _BIT_TEXTS = {0: "off", 1: "on"}
+NO_VALUE = "no value"
 
 _FORMATS = {
     PointType.INT16: ">h",
@@ -53,6 +59,7 @@ class PointInstance:
     # plant, each poll returns it again.
 
     __slots__ = (
+        "_by_power",
         "_cache",
         "_is_plain",
         "_last",
@@ -66,6 +73,7 @@ class PointInstance:
         "block",
         "name",
         "reference",
+        "scale_from",
         "words",
     )
 
@@ -74,6 +82,7 @@ class PointInstance:
         self._cache: dict[int | tuple[int, ...], PointValue] = {}
         self._last: PointValue | None = None
         self._last_word = 0
+        self._by_power: dict[int, PointInstance] = {}
         is_number = _is_number_of_one_register(point)
         self._ratio = _ratio(point) if is_number else None
         self._is_plain = is_number and self._ratio is None
@@ -83,9 +92,21 @@ class PointInstance:
         self.address = address
         self.words = point.words
         self.block = point.block
+        self.scale_from = point.scale_from
         self.reference = reference
         number = point.counted_from + (address - point.address) // point.stride
         self.name = point.name.replace("{n}", str(number)).replace("{reference}", reference)
+
+    def scaled_by(self, power: int | None) -> PointInstance:
+        """The point with the power of ten that `scale_from` holds; unchanged if it is unknown."""
+        if power is None:
+            return self
+        scaled = self._by_power.get(power)
+        if scaled is None:
+            scale = float(Decimal(str(self._point.scale)).scaleb(power))
+            point = replace(self._point, scale=scale, scale_from=None)
+            scaled = self._by_power[power] = PointInstance(point, self.address, self.reference)
+        return scaled
 
     def value(self, raw: Sequence[int]) -> PointValue:
         """Decode the registers or the bit of this point."""
@@ -195,8 +216,13 @@ def registers_of(point: Point, value: float | str) -> list[int]:
 
     `value` is in the unit of the point, after scale and offset. For a string it is the text; for
     other types, it can be one of the point's texts. Raises UsageError if the point's type cannot
-    hold the value.
+    hold the value, or if a register of the device holds the scale.
     """
+    if point.scale_from is not None:
+        raise UsageError(
+            f"the device holds the scale of {point.name} in {point.scale_from}; give the number of "
+            f"its register, at '{_table_word(point)} {point.address}'"
+        )
     if point.type is PointType.STRING:
         return _registers(point, _string_bytes(point, value))
     if isinstance(value, str):
@@ -213,12 +239,18 @@ def registers_of(point: Point, value: float | str) -> list[int]:
     return _registers(point, _number_bytes(point, number, value))
 
 
+def _table_word(point: Point) -> str:
+    return point.table.value.partition("_")[0]
+
+
 def _is_number_of_one_register(point: Point) -> bool:
     return (
         point.type in (PointType.UINT16, PointType.INT16)
         and point.byte_order is ByteOrder.HIGH_FIRST
         and not point.texts
         and point.decimals is None
+        and point.scale_from is None
+        and point.no_value is None
     )
 
 
@@ -270,6 +302,8 @@ def _byte_order(point: Point) -> Literal["big", "little"]:
 def _scaled(point: Point, number: float | None) -> float | None:
     if number is None or not math.isfinite(number):
         return None
+    if point.scale_from is not None or number == point.no_value:
+        return None
     if point.scale == 1 and point.offset == 0:
         return number
     scaled = float(Decimal(number) * Decimal(str(point.scale)) + Decimal(str(point.offset)))
@@ -318,6 +352,8 @@ def _text(point: Point, raw: Sequence[int], number: float | None) -> str:
             return (point.texts or _BIT_TEXTS).get(int(number), str(number))
     if number is None:
         return f"{_bytes(point, raw).hex().upper()}H, which is not BCD"
+    if number == point.no_value:
+        return NO_VALUE
     match point.type:
         case PointType.BIT_FIELD | PointType.NIBBLE_FIELD:
             return _field_text(point, int(number))
@@ -337,7 +373,7 @@ def _text(point: Point, raw: Sequence[int], number: float | None) -> str:
 def _digits(point: Point, number: float) -> str:
     scaled = _scaled(point, number)
     if scaled is None:
-        return str(number)
+        return f"{number} x 10^{point.scale_from}" if point.scale_from else str(number)
     if point.decimals is not None:
         return f"{scaled:z.{point.decimals}f}"  # z: 0.00 instead of -0.00.
     if isinstance(scaled, int):

@@ -178,6 +178,8 @@ def _values(profile: Profile, point: Point) -> str:
 def _scale(point: Point) -> list[str]:
     """The formula from register to value, and the decimals: `number x 0.1 - 50`, `2 decimals`."""
     formula = "" if point.scale == 1 else f" x {point.scale:g}"
+    if point.scale_from is not None:
+        formula += f" x 10^{point.scale_from}"
     if point.offset:
         formula += f" {'+' if point.offset > 0 else '-'} {abs(point.offset):g}"
     ranged = point.minimum is not None or point.maximum is not None
@@ -185,6 +187,8 @@ def _scale(point: Point) -> list[str]:
     parts = [f"number{formula}{unit}"] if formula else []
     if point.decimals is not None:
         parts.append(counted(point.decimals, "decimal"))
+    if point.no_value is not None:
+        parts.append(f"{point.no_value} is no value")
     return parts
 
 
@@ -196,7 +200,11 @@ def _range(point: Point) -> list[str]:
         return [f"from {point.minimum}{unit} on"]
     if point.maximum is not None:
         return [f"up to {point.maximum}{unit}"]
-    return [f"in{unit}"] if unit and point.scale == 1 and not point.offset else []
+    return [f"in{unit}"] if unit and not _is_scaled(point) else []
+
+
+def _is_scaled(point: Point) -> bool:
+    return point.scale != 1 or bool(point.offset) or point.scale_from is not None
 
 
 def _point_notes(profile: Profile) -> list[str]:

@@ -15,6 +15,8 @@ import pytest
 
 from mbtool.cli import exit_codes
 from mbtool.devices import builtin_profiles, load_profile, profile_schema
+from tests.devices.sunspec import registers, write_models
+from tests.workflows.evidence import capture_of, read
 
 if TYPE_CHECKING:
     from tests.cli.program import CommandLine
@@ -274,3 +276,37 @@ def test_sunspec_models_and_configurations_are_imported(mbtool: CommandLine) -> 
     Path("ha.yaml").write_text(json.dumps(hub), encoding="utf-8")
     told = mbtool("devices", "import", "--home-assistant", "ha.yaml", "-o", "ha.toml")
     assert told.err == "1 points -> ha.toml\n"
+
+
+def test_all_models_of_a_folder_are_tried(mbtool: CommandLine, tmp_path: Path) -> None:
+    folder = write_models(tmp_path / "models")
+    told = mbtool("devices", "import", "--sunspec", folder)
+    assert (told.code, told.out) == (exit_codes.DONE, "")
+    assert told.err == f"{folder}: 2 of 2 models can be imported\n"
+    (folder / "model_9.json").write_text("{}")
+    told = mbtool("devices", "import", "--sunspec", folder)
+    assert told.code == exit_codes.USAGE
+    assert "model_9.json: is no SunSpec model" in told.err
+    told = mbtool("devices", "import", "--sunspec", folder, "-o", "all.toml")
+    assert "no profile is written; a device has only some of them" in told.err
+
+
+def test_a_sunspec_device_of_a_capture_is_drafted_and_named(
+    mbtool: CommandLine, tmp_path: Path
+) -> None:
+    folder = write_models(tmp_path / "models")
+    exchanges = [read(40039, [235]), *(read(*block) for block in registers().items())]
+    Path("site.pcap").write_bytes(capture_of(exchanges))
+    told = mbtool("decode", "site.pcap")
+    assert "unit 1 at 10.0.0.2:502 is Maker Meter 7, SunSpec models 1, 64900, 64999" in told.err
+    told = mbtool("decode", "site.pcap", "--sunspec", folder, "--full")
+    assert "03 read 40039 -> meter.A: 235 x 10^meter.A_SF A" in told.out
+    for text in ("meter.A: 23.5 A", "meter.phase[2].A: -8 A", "meter.phase[1].V: 230 V"):
+        assert text in told.out
+    assert "!" not in told.out
+    told = mbtool("devices", "draft", "site.pcap", "--sunspec", folder, "-o", "meter.toml")
+    assert told.err.endswith("16 points -> meter.toml\n")
+    assert load_profile("./meter.toml").title == "Maker Meter 7"
+    again = mbtool("decode", "site.pcap", "--device", "1=./meter.toml", "--full")
+    assert "meter.phase[2].V: 231 V" in again.out
+    assert "SunSpec" not in again.err

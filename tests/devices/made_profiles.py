@@ -177,6 +177,7 @@ def _values(draw: st.DrawFn, type_: PointType) -> dict[str, Any]:
         highest = 1 if type_ is PointType.BIT else 0xFFFF
         fields["default"] = draw(st.none() | st.integers(0, highest))
     if numbers is not None:
+        fields["no_value"] = draw(st.none() | st.integers(numbers[0], min(numbers[-1], 2**63 - 1)))
         fields["texts"] = draw(_texts(numbers[0], numbers[-1]))
     elif type_ is PointType.HEX16:
         fields["texts"] = draw(_texts(0, 0xFFFF))

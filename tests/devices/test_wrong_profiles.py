@@ -404,10 +404,11 @@ exceptions = { function = 1, address = 2, value = 3, documented = [1, 2, 3], cau
 timing = { t1_5 = "1ms", t3_5 = "28bits", request_interval = "5ms" }
 areas = [{ name = "d", table = "holding_registers", first = 0, last = 9, access = "rw", prefix = "D", base = 1, radix = "hex", width = 2, suffix = "H" }]
 points = [
-    { name = "a{n}", table = "holding_registers", address = 2, type = "uint32", count = 2, stride = 2, counted_from = 1, access = "r", block = 0, word_order = "low-first", byte_order = "low-first", unit = "s", scale = 0.1, offset = 1, decimals = 1, texts = { 1 = "x" }, minimum = 0, maximum = 9, note = "n" },
+    { name = "a{n}", table = "holding_registers", address = 2, type = "uint32", count = 2, stride = 2, counted_from = 1, access = "r", block = 0, word_order = "low-first", byte_order = "low-first", unit = "s", scale = 0.1, offset = 1, decimals = 1, scale_from = "e", no_value = 5, texts = { 1 = "x" }, minimum = 0, maximum = 9, note = "n" },
     { name = "b", table = "holding_registers", address = 6, type = "flags", bits = { 0 = "x" }, default = 1 },
     { name = "c", table = "holding_registers", address = 7, type = "bit-field", first_channel = 1, channels = 4, channel = "DO" },
-    { name = "s", table = "holding_registers", address = 8, type = "string", length = 2 },
+    { name = "s", table = "holding_registers", address = 8, type = "string", length = 1 },
+    { name = "e", table = "holding_registers", address = 9, type = "int16" },
 ]
 """  # noqa: E501 - a line for each key that a profile has
 

@@ -77,6 +77,14 @@ def captured(exchanges: int = 3) -> list[Packet]:
     return _connection([(READ, VALUES)] * exchanges)
 
 
+def read(address: int, values: Sequence[int]) -> tuple[bytes, bytes]:
+    """A read of these holding registers and its response, as PDUs."""
+    count = len(values)
+    request = b"\x03" + address.to_bytes(2, "big") + count.to_bytes(2, "big")
+    data = b"".join(value.to_bytes(2, "big") for value in values)
+    return request, bytes((0x03, 2 * count)) + data
+
+
 def capture_of(exchanges: Sequence[tuple[bytes, bytes]]) -> bytes:
     """A pcap file with one TCP connection: requests, each with its response."""
     return pcap(_connection(exchanges))

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from mbtool.devices.model import Profile
 
 _FEW = 3
+NOT_SCALED = "as in the register, since another register of the device holds the scale"
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,6 +9,7 @@ import json
 from typing import TYPE_CHECKING
 
 from mbtool.devices.exporting.exported_points import (
+    NOT_SCALED,
     ExportedMap,
     Lacking,
     SinglePoint,
@@ -95,7 +96,11 @@ def _add(
         entry["offset"] = number_text(point.offset)
     if point.decimals is not None:
         entry["precision"] = str(point.decimals)
-    if point.unit:
+    if point.no_value is not None:
+        entry["nan_value"] = str(point.no_value)
+    if point.scale_from is not None:
+        lacking.note(NOT_SCALED, point.name)
+    elif point.unit:
         entry["unit_of_measurement"] = json.dumps(point.unit)
     if swap := _swap(one):
         entry["swap"] = swap

@@ -7,6 +7,7 @@ import io
 from typing import TYPE_CHECKING
 
 from mbtool.devices.exporting.exported_points import (
+    NOT_SCALED,
     ExportedMap,
     Lacking,
     SinglePoint,
@@ -53,6 +54,10 @@ def _note(point: Point, lacking: Lacking) -> None:
         lacking.note(_ABOUT_FIELDS, point.name)
     if point.block is not None:
         lacking.note("that a point exists only in reads from one address", point.name)
+    if point.scale_from is not None:
+        lacking.note(NOT_SCALED, point.name)
+    if point.no_value is not None:
+        lacking.note("that a number means no value", point.name)
     is_scaled = point.scale != 1 or point.offset != 0
     if is_scaled and (point.minimum is not None or point.maximum is not None):
         lacking.note("whether a range is before or after scaling", point.name)
@@ -69,7 +74,7 @@ def _row(one: SinglePoint) -> list[str]:
         "" if point.table.is_bits else one.letters,
         "" if point.table.is_bits else str(point.words),
         _ACCESS[one.access],
-        point.unit or "",
+        point.unit or "" if point.scale_from is None else "",
         number_text(point.scale) if point.scale != 1 else "",
         number_text(point.offset) if point.offset else "",
         "" if point.decimals is None else str(point.decimals),

@@ -2,7 +2,7 @@
 
 # A model stands for consecutive holding registers that begin with the model's number (ID) and its
 # length (L), so only a profile that has these can be one. Groups become plain points, as a profile
-# has none. A scale is a power of ten, or the scale factor that the device tells is not known.
+# has none. A scale is a power of ten, or a scale factor that the device holds.
 
 from __future__ import annotations
 
@@ -19,11 +19,14 @@ from mbtool.devices.exporting.exported_points import (
     SinglePoint,
     single_points,
 )
+from mbtool.devices.importing.sunspec_layout import NO_VALUES
 from mbtool.devices.model import Access
 from mbtool.devices.point_types import ByteOrder, PointType, WordOrder
 from mbtool.modbus.tables import Table
 
 if TYPE_CHECKING:
+    from collections.abc import Collection
+
     from mbtool.devices.model import Point, Profile
 
 _TYPES = {
@@ -51,6 +54,7 @@ def export_sunspec(profile: Profile) -> ExportedMap:
     for one in single_points(profile):
         if one not in held[begin:]:
             lacking.note("left out, as they are not in the model", one.point.name)
+    factors = {one.point.scale_from for one in held}
     points: list[dict[str, Any]] = []
     at = held[begin].point.address
     for one in held[begin:]:
@@ -60,7 +64,7 @@ def export_sunspec(profile: Profile) -> ExportedMap:
         if one.point.address > at:
             size = one.point.address - at
             points.append({"name": f"Pad{at}", "type": "pad", "size": size})
-        points.append(_point(one, lacking))
+        points.append(_point(one, factors, lacking))
         at = one.point.address + one.point.words
     group = {
         "name": _identifier(profile.name), "type": "group", "label": profile.title,
@@ -76,11 +80,10 @@ def _has_length(held: list[SinglePoint]) -> bool:
     return len(names) == 2 and names[1] == ("L", names[0][1] + 1)
 
 
-def _point(one: SinglePoint, lacking: Lacking) -> dict[str, Any]:
+def _point(one: SinglePoint, factors: Collection[str | None], lacking: Lacking) -> dict[str, Any]:
     point = one.point
-    told: dict[str, Any] = {
-        "name": _identifier(point.name), "type": _type(point), "size": point.words
-    }  # fmt: skip
+    kind = "sunssf" if point.name in factors else _type(point)
+    told: dict[str, Any] = {"name": _identifier(point.name), "type": kind, "size": point.words}
     if point.note:
         told["label"] = point.note
     if point.unit:
@@ -89,8 +92,12 @@ def _point(one: SinglePoint, lacking: Lacking) -> dict[str, Any]:
         told["access"] = "RW"
     if point.default is not None and point.type is PointType.UINT16:
         told["value"] = point.default
+    if point.no_value != NO_VALUES.get(kind):
+        lacking.note("with the number that SunSpec has for no value, not their own", point.name)
     power = _power(point.scale)
-    if power is None or point.offset:
+    if power == 0 and not point.offset and point.scale_from is not None:
+        told["sf"] = _identifier(point.scale_from)
+    elif power is None or point.offset or point.scale_from is not None:
         lacking.note("without a scale that is no power of ten, and without offset", point.name)
     elif power:
         told["sf"] = power

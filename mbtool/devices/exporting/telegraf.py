@@ -9,6 +9,7 @@ import json
 from typing import TYPE_CHECKING
 
 from mbtool.devices.exporting.exported_points import (
+    NOT_SCALED,
     ExportedMap,
     Lacking,
     SinglePoint,
@@ -79,6 +80,10 @@ def _can_be_read(one: SinglePoint, lacking: Lacking) -> bool:
     if point.block is not None:
         lacking.note("left out, as they exist only in reads from one address", point.name)
         return False
+    if point.scale_from is not None:
+        lacking.note(NOT_SCALED, point.name)
+    if point.no_value is not None:
+        lacking.note("that a number means no value", point.name)
     if point.offset:
         lacking.note("without their offset", point.name)
     if point.texts or point.bits:

@@ -45,6 +45,10 @@ class ImportedDevice:
     source: str
     points: Sequence[PlacedPoint]
     remarks: Sequence[str]
+    vendor: str = "unknown"
+    span: range | None = None
+    """The holding registers that the device has, points or not; None for those of its points."""
+    finding_prefix: str | None = None
 
 
 def assemble(device: ImportedDevice, file: str) -> ImportedList:
@@ -56,7 +60,7 @@ def assemble(device: ImportedDevice, file: str) -> ImportedList:
     points = _apart(device.points, remarks)
     if not points:
         raise UsageError(f"{file}: has no value that a profile can have")
-    areas, owned = _areas(points)
+    areas, owned = _areas(points, device.span)
     functions = {
         code: FunctionRule()
         for area in areas
@@ -65,15 +69,16 @@ def assemble(device: ImportedDevice, file: str) -> ImportedList:
     profile = Profile(
         name=device.name,
         title=device.title,
-        vendor="unknown",
+        vendor=device.vendor,
         transports=[Transport.RTU, Transport.TCP],
         source=device.source,
         areas=areas,
         functions=dict(sorted(functions.items())),
         points=owned,
+        finding_prefix=device.finding_prefix,
     )
     validate(profile, file)
-    notes = [f"Made by mbtool devices import from {device.source}."]
+    notes = [f"Made by mbtool from {device.source}."]
     text = dump_profile(profile, {"": [*notes, *(f"- {one}" for one in remarks)]})
     if len(text.encode()) > MAX_FILE_BYTES:
         raise UsageError(f"{file}: its profile would have more than {MAX_FILE_BYTES} bytes")
@@ -107,13 +112,13 @@ def _place(one: PlacedPoint) -> tuple[int, int]:
     return _TABLES.index(one.point.table), one.point.address
 
 
-def _areas(points: Sequence[PlacedPoint]) -> tuple[list[Area], list[Point]]:
+def _areas(points: Sequence[PlacedPoint], span: range | None) -> tuple[list[Area], list[Point]]:
     areas: list[Area] = []
     owned: list[Point] = []
     runs: list[list[PlacedPoint]] = []
     for one in points:
         last = runs[-1][-1].point if runs else None
-        if last is not None and _goes_on(last, one.point):
+        if last is not None and (span is not None or _goes_on(last, one.point)):
             runs[-1].append(one)
         else:
             runs.append([one])
@@ -121,11 +126,11 @@ def _areas(points: Sequence[PlacedPoint]) -> tuple[list[Area], list[Point]]:
         rights = {one.access for one in run}
         access = rights.pop() if len(rights) == 1 else Access.READ_WRITE
         first, last = run[0].point, run[-1].point
-        end = last.address + last.words - 1
-        name = f"{first.table.value.replace('_', ' ')} {first.address}..{end}"
-        areas.append(
-            Area(name=name, table=first.table, first=first.address, last=end, access=access)
-        )
+        begin, end = first.address, last.address + last.words - 1
+        if span is not None:
+            begin, end = min(begin, span.start), max(end, span.stop - 1)
+        name = f"{first.table.value.replace('_', ' ')} {begin}..{end}"
+        areas.append(Area(name=name, table=first.table, first=begin, last=end, access=access))
         owned += [
             replace(one.point, access=None if one.access is access else one.access) for one in run
         ]

@@ -14,6 +14,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, field
 from types import new_class
 from typing import TYPE_CHECKING, Any
@@ -51,6 +52,7 @@ _SWAPS = {
 }
 _SWITCHED = ("switches", "lights", "fans")
 _PLATFORMS = ("sensors", "binary_sensors", *_SWITCHED, "climates")
+_LARGEST_IN_TOML = (1 << 63) - 1
 _UNIT_KEYS = ("slave", "device_address")
 
 
@@ -228,6 +230,8 @@ def _told(point: Point, values: dict[str, Any]) -> Point:
         fields |= {"scale": scale, "offset": float(values.get("offset", 0))}
         fields["unit"] = _text(values.get("unit_of_measurement"))
         fields["decimals"] = None if precision is None else _whole(precision, 15)
+    if "nan_value" in values and point.type.whole_numbers is not None:
+        fields["no_value"] = _no_value(values["nan_value"], point.type.whole_numbers)
     return _replaced(point, fields)
 
 
@@ -251,6 +255,20 @@ def _address(values: dict[str, Any], key: str) -> int:
 def _whole(number: object, greatest: int = MAX_VALUES) -> int:
     if isinstance(number, bool) or not isinstance(number, int) or not 0 <= number <= greatest:
         raise ValueError(f"has {number!r} where a number up to {greatest} is right")
+    return number
+
+
+def _no_value(told: object, allowed: range) -> int:
+    """The number for no value, which Home Assistant also takes in hexadecimal."""
+    number = told
+    with suppress(ValueError):
+        number = int(told, 16) if isinstance(told, str) else told
+    if isinstance(number, bool) or not isinstance(number, int):
+        raise ValueError(f"has {told!r} where a number is right")
+    if number not in allowed:
+        number += 2 * min(allowed.start, 0)  # Two's complement.
+    if number not in allowed or number > _LARGEST_IN_TOML:
+        raise ValueError(f"has a nan_value {told!r}, which its type cannot have")
     return number
 
 

@@ -5,6 +5,8 @@
 # the user instead: by a hint, or by a warning if the profile of another model is in use, whose
 # registers have the same addresses but other meanings.
 #
+# A SunSpec device says its models in registers. A hint tells them, unless the slave has a profile.
+#
 # Memory: one hint for each slave, at most MAX_HINTS. Built-in profiles are loaded when the first
 # response to a vendor's own function is seen.
 
@@ -17,12 +19,15 @@ from mbtool.devices import Who, builtin_profiles, load_profile
 from mbtool.devices.identity import answer_word
 from mbtool.devices.profile_match import model_function, models_of
 from mbtool.modbus import FUNCTIONS
+from mbtool.workflows.shared.sunspec_devices import SunSpecDevices, described
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from mbtool.decode.decoder import Record
     from mbtool.devices import NamedTransaction, Profile
+    from mbtool.devices.sunspec_map import SunSpecMap
+    from mbtool.workflows.shared.sunspec_devices import Slave
 
 MAX_HINTS = 64
 
@@ -34,11 +39,16 @@ class ModelHints:
         self._profile_for = profile_for
         self._models: dict[tuple[int, int], Profile] | None = None
         self._hints: dict[tuple[str, int], str] = {}
+        self._sunspec = SunSpecDevices()
+        self._named: set[Slave] = set()
+        """The SunSpec devices that have a profile."""
 
     def note(self, record: Record) -> str | None:
         """Look at the next record; return a hint if it gives the first one about its slave."""
-        if isinstance(record, WireEvent) or record.function in FUNCTIONS:
+        if isinstance(record, WireEvent):
             return None
+        if record.function in FUNCTIONS:
+            return self._note_sunspec(record)
         word = answer_word(record)
         where = record.destination or record.link
         if word is None or (where, record.unit) in self._hints or len(self._hints) >= MAX_HINTS:
@@ -54,12 +64,34 @@ class ModelHints:
     @property
     def remarks(self) -> list[str]:
         """One line for each slave whose profile is not the one of its model."""
-        return list(self._hints.values())
+        maps = self._sunspec.maps
+        sunspec = [_sunspec_hint(*each) for each in maps.items() if each[0] not in self._named]
+        return [*self._hints.values(), *filter(None, sunspec)]
+
+    def _note_sunspec(self, record: NamedTransaction) -> str | None:
+        maps = self._sunspec.maps
+        before = len(maps)
+        slave = self._sunspec.note(record)
+        if len(maps) > before and self._profile_for(record) is not None:
+            self._named.add(next(reversed(maps)))
+        if slave is None or slave in self._named:
+            return None
+        return _sunspec_hint(slave, maps[slave])
 
     def _model(self, function: int, word: int) -> Profile | None:
         if self._models is None:
             self._models = models_of(map(load_profile, builtin_profiles()))
         return self._models.get((function, word))
+
+
+def _sunspec_hint(slave: Slave, found: SunSpecMap) -> str | None:
+    link, destination, unit = slave
+    if not found.models:
+        return None
+    return (
+        f"unit {unit} at {destination or link} is {described(found)}; mbtool devices draft with "
+        "--sunspec makes its profile"
+    )
 
 
 def _hint(record: NamedTransaction, model: Profile, named_by: Profile | None) -> str | None:

@@ -107,6 +107,8 @@ def test_a_sunspec_model_comes_back_the_same() -> None:
         {"name": "St", "type": "enum16", "size": 1, "symbols": [{"name": "ON", "value": 1}]},
         {"name": "Evt", "type": "bitfield16", "size": 1, "symbols": [{"name": "E", "value": 0}]},
         {"name": "Mn", "type": "string", "size": 4, "label": "Maker"},
+        {"name": "A", "type": "uint16", "size": 1, "units": "A", "sf": "A_SF"},
+        {"name": "A_SF", "type": "sunssf", "size": 1},
     ]
     model = {"id": 64900, "group": {"name": "pump", "type": "group", "points": points}}
     first = import_sunspec([("a", json.dumps(model).encode())], "pump").profile
@@ -114,6 +116,20 @@ def test_a_sunspec_model_comes_back_the_same() -> None:
     assert json.loads(made.text)["id"] == 64900
     assert import_sunspec([("b", made.text.encode())], "pump").profile.points == first.points
     assert made.lacking == ("left out, as they are not in the model: SunS",)
+
+
+@pytest.mark.parametrize("form", [ExportForm.CSV, ExportForm.TELEGRAF, ExportForm.HOME_ASSISTANT])
+def test_a_scale_in_another_register_and_no_value_are_told(form: ExportForm, pump: Profile) -> None:
+    points = [
+        Point(name="A", table=HOLDING, address=0, unit="A", scale_from="SF"),
+        Point(name="SF", table=HOLDING, address=1, type=PointType.INT16, no_value=-32768),
+    ]
+    made = exported(replace(pump, points=points), form)
+    assert "as in the register, since another register of the device holds the scale: A" in (
+        made.lacking
+    )
+    told = "that a number means no value: SF" in made.lacking
+    assert told or "nan_value: -32768" in made.text
 
 
 def test_a_profile_that_is_no_sunspec_model_is_refused(pump: Profile) -> None:

@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from mbtool.core import UsageError
-from mbtool.devices.importing.sunspec import import_sunspec
+from mbtool.devices.importing.sunspec import import_sunspec, import_sunspec_map
 from mbtool.devices.model import Access
 from mbtool.devices.point_types import PointType
+from mbtool.devices.sunspec_map import SunSpecMap
+from tests.devices.sunspec import BASE, COMMON, METER, registers
 
 if TYPE_CHECKING:
     from mbtool.devices.importing.register_list import ImportedList
@@ -55,7 +57,7 @@ def test_points_stand_behind_the_mark_and_one_another() -> None:
     assert (points["Mn"].words, points["Mn"].note) == (4, "Maker (x)")
     assert points["ID"].default == 64900
     (area,) = made.profile.areas
-    assert (area.first, area.last, area.access) == (40000, 40014, Access.READ_WRITE)
+    assert (area.first, area.last, area.access) == (40000, 40016, Access.READ_WRITE)
     assert (points["W"].access, points["Set"].access) == (Access.READ, None)
     assert list(made.profile.functions) == ["03", "06", "10"]
 
@@ -89,7 +91,6 @@ def test_what_a_profile_cannot_say_is_told() -> None:
                 "pump.json",
                 _model(
                     {"name": "A", "type": "uint16", "size": 1, "sf": "A_SF"},
-                    {"name": "A_SF", "type": "sunssf", "size": 1},
                     {"name": "Addr", "type": "ipv6addr", "size": 8},
                     groups=[{"name": "mod", "count": "N", "points": [HEAD[1]]}],
                 ),
@@ -99,12 +100,90 @@ def test_what_a_profile_cannot_say_is_told() -> None:
         repeat=2,
     )
     assert made.remarks[1:] == (
-        "not scaled, as the device tells the scale factor in a register: A",
         "left out, as a profile has no type ipv6addr: Addr",
         "the device tells how often a group is there, taken as 2 (--repeat): mod",
+        "not scaled, as the scale factor is not there: A",
     )
     assert [name for name in _points(made) if "mod" in name] == ["mod[1].L", "mod[2].L"]
-    assert _points(made)["mod[1].L"].address == 40002 + 2 + 2 + 8
+    assert _points(made)["mod[1].L"].address == 40002 + 2 + 1 + 8
+
+
+def test_a_scale_factor_is_that_of_the_group_or_around_it() -> None:
+    made = import_sunspec([("meter.json", json.dumps(METER).encode())], "meter", repeat=2)
+    points = _points(made)
+    assert {name: one.scale_from for name, one in points.items() if one.scale_from} == {
+        "A": "A_SF",
+        "phase[1].A": "A_SF",
+        "phase[1].V": "phase[1].V_SF",
+        "phase[2].A": "A_SF",
+        "phase[2].V": "phase[2].V_SF",
+    }
+    assert (points["A_SF"].type, points["A"].scale) == (PointType.INT16, 1.0)
+
+
+def test_a_model_that_is_there_twice_has_scale_factors_of_its_own() -> None:
+    model = ("meter.json", json.dumps(METER).encode())
+    points = _points(import_sunspec([model, model], "meter", repeat=0))
+    assert points["meter.A"].scale_from == "meter.A_SF"
+    assert points["meter[2].A"].scale_from == "meter[2].A_SF"
+
+
+def test_the_number_for_no_value_is_that_of_the_type() -> None:
+    points = _points(
+        import_sunspec(
+            [
+                (
+                    "pump.json",
+                    _model(
+                        {"name": "S", "type": "int16", "size": 1},
+                        {"name": "Acc", "type": "acc32", "size": 2},
+                        {"name": "U", "type": "uint32", "size": 2},
+                    ),
+                )
+            ],
+            "pump",
+        )
+    )
+    assert {name: points[name].no_value for name in ("S", "Acc", "U")} == {
+        "S": -0x8000,
+        "Acc": None,
+        "U": 0xFFFF_FFFF,
+    }
+
+
+def test_a_device_that_was_read_has_its_models_where_it_says() -> None:
+    found = SunSpecMap(BASE)
+    for address, values in registers().items():
+        found.note(address, values)
+    known = {one["id"]: json.dumps(one).encode() for one in (COMMON, METER)}
+    files = [(f"{one.id}", known[one.id]) if one.id in known else None for one in found.models]
+    made = import_sunspec_map(found, files, "meter")
+    points = _points(made)
+    assert (points["meter.A"].address, points["meter.phase[2].V"].address) == (40039, 40045)
+    assert "meter.phase[3].V" not in points
+    (area,) = made.profile.areas
+    assert (area.first, area.last) == (40000, 40052)
+    assert (made.profile.title, made.profile.vendor) == ("Maker Meter 7", "Maker")
+    assert made.remarks == (
+        "the map begins at 40000, and was read from the device",
+        "left out, as there is no file of the model: 64999",
+        "groups that are there 2 times, as the length of their model says: meter.phase",
+    )
+
+
+def test_a_model_of_a_device_may_be_shorter_than_its_file() -> None:
+    found = SunSpecMap(0)
+    found.note(2, [1, 32])
+    made = import_sunspec_map(found, [("1", json.dumps(COMMON).encode())], "meter")
+    assert list(_points(made)) == ["SunS", "ID", "L", "Mn", "Md"]
+    assert made.remarks[-1] == "left out, as the device's model is shorter: DA"
+
+
+def test_a_device_whose_models_have_no_file_has_no_profile() -> None:
+    found = SunSpecMap(0)
+    found.note(2, [1, 32])
+    with pytest.raises(UsageError, match="meter: none of its models has a file"):
+        import_sunspec_map(found, [None], "meter")
 
 
 def test_several_models_stand_one_behind_the_other() -> None:
@@ -112,7 +191,7 @@ def test_several_models_stand_one_behind_the_other() -> None:
     made = import_sunspec([one, one], "pump", base=0)
     names = [point.name for point in made.profile.points]
     assert names[:4] == ["SunS", "pump.ID", "pump.L", "pump.W"]
-    assert names[4:] == ["pump.ID (5)", "pump.L (6)", "pump.W (7)"]
+    assert names[4:] == ["pump[2].ID", "pump[2].L", "pump[2].W"]
 
 
 @pytest.mark.parametrize(

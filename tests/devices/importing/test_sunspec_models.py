@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import os
-from pathlib import Path
 
 import pytest
 
-from mbtool.devices.importing.sunspec import import_sunspec
+from mbtool.workflows.shared.sunspec_devices import SunSpecFolder
 
 FOLDER = "MBTOOL_SUNSPEC_MODELS"
 """The variable with the folder: json/ of a copy of github.com/sunspec/models."""
@@ -16,8 +15,6 @@ FOLDER = "MBTOOL_SUNSPEC_MODELS"
 def test_all_public_models_can_be_imported() -> None:
     if FOLDER not in os.environ:
         pytest.skip(f"no SunSpec models: set {FOLDER} to their folder")
-    models = sorted(Path(os.environ[FOLDER]).glob("model_*.json"))
-    assert len(models) > 100
-    for path in models:
-        made = import_sunspec([(path.name, path.read_bytes())], path.stem)
-        assert len(made.profile.points) > 2, path
+    count, wrong = SunSpecFolder(os.environ[FOLDER]).try_all()
+    assert wrong == []
+    assert count > 100

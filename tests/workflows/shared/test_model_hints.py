@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
+import pytest
+
 from mbtool.devices import Assignments, Namer, Profile, parse_assignment
 from mbtool.modbus import mbap_adu, rtu_adu
 from mbtool.modbus.adu import Transport
 from mbtool.workflows.shared.model_hints import MAX_HINTS, ModelHints
+from tests.devices.sunspec import registers
 from tests.devices.transactions import transaction
 
 SAID = "unit 0 at 192.168.3.250:502 is FA3-AT1M8X analog input module, 8 channels, "
@@ -55,6 +58,34 @@ def test_what_is_no_model_code_is_none() -> None:
 def test_a_device_on_a_serial_line_is_no_module_of_a_network() -> None:
     raw = rtu_adu(1, b"\x42\x00\x16")
     assert hints(destination=None, transport=Transport.RTU, response_raw=raw) == []
+
+
+def _sunspec(*device: str, blocks: int = 5) -> list[str]:
+    assignments = Assignments([parse_assignment(one) for one in device])
+    found = ModelHints(assignments.profile_for)
+    told = []
+    for address, values in [*registers().items()][:blocks]:
+        one = transaction(3, address, quantity=len(values), response_values=values, unit=126)
+        told.append(found.note(Namer(assignments).name(one)))
+    return [*filter(None, told), *found.remarks]
+
+
+def test_the_models_of_a_sunspec_device_are_told_when_their_end_was_read() -> None:
+    hint = (
+        "unit 126 at line is Maker Meter 7, SunSpec models 1, 64900, 64999 from 40000 on; "
+        "mbtool devices draft with --sunspec makes its profile"
+    )
+    assert _sunspec() == [hint, hint]
+
+
+@pytest.mark.parametrize("blocks", [2, 5])
+def test_a_sunspec_device_with_a_profile_is_left_alone(blocks: int) -> None:
+    assert _sunspec("126=wago-750", blocks=blocks) == []
+
+
+def test_the_models_that_were_read_of_a_map_are_told_at_the_end() -> None:
+    (hint,) = _sunspec(blocks=2)
+    assert "Maker Meter 7, SunSpec models 1 from 40000 on" in hint
 
 
 def test_hints_are_bounded() -> None:

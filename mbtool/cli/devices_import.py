@@ -1,0 +1,221 @@
+"""mbtool devices import: a profile of a register list or another register map."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from mbtool.cli.profile_files import (
+    OutputOption,
+    demand_new,
+    give_imported,
+    profile_name,
+    read_input,
+    shown,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from mbtool.devices.importing.options import ImportOptions
+
+
+class AddressesChoice(StrEnum):
+    """How a register list writes addresses: from 0, from 1, as references or hexadecimal."""
+
+    ZERO_BASED = "zero-based"
+    ONE_BASED = "one-based"
+    REFERENCES = "references"
+    HEXADECIMAL = "hexadecimal"
+
+
+class ScalingChoice(StrEnum):
+    """The use of the factors in a register list: to multiply or to divide values of registers."""
+
+    MULTIPLY = "multiply"
+    DIVIDE = "divide"
+
+
+class WordOrderChoice(StrEnum):
+    """The register that comes first if a value takes several: the high or the low word."""
+
+    HIGH_FIRST = "high-first"
+    LOW_FIRST = "low-first"
+
+
+class TableChoice(StrEnum):
+    """The tables of Modbus, each by the first word of its name."""
+
+    COILS = "coils"
+    DISCRETE = "discrete"
+    HOLDING = "holding"
+    INPUT = "input"
+
+
+def import_(
+    files: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="FILE",
+            help="A register list: CSV with a row of headings; - is standard input. With --sunspec "
+            "one model or several, in their order in the device, or a folder, whose models are all "
+            "tried.",
+        ),
+    ],
+    output: OutputOption = None,
+    sunspec: Annotated[
+        bool, typer.Option("--sunspec", help="FILE is a SunSpec model in JSON.")
+    ] = False,
+    home_assistant: Annotated[
+        bool, typer.Option("--home-assistant", help="FILE is a configuration of Home Assistant.")
+    ] = False,
+    base: Annotated[
+        int | None,
+        typer.Option(
+            "--base", min=0, max=65000, help="SunSpec: where the map begins. [default: 40000]"
+        ),
+    ] = None,
+    repeat: Annotated[
+        int | None,
+        typer.Option(
+            "--repeat",
+            min=0,
+            max=1000,
+            help="SunSpec: how often a group is there if the device tells it. [default: 1]",
+        ),
+    ] = None,
+    unit: Annotated[
+        int | None,
+        typer.Option("--unit", min=0, max=255, help="Home Assistant: which unit's values."),
+    ] = None,
+    column: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--column",
+            metavar="MEANING=HEADING",
+            help="Which column holds what, as in address=Modbus-Adresse; may be repeated. "
+            "[default: guessed by the headings]",
+        ),
+    ] = None,
+    table: Annotated[
+        TableChoice | None,
+        typer.Option(help="The table of rows that name none. [default: holding]"),
+    ] = None,
+    addresses: Annotated[
+        AddressesChoice | None,
+        typer.Option(help="What the numbers of its addresses are. [default: guessed]"),
+    ] = None,
+    word_order: Annotated[
+        WordOrderChoice | None,
+        typer.Option(
+            help="Which register comes first in values that name no order. [default: high-first]"
+        ),
+    ] = None,
+    scaling: Annotated[
+        ScalingChoice | None,
+        typer.Option(help="What its factors are for. [default: guessed]"),
+    ] = None,
+    skip_bad: Annotated[
+        bool,
+        typer.Option("--skip-bad", help="Leave out rows that cannot be read, and tell them."),
+    ] = False,
+) -> None:
+    """Make a profile of a register list or another register map.
+
+    What you name is not guessed; each guess is told in a line. If rows of a list cannot be read,
+    each is told and no profile is made, unless you say --skip-bad.
+    """
+    from mbtool.core import UsageError
+    from mbtool.devices.importing.options import (
+        AddressStyle,
+        ImportOptions,
+        Scaling,
+        parse_columns,
+    )
+    from mbtool.devices.point_types import WordOrder
+    from mbtool.modbus.tables import Table
+
+    demand_new(output)
+    if sunspec and home_assistant:
+        raise UsageError("--sunspec and --home-assistant exclude each other")
+    for option, value, is_for in (
+        ("--base", base, sunspec), ("--repeat", repeat, sunspec), ("--unit", unit, home_assistant)
+    ):  # fmt: skip
+        if value is not None and not is_for:
+            form = "--home-assistant" if option == "--unit" else "--sunspec"
+            raise UsageError(f"{option} goes with {form}")
+    if len(files) > 1 and not sunspec:
+        raise UsageError(f"{files[1]}: only --sunspec takes several files; import one at a time")
+    if sunspec:
+        _import_sunspec(files, output, 40000 if base is None else base, repeat)
+        return
+    if home_assistant:
+        _import_home_assistant(files[0], output, unit)
+        return
+    options = ImportOptions(
+        columns=parse_columns(column or ()),
+        addresses=AddressStyle(addresses) if addresses is not None else None,
+        table=next((one for one in Table if table and one.value.startswith(table)), None),
+        scaling=Scaling(scaling) if scaling is not None else None,
+        word_order=WordOrder(word_order) if word_order is not None else None,
+        skip_bad=skip_bad,
+    )
+    _import_list(files[0], output, options)
+
+
+def _import_list(file: str, output: str | None, options: ImportOptions) -> None:
+    from mbtool.cli.talk import say
+    from mbtool.devices.importing.register_list import BadRowsError, import_register_list
+
+    try:
+        imported = import_register_list(
+            read_input(file), shown(file), options, profile_name(file, output)
+        )
+    except BadRowsError as wrong:
+        for line in wrong.lines:
+            say(line)
+        raise
+    give_imported(imported, output)
+
+
+def _import_sunspec(
+    files: Sequence[str], output: str | None, base: int, repeat: int | None
+) -> None:
+    from mbtool.devices.importing.sunspec import import_sunspec
+
+    if len(files) == 1 and Path(files[0]).is_dir():
+        _try_all(files[0], output)
+        return
+    models = [(shown(file), read_input(file)) for file in files]
+    name = profile_name(files[0], output) or "sunspec"
+    count = 1 if repeat is None else repeat
+    give_imported(import_sunspec(models, name, base=base, repeat=count), output)
+
+
+def _try_all(folder: str, output: str | None) -> None:
+    """Import each model of a folder by itself, and tell which ones cannot be."""
+    from mbtool.cli.talk import say
+    from mbtool.core import UsageError
+    from mbtool.workflows.shared.sunspec_devices import SunSpecFolder
+
+    if output is not None:
+        raise UsageError(
+            f"{folder}: all of its models are tried, and no profile is written; a device has only "
+            "some of them: name their files"
+        )
+    count, wrong = SunSpecFolder(folder).try_all()
+    for line in wrong:
+        say(line)
+    say(f"{folder}: {count} of {count + len(wrong)} models can be imported")
+    if wrong:
+        raise UsageError(f"{folder}: {len(wrong)} models cannot be imported")
+
+
+def _import_home_assistant(file: str, output: str | None, unit: int | None) -> None:
+    from mbtool.devices.importing.home_assistant import import_home_assistant
+
+    name = profile_name(file, output) or "home-assistant"
+    give_imported(import_home_assistant(read_input(file), shown(file), name, unit=unit), output)

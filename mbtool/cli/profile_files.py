@@ -1,0 +1,105 @@
+"""What the commands for profiles of one's own share: files read, and profiles written."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from mbtool.devices.importing.register_list import ImportedList
+
+_SUFFIX = ".toml"
+_STANDARD = "-"
+
+OutputOption = Annotated[
+    str | None,
+    typer.Option(
+        "--output",
+        "-o",
+        metavar="FILE.toml",
+        help="Write to a new file. [default: standard output]",
+    ),
+]
+
+
+def profile_name(file: str, output: str | None) -> str | None:
+    """The profile's name after the file's; None if both are standard streams."""
+    from mbtool.devices.profile_template import name_for
+
+    return name_for(output or file) if _STANDARD not in (output or file,) else None
+
+
+def give_imported(imported: ImportedList, output: str | None) -> None:
+    from mbtool.cli.talk import say
+
+    for remark in imported.remarks:
+        say(remark)
+    give(imported.text, output)
+    if is_file(output):
+        say(f"{len(imported.profile.points)} points -> {output}")
+
+
+def read_input(file: str) -> bytes:
+    from mbtool.core import InputError
+    from mbtool.devices.importing.register_list import MAX_BYTES
+
+    try:
+        if file == _STANDARD:
+            if sys.stdin is None:
+                raise InputError("standard input: closed; name a file")
+            return sys.stdin.buffer.read(MAX_BYTES + 1)
+        with Path(file).open("rb") as stream:
+            return stream.read(MAX_BYTES + 1)
+    except OSError as error:
+        raise InputError(f"{file}: cannot be read: {error.strerror or error}") from error
+
+
+def shown(file: str) -> str:
+    return "standard input" if file == _STANDARD else file
+
+
+def is_file(output: str | None) -> bool:
+    return output is not None and output != _STANDARD
+
+
+def demand_new(output: str | None, suffixes: Sequence[str] = (_SUFFIX,)) -> None:
+    """Raise UsageError if a profile cannot be written to a new file of this name.
+
+    The name must have one of the suffixes, and the file must not exist, as it may have been edited
+    by hand.
+    """
+    from mbtool.core import UsageError
+
+    if output is None or output == _STANDARD:
+        return
+    if not output.lower().endswith(tuple(suffixes)):
+        what = (
+            "a profile is a TOML file" if _SUFFIX in suffixes else "the suffix is of another form"
+        )
+        raise UsageError(f"{output}: {what}; let its name end in {' or '.join(suffixes)}")
+    if Path(output).exists():
+        raise UsageError(f"{output}: is there already; name another, or remove it first")
+
+
+def give(text: str, output: str | None, suffixes: Sequence[str] = (_SUFFIX,)) -> None:
+    if output is None or output == _STANDARD:
+        typer.echo(text, nl=False)
+    else:
+        write(output, text, suffixes)
+
+
+def write(file: str, text: str, suffixes: Sequence[str] = (_SUFFIX,)) -> None:
+    from mbtool.core import UsageError
+
+    demand_new(file, suffixes)
+    try:
+        # Mode "x" does not overwrite a file that was made after the check of _demand_new.
+        with Path(file).open("x", encoding="utf-8") as stream:
+            stream.write(text)
+    except OSError as error:
+        raise UsageError(f"{file}: cannot be written: {error.strerror or error}") from error

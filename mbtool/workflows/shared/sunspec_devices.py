@@ -1,0 +1,186 @@
+"""Names SunSpec devices by the models that they were asked for."""
+
+# A master reads the map of a SunSpec device, usually once: the mark, then number and length of each
+# model (devices/sunspec_map.py). The files of the models are the user's: a copy of the folder json
+# of github.com/sunspec/models, where model 103 is model_103.json.
+#
+# Files are read twice, first for the maps: so all of a capture is named, also what comes before the
+# map was read.
+#
+# Memory: the maps of at most MAX_DEVICES slaves.
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from mbtool.core import InputError, UsageError, WireEvent
+from mbtool.core.link_spec import MODBUS_PORT
+from mbtool.devices import Assignment, Assignments, Who
+from mbtool.devices.importing.sunspec import import_sunspec, import_sunspec_map
+from mbtool.devices.sunspec_map import READ_HOLDING, SunSpecMap, mark_in
+from mbtool.sources.files import place_of
+from mbtool.workflows.shared.reading import Reading
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from os import PathLike
+
+    from mbtool.decode.decoder import Record
+    from mbtool.devices.importing.register_list import ImportedList
+    from mbtool.workflows.shared.reading import ReadingOptions
+
+MAX_DEVICES = 1024
+STANDARD_INPUT = "-"
+_SHOWN = 12
+
+Slave = tuple[str, str | None, int]
+"""Link, destination and unit."""
+
+
+class SunSpecDevices:
+    """The maps of the SunSpec devices in a capture."""
+
+    def __init__(self) -> None:
+        self.maps: dict[Slave, SunSpecMap] = {}
+
+    def note_all(self, records: Iterable[Record]) -> None:
+        for record in records:
+            self.note(record)
+
+    def note(self, record: Record) -> Slave | None:
+        """Look at the next record; return its slave if it gave the end of its map."""
+        if isinstance(record, WireEvent) or record.function != READ_HOLDING:
+            return None
+        values, address = record.response_values, record.address
+        if not values or address is None:
+            return None
+        key = (record.link, record.destination, record.unit)
+        found = self.maps.get(key)
+        if found is None:
+            base = mark_in(address, values)
+            if base is None or len(self.maps) >= MAX_DEVICES:
+                return None
+            found = self.maps[key] = SunSpecMap(base)
+        had_end = found.is_complete
+        found.note(address, values)
+        return key if found.is_complete and not had_end else None
+
+
+class SunSpecFolder:
+    """A folder with the files of SunSpec models."""
+
+    def __init__(self, path: str | PathLike[str]) -> None:
+        """Raises InputError if there is no model in the folder."""
+        self._path = path
+        folder = Path(path)
+        inner = folder / "json"
+        self._folder = inner if inner.is_dir() else folder
+        if not any(self._paths()):
+            raise InputError(
+                f"{path}: no folder with SunSpec models, such as model_1.json; they are the folder "
+                "json of github.com/sunspec/models"
+            )
+
+    def file(self, number: int) -> tuple[str, bytes] | None:
+        """The name and content of a model's file; None if there is none."""
+        path = self._folder / f"model_{number}.json"
+        try:
+            return str(path), path.read_bytes()
+        except FileNotFoundError:
+            return None
+        except OSError as error:
+            raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+
+    def try_all(self) -> tuple[int, list[str]]:
+        """Import each model by itself; return how many can be, and a line for each other one."""
+        wrong = []
+        count = 0
+        for path in sorted(self._paths()):
+            try:
+                import_sunspec([(path.name, path.read_bytes())], path.stem)
+                count += 1
+            except (UsageError, OSError) as error:
+                wrong.append(str(error))
+        return count, wrong
+
+    def profile(self, found: SunSpecMap, name: str) -> ImportedList:
+        """The profile of a device. Raises UsageError if no model of it can be used."""
+        return import_sunspec_map(found, [self.file(one.id) for one in found.models], name)
+
+    def _paths(self) -> Iterator[Path]:
+        return self._folder.glob("model_*.json")
+
+
+def with_sunspec(
+    paths: Sequence[str], options: ReadingOptions, folder: SunSpecFolder, say: Callable[[str], None]
+) -> ReadingOptions:
+    """The options with a profile for each SunSpec device in the files that has none.
+
+    Files are read to their end. `say` gets a line for each device.
+    """
+    for path in paths:
+        if path == STANDARD_INPUT or place_of(path)[1]:
+            raise UsageError(f"{path}: --sunspec reads a file twice; save the pipe to a file first")
+    devices = SunSpecDevices()
+    reading = Reading(paths, options)
+    reading.demand_files()
+    devices.note_all(_unbroken(reading))
+    more: list[Assignment] = []
+    for (link, destination, unit), found in devices.maps.items():
+        who = Who.of_slave(destination, unit)
+        known = [*options.assignments, *more]
+        if not found.models or any(one.who.fits_slave(destination, unit) for one in known):
+            continue
+        where = destination or link
+        try:
+            made = folder.profile(found, _profile_name(destination, unit))
+        except UsageError as error:
+            say(f"unit {unit} at {where}: {error}")
+            continue
+        say(f"unit {unit} at {where}: {described(found)}")
+        more.append(Assignment(who, made.profile))
+    if not more:
+        say("--sunspec: no slave was asked for its SunSpec models here")
+    return replace(options, assignments=Assignments([*options.assignments, *more]))
+
+
+def only_map(devices: SunSpecDevices, who: Who | None, option: str) -> SunSpecMap:
+    """The map of the only device, or of the one that `who` describes.
+
+    Raises UsageError if there is none, or several; the message names the option for `who`.
+    """
+    maps = {
+        Who.of_slave(destination, unit): found
+        for (_, destination, unit), found in devices.maps.items()
+        if found.models and (who is None or who.fits_slave(destination, unit))
+    }
+    if not maps:
+        raise UsageError("no such slave was asked for its SunSpec models there")
+    if len(maps) > 1:
+        names = ", ".join(str(one.at_any_port) for one in [*maps][:_SHOWN])
+        raise UsageError(f"{len(maps)} SunSpec devices are there: {names}; name one with {option}")
+    return next(iter(maps.values()))
+
+
+def described(found: SunSpecMap) -> str:
+    """What a device is, with its models: `Maker Device, SunSpec models 1, 103 from 40000 on`."""
+    numbers = ", ".join(str(one.id) for one in found.models)
+    name = f"{found.device}, " if found.device else ""
+    return f"{name}SunSpec models {numbers} from {found.base} on"
+
+
+def _unbroken(reading: Reading) -> Iterator[Record]:
+    """The records up to the first error, which the pass that prints them will raise."""
+    try:
+        yield from reading.records()
+    except InputError:
+        return
+
+
+def _profile_name(destination: str | None, unit: int) -> str:
+    who = Who.of_slave(destination, unit)
+    place = "" if who.host is None else f"{who.host.replace(':', '-').strip('-')}-"
+    port = "" if who.port in (None, MODBUS_PORT) else f"{who.port}-"
+    return f"sunspec-{place}{port}{unit}"
