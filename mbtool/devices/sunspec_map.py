@@ -20,7 +20,7 @@ BASES = (40000, 0, 50000)
 MAX_MODELS = 256
 READ_HOLDING = 0x03
 COMMON = 1
-_MARK = (0x5375, 0x6E53)
+MARK = (0x5375, 0x6E53)
 _END = 0xFFFF
 _TEXT_WORDS = 16
 
@@ -43,7 +43,7 @@ def mark_in(address: int, values: Sequence[int]) -> int | None:
     """Where a map begins in registers that were read from `address` on; None if none does."""
     for base in BASES:
         at = base - address
-        if 0 <= at < len(values) - 1 and (values[at], values[at + 1]) == _MARK:
+        if 0 <= at < len(values) - 1 and (values[at], values[at + 1]) == MARK:
             return base
     return None
 

@@ -18,6 +18,7 @@ from mbtool.core import WireEvent
 from mbtool.devices import Who, builtin_profiles, load_profile
 from mbtool.devices.identity import answer_word
 from mbtool.devices.profile_match import model_function, models_of
+from mbtool.devices.sunspec_map import MARK
 from mbtool.modbus import FUNCTIONS
 from mbtool.workflows.shared.sunspec_devices import SunSpecDevices, described
 
@@ -48,7 +49,10 @@ class ModelHints:
         if isinstance(record, WireEvent):
             return None
         if record.function in FUNCTIONS:
-            return self._note_sunspec(record)
+            values = record.response_values  # Nearly all records end here, so without a call.
+            if values and (self._sunspec.maps or MARK[0] in values):
+                return self._note_sunspec(record)
+            return None
         word = answer_word(record)
         where = record.destination or record.link
         if word is None or (where, record.unit) in self._hints or len(self._hints) >= MAX_HINTS:
