@@ -37,6 +37,7 @@ from mbtool.cli.inventory import inventory
 from mbtool.cli.leaving import leave
 from mbtool.cli.line import line
 from mbtool.cli.links import links
+from mbtool.cli.plot import plot
 from mbtool.cli.poll import poll
 from mbtool.cli.recover import recover
 from mbtool.cli.replay import replay
@@ -82,6 +83,7 @@ for command in (
     stats,
     watch,
     report,
+    plot,
     convert,
     recover,
     replay,

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
+from mbtool.devices.references import write_reference
 from mbtool.modbus import FUNCTIONS
 from mbtool.series.value_series import ValueSeries
 
@@ -99,9 +100,10 @@ class Values:
         self, one: NamedTransaction, table: Table, count: int
     ) -> list[ValueSeries | None]:
         """The series of the registers or bits of a poll; None for those that are not followed."""
-        word, first = table.partition("_")[0], one.address or 0
+        first = one.address or 0
         addresses = range(first, first + min(count, MAX_OF_POLL))
-        keys = (SeriesKey(one.link, one.unit, f"{word} {address}") for address in addresses)
+        names = (write_reference(None, table, address) for address in addresses)
+        keys = (SeriesKey(one.link, one.unit, name) for name in names)
         return [self._series(key, is_bit=table.is_bits) for key in keys]
 
     def _series(self, key: SeriesKey, *, is_bit: bool = False) -> ValueSeries | None:

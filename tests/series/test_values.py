@@ -46,8 +46,8 @@ def test_reads_and_writes_of_a_register_are_one_series() -> None:
 def test_bits_are_marked_as_bits() -> None:
     values = Values()
     values.add(seen(1, 1, [1, 0]))
-    assert values.series[SeriesKey("rs485", 1, "coils 10")].bit
-    assert samples(values, "coils 11") == [(1, 0)]
+    assert values.series[SeriesKey("rs485", 1, "coil 10")].bit
+    assert samples(values, "coil 11") == [(1, 0)]
 
 
 def test_a_slave_with_a_profile_has_points_with_their_units() -> None:

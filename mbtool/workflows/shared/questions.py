@@ -81,7 +81,7 @@ class Wording:
 
         Raises UsageError if it names nothing, or nothing that the function can read.
         """
-        table, span = self._range(text)
+        table, span = self.addresses(text)
         code = self._code(text, table, (_READS[table],))
         return [
             encode_pdu(code, Direction.REQUEST, address=part.start, quantity=len(part))
@@ -118,8 +118,8 @@ class Wording:
             return encode_pdu(code, Direction.REQUEST, address=target.address, value=value)
         return encode_pdu(code, Direction.REQUEST, address=target.address, values=tuple(values))
 
-    def _range(self, text: str) -> tuple[Table, range]:
-        """The table and the addresses that `text` names."""
+    def addresses(self, text: str) -> tuple[Table, range]:
+        """The table and the addresses that `text` names. Raises UsageError if it names none."""
         if ".." in text:
             try:
                 span = self._span(text)

@@ -1,0 +1,186 @@
+"""mbtool plot: values over time, in the terminal or as a picture."""
+
+from __future__ import annotations
+
+import os
+import sys
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from mbtool.cli.option_groups import takes_groups
+from mbtool.cli.options import (
+    DeviceOption,
+    EndOption,
+    OverwriteOption,
+    RawOption,
+    SilenceOptions,
+    SourceOptions,
+    StartOption,
+    WhereOption,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from rich.console import Console
+
+    from mbtool.views.plot_lines import PlotSize
+    from mbtool.workflows.plot import PlottedValues
+
+_SUFFIXES = {".png": "png", ".svg": "svg", ".pdf": "pdf"}
+_PIPE_ROWS = 8
+
+
+@takes_groups
+def plot(
+    arguments: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="FILE... [REFERENCE]",
+            help="Captures and logs, as for decode; then what to plot: HR400001..400004 or the "
+            "name of a point, as the device's manual writes them, or 'holding 0..3', 'coil 3' by "
+            "the address on the wire. Without any, what there is to plot is listed.",
+        ),
+    ],
+    *,
+    device: DeviceOption = None,
+    where: WhereOption = None,
+    start: StartOption = None,
+    end: EndOption = None,
+    output: Annotated[
+        str | None,
+        typer.Option("--output", "-o", metavar="OUT", help="Write a picture: .png, .svg or .pdf."),
+    ] = None,
+    overwrite: OverwriteOption = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print the values and their times as JSON.")
+    ] = False,
+    raw: RawOption = False,
+    source: SourceOptions,
+    silences: SilenceOptions,
+) -> None:
+    """Plot values of captures over time, in the terminal or as a picture.
+
+    A value holds until the next one is read or written. Pictures need mbtool[plot].
+    """
+    from mbtool.cli.options import condition
+    from mbtool.cli.output import (
+        demand_new,
+        demand_other_file,
+        demand_standard_output,
+        format_by_name,
+        named_file,
+        say_if_empty,
+    )
+    from mbtool.cli.progress import with_progress
+    from mbtool.cli.talk import say
+    from mbtool.core import UsageError
+    from mbtool.workflows.plot import PlotRun
+    from mbtool.workflows.shared.time_window import TimeWindow
+
+    files, texts = _divided(arguments)
+    if output is not None and not texts:
+        raise UsageError("name what to plot behind the files; without --output they are listed")
+    if output is not None and as_json:
+        raise UsageError("--output writes a picture; --json goes to standard output")
+    demand_other_file(files, output)
+    path = named_file(output)
+    picture = None if output is None else format_by_name(path or ".", _SUFFIXES, "png")
+    if picture is not None:
+        _demand_matplotlib()
+    else:
+        demand_standard_output()
+    window = TimeWindow.parse(start, end)
+    options = source.read(device, raw=raw, silences=silences)
+    run = PlotRun(files, options, texts, window, condition(where))
+    run.reading.demand_files()
+    demand_new(path, overwrite=overwrite)
+    values = run.take(with_progress)
+    if path is not None and picture is not None:
+        _write(values, path, picture, overwrite=overwrite)
+    else:
+        _print(values, files, texts, as_json=as_json)
+    for remark in run.reading.remarks:
+        say(remark)
+    say_if_empty(run.reading)
+    if values.left_out:
+        say(f"{values.left_out:,} more values are left out; name those that you want")
+    if window.why_empty is not None:
+        say(window.why_empty)
+    if run.error is not None:
+        raise run.error
+
+
+def _divided(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
+    """The files, and what to plot: it begins with the first argument that is no file."""
+    at = next((at for at, one in enumerate(arguments) if at and not os.path.exists(one)), None)
+    return list(arguments[:at]), [] if at is None else list(arguments[at:])
+
+
+def _demand_matplotlib() -> None:
+    from mbtool.core import UsageError
+
+    if find_spec("matplotlib") is None:
+        raise UsageError("a picture needs matplotlib: pip install 'mbtool[plot]'")
+
+
+def _write(values: PlottedValues, path: str, format_: str, *, overwrite: bool) -> None:
+    from mbtool.cli.output import opened, told_as_lost
+    from mbtool.cli.talk import say
+    from mbtool.core.wording import counted
+    from mbtool.views.plot_image import write_image
+
+    series = list(values.series.items())
+    if not series:
+        return
+    with opened(path, lambda: None, overwrite=overwrite) as (file, name), told_as_lost(name):
+        write_image(series, values.begin_ns, values.end_ns, file.buffer, format_)
+        file.flush()
+    say(f"{counted(len(series), 'value')} -> {path}")
+
+
+def _print(
+    values: PlottedValues, files: Sequence[str], texts: Sequence[str], *, as_json: bool
+) -> None:
+    from rich.text import Text
+
+    from mbtool.cli.console import PipeConsole
+    from mbtool.cli.output import told_as_lost
+    from mbtool.cli.talk import say
+    from mbtool.core.wording import counted
+    from mbtool.sources.files import shown_name
+    from mbtool.views.plot_documents import values_json, values_table
+    from mbtool.views.plot_lines import plot_lines
+
+    console = PipeConsole(file=sys.stdout)
+    changing = {key: one for key, one in values.series.items() if one.changes}
+    charts = sum(not one.bit for one in changing.values())
+    size = _size(console, charts, len(values.series) + len(changing) - charts)
+    with told_as_lost("standard output"):
+        if as_json:
+            sys.stdout.write(values_json(values.series, [*map(shown_name, files)]))
+        elif not values.series:
+            pass
+        elif texts:
+            series = list(values.series.items())
+            for line in plot_lines(series, values.begin_ns, values.end_ns, size):
+                console.print(Text(line.text, line.style), soft_wrap=True)
+        else:
+            console.print(values_table(changing, unicode=size.unicode))
+        sys.stdout.flush()
+    if not texts and not as_json and (constant := len(values.series) - len(changing)):
+        say(f"{counted(constant, 'value', ',')} never changed; --json has all")
+
+
+def _size(console: Console, charts: int, others: int) -> PlotSize:
+    """Charts that fill a terminal, as far as `others` lines leave room; of one height in a pipe."""
+    from mbtool.views.plot_lines import LEAST_ROWS, MOST_ROWS, PlotSize
+
+    unicode = console.encoding.startswith("utf") and os.environ.get("TERM") != "dumb"
+    rows = _PIPE_ROWS
+    if console.is_terminal:
+        room = (console.height - 3 - others) // max(charts, 1)
+        rows = min(max(room, LEAST_ROWS), MOST_ROWS)
+    return PlotSize(console.width, rows, unicode)

@@ -1,0 +1,84 @@
+"""Collects values over time from captures, to be plotted or listed."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+from mbtool.core import InputError, UsageError, WireEvent
+from mbtool.series.chosen_values import ChosenValues, NamedAddresses
+from mbtool.series.values import SeriesKey, Values
+from mbtool.workflows.shared.questions import Wording
+from mbtool.workflows.shared.read_all import unwatched
+from mbtool.workflows.shared.reading import Reading, ReadingOptions
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from mbtool.devices import NamedTransaction, Profile
+    from mbtool.series.value_series import ValueSeries
+    from mbtool.workflows.shared.read_all import Watch
+    from mbtool.workflows.shared.time_window import TimeWindow
+
+
+class PlottedValues(NamedTuple):
+    """Values over time, and the time that the plot shows."""
+
+    series: dict[SeriesKey, ValueSeries]
+    begin_ns: int
+    end_ns: int
+    left_out: int
+    """The number of values that were seen, but are too many to be followed."""
+
+
+class PlotRun:
+    """Reads files once."""
+
+    def __init__(
+        self,
+        files: Sequence[str],
+        options: ReadingOptions,
+        texts: Sequence[str],
+        window: TimeWindow,
+        wanted: Callable[[NamedTransaction], bool],
+    ) -> None:
+        """`texts` name points and registers; without any, all are followed."""
+        self.reading = Reading(files, options)
+        self._texts, self._window, self._wanted = texts, window, wanted
+        self.error: InputError | None = None
+        """An error of a file that could not be read, or not to its end; None if there was none."""
+
+    def take(self, watch: Watch = unwatched) -> PlottedValues:
+        """Read the files as far as they can be read.
+
+        Raises UsageError for a text that names nothing in them, InputError if an error made it
+        impossible to read any transaction.
+        """
+        chosen = ChosenValues(self._texts, _named, self.reading.profile_for)
+        values = chosen if self._texts else Values()
+        begin_ns = end_ns = 0
+        try:
+            for one in self._window.begun(watch(self.reading, self.reading.records())):
+                if isinstance(one, WireEvent) or one not in self._window or not self._wanted(one):
+                    continue
+                begin_ns = min(begin_ns or one.start_ns, one.start_ns)
+                end_ns = max(end_ns, one.response_ns or one.start_ns)
+                values.add(one)
+        except InputError as error:
+            if not begin_ns:
+                raise
+            self.error = error
+        missing = [text for text in self._texts if text not in chosen.found]
+        if missing and begin_ns:
+            raise UsageError(
+                f"{missing[0]!r}: no value of that name or address; without a REFERENCE, "
+                "mbtool plot lists what there is"
+            )
+        left_out = values.left_out if isinstance(values, Values) else len(values.left_out)
+        return PlottedValues(values.series, begin_ns, end_ns, left_out)
+
+
+def _named(text: str, profile: Profile | None) -> NamedAddresses | None:
+    try:
+        return NamedAddresses(*Wording(profile).addresses(text))
+    except UsageError:
+        return None
