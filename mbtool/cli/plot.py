@@ -38,7 +38,7 @@ def plot(
     arguments: Annotated[
         list[str],
         typer.Argument(
-            metavar="FILE... [REFERENCE]",
+            metavar="FILE|REFERENCE",
             help="Captures and logs, as for decode; then what to plot: HR400001..400004 or the "
             "name of a point, as the device's manual writes them, or 'holding 0..3', 'coil 3' by "
             "the address on the wire. Without any, what there is to plot is listed.",
@@ -61,7 +61,7 @@ def plot(
     source: SourceOptions,
     silences: SilenceOptions,
 ) -> None:
-    """Plot values of captures over time, in the terminal or as a picture.
+    """Plot values over time, in the terminal or as a picture.
 
     A value holds until the next one is read or written. Pictures need mbtool[plot].
     """

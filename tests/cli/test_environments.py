@@ -40,6 +40,7 @@ COMMANDS: dict[str, list[str | Path]] = {
     "slave --state": ["slave", "fa3-at1m8x", "--on", "tcp:127.0.0.1:0", "--state", "state.toml"],
     "watch": ["watch", CAPTURE],
     "report": ["report", CAPTURE, "-o", "report.html"],
+    "plot": ["plot", CAPTURE],
     "extcap": ["extcap", "--help"],
     "read": ["read", "tcp:127.0.0.1:1", "holding 0..9"],
     "write": ["write", "tcp:127.0.0.1:1", "holding 0=1", "--yes"],

@@ -31,6 +31,7 @@ COMMANDS = (
     "stats",
     "watch",
     "report",
+    "plot",
     "convert",
     "recover",
     "replay",
