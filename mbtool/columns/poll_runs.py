@@ -21,7 +21,7 @@ from mbtool.overview.answered_run import AlikeRequests, AnsweredRun
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from mbtool.columns.arrays import Int64s
+    from mbtool.columns.arrays import Bools, Int64s
     from mbtool.columns.column_decoder import DecodedBlock
     from mbtool.columns.plain_rows import PlainRows
     from mbtool.decode.decoder import Record
@@ -52,7 +52,7 @@ class PollRuns:
         usual = UsualRows(rows)
         likes, kind = self._kinds_of(rows, usual)
         begin = 0
-        for end, record in _between(rows, usual, records):
+        for end, record in between(rows, usual.is_usual, records):
             yield from self._run(rows, likes, kind, begin, end)
             begin = end
             if record is None:
@@ -119,17 +119,17 @@ def _places(rows: PlainRows) -> list[_Place]:
     ]
 
 
-def _between(
-    rows: PlainRows, usual: UsualRows, records: list[tuple[int, Record]]
+def between(
+    rows: PlainRows, is_usual: Bools, records: list[tuple[int, Record]]
 ) -> list[tuple[int, Record | None]]:
     """What stands between the usual rows: records with the index of the next row, and the indices
-    of rows of other form.
+    of other rows.
     """
     places = np.searchsorted(order_of(rows.response), [place for place, _ in records]).tolist()
     found: list[tuple[int, Record | None]] = [
         (place, record) for place, (_, record) in zip(places, records, strict=True)
     ]
-    found += [(index, None) for index in np.flatnonzero(~usual.is_usual).tolist()]
+    found += [(index, None) for index in np.flatnonzero(~is_usual).tolist()]
     return sorted(found, key=lambda one: (one[0], one[1] is None))
 
 

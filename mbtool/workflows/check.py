@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.core import EventKind, InputError, UsageError, WireEvent
 from mbtool.core.link_spec import MODBUS_PORT
-from mbtool.devices import Namer, builtin_profiles, load_profile
+from mbtool.devices import NamedTransaction, Namer, builtin_profiles, load_profile
 from mbtool.devices.checking.capture_context import CaptureContext
 from mbtool.devices.checking.checker import Checker
 from mbtool.devices.checking.finding import Finding, event_finding
@@ -32,11 +32,12 @@ from mbtool.workflows.shared.time_window import TimeWindow
 from mbtool.workflows.shared.unreadable_lines import UnreadableLines
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
     from mbtool.core import SerialFormat
     from mbtool.decode.decoder import Record
     from mbtool.devices import Profile
+    from mbtool.devices.checking.quiet_run import QuietRows
     from mbtool.workflows.shared.reading import ReadingOptions
 
 LARGE = 1_000_000
@@ -124,7 +125,8 @@ class CheckRun:
         self._paths = paths
         self._options = options
         self._line = options.line
-        self.reading = column_reading(paths, options, at_least=LARGE) or Reading(paths, options)
+        self._columns = column_reading(paths, options, at_least=LARGE)
+        self.reading: Reading = self._columns or Reading(paths, options)
         self._ports: frozenset[int] | None = None
         if options.any_port:
             self._ports = frozenset((*options.ports, *options.rtu_ports, MODBUS_PORT))
@@ -174,7 +176,9 @@ class CheckRun:
         Raises InputError for a file that cannot be read. For a file that is cut or damaged,
         InputError is raised after all findings.
         """
-        for _, _, found in self.checked():
+        columns = self._columns if self._window.is_whole else None
+        parts = self.reading.records() if columns is None else columns.quiet_parts()
+        for _, _, found in self._checked(parts):
             yield from found
 
     def checked(self) -> Iterator[CheckedRecord]:
@@ -182,14 +186,17 @@ class CheckRun:
 
         Raises InputError as `findings` does.
         """
+        return self._checked(self.reading.records())
+
+    def _checked(self, parts: Iterable[Record | QuietRows]) -> Iterator[CheckedRecord]:
         try:
             self._find_first_request()
-            for record in self.reading.records():
+            for part in parts:
                 if self._checker is None or self.reading.captures != self._captures:
                     yield CheckedRecord(None, None, list(self._end_capture()))
                     self._begin_capture()
                 self._file = self.reading.file
-                yield self._check(record)
+                yield self._check(part)
         except InputError:
             yield CheckedRecord(None, None, list(self._end_capture()))
             raise
@@ -232,9 +239,12 @@ class CheckRun:
             yield from self._chosen(checker.close())
             self._remarks += checker.remarks
 
-    def _check(self, record: Record) -> CheckedRecord:
+    def _check(self, record: Record | QuietRows) -> CheckedRecord:
         if self._checker is None or self._lines is None:
             return NOTHING
+        if not isinstance(record, WireEvent | NamedTransaction):
+            self.transactions += len(record)
+            return CheckedRecord(None, None, list(self._chosen(self._checker.feed_rows(record))))
         if record not in self._window:
             # Rules about connections need to know which are open when the window begins.
             if isinstance(record, WireEvent) and record.kind in _CONNECTIONS:

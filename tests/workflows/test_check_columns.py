@@ -7,19 +7,35 @@ from unittest.mock import patch
 
 import pytest
 
+from mbtool.columns import packet_block, quiet_rows
 from mbtool.core import InputError
+from mbtool.devices.checking import checker
+from mbtool.devices.checking.checker import Checker
 from mbtool.workflows import check
 from mbtool.workflows.check import CheckRun, FileFinding
 from mbtool.workflows.shared.column_reading import ColumnReading
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
+from tests.benchmarks.file_workloads import clean, dirty, make_capture
 from tests.captures import public_folder
 from tests.columns.both_ways import generated
 
 if TYPE_CHECKING:
+    import random
+    from collections.abc import Callable, Iterator
     from pathlib import Path
 
 MOST_BYTES = 300_000
 NEVER = 1 << 60
+
+
+def found_of_few(path: Path) -> tuple[list[FileFinding], list[str], int, str | None, type]:
+    """The same as `found` by arrays, with small blocks, and quiet rows together from two on."""
+    with (
+        patch.object(packet_block, "BLOCK_PACKETS", 150),
+        patch.object(quiet_rows, "FEWEST", 2),
+        patch.object(checker, "_ONE_BY_ONE", 1),
+    ):
+        return found(path, 0)
 
 
 def found(path: Path, at_least: int) -> tuple[list[FileFinding], list[str], int, str | None, type]:
@@ -40,6 +56,7 @@ def demand_equal(path: Path) -> bool:
     *one_by_one, row_way = found(path, NEVER)
     *as_arrays, array_way = found(path, 0)
     assert as_arrays == one_by_one
+    assert [*found_of_few(path)][:4] == one_by_one
     assert row_way is Reading
     return array_way is ColumnReading
 
@@ -63,6 +80,16 @@ def test_the_findings_of_simulated_plants_are_the_same_both_ways(
     path = tmp_path / "plant.pcap"
     path.write_bytes(generated(number, requests=100))
     assert demand_equal(path)
+
+
+@pytest.mark.parametrize("frames", [clean, dirty], ids=lambda one: one.__name__)
+def test_the_findings_of_steady_polling_are_the_same_both_ways(
+    frames: Callable[[int, random.Random], Iterator[tuple[bytes, int]]], tmp_path: Path
+) -> None:
+    made = make_capture(tmp_path / "polls.pcap", frames, 3000)
+    with patch.object(Checker, "feed_rows", autospec=True, side_effect=Checker.feed_rows) as taken:
+        assert demand_equal(made.path)
+    assert sum(len(rows) for (_, rows), _ in taken.call_args_list) > 600
 
 
 def test_the_findings_of_a_cut_capture_are_the_same_both_ways(tmp_path: Path) -> None:

@@ -29,7 +29,13 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from mbtool.devices.checking.finding import Finding
+    from mbtool.devices.checking.quiet_run import QuietRows, QuietRun
     from mbtool.devices.named_transaction import NamedTransaction
+
+
+_ONE_BY_ONE = 64
+"""So many rows are checked one by one before it is asked if the rules take the rest at once; then
+twice as many, and so on."""
 
 
 class Checker:
@@ -60,6 +66,30 @@ class Checker:
             yield from self._event(record)
         else:
             yield from self._transaction(record)
+
+    def feed_rows(self, rows: QuietRows) -> Iterator[Finding]:
+        """Check many answered reads of slaves without profiles, with the same result as `feed`.
+
+        Those at the beginning are checked one by one until every rule knows what is asked.
+        """
+        begin, count = 0, _ONE_BY_ONE
+        while begin < len(rows):
+            run = rows.run(begin)
+            if self._takes(run):
+                yield from self._responses.run(run)
+                yield from self._connections.run(run)
+                self._polls.run(run)
+                self._security.run(run)
+                return
+            for one in rows.transactions(begin, begin + count):
+                yield from self._transaction(one)
+            begin, count = begin + count, 2 * count
+
+    def _takes(self, run: QuietRun) -> bool:
+        if self._responses.has_pending and self._connections.has_pending:
+            return False  # The findings of both would come in another order.
+        rules = (self._responses, self._connections, self._polls, self._security)
+        return all(one.takes(run) for one in rules)
 
     def close(self) -> Iterator[Finding]:
         """Give the findings that are only known at the end of the capture."""

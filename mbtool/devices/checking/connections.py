@@ -30,6 +30,7 @@ from mbtool.modbus.adu import Verdict
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from mbtool.devices.checking.quiet_run import QuietRun
     from mbtool.devices.named_transaction import NamedTransaction
 
 MAX_RECENT = 32
@@ -84,6 +85,30 @@ class ConnectionRules:
                 "request's",
             )
         connection.recent.append((id_, request_ns, response_ns))
+
+    @property
+    def has_pending(self) -> bool:
+        """True if events wait until it is certain that they are findings."""
+        return bool(self._pending)
+
+    def takes(self, run: QuietRun) -> bool:
+        """True if `run` may be called: no request of the run came while an earlier one was open."""
+        keys = [(one.link, one.source) for one in run.connections]
+        if not self._connections.has_room(keys):
+            return False
+        for key, one in zip(keys, run.connections, strict=True):
+            known = self._connections.get(key)
+            if known is not None and any(end > one.least_ns for _, _, end in known.recent):
+                return False
+        return True
+
+    def run(self, run: QuietRun) -> Iterator[Finding]:
+        """Take many transactions, with the same result as one by one."""
+        yield from self._advance(run.last_response_ns)
+        for one in run.connections:
+            connection = self._connections[one.link, one.source]
+            connection.is_cut = False
+            connection.recent.extend(one.recent)
 
     def event(self, event: WireEvent) -> Iterator[Finding]:
         """Check the next event of a network, and give the findings that are certain now."""

@@ -6,7 +6,7 @@ from collections import OrderedDict
 from typing import TYPE_CHECKING, Generic, TypeVar
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Hashable, Iterator
+    from collections.abc import Callable, Hashable, Iterable, Iterator
 
 K = TypeVar("K", bound="Hashable")
 V = TypeVar("V")
@@ -39,6 +39,11 @@ class LruDict(Generic[K, V]):
         does not count as a use.
         """
         return self._entries.get(key)
+
+    def has_room(self, keys: Iterable[K]) -> bool:
+        """True if entries of all these keys can be made without removing another one."""
+        new = {key for key in keys if key not in self._entries}
+        return len(self._entries) + len(new) <= self._limit
 
     def __contains__(self, key: K) -> bool:
         return key in self._entries

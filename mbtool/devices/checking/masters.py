@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING
 
 from mbtool.devices.checking.finding import transaction_finding
 from mbtool.devices.checking.lru_dict import LruDict
+from mbtool.devices.checking.security_cases import host_of
 from mbtool.devices.checking.security_limits import SecurityLimit
 from mbtool.devices.checking.sliding_window import SlidingWindow
 from mbtool.devices.checking.transactions import request_text
@@ -31,6 +32,7 @@ from mbtool.modbus.functions import FUNCTIONS
 from mbtool.modbus.identification import ENCAPSULATED, REPORT_SERVER_ID
 
 if TYPE_CHECKING:
+    from mbtool.devices.checking.quiet_run import QuietRun
     from mbtool.devices.checking.security_cases import SecurityCases
     from mbtool.devices.checking.security_limits import SecurityLimits
 
@@ -98,6 +100,24 @@ class MasterRules:
             self._note_write(masters, master, transaction)
         elif _is_identification(transaction):
             self._note_identification(transaction, host, slave)
+
+    def takes(self, run: QuietRun) -> bool:
+        """True if `run` may be called: each host of the run is known as a master of its slaves."""
+        if self._began_ns is None or len(self._known) + len(run.connections) > MAX_HOSTS:
+            return False
+        for one in run.connections:
+            masters = self._slaves.get(one.destination)
+            if masters is None or host_of(one.source) not in masters:
+                return False
+        return True
+
+    def run(self, run: QuietRun) -> None:
+        """Take many reads of registers and bits, with the same result as one by one."""
+        for one in run.connections:
+            host = host_of(one.source)
+            self.heard(host, one.least_ns)
+            master = self._slaves[one.destination][host]
+            master.last_ns = max(master.last_ns, one.last_request_ns)
 
     def _new_master(self, masters: dict[str, _Master], host: str, at_ns: int) -> _Master:
         since_ns = at_ns - self._writes.window_ns

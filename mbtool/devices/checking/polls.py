@@ -17,6 +17,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from operator import sub
 from statistics import median, quantiles
 from typing import TYPE_CHECKING
 
@@ -27,8 +28,9 @@ from mbtool.devices.checking.transactions import request_text
 from mbtool.devices.named_transaction import NamedTransaction
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
+    from mbtool.devices.checking.quiet_run import QuietPoll, QuietRun
 
 MAX_POLLS = 4096
 MAX_PERIODS = 256
@@ -67,10 +69,32 @@ class _Poll:
         hashed = self.count * _MULTIPLIER % _HASHES
         if hashed < self.hash_limit:
             self.sample.append((hashed, period))
+        self._halve()
+        self.count += 1
+
+    def note_all(self, times: Sequence[int]) -> None:
+        """Note requests at these times, with the same result as one by one."""
+        periods = [*map(sub, times, (self.last_ns, *times))]
+        if not periods or min(periods) < 0:
+            for at_ns in times:
+                self.note(at_ns)
+            return
+        self.last_ns = times[-1]
+        self.longest = max(self.longest, max(periods))
+        self.shortest = min(periods) if not self.count else min(self.shortest, min(periods))
+        limit = self.hash_limit
+        self.sample += [
+            (hashed, period)
+            for number, period in enumerate(periods, self.count)
+            if (hashed := number * _MULTIPLIER % _HASHES) < limit
+        ]
+        self._halve()
+        self.count += len(periods)
+
+    def _halve(self) -> None:
         while len(self.sample) >= MAX_PERIODS:
             self.hash_limit //= 2
             self.sample = [one for one in self.sample if one[0] < self.hash_limit]
-        self.count += 1
 
 
 class PollRules:
@@ -84,17 +108,24 @@ class PollRules:
         at_ns = transaction.request_ns
         if at_ns is None:
             return
-        poll = self._polls[
-            transaction.link,
-            transaction.unit,
-            transaction.function,
-            transaction.address,
-            transaction.quantity,
-        ]
+        poll = self._polls[_key(transaction)]
         if poll.first is None:
             poll.first, poll.last_ns = transaction, at_ns
         else:
             poll.note(at_ns)
+
+    def takes(self, run: QuietRun) -> bool:
+        """True if `run` may be called."""
+        return self._polls.has_room(map(_key, run.polls))
+
+    def run(self, run: QuietRun) -> None:
+        """Add many transactions, with the same result as one by one."""
+        for one in run.polls:
+            poll, times = self._polls[_key(one)], one.request_ns
+            if poll.first is None:
+                poll.first, poll.last_ns = run.transaction(one.first), times[0]
+                times = times[1:]
+            poll.note_all(times)
 
     def close(self) -> Iterator[Finding]:
         """Report the irregular polls at the end of the capture."""
@@ -104,6 +135,10 @@ class PollRules:
                 yield transaction_finding(
                     "MB-404", poll.first, f"{request_text(poll.first)}: {text}"
                 )
+
+
+def _key(one: NamedTransaction | QuietPoll) -> tuple[object, ...]:
+    return one.link, one.unit, one.function, one.address, one.quantity
 
 
 def _text(poll: _Poll) -> str | None:

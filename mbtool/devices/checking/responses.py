@@ -37,6 +37,7 @@ from mbtool.modbus.transaction import Outcome
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from mbtool.devices.checking.quiet_run import QuietRun
     from mbtool.devices.model import Profile
 
 MAX_PENDING = 4096
@@ -132,6 +133,32 @@ class ResponseRules:
                 yield _retry_finding(earlier[0], transaction, len(earlier) + 1)
             elif transaction.retries:
                 self._retries[request].append(_Retry(transaction))
+
+    @property
+    def has_pending(self) -> bool:
+        """True if a request without response waits for the response to a retry."""
+        return bool(self._pending)
+
+    def takes(self, run: QuietRun) -> bool:
+        """True if `run` may be called: no request of the run may answer one that is pending."""
+        units = {(one.link, unit) for one in run.connections for unit in one.units}
+        if any((connection[0], unit) in units for connection, unit, _ in self._pending):
+            return False
+        connections = ((one.link, one.source) for one in run.connections)
+        return self._states.has_room(connections) and self._has_responded.has_room(units)
+
+    def run(self, run: QuietRun) -> Iterator[Finding]:
+        """Take many transactions, with the same result as one by one."""
+        yield from self._advance(run.last_request_ns)
+        self._last_ns = max(self._last_ns, run.last_response_ns)
+        for one in run.connections:
+            state = self._states[one.link, one.source]
+            if state.since_ns is None:
+                state.since_ns = one.first_ns
+            state.has_request, state.is_damaged = True, False
+            state.last_request_ns = max(state.last_request_ns, one.last_request_ns)
+        for poll in run.polls:
+            self._has_responded[poll.link, poll.unit][0] = True
 
     def event(self, event: WireEvent) -> Iterator[Finding]:
         """Take the next event into account, and give the findings that are certain now."""

@@ -28,6 +28,7 @@ from mbtool.modbus.functions import FUNCTIONS, ExceptionCode
 if TYPE_CHECKING:
     from mbtool.core import WireEvent
     from mbtool.devices.checking.finding import Finding
+    from mbtool.devices.checking.quiet_run import QuietRun
     from mbtool.devices.checking.security_cases import SecurityCases
     from mbtool.devices.checking.security_limits import SecurityLimits
     from mbtool.devices.model import Profile
@@ -55,6 +56,14 @@ class ScanRules:
             self._note_register(transaction, source, slave)
         elif _is_missing(transaction, profile):
             self._note_function(transaction, source, slave)
+
+    def takes(self, run: QuietRun) -> bool:
+        """True if the transactions of a run need not be taken: their units are polled."""
+        return all(
+            self._units.is_polled((host_of(one.source), one.destination), unit)
+            for one in run.connections
+            for unit in one.units
+        )
 
     def opened(self, event: WireEvent) -> None:
         """Take the opening of a connection into account."""

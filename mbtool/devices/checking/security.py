@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from mbtool.devices.checking.finding import Finding
+    from mbtool.devices.checking.quiet_run import QuietRun
     from mbtool.devices.checking.security_limits import SecurityLimits
     from mbtool.devices.model import Profile
     from mbtool.devices.named_transaction import NamedTransaction
@@ -44,6 +45,14 @@ class SecurityRules:
             self._masters.transaction(transaction, source, slave)
         self._commands.transaction(transaction, source, slave)
         self._scans.transaction(transaction, source, slave, profile)
+
+    def takes(self, run: QuietRun) -> bool:
+        """True if `run` may be called."""
+        return self._masters.takes(run) and self._scans.takes(run)
+
+    def run(self, run: QuietRun) -> None:
+        """Take many transactions into account, with the same result as one by one."""
+        self._masters.run(run)
 
     def event(self, event: WireEvent) -> None:
         """Take the next event of a network into account."""

@@ -13,6 +13,7 @@ from mbtool.columns.packet_block import read_blocks
 from mbtool.columns.plain_lines import BlockLines
 from mbtool.columns.plain_records import plain_records
 from mbtool.columns.poll_runs import PollRuns
+from mbtool.columns.quiet_rows import QuietParts
 from mbtool.core import InputError, WireEvent
 from mbtool.devices import Namer
 from mbtool.overview.answered_run import AnsweredRun
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from mbtool.columns.plain_lines import LineBatch
     from mbtool.decode.decoder import Record
     from mbtool.devices import NamedTransaction
+    from mbtool.devices.checking.quiet_run import QuietRows
     from mbtool.sources.files import CaptureFile
     from mbtool.workflows.shared.reading import ReadingOptions
 
@@ -114,6 +116,14 @@ class ColumnReading(PartReading):
                 if not isinstance(part, AnsweredRun):
                     self._note(part)
                 yield part
+
+    def quiet_parts(self) -> Iterator[Record | QuietRows]:
+        """Yield all transactions and events; many answered reads without findings come at once."""
+        quiet = QuietParts()
+        for block in self._blocks():
+            for _, record in block.records:
+                self._note(record)
+            yield from quiet.parts(block)
 
     def _blocks(self) -> Iterator[DecodedBlock]:
         return self.results.in_turn(self._file_blocks, self._broken_off, self._ended)

@@ -1,0 +1,175 @@
+"""Finds the plain rows that break no rule by themselves, for `check`, without making them."""
+
+# Quiet is a read of usual form (usual_rows.py) with the outcome OK whose function, address and
+# quantity give no finding. A row of every other kind is made as the decoder makes it.
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from mbtool.columns.arrays import Int64s
+from mbtool.columns.plain_transactions import plain_transaction
+from mbtool.columns.poll_runs import between
+from mbtool.columns.usual_rows import UsualRows
+from mbtool.devices import Namer
+from mbtool.devices.checking.connections import MAX_RECENT
+from mbtool.devices.checking.quiet_run import QuietConnection, QuietPoll, QuietRows, QuietRun
+from mbtool.modbus.functions import READ_BITS, READ_REGISTERS
+
+if TYPE_CHECKING:
+    from collections.abc import Hashable, Iterator, Sequence
+
+    from mbtool.columns.arrays import Bools
+    from mbtool.columns.column_decoder import DecodedBlock
+    from mbtool.columns.plain_rows import PlainRows
+    from mbtool.decode.decoder import Record
+    from mbtool.devices import NamedTransaction
+
+_Numbers = Int64s | npt.NDArray[np.uint16]
+_READS = [*READ_BITS, *READ_REGISTERS - {0x17}]
+FEWEST = 64
+"""Fewer rows together are made one by one."""
+
+
+class QuietParts:
+    """Makes quiet rows of the blocks of a capture that has no device profiles."""
+
+    def __init__(self) -> None:
+        self._namer = Namer()
+
+    def parts(self, decoded: DecodedBlock) -> Iterator[Record | QuietRows]:
+        """The transactions and events of a block in order; many quiet ones together."""
+        records = decoded.sorted_records(with_passed=True)
+        rows = decoded.plain
+        if rows is None:
+            yield from (record for _, record in records)
+            return
+        block = _QuietBlock(rows, self._namer)
+        begin = 0
+        for end, record in between(rows, block.is_quiet, records):
+            yield from block.some(begin, end)
+            begin = end
+            if record is None:
+                yield block.transaction(end)
+                begin += 1
+            else:
+                yield record
+        yield from block.some(begin, len(rows.response))
+
+
+class _QuietBlock:
+    """The plain rows of a block, with what makes two of them alike for the rules."""
+
+    def __init__(self, rows: PlainRows, namer: Namer) -> None:
+        self._rows = rows
+        self._namer = namer
+        self._usual = usual = UsualRows(rows)
+        asked = rows.code << 32 | usual.address << 16 | usual.quantity
+        is_read = usual.is_usual & (usual.exception < 0) & np.isin(rows.code, _READS)
+        self.is_quiet = self._without_findings(asked, is_read)
+        ends = [(one.link, str(one.master), str(one.slave)) for one in rows.connections]
+        self._ends = [*dict.fromkeys(ends)]
+        self._connection = _short(_numbers(ends)[rows.connection])
+        link = _numbers([link for link, _, _ in ends])[rows.connection]
+        _, kind = np.unique(asked, return_inverse=True)
+        _, poll = np.unique(kind << 32 | link << 8 | rows.unit, return_inverse=True)
+        self._poll = _short(poll)
+
+    def transaction(self, index: int) -> NamedTransaction:
+        return self._namer.name(plain_transaction(self._rows, index))
+
+    def some(self, begin: int, end: int) -> Iterator[QuietRows | NamedTransaction]:
+        """The rows from one to another, all of them quiet."""
+        if end - begin < FEWEST:
+            yield from map(self.transaction, range(begin, end))
+        else:
+            yield _BlockRows(self, begin, end)
+
+    def run(self, begin: int, end: int) -> QuietRun:
+        return QuietRun(
+            [self._quiet_poll(places) for places in _alike(self._poll, begin, end)],
+            [self._quiet_connection(places) for places in _alike(self._connection, begin, end)],
+            self.transaction,
+        )
+
+    def _without_findings(self, asked: Int64s, is_read: Bools) -> Bools:
+        places = np.flatnonzero(is_read)
+        _, first, kind = np.unique(asked[places], return_index=True, return_inverse=True)
+        is_clean = [not self.transaction(one).findings for one in places[first].tolist()]
+        is_quiet = np.zeros(len(asked), np.bool_)
+        is_quiet[places] = np.array(is_clean, np.bool_)[kind]
+        return is_quiet
+
+    def _quiet_poll(self, places: Int64s) -> QuietPoll:
+        rows, usual, first = self._rows, self._usual, int(places[0])
+        return QuietPoll(
+            rows.connections[rows.connection[first]].link,
+            int(rows.unit[first]),
+            int(rows.code[first]),
+            int(usual.address[first]),
+            int(usual.quantity[first]),
+            first,
+            rows.request_ns[places].tolist(),
+        )
+
+    def _quiet_connection(self, places: Int64s) -> QuietConnection:
+        rows, last = self._rows, places[-MAX_RECENT:]
+        request_ns = rows.request_ns[places]
+        ids, begins, ends = (
+            values[last].tolist()
+            for values in (rows.transaction_id, rows.request_ns, rows.response_ns)
+        )
+        return QuietConnection(
+            *self._ends[int(self._connection[places[0]])],
+            frozenset(np.unique(rows.unit[places]).tolist()),
+            int(request_ns[0]),
+            int(request_ns.min()),
+            int(request_ns.max()),
+            int(rows.response_ns[places].max()),
+            list(zip(ids, begins, ends, strict=True)),
+        )
+
+
+class _BlockRows:
+    """Rows of a block one behind the other, all of them quiet."""
+
+    def __init__(self, block: _QuietBlock, begin: int, end: int) -> None:
+        self._block = block
+        self._begin = begin
+        self._end = end
+
+    def __len__(self) -> int:
+        return self._end - self._begin
+
+    def run(self, begin: int) -> QuietRun:
+        return self._block.run(self._begin + begin, self._end)
+
+    def transactions(self, begin: int, end: int) -> list[NamedTransaction]:
+        some = range(self._begin + begin, min(self._begin + end, self._end))
+        return [self._block.transaction(one) for one in some]
+
+
+def _numbers(values: Sequence[Hashable]) -> Int64s:
+    """A number for each value, by the order in which different ones first appear."""
+    known = {value: number for number, value in enumerate(dict.fromkeys(values))}
+    return np.array([known[value] for value in values], np.int64)
+
+
+def _short(numbers: Int64s) -> _Numbers:
+    """The same numbers in 16 bits if they have room, as those are sorted several times as fast."""
+    is_short = not len(numbers) or numbers.max() < 1 << 16
+    return numbers.astype(np.uint16) if is_short else numbers
+
+
+def _alike(group: _Numbers, begin: int, end: int) -> list[Int64s]:
+    """The rows of each group, from one row to another; the group whose last row is first comes
+    first.
+    """
+    some = group[begin:end]
+    order = np.argsort(some, kind="stable")
+    cuts = np.flatnonzero(np.diff(some[order])) + 1
+    groups = np.split(order + begin, cuts)
+    return sorted(groups, key=lambda one: int(one[-1]))
