@@ -14,6 +14,7 @@ import numpy as np
 
 from mbtool.columns.column_decoder import order_of
 from mbtool.columns.plain_transactions import origin_fields, plain_transaction
+from mbtool.columns.sunspec_rows import SunSpecRows
 from mbtool.columns.usual_rows import UsualRows
 from mbtool.devices import Namer
 from mbtool.overview.answered_run import AlikeRequests, AnsweredRun
@@ -40,6 +41,7 @@ class PollRuns:
 
     def __init__(self) -> None:
         self._namer = Namer()
+        self._sunspec = SunSpecRows()
         self._kinds: dict[tuple[_Place, int], NamedTransaction] = {}
 
     def parts(self, decoded: DecodedBlock) -> Iterator[Record | AnsweredRun]:
@@ -50,6 +52,7 @@ class PollRuns:
             yield from (record for _, record in records)
             return
         usual = UsualRows(rows)
+        usual.is_usual &= ~self._sunspec.find(rows, usual)
         likes, kind = self._kinds_of(rows, usual)
         begin = 0
         for end, record in between(rows, usual.is_usual, records):

@@ -1,7 +1,8 @@
 """Finds the plain rows that break no rule by themselves, for `check`, without making them."""
 
 # Quiet is a read of usual form (usual_rows.py) with the outcome OK whose function, address and
-# quantity give no finding. A row of every other kind is made as the decoder makes it.
+# quantity give no finding, and that tells no SunSpec models. A row of every other kind is made as
+# the decoder makes it.
 
 from __future__ import annotations
 
@@ -13,6 +14,7 @@ import numpy.typing as npt
 from mbtool.columns.arrays import Int64s
 from mbtool.columns.plain_transactions import plain_transaction
 from mbtool.columns.poll_runs import between
+from mbtool.columns.sunspec_rows import SunSpecRows
 from mbtool.columns.usual_rows import UsualRows
 from mbtool.devices import Namer
 from mbtool.devices.checking.connections import MAX_RECENT
@@ -39,6 +41,7 @@ class QuietParts:
 
     def __init__(self) -> None:
         self._namer = Namer()
+        self._sunspec = SunSpecRows()
 
     def parts(self, decoded: DecodedBlock) -> Iterator[Record | QuietRows]:
         """The transactions and events of a block in order; many quiet ones together."""
@@ -47,7 +50,7 @@ class QuietParts:
         if rows is None:
             yield from (record for _, record in records)
             return
-        block = _QuietBlock(rows, self._namer)
+        block = _QuietBlock(rows, self._namer, self._sunspec)
         begin = 0
         for end, record in between(rows, block.is_quiet, records):
             yield from block.some(begin, end)
@@ -63,11 +66,12 @@ class QuietParts:
 class _QuietBlock:
     """The plain rows of a block, with what makes two of them alike for the rules."""
 
-    def __init__(self, rows: PlainRows, namer: Namer) -> None:
+    def __init__(self, rows: PlainRows, namer: Namer, sunspec: SunSpecRows) -> None:
         self._rows = rows
         self._namer = namer
         self._usual = usual = UsualRows(rows)
         asked = rows.code << 32 | usual.address << 16 | usual.quantity
+        usual.is_usual &= ~sunspec.find(rows, usual)
         is_read = usual.is_usual & (usual.exception < 0) & np.isin(rows.code, _READS)
         self.is_quiet = self._without_findings(asked, is_read)
         ends = [(one.link, str(one.master), str(one.slave)) for one in rows.connections]

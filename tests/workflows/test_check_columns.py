@@ -8,16 +8,22 @@ from unittest.mock import patch
 import pytest
 
 from mbtool.columns import packet_block, quiet_rows
-from mbtool.core import InputError
+from mbtool.core import Direction, InputError
 from mbtool.devices.checking import checker
 from mbtool.devices.checking.checker import Checker
+from mbtool.modbus import encode_pdu
 from mbtool.workflows import check
 from mbtool.workflows.check import CheckRun, FileFinding
 from mbtool.workflows.shared.column_reading import ColumnReading
+from mbtool.workflows.shared.part_reading import PartReading
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
+from mbtool.workflows.stats import FileStatistics
 from tests.benchmarks.file_workloads import clean, dirty, make_capture
 from tests.captures import public_folder
 from tests.columns.both_ways import generated
+from tests.columns.test_equality import poll
+from tests.devices.sunspec import BASE, registers
+from tests.packets.building import Talk, pcap
 
 if TYPE_CHECKING:
     import random
@@ -90,6 +96,27 @@ def test_the_findings_of_steady_polling_are_the_same_both_ways(
     with patch.object(Checker, "feed_rows", autospec=True, side_effect=Checker.feed_rows) as taken:
         assert demand_equal(made.path)
     assert sum(len(rows) for (_, rows), _ in taken.call_args_list) > 600
+
+
+def test_a_sunspec_device_is_told_both_ways(tmp_path: Path) -> None:
+    talk = Talk()
+    packets = talk.handshake()
+    words = [word for block in registers().values() for word in block] + [0] * 20
+    for turn in range(120):
+        at = turn % 3 * 20
+        request = encode_pdu(0x03, Direction.REQUEST, address=BASE + at, quantity=20)
+        response = encode_pdu(0x03, Direction.RESPONSE, values=tuple(words[at : at + 20]))
+        packets += poll(talk, 1, request, response)
+    path = tmp_path / "meter.pcap"
+    path.write_bytes(pcap(packets))
+    assert demand_equal(path)
+    ways = []
+    for reading in (PartReading, ColumnReading):
+        run = FileStatistics(reading([str(path)], ReadingOptions()), lambda _: True)
+        list(run.run())
+        ways.append(run.remarks)
+    assert ways[0] == ways[1] == found(path, 0)[1]
+    assert "SunSpec models 1, 64900" in ways[0][0]
 
 
 def test_the_findings_of_a_cut_capture_are_the_same_both_ways(tmp_path: Path) -> None:
