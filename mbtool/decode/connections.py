@@ -38,6 +38,8 @@ class _LostBytes(NamedTuple):
     size: int
     end: int | None
     """The position behind the lost bytes; None if unknown."""
+    since_ns: int | None = None
+    """When the other end had received them, in ns; None if unknown."""
 
 
 class Bus:
@@ -165,15 +167,23 @@ class ConnectionDecoder:
             each
             for loss in sorted(losses, key=lambda loss: loss.direction is Direction.RESPONSE)
             if loss.size
-            for each in self._pairing.note_loss(loss.direction, loss.size, ts_ns, loss.end)
+            for each in self._pairing.note_loss(
+                loss.direction, loss.size, min(ts_ns, loss.since_ns or ts_ns), loss.end
+            )
         ]
 
     def gap(
-        self, direction: Direction, missing: int, ts_ns: int, kind: EventKind = EventKind.GAP
+        self,
+        direction: Direction,
+        missing: int,
+        ts_ns: int,
+        kind: EventKind = EventKind.GAP,
+        acknowledged_ns: int | None = None,
     ) -> list[Decoded]:
         """Note that `missing` bytes of one direction are missing here; 0 if the number is unknown.
 
-        `kind` is the kind of event to report: GAP or CUT.
+        `kind` is the kind of event to report: GAP or CUT. `acknowledged_ns` is when the other end
+        had acknowledged the missing bytes; None if that is unknown.
         """
         source, destination = self._endpoints[direction]
         lost = WireEvent(
@@ -188,7 +198,7 @@ class ConnectionDecoder:
         events = self._splitters[direction].gap(missing)
         decoded = self._placed(events, direction, ts_ns) if events else []
         cut = sum(event.missing for event in events if isinstance(event, Adu))
-        self._progress[direction].skip(missing, cut)
+        self._progress[direction].skip(missing, cut, acknowledged_ns)
         if not missing:
             decoded += self._pairing.note_loss(direction, 0, ts_ns)
         return [*decoded, lost]
@@ -237,7 +247,7 @@ class ConnectionDecoder:
                 end += event.missing
                 lost = progress.read(start, end)
                 if lost:
-                    losses.append(_LostBytes(direction, lost, start))
+                    losses.append(_LostBytes(direction, lost, start, progress.lost_ns))
                 if losses:
                     decoded += self._lost(losses, ts_ns)
                     losses = []

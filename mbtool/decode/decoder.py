@@ -280,7 +280,9 @@ class Decoder:
         # for the gap alone is not kept.
         known = self._detectors.get(item.connection)
         detector = known or self._new_detector(item.connection, joined=True)
-        gap = detector.gap(item.direction, item.missing, item.ts_ns, item.kind)
+        gap = detector.gap(
+            item.direction, item.missing, item.ts_ns, item.kind, item.acknowledged_ns
+        )
         return self._to_records(self._foreign_once(detector, gap))
 
     def _stream_closed(self, item: StreamClosed) -> list[Record]:

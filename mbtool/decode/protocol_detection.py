@@ -164,14 +164,17 @@ class ProtocolDetector:
         return [*decoded, *self.feed(direction, later, ts_ns, after)] if later else decoded
 
     def gap(
-        self, direction: Direction, missing: int, ts_ns: int, kind: EventKind = EventKind.GAP
+        self,
+        direction: Direction,
+        missing: int,
+        ts_ns: int,
+        kind: EventKind = EventKind.GAP,
+        acknowledged_ns: int | None = None,
     ) -> list[Decoded]:
-        """Note that `missing` bytes of one direction are missing here; 0 if the number is unknown.
-
-        `kind` is the kind of event to report: GAP or CUT.
-        """
+        """Note missing bytes of one direction. The arguments are those of ConnectionDecoder.gap."""
         if self.state is ProtocolState.MODBUS:
-            return self._candidates[0].gap(direction, missing, ts_ns, kind)
+            (one,) = self._candidates
+            return one.decoder.gap(one.roles[direction], missing, ts_ns, kind, acknowledged_ns)
         if self.state is ProtocolState.FOREIGN:
             return []
         if not self._seen:
@@ -179,7 +182,8 @@ class ProtocolDetector:
         self._beginnings[direction] = None
         self._seen += GAP_BYTES
         for candidate in self._candidates:
-            candidate.add(candidate.gap(direction, missing, ts_ns, kind))
+            role = candidate.roles[direction]
+            candidate.add(candidate.decoder.gap(role, missing, ts_ns, kind, acknowledged_ns))
         is_tls = not self._may_be_rtu and foreign_protocol(self._first_bytes) == TLS
         expected = self._expected
         if expected is not None and not is_tls and expected.may_begin_with(self._heads):
@@ -362,9 +366,6 @@ class _ProtocolCandidate:
         self._noise[direction] += len(data[:room])
         if self._noise[direction] >= MAX_NOISE:
             self.is_ruled_out = not self.is_confirmed
-
-    def gap(self, direction: Direction, missing: int, ts_ns: int, kind: EventKind) -> list[Decoded]:
-        return self.decoder.gap(self.roles[direction], missing, ts_ns, kind)
 
     def check_beginning(self, head: bytes, direction: Direction) -> None:
         """Rule out the candidate if a direction's first bytes cannot begin an ADU.

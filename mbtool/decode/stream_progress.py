@@ -47,6 +47,8 @@ class StreamProgress:
         unknown."""
         self.has_part = False
         """True while the capture has the start of a response but lacks its end."""
+        self.lost_ns: int | None = None
+        """When the other end acknowledged all lost bytes behind the last ADU; None if unknown."""
         self._missing = 0
         """Bytes of the gaps behind the last ADU, as they were reported."""
         self._known = 0
@@ -102,8 +104,12 @@ class StreamProgress:
         self.has_part = False
         return lost
 
-    def skip(self, missing: int, known: int) -> None:
-        """Note a gap. `known` of the missing bytes belong to an ADU that was read."""
+    def skip(self, missing: int, known: int, acknowledged_ns: int | None = None) -> None:
+        """Note a gap. `known` of the missing bytes belong to an ADU that was read.
+
+        `acknowledged_ns` is when the other end had acknowledged all of them; None if unknown.
+        """
+        self.lost_ns = acknowledged_ns
         self.unread = 0
         self._missing += missing - known
         if self.captured is not None:

@@ -398,7 +398,15 @@ class TcpConnection:
             self.keep_alives += 1
         elif hole:
             if not stream.joining:
-                self._out.append(StreamGap(first.ts_ns, self.identity, stream.direction, hole))
+                received_ns = stream.acknowledged_ns(first.start)
+                gap = StreamGap(
+                    first.ts_ns,
+                    self.identity,
+                    stream.direction,
+                    hole,
+                    acknowledged_ns=received_ns,
+                )
+                self._out.append(gap)
             stream.pass_over(hole)
         else:
             self._deliver(stream, stream.release())

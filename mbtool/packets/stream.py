@@ -244,6 +244,10 @@ class Stream:
                 _, arrival, ts_ns = known.pop()
             self._acknowledgements = [*known, (position, arrival, ts_ns)]
 
+    def acknowledged_ns(self, position: int) -> int | None:
+        """When the other end first acknowledged all bytes before a position that is still ahead."""
+        return next((ts_ns for end, _, ts_ns in self._acknowledgements if end >= position), None)
+
     def receipt(self, acknowledgement: int, window: int) -> int | None:
         """The position that the other end acknowledges, unless it is more than `window` away."""
         if self.origin is None:

@@ -53,6 +53,9 @@ class StreamGap:
     """The number of missing bytes; 0 if unknown, since the sequence numbers jumped too far."""
     kind: EventKind = EventKind.GAP
     """GAP, or CUT if the capture kept only part of a packet."""
+    acknowledged_ns: int | None = None
+    """When a packet first showed that the other end had received all missing bytes; None if none
+    did before the bytes behind the gap came."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,6 +19,6 @@ BLAMED: dict[str, set[str]] = {
         "several lost + swapped",
         "several lost + retransmitted",
     },
-    "connections": {"request lost + silent", "several lost + silent"},
+    "connections": {"several lost + silent"},
 }
 """Cells in which a slave is blamed for what the capture lacks."""

@@ -72,7 +72,6 @@ def test_all_pairs_of_a_capture_without_loss_are_joined(master: str) -> None:
     assert (counts["missing"], counts["undecidable"]) == (0, 0)
 
 
-@pytest.mark.xfail(strict=True, reason="1.1 in a thousand")
 def test_all_but_one_in_a_thousand_pairs_are_joined() -> None:
     counts = [counted(*cell) for cell in CELLS]
     pairs = sum(one["transactions"] - one["undecidable"] for one in counts)

@@ -10,8 +10,10 @@ from mbtool.modbus.adu import Adu
 from mbtool.modbus.adu_bytes import ascii_adu, mbap_adu, rtu_adu
 from mbtool.modbus.pdu import exception_pdu
 from mbtool.modbus.transaction import Outcome, Transaction
+from tests.adversary.judgement import decode
 from tests.feeding import START_NS, Line, feed_all
 from tests.modbus.reading import adus, transactions, wire_events
+from tests.packets.building import Talk
 
 REQUEST, RESPONSE = Direction.REQUEST, Direction.RESPONSE
 FORMAT = SerialFormat(19200)
@@ -88,6 +90,22 @@ def test_a_response_behind_a_lost_request_of_the_same_id_is_not_joined_to_an_ear
     talk.gap(REQUEST, 12, 150)
     (response,) = transactions(talk.feed(RESPONSE, mbap_adu(0, 5, ANSWER), 200))
     assert (response.outcome, response.request_raw) == (Outcome.NOT_CAPTURED, None)
+
+
+def test_an_acknowledgement_tells_when_a_request_was_sent_that_the_capture_lacks() -> None:
+    """The first request of a master with one id is not captured and was never answered."""
+    talk = Talk()
+    packets = talk.handshake()
+    lost = talk.request(mbap_adu(0, 17, READ))
+    packets.append(talk.send(talk.slave))  # The slave acknowledges it, and says nothing.
+    talk.ts_ns = lost.ts_ns + 500_000_000
+    for number in range(4):
+        packets.append(talk.request(mbap_adu(0, 17, READ)))
+        packets.append(talk.response(mbap_adu(0, 17, bytes([3, 2, 0, number]))))
+        talk.ts_ns += 50_000_000
+    found = decode(packets)
+    assert [one.outcome for one in found] == [Outcome.OK] * 4
+    assert {one.latency_ns for one in found} == {1_000_000}
 
 
 def test_open_request_stays_unanswered_when_the_connection_ends_or_time_passes() -> None:

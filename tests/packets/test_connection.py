@@ -292,6 +292,15 @@ def test_bytes_behind_a_gap_keep_their_own_time() -> None:
     assert [item.ts_ns for item in items if isinstance(item, Chunk)] == [4 * _MS]
 
 
+def test_a_gap_tells_when_its_bytes_were_first_acknowledged() -> None:
+    talk = Talk()
+    packets = talk.handshake()
+    talk.request(b"abc")  # The capture lacks it.
+    packets += [talk.send(talk.slave), talk.request(b"def"), talk.send(talk.slave)]
+    (gap,) = [one for one in run_packets(packets) if isinstance(one, StreamGap)]
+    assert (gap.missing, gap.ts_ns, gap.acknowledged_ns) == (3, 6 * _MS, 5 * _MS)
+
+
 def test_an_acknowledged_hole_is_given_up_after_a_few_packets() -> None:
     talk = Talk()
     packets = [*talk.handshake(), talk.request(b"first"), talk.response(b"FIRST")]
