@@ -15,6 +15,7 @@ from mbtool.cli.options import (
     SilenceOptions,
     SourceOptions,
     StartOption,
+    TopicPerPointOption,
     WhereOption,
 )
 
@@ -41,6 +42,7 @@ def convert(
     end: EndOption = None,
     where: WhereOption = None,
     device: DeviceOption = None,
+    topic_per_point: TopicPerPointOption = False,
     events: EventsOption = None,
     source: SourceOptions,
     silences: SilenceOptions,
@@ -63,6 +65,8 @@ def convert(
     if len(files) < 2:
         raise UsageError("name what to read, then the file to write: convert A.mcap B.pcapng")
     *paths, out = files
+    if topic_per_point and PurePath(out).suffix.lower() != ".mcap":
+        raise UsageError("--topic-per-point goes with a log: name the last FILE .mcap")
     demand_other_file(paths, out)
     fits = None if where is None else condition(where)
     options = source.read(device, silences=silences)
@@ -73,7 +77,7 @@ def convert(
     elif events is not None:
         raise UsageError("--events goes with .jsonl")
     else:
-        done = conversion.write(out, overwrite=overwrite)
+        done = conversion.write(out, overwrite=overwrite, topic_per_point=topic_per_point)
         parts = (
             (done.packets, "packet"),
             (done.reads, "read"),

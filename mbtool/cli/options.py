@@ -89,6 +89,14 @@ EndOption = Annotated[
     str | None,
     typer.Option("--end", metavar="WHEN", help="Take what begins before then, as with --start."),
 ]
+TopicPerPointOption = Annotated[
+    bool,
+    typer.Option(
+        "--topic-per-point",
+        help="In a log, write each point that changes to a topic of its own, too, for viewers such "
+        "as Foxglove (docs/foxglove.md).",
+    ),
+]
 OverwriteOption = Annotated[
     bool, typer.Option("--overwrite", help="Replace the file of --output if there is one.")
 ]

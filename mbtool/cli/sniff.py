@@ -22,6 +22,7 @@ from mbtool.cli.options import (
     ReadOnlyOption,
     SilenceOptions,
     TableOptionGroup,
+    TopicPerPointOption,
     WhereOption,
 )
 from mbtool.cli.tls_options import TlsOptions
@@ -34,6 +35,8 @@ if TYPE_CHECKING:
     from mbtool.cli.talk import Interrupt
     from mbtool.core import SerialLink
     from mbtool.devices import Assignments
+    from mbtool.logs.rotation import RotatingLog
+    from mbtool.logs.writer import LogWriter
     from mbtool.workflows.shared.checked_log import FindingsLog
     from mbtool.workflows.shared.recorder import Log
     from mbtool.workflows.sniff import Sniffer
@@ -59,6 +62,7 @@ def sniff(
         bool, typer.Option("--overwrite", help="Replace the log if there is one of that name.")
     ] = False,
     device: DeviceOption = None,
+    topic_per_point: TopicPerPointOption = False,
     where: WhereOption = None,
     duration: Annotated[
         float | None,
@@ -116,13 +120,15 @@ def sniff(
     from mbtool.core.link_spec import HEARD
     from mbtool.decode.line_timing import LineTiming
     from mbtool.logs import Rotation
-    from mbtool.logs.opening import check_log_path, create_log
+    from mbtool.logs.opening import check_log_path, create_log, with_point_topics
     from mbtool.logs.rotation import part_path
     from mbtool.workflows.shared.checked_log import begin_checked
     from mbtool.workflows.sniff import serial_lines, with_settings
 
     if rotate is not None and write is None:
         raise UsageError("--rotate needs a log to rotate: name one with -w FILE.mcap")
+    if topic_per_point and write is None:
+        raise UsageError("--topic-per-point is about a log: name one with -w FILE.mcap")
     if service and rotate is None:
         raise UsageError("--service needs a log in parts: name it with -w FILE.mcap --rotate 1h")
     specs = tls.on_taps([parse_link(link, HEARD) for link in links])
@@ -142,7 +148,7 @@ def sniff(
     begin: Callable[[], Log] | None = None
     run = ServiceRun(os.environ) if service else None
     if write is not None:
-        created = partial(
+        created: Callable[[], LogWriter | RotatingLog] = partial(
             create_log,
             write,
             specs,
@@ -152,6 +158,8 @@ def sniff(
             continues=service,
             **tcp_ports._asdict(),
         )
+        if topic_per_point:
+            created = partial(with_point_topics, created)
         create: Callable[[], FindingsLog] = (
             created if run is None else partial(run.with_heartbeats, created)
         )

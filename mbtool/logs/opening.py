@@ -16,7 +16,7 @@ from mbtool.logs.rotation import RotatingLog
 from mbtool.logs.writer import LogWriter
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from mbtool.core import LinkSpec
     from mbtool.devices import Assignments
@@ -75,6 +75,13 @@ def create_log(
         log.add_device(str(assignment.who), assignment.profile.name)
     for profile in assignments.profiles:
         log.add_profile(profile.name, profile_to_json(profile))
+    return log
+
+
+def with_point_topics(create: Callable[[], LogWriter | RotatingLog]) -> LogWriter | RotatingLog:
+    """Create a log in which each point also has a topic of its own."""
+    log = create()
+    log.give_points_topics()
     return log
 
 

@@ -120,6 +120,10 @@ class RotatingLog(ClosesOnExit):
     def add_profile(self, name: str, profile_json: bytes) -> None:
         self._add_to_each(lambda writer: writer.add_profile(name, profile_json))
 
+    def give_points_topics(self) -> None:
+        """Write each point that changes from now on to a topic of its own, too."""
+        self._add_to_each(lambda writer: writer.give_points_topics())
+
     def add_status(self, values: Mapping[str, str]) -> None:
         """Add a heartbeat to the file that is being written; a new file begins with the last."""
         self._status = values

@@ -52,7 +52,9 @@ from mbtool.logs.messages import (
     LogItem,
     LogMessage,
     LogTime,
+    PointMessage,
 )
+from mbtool.logs.point_topics import PointTopics
 from mbtool.logs.points import PointChanges
 from mbtool.version import __version__
 
@@ -101,6 +103,7 @@ class LogWriter(ClosesOnExit):
         self._links: set[str] = set()
         self._encode = msgspec.json.Encoder().encode
         self._points = PointChanges()
+        self._point_topics: PointTopics | None = None
         self._flushed_ns = 0
         self._synced = 0
         """The size of the file, without its tail, when a sync was requested last."""
@@ -166,6 +169,10 @@ class LogWriter(ClosesOnExit):
         """Record which device has which profile; `who` names the device as `--device` does."""
         self._container.add_metadata(DEVICE, _clean({"who": who, "profile": profile}))
 
+    def give_points_topics(self) -> None:
+        """Write each point that changes from now on to a topic of its own, too."""
+        self._point_topics = PointTopics()
+
     def add_status(self, values: Mapping[str, str]) -> None:
         """Add a heartbeat of the recording."""
         self._container.add_metadata(STATUS, _clean(values))
@@ -218,9 +225,24 @@ class LogWriter(ClosesOnExit):
         for change in self._points.changes(item, known_ns):
             points = self._topic("", "points", schemas.POINT_VALUE)
             self._add(points, known_ns, item.start_ns, change)
+            own = self._own_topic(change)
+            if own is not None:
+                self._add(own, known_ns, item.start_ns, change)
         for code in item.findings:
             findings = self._topic("", "findings", schemas.LOG)
             self._add(findings, known_ns, item.start_ns, _finding(code, item, known_ns))
+
+    def _own_topic(self, point: PointMessage) -> Topic | None:
+        """The topic of a point of its own; None if there are too many, or if none was asked for."""
+        name = None if self._point_topics is None else self._point_topics.name_of(point)
+        if name is None:
+            return None
+        topic = self._topics.get(("", name))
+        if topic is None:
+            schema = schemas.POINT_VALUE
+            topic = self._container.add_topic(name, schema, schemas.json_schema(schema))
+            self._topics["", name] = topic
+        return topic
 
     def _add(self, topic: Topic, log_ns: int, publish_ns: int, message: msgspec.Struct) -> None:
         self._container.add_message(topic, log_ns, publish_ns, self._encode(message))

@@ -100,8 +100,10 @@ class Conversion:
             elif self._is_wanted(record):
                 yield record
 
-    def write(self, out: str, *, overwrite: bool = False) -> Converted:
-        """Write a capture or a log.
+    def write(
+        self, out: str, *, overwrite: bool = False, topic_per_point: bool = False
+    ) -> Converted:
+        """Write a capture or a log; with `topic_per_point`, a log in which each point has a topic.
 
         Raises UsageError if it cannot be created or cannot hold what was read, OutputError if
         writing fails.
@@ -110,7 +112,7 @@ class Conversion:
         check_path(Path(out), replace=overwrite)
         self._read_marks()
         if suffix == ".mcap":
-            return self._write_log(out, overwrite=overwrite)
+            return self._write_log(out, overwrite=overwrite, topic_per_point=topic_per_point)
         is_new = not os.path.lexists(out)
         try:
             with open(out, "wb") as stream:
@@ -203,7 +205,7 @@ class Conversion:
             PcapWriter(stream, 1)
         return done
 
-    def _write_log(self, out: str, *, overwrite: bool) -> Converted:
+    def _write_log(self, out: str, *, overwrite: bool, topic_per_point: bool) -> Converted:
         done = Converted()
         head = self._head()
         capture = {
@@ -214,6 +216,8 @@ class Conversion:
             "made_from": shlex.join(path for group in self._groups for path in group.paths),
         }
         with LogWriter(out, capture=capture, replace=overwrite) as log:
+            if topic_per_point:
+                log.give_points_topics()
             for name, settings in head.links.items():
                 log.add_link(name, {k: v for k, v in settings.items() if k != "name"})
             for who, profile in head.devices.items():

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from mbtool.cli import exit_codes
-from tests.logs.samples import chunk, transaction, write_log
+from tests.logs.samples import chunk, stock_messages, transaction, write_log
 
 if TYPE_CHECKING:
     from tests.cli.program import CommandLine
@@ -107,3 +107,18 @@ def test_a_line_of_jsonl_without_end_is_told(mbtool: CommandLine, tmp_path: Path
     told = mbtool("convert", tmp_path / "x.jsonl", tmp_path / "x.mcap")
     assert told.code == exit_codes.UNREADABLE
     assert "x.jsonl: line 1 has more than 1048576 bytes" in told.err
+
+
+def test_points_get_topics_of_their_own_only_where_asked(
+    mbtool: CommandLine, tmp_path: Path
+) -> None:
+    plain, asked = tmp_path / "plain.mcap", tmp_path / "asked.mcap"
+    source = [CAPTURES / "fa3-at1m8x-setup.pcap", "--device", "all=fa3-at1m8x"]
+    assert mbtool("convert", source[0], plain, *source[1:]).code == 0
+    assert mbtool("convert", source[0], asked, *source[1:], "--topic-per-point").code == 0
+    own = [topic for topic, _, _ in stock_messages(asked) if topic.startswith("/points/")]
+    assert own
+    assert len(own) == sum(topic == "/points" for topic, _, _ in stock_messages(asked))
+    assert not any(topic.startswith("/points/") for topic, _, _ in stock_messages(plain))
+    told = mbtool("convert", plain, tmp_path / "x.jsonl", "--topic-per-point")
+    assert (told.code, told.err.count("\n")) == (exit_codes.USAGE, 1)

@@ -1,0 +1,44 @@
+"""Names a topic of its own for each point: `/points/LINK/unit_5/NAME`."""
+
+# A viewer such as Foxglove then lists points by name. Its message paths take letters, digits, `_`
+# and `-` without quotes; any other character becomes `_`. Of two points whose topics would have one
+# name, the later one gets a number behind it.
+#
+# Memory: at most MAX_POINT_TOPICS names. Points beyond them have no topic of their own.
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from mbtool.logs.messages import PointMessage
+
+MAX_POINT_TOPICS = 10_000
+_OTHERS = re.compile(r"[^A-Za-z0-9_-]+")
+
+
+class PointTopics:
+    """The names of the topics of points."""
+
+    def __init__(self) -> None:
+        self._names: dict[tuple[str, int, str], str] = {}
+        self._taken: set[str] = set()
+
+    def name_of(self, point: PointMessage) -> str | None:
+        """The name of a point's topic; None if there are too many."""
+        key = point.link, point.unit_id, point.name
+        name = self._names.get(key)
+        if name is None and len(self._names) < MAX_POINT_TOPICS:
+            name = self._names[key] = self._free_name(point)
+            self._taken.add(name)
+        return name
+
+    def _free_name(self, point: PointMessage) -> str:
+        link, last = (_OTHERS.sub("_", text) for text in (point.link, point.name))
+        name = plain = f"/points/{link}/unit_{point.unit_id}/{last}"
+        number = 1
+        while name in self._taken:
+            number += 1
+            name = f"{plain}_{number}"
+        return name
