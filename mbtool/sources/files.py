@@ -30,6 +30,7 @@ from mbtool.core import CutError, InputError, Packet, UsageError
 from mbtool.packets import CAPTURE_MAGICS, PCAP_MAGICS, PCAPNG_MAGIC, read_capture
 from mbtool.sources.byte_files import SerialBytes, read_hex, read_raw
 from mbtool.sources.byte_times import is_byte_times, read_byte_times
+from mbtool.sources.sigrok import is_sigrok, read_sigrok
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -81,8 +82,12 @@ class CaptureKind(StrEnum):
     """The bytes of a serial line, as hexadecimal text."""
     BYTE_TIMES = "byte-times"
     """The bytes of a serial line as CSV, with the start and end time of each byte."""
+    SIGROK = "sigrok"
+    """A recording of a logic analyser, with the levels of serial lines."""
 
 
+TIMED_KINDS = frozenset((CaptureKind.BYTE_TIMES, CaptureKind.SIGROK))
+"""The kinds that have a time for each byte of a serial line."""
 PACKET_KINDS = frozenset((CaptureKind.PCAP, CaptureKind.PCAPNG))
 _TEXT_KINDS = frozenset((CaptureKind.HEX, CaptureKind.BYTE_TIMES))
 
@@ -146,6 +151,8 @@ class CaptureFile:
         of_file = self.stream, self.name, self.link
         if self.kind is CaptureKind.BYTE_TIMES:
             return read_byte_times(*of_file, line)
+        if self.kind is CaptureKind.SIGROK:
+            return read_sigrok(*of_file, line)
         if line is None or self.kind not in (CaptureKind.RAW, CaptureKind.HEX):
             raise InputError(f"{self.name}: {self.kind}, where bytes of a serial line are wanted")
         return (read_raw if self.kind is CaptureKind.RAW else read_hex)(*of_file, line)
@@ -373,6 +380,8 @@ def _kind(name: str, head: bytes, line: LineSettings | None) -> CaptureKind:
         return CaptureKind.PCAPNG
     if head.startswith(_MCAP):
         return CaptureKind.MCAP
+    if is_sigrok(head):
+        return CaptureKind.SIGROK
     text = head.removeprefix(codecs.BOM_UTF8)
     if is_byte_times(text):
         return CaptureKind.BYTE_TIMES

@@ -33,7 +33,9 @@ LINES = (
         )
         for form in ("bytes.csv", "rtac.pcap", "user0.pcap", "bus.bin")
     ),
+    *((one, None) for one in sorted(SIGROK.glob("*.sr"))),
     (public_folder() / "derived" / "noisy_bus_flowmeter.bytes.csv", None),
+    (public_folder() / "derived" / "noisy_bus_flowmeter.bus.bin", "rtu@9600-8N1"),
 )
 FIELDS = (
     "udp.srcport",

@@ -75,6 +75,24 @@ def test_every_frame_of_a_recording_is_found_and_answered(
     assert events == []
 
 
+@pytest.mark.parametrize("name", RECORDINGS)
+def test_the_samples_of_the_analyser_give_what_its_byte_times_give(
+    public_captures: Path, name: str
+) -> None:
+    folder = public_captures / SIGROK
+    (signal, _), (bytes_, _) = (
+        _read(folder / f"{name}.{form}", None) for form in ("sr", "bytes.csv")
+    )
+    assert _frames(signal) == _truth(folder / f"{name}.rtu_truth.csv")
+    for one, other in zip(signal, bytes_, strict=True):
+        assert one.outcome is other.outcome is Outcome.OK
+        assert one.latency_ns is not None
+        assert other.latency_ns is not None
+        assert (
+            abs(one.latency_ns - other.latency_ns) < 125_000
+        )  # Byte times do not tell 8N1 from 8E1: a bit.
+
+
 def test_the_direction_is_that_of_the_wire(public_captures: Path) -> None:
     folder = public_captures / SIGROK
     transactions, _ = _read(folder / "brainchild-io-16do.bytes.csv", None)

@@ -44,7 +44,13 @@ from mbtool.logs.links import (
     serial_lines,
 )
 from mbtool.packets import reads_of, serial_pieces
-from mbtool.sources.files import PACKET_KINDS, CaptureKind, open_capture, place_of
+from mbtool.sources.files import (
+    PACKET_KINDS,
+    TIMED_KINDS,
+    CaptureKind,
+    open_capture,
+    place_of,
+)
 from mbtool.workflows.shared.capture_parts import Part, Seam
 from mbtool.workflows.shared.exact_times import ExactTimes
 from mbtool.workflows.shared.file_results import FileResults
@@ -282,7 +288,7 @@ class Reading:
     def _serial_records(self, capture: CaptureFile) -> Iterator[Record]:
         yield from self._end_capture()
         line, pieces = capture.serial(self._options.line)
-        if capture.kind is CaptureKind.BYTE_TIMES:
+        if capture.kind in TIMED_KINDS:
             pieces = self.exact_times.noted(pieces, line.format)
         decoder = self._decoder = self._own_decoder()
         self.format_of, self.line_of = decoder.format_of, decoder.line_of

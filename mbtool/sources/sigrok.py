@@ -1,0 +1,346 @@
+"""Reads the recordings of logic analysers that sigrok makes: PulseView, sigrok-cli (.sr)."""
+
+# A file is a zip archive (https://sigrok.org/wiki/File_format:Sigrok/v2):
+#
+#     version       1 or 2
+#     metadata      sections of KEY=VALUE: samplerate=1 MHz, unitsize=2, capturefile=logic-1, and
+#                   probe3=RXTX for each channel that was recorded
+#     logic-1-1, logic-1-2, ...   (version 1: logic-1) samples of `unitsize` bytes; channel 1 is the
+#                   lowest bit of the first byte
+#
+# The UART characters are decoded here (uart.py), so no decoder needs to be set up in sigrok. If the
+# user names no line settings, those are taken that explain the channel with the most edges best.
+#
+# All channels that carry characters with these settings are one line, in the order of time: a
+# two-wire line is one channel, RS-232 has one for each direction. A channel that only repeats what
+# another has at the same time, as the second wire of RS-485 does, is left out. A channel that is
+# mostly low is taken as inverted. A recording has no date, so it begins in 1970.
+#
+# Samples of a line at rest pack a thousandfold, so the bytes that a file unpacks to are bounded
+# only by what deflate can do, and the edges, which cost time, by the file's size (MAX_EDGES).
+#
+# Memory: one block of samples, and the first edges of each channel, LOOKED_AT at most.
+
+from __future__ import annotations
+
+import configparser
+import os
+import re
+import struct
+import zipfile
+import zlib
+from dataclasses import dataclass, field
+from decimal import Decimal
+from typing import TYPE_CHECKING, BinaryIO, NamedTuple
+
+from mbtool.core import Chunk, InputError, LineSettings, Origin, SerialFormat, StreamPlace
+from mbtool.sources.byte_files import SerialBytes
+from mbtool.sources.uart import MIN_SAMPLES, Character, UartChannel, find_format, wrong_share
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+LOOKED_AT = 20_000
+"""The channels and the line's settings are chosen after this many edges of one channel."""
+MAX_CHANNELS = 64
+MAX_EDGES = 5_000_000
+"""The most edges of all channels; for each byte of the file there may be EDGES_A_BYTE more."""
+EDGES_A_BYTE = 20
+_MAX_RATIO = 1100
+"""The most that deflate can pack is 1032 to 1."""
+_BLOCK = 1 << 16
+_MAX_METADATA = 1 << 20
+_HEAD = re.compile(rb"PK\x03\x04.{22}\x07\0.{2}version", re.DOTALL)
+_RATE = re.compile(r"(\d{1,12}(?:\.\d{1,9})?)\s*([kMG]?)Hz")
+_FACTORS = {"": 1, "k": 10**3, "M": 10**6, "G": 10**9}
+_PROBE = re.compile(r"probe(\d{1,3})")
+_MAX_WRONG = 0.2
+"""A channel carries characters if at most this share of them is wrong, 0 to 1."""
+_FEW = 20
+_LEAST_KINDS = 3
+"""Of more than _FEW characters, so many must differ: a clock looks like one that repeats."""
+_SAME = 0.9
+"""A channel repeats another one if it has this share of its characters at the same time."""
+
+
+def is_sigrok(head: bytes) -> bool:
+    """True if a file that begins with these bytes, 37 or more, is one of sigrok."""
+    return _HEAD.match(head) is not None
+
+
+def read_sigrok(stream: BinaryIO, name: str, link: str, line: LineSettings | None) -> SerialBytes:
+    """Read the characters of a recording; find the line's settings if `line` is None.
+
+    Raises InputError for a file that is damaged, has no logic samples, or fewer than MIN_SAMPLES of
+    a bit, and for one in which no channel carries such characters. The iterator over the bytes
+    raises InputError, too.
+    """
+    recording = _Recording.open(stream, name)
+    heads = recording.heads()
+    found = _format(heads, recording.rate)
+    format_ = found if line is None else line.format
+    if format_ is None:
+        raise InputError(
+            f"{name}: no channel carries characters; if one does, say which: --link rtu@19200-8E1"
+        )
+    if recording.rate < MIN_SAMPLES * format_.baud:
+        raise InputError(
+            f"{name}: {recording.rate} samples a second are too few for {format_.baud} baud"
+        )
+    channels = _choose(heads, format_, recording.rate)
+    if not channels:
+        seems = f"; its signal is that of {found}" if found is not None else ""
+        raise InputError(f"{name}: no channel carries characters of {format_}{seems}")
+    pieces = _chunks(recording, channels, format_, Origin(name, 0), link)
+    return SerialBytes(line or LineSettings(format_), pieces)
+
+
+@dataclass(slots=True)
+class _Head:
+    """The beginning of a channel."""
+
+    first: int
+    """The level of the first sample."""
+    edges: list[int] = field(default_factory=list)
+    end: int = 0
+    """The number of samples that were looked at."""
+
+    @property
+    def is_inverted(self) -> bool:
+        """True if the channel is low most of the time; a serial line rests high."""
+        times = [0, *self.edges, self.end]
+        high = sum(times[at + 1] - times[at] for at in range(1 - self.first, len(times) - 1, 2))
+        return 2 * high < self.end
+
+    @property
+    def level(self) -> int:
+        """The level of the first sample, as it is on the line."""
+        return self.first ^ self.is_inverted
+
+    def characters(self, line: SerialFormat, rate: int) -> list[Character]:
+        return list(UartChannel(line, rate, self.level).feed(self.edges, self.end))
+
+
+class _Channel(NamedTuple):
+    number: int
+    """From 0."""
+    level: int
+    """The level of the first sample, as it is on the line."""
+
+
+@dataclass(slots=True)
+class _Recording:
+    """The samples of a file."""
+
+    archive: zipfile.ZipFile
+    name: str
+    rate: int
+    """Samples per second."""
+    unit: int
+    """Bytes of a sample."""
+    channels: list[int]
+    """The channels that were recorded, from 0."""
+    parts: list[str]
+    most_edges: int
+
+    @classmethod
+    def open(cls, stream: BinaryIO, name: str) -> _Recording:
+        if not stream.seekable():
+            raise InputError(
+                f"{name}: a recording of sigrok is not read packed or from a pipe; save it to a file"
+            )
+        try:
+            archive = zipfile.ZipFile(stream)
+            with archive.open("metadata") as file:
+                text = file.read(_MAX_METADATA).decode("utf-8", "replace")
+            keys = _logic_keys(text)
+            stem = keys["capturefile"]
+            names = set(archive.namelist())
+            parts = [stem] if stem in names else []
+            while (part := f"{stem}-{len(parts) + 1}") in names:
+                parts.append(part)
+            unit = int(keys.get("unitsize", "1"))
+            rate = _rate(keys["samplerate"])
+            size = stream.seek(0, os.SEEK_END)
+            _demand_plain(archive, parts, size)
+        except (*_DAMAGE, KeyError, configparser.Error) as error:
+            why = " ".join(str(error).split())
+            raise InputError(f"{name}: no recording of sigrok that can be read: {why}") from error
+        found = [int(match[1]) - 1 for key in keys if (match := _PROBE.fullmatch(key))]
+        channels = sorted(one for one in found if 0 <= one < min(8 * unit, MAX_CHANNELS))
+        if not parts or not rate or not channels or not 1 <= unit <= MAX_CHANNELS // 8:
+            raise InputError(f"{name}: has no logic samples with a sample rate")
+        most_edges = MAX_EDGES + EDGES_A_BYTE * size
+        return cls(archive, name, rate, unit, channels, parts, most_edges)
+
+    def heads(self) -> dict[int, _Head]:
+        """The beginning of each channel, up to LOOKED_AT edges of one of them."""
+        heads: dict[int, _Head] = {}
+        for block in self.blocks(self.channels):
+            for number, (first, edges) in block.edges.items():
+                head = heads.setdefault(number, _Head(first))
+                head.edges += edges
+            for head in heads.values():
+                head.end = block.end
+            if any(len(head.edges) > LOOKED_AT for head in heads.values()):
+                break
+        for head in heads.values():
+            if len(head.edges) > LOOKED_AT:
+                head.end = head.edges[LOOKED_AT]
+                del head.edges[LOOKED_AT:]
+        return heads
+
+    def blocks(self, channels: Sequence[int]) -> Iterator[_Block]:
+        """The edges of channels, block by block."""
+        levels: dict[int, int] = {}
+        at = count = 0
+        for data in self._data():
+            edges = {}
+            for number in channels:
+                plane = data[number // 8 :: self.unit].translate(_LEVELS[number % 8])
+                first = levels.get(number, plane[0])
+                found, levels[number] = _edges(plane, first, at)
+                edges[number] = first, found
+                count += len(found)
+            if count > self.most_edges:
+                raise InputError(f"{self.name}: more than {count} edges, which no serial line has")
+            at += len(data) // self.unit
+            yield _Block(edges, at)
+
+    def _data(self) -> Iterator[bytes]:
+        """Whole samples, a block at a time."""
+        size = _BLOCK - _BLOCK % self.unit
+        rest = b""
+        for part in self.parts:
+            try:
+                with self.archive.open(part) as file:
+                    while piece := file.read(size):
+                        data = rest + piece
+                        whole = len(data) - len(data) % self.unit
+                        rest = data[whole:]
+                        if whole:
+                            yield data[:whole]
+            except _DAMAGE as error:
+                raise InputError(f"{self.name}: damaged, in {part}: {error}") from error
+
+
+class _Block(NamedTuple):
+    edges: dict[int, tuple[int, list[int]]]
+    """For each channel its first level, and the samples at which the level changes."""
+    end: int
+    """The number of samples up to the end of the block."""
+
+
+_DAMAGE = (
+    zipfile.BadZipFile, zlib.error, struct.error, EOFError, RuntimeError, OverflowError, ValueError,
+)  # fmt: skip
+_LEVELS = [bytes(byte >> bit & 1 for byte in range(256)) for bit in range(8)]
+"""For each bit a table that makes bytes of samples levels, 0 and 1."""
+
+
+def _demand_plain(archive: zipfile.ZipFile, parts: Sequence[str], size: int) -> None:
+    """Raise ValueError if the samples are packed otherwise than in a file of sigrok."""
+    infos = [archive.getinfo(part) for part in parts]
+    if any(one.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) for one in infos):
+        raise ValueError("its samples are not packed with deflate")
+    if sum(one.file_size for one in infos) > _MAX_RATIO * size:
+        raise ValueError("its samples would be more than can be packed so")
+
+
+def _logic_keys(text: str) -> dict[str, str]:
+    """The keys of the section of a device that has logic samples."""
+    parser = configparser.RawConfigParser(strict=False)
+    parser.read_string(text)
+    for section in parser.sections():
+        if parser.has_option(section, "capturefile"):
+            return dict(parser.items(section))
+    raise KeyError("no logic samples")
+
+
+def _rate(text: str) -> int:
+    match = _RATE.fullmatch(text.strip())
+    if match is None:
+        raise ValueError(f"the sample rate is {text[:40]!r}")
+    return int(Decimal(match[1]) * _FACTORS[match[2]])
+
+
+def _edges(levels: bytes, level: int, offset: int) -> tuple[list[int], int]:
+    """The samples at which the level changes, and the last level."""
+    edges = []
+    at = 0
+    while (at := levels.find(1 - level, at)) >= 0:
+        edges.append(offset + at)
+        level = 1 - level
+    return edges, level
+
+
+def _format(heads: dict[int, _Head], rate: int) -> SerialFormat | None:
+    """The settings that explain the channel with the most edges that any explain."""
+    for head in sorted(heads.values(), key=lambda one: -len(one.edges)):
+        found = find_format(head.edges, head.end, rate, head.level)
+        if found is not None and _are_sent(head.characters(found, rate)):
+            return found
+    return None
+
+
+def _choose(heads: dict[int, _Head], line: SerialFormat, rate: int) -> list[_Channel]:
+    """The channels with characters, without those that repeat another one."""
+    found = {number: head.characters(line, rate) for number, head in heads.items()}
+    by_count = sorted(
+        (number for number, one in found.items() if _are_sent(one)),
+        key=lambda number: -len(found[number]),
+    )
+    chosen: list[int] = []
+    tolerance = rate / line.baud
+    for number in by_count:
+        if not any(_repeats(found[number], found[other], tolerance) for other in chosen):
+            chosen.append(number)
+    return [_Channel(number, heads[number].level) for number in sorted(chosen)]
+
+
+def _are_sent(found: Sequence[Character]) -> bool:
+    """True if these are characters that were sent, and no other signal."""
+    if not found or wrong_share(found) > _MAX_WRONG:
+        return False
+    return len(found) < _FEW or len({one.byte for one in found}) >= _LEAST_KINDS
+
+
+def _repeats(one: Sequence[Character], other: Sequence[Character], tolerance: float) -> bool:
+    """True if nearly all characters of `one` are in `other` at the same time."""
+    same = at = 0
+    for character in one:
+        while at < len(other) and other[at].start < character.start - tolerance:
+            at += 1
+        same += (
+            at < len(other)
+            and other[at].start <= character.start + tolerance
+            and other[at].byte == character.byte
+        )
+    return same >= _SAME * len(one)
+
+
+def _chunks(
+    recording: _Recording,
+    channels: Sequence[_Channel],
+    line: SerialFormat,
+    origin: Origin,
+    link: str,
+) -> Iterator[Chunk]:
+    """The characters of all channels in the order of time, each with the time of its end."""
+    decoders = {one.number: UartChannel(line, recording.rate, one.level) for one in channels}
+    offset = 0
+    for block in recording.blocks([*decoders]):
+        characters = [
+            character
+            for number, (_, edges) in block.edges.items()
+            for character in decoders[number].feed(edges, block.end)
+        ]
+        for character in sorted(characters):
+            start_ns = character.start * 10**9 // recording.rate
+            yield Chunk(
+                ts_ns=start_ns + line.character_ns,
+                link=link,
+                data=bytes((character.byte,)),
+                place=StreamPlace(offset, None, origin),
+            )
+            offset += 1
