@@ -53,8 +53,8 @@ def decode(
         typer.Argument(
             metavar="FILE",
             help="Captures (.pcap, .pcapng), logs (.mcap) or bytes of a serial line (.csv with "
-            "byte times, .sr of sigrok; others with --link), plain, .gz or .zst; - is standard input. Several "
-            "captures are read as parts of one.",
+            "byte times, .sr of sigrok; others with --link), plain, .gz or .zst; - is standard "
+            "input. Several captures are read as parts of one.",
         ),
     ],
     *,

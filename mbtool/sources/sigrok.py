@@ -147,7 +147,7 @@ class _Recording:
     def open(cls, stream: BinaryIO, name: str) -> _Recording:
         if not stream.seekable():
             raise InputError(
-                f"{name}: a recording of sigrok is not read packed or from a pipe; save it to a file"
+                f"{name}: a recording of sigrok cannot be packed or come through a pipe"
             )
         try:
             archive = zipfile.ZipFile(stream)
