@@ -136,7 +136,7 @@ class ColumnDecoder:
             return False
         if (segments.flags & (SYN | RST) == SYN | RST).any():
             return False
-        flows = [self._flows.ends[one] for one in np.unique(numbers).tolist()]
+        flows = [self._flows.ends[one] for one in np.flatnonzero(np.bincount(numbers)).tolist()]
         more = len(headers.hidden) + len(headers.apart)
         last_ns = int(block.ts_ns.max())
         return not self._decoder.reassembler.may_drop(last_ns, flows, more)

@@ -36,9 +36,11 @@ if TYPE_CHECKING:
 BLOCK_PACKETS = 65_536
 BLOCK_BYTES = 8 * 1024 * 1024
 """More than the longest record has."""
+LEAST_READ = 1024 * 1024
+"""The fewest bytes that are read at once."""
 
 SPARE = 64
-"""Zero bytes behind the data of a block, so that a header may be read where a packet is short."""
+"""Bytes behind the data of a block, so that a header may be read where a packet is short."""
 
 _MAGIC = 4
 _NS_PER_SECOND = 1_000_000_000
@@ -136,15 +138,23 @@ class _Source:
 
     def peek(self, size: int) -> bytes:
         """The next bytes; fewer than `size` at the end, or in front of an error."""
+        self._fill(size)
+        return self._held[self._at : self._at + size]
+
+    def held(self, size: int) -> tuple[bytes, int, int]:
+        """Bytes that hold the next ones, and where these begin and end; `size`, or fewer."""
+        self._fill(size)
+        return self._held, self._at, min(self._at + size, len(self._held))
+
+    def _fill(self, size: int) -> None:
         missing = size - (len(self._held) - self._at)
         if missing > 0:
             pieces = [self._held[self._at :]]
             while missing > 0 and self._error is None and not self._is_ended:
-                piece = self._read(max(missing, BLOCK_BYTES))
+                piece = self._read(max(missing, LEAST_READ))
                 pieces.append(piece)
                 missing -= len(piece)
             self._held, self._at = b"".join(pieces), 0
-        return self._held[self._at : self._at + size]
 
     def take(self, size: int) -> bytes:
         """Remove and return the next bytes, fewer at the end. Raises a held error of reading."""
@@ -188,28 +198,33 @@ class _PcapBlocks:
         """The number of packets so far."""
 
     def blocks(self) -> Iterator[PacketBlock]:
-        while data := self._source.peek(BLOCK_BYTES):
-            heads, at, too_long = self._walk(data)
+        while True:
+            data, begin, end = self._source.held(BLOCK_BYTES)
+            if begin == end:
+                break
+            heads, at, too_long = self._walk(data, begin, end)
             if heads:
-                self._source.drop(at)
-                yield self._block(data[:at] + bytes(SPARE), heads)
+                self._source.drop(at - begin)
+                yield self._block(_octets(data, begin, at), heads)
                 self._number += len(heads)
             elif too_long:
                 raise too_long_error(self._name, self._number, too_long)
             else:
-                if self._has_zeros(data):
+                if self._has_zeros(data, begin):
                     raise zeros_error(self._name, self._number)
                 self._source.raise_error()
                 raise cut_error(self._name, self._number)
         self._source.raise_error()
 
-    def _walk(self, data: bytes) -> tuple[list[int], int, int]:
-        """The offsets of whole records, the end of the last, and an impossible length or 0."""
+    def _walk(self, data: bytes, begin: int, end: int) -> tuple[list[int], int, int]:
+        """The offsets of whole records from `begin` on, counted from there; the end of the last
+        one; and an impossible length or 0.
+        """
         length_of = struct.Struct(self._form.order + "I").unpack_from
-        header, end = self._header, len(data)
+        header = self._header
         places: list[int] = []
         append = places.append
-        at = 0
+        at = begin
         for _ in range(BLOCK_PACKETS):
             behind = at + header
             if behind > end:
@@ -220,16 +235,15 @@ class _PcapBlocks:
             behind += captured
             if behind > end or (not captured and self._has_zeros(data, at)):
                 break
-            append(at)
+            append(at - begin)
             at = behind
         return places, at, 0
 
-    def _has_zeros(self, data: bytes, at: int = 0) -> bool:
+    def _has_zeros(self, data: bytes, at: int) -> bool:
         """True if the four fields of the record header at an offset are zero."""
         return data.startswith(bytes(16), at)
 
-    def _block(self, data: bytes, heads: list[int]) -> PacketBlock:
-        octets = np.frombuffer(data, np.uint8)
+    def _block(self, octets: Octets, heads: list[int]) -> PacketBlock:
         places = np.array(heads, np.int64)
         records = gather(octets, places, self._record)
         captured = records["cap"].astype(np.int64)
@@ -244,6 +258,13 @@ class _PcapBlocks:
             first_number=self._number + 1,
             links=[("if0", self._form.link_type)],
         )
+
+
+def _octets(data: bytes, begin: int, end: int) -> Octets:
+    """The bytes from one offset to another, and SPARE bytes behind them."""
+    if end + SPARE > len(data):
+        data, begin, end = data[begin:end] + bytes(SPARE), 0, end - begin
+    return np.frombuffer(data, np.uint8, end + SPARE - begin, begin)
 
 
 def _packed(packets: Iterator[Packet]) -> Iterator[PacketBlock]:

@@ -82,7 +82,7 @@ class TransactionArrays:
         self._found = found
         self._order = order
         self._data = stretches.data
-        self._octets = stretches.data.tobytes()  # Few bytes of it are read faster than of arrays.
+        self._octets = stretches.data.data  # Few bytes of it are read faster than of arrays.
         self.first_place, self._request_place = found.request_first, found.request
         """For each transaction, the index in `order` of its request's first and last segment."""
         self.response_place = found.response
@@ -147,7 +147,7 @@ class TransactionArrays:
         )
 
     def _bytes(self, begin: int, size: int) -> bytes:
-        return self._octets[begin : begin + size]
+        return self._octets[begin : begin + size].tobytes()
 
     def _tail(self, begins: list[int], sizes: list[int], at: int, end: int) -> bytes:
         """The last bytes of the ADUs from `at` to `end`: RECENT_BYTES, or all if they are fewer."""
@@ -164,7 +164,11 @@ class TransactionArrays:
         """One row per packet: its link layer header, padded with zeros, and the header's length."""
         headers = gather(block.data, block.starts[packets], _LINK_HEADER).view(np.uint8)
         headers = headers.reshape(len(packets), _LINK_HEADER.itemsize)
-        headers[np.arange(_LINK_HEADER.itemsize) >= ip_at[:, None]] = 0
+        least = int(ip_at.min(initial=_LINK_HEADER.itemsize))
+        if (ip_at == least).all():
+            headers[:, least:] = 0
+        else:
+            headers[np.arange(_LINK_HEADER.itemsize) >= ip_at[:, None]] = 0
         headers[:, -1] = ip_at
         return headers
 
@@ -177,8 +181,7 @@ class TransactionArrays:
         requests = self._link_headers(block, self._request_packet, self._request_ip_at)
         responses = self._link_headers(block, self._response_packet, self._response_ip_at)
         like = np.repeat(firsts, sizes)
-        has_addresses = (requests[chosen] == requests[like]).all(axis=1)
-        has_addresses &= (responses[chosen] == responses[like]).all(axis=1)
+        has_addresses = _are_equal(requests, chosen, like) & _are_equal(responses, chosen, like)
         addresses = self._addresses(block, firsts, requests[firsts], responses[firsts])
         order = np.argsort(self._response_packet[chosen], kind="stable")
         chosen = chosen[order]
@@ -221,6 +224,13 @@ class TransactionArrays:
             for one in firsts[some].tolist()
         ]
         return [found[one] for one in like.tolist()]
+
+
+def _are_equal(headers: Octets, first: Int64s, second: Int64s) -> Bools:
+    """True where two rows of headers are equal."""
+    words = headers.view(np.uint64)  # Comparing words takes a fraction of the time of bytes.
+    is_equal: Bools = (words[first] == words[second]).all(axis=1)
+    return is_equal
 
 
 def link_addresses_of(block: PacketBlock, packet: int, ip_at: int) -> LinkAddresses | None:

@@ -101,7 +101,9 @@ class _Payloads:
 def find_stretches(headers: Headers, flows: Int64s, data: Octets) -> Stretches:
     """Find the plain stretches; `flows` are the flow numbers of the segments."""
     segments = headers.segments
-    order = np.argsort(flows, kind="stable")
+    # Numbers of flows that have room in 16 bits are sorted several times as fast.
+    has_room = len(flows) and flows.min() >= 0 and flows.max() < 1 << 16
+    order = np.argsort(flows.astype(np.uint16) if has_room else flows, kind="stable")
     flows = flows[order]
     repeats = is_sent_again(segments, order, flows, data)
     kept = np.flatnonzero(~repeats)

@@ -65,7 +65,7 @@ class WholeConnections:
 
 def find_whole(segments: Segments, stretches: Stretches) -> WholeConnections:
     """Find the connections that are whole; `stretches` are those of the same segments."""
-    if len(stretches.bounds) == 1:
+    if len(stretches.bounds) == 1 or not (segments.flags & SYN).any():
         return WholeConnections(*(np.zeros(0, np.int64) for _ in WholeConnections.__slots__))
     order, flows, found = stretches.order, stretches.flows, stretches.transactions
     flags, size = segments.flags[order], segments.size[order]

@@ -111,25 +111,20 @@ def _step_ns(cycles: CutCycles[P]) -> float:
 
 def step_pauses(cycles: CutCycles[P]) -> list[float]:
     """The median pause before each step of the usual cycle, in ns."""
-    pauses: list[list[int]] = [[] for _ in cycles.usual]
-    for (begin, end), is_usual in _marked(cycles):
-        if is_usual:
-            for step, at in enumerate(range(begin, end)):
-                if at:
-                    pauses[step].append(cycles.starts[at].begin_ns - cycles.starts[at - 1].end_ns)
-    return [median(one) if one else 0.0 for one in pauses]
+    pauses = [after.begin_ns - before.end_ns for before, after in pairwise(cycles.starts)]
+    usual = [begin for (begin, _), is_usual in _marked(cycles) if is_usual]
+    found = []
+    for step in range(len(cycles.usual)):
+        # Before the very first request no pause is known.
+        known = [pauses[begin + step - 1] for begin in usual if begin + step]
+        found.append(median(known) if known else 0.0)
+    return found
 
 
 def _marked(cycles: CutCycles[P]) -> list[tuple[tuple[int, int], bool]]:
     """Begin and end of each cycle, and True if it has the usual form."""
-    return [
-        (
-            (begin, end),
-            end - begin == len(cycles.usual)
-            and tuple(one.poll for one in cycles.starts[begin:end]) == cycles.usual,
-        )
-        for begin, end in pairwise(cycles.cuts)
-    ]
+    polls, usual = [one.poll for one in cycles.starts], [*cycles.usual]
+    return [((begin, end), polls[begin:end] == usual) for begin, end in pairwise(cycles.cuts)]
 
 
 def has_one_pace(cycles: CutCycles[P]) -> bool:

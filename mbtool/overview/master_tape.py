@@ -62,9 +62,17 @@ class MasterTape:
 
     def _join(self) -> None:
         for at_ns, polls, ends_ns in self._later:
+            some = slice(-MAX_ASKED, None)  # Those before them would be given up again.
             self._asked.extend(
-                TapedRequest(at, 0, poll, end, is_missing=False, wire_ns=0)
-                for at, poll, end in zip(at_ns, polls, ends_ns, strict=True)
+                map(
+                    TapedRequest,
+                    at_ns[some],
+                    repeat(0),
+                    polls[some],
+                    ends_ns[some],
+                    repeat(False),
+                    repeat(0),
+                )
             )
         self._later.clear()
 
