@@ -59,7 +59,11 @@ ALSO = {
         "tests/properties/test_ascii_lines.py",
         "tests/golden/test_captures.py",
     ),
-    "decode": ("tests/properties/test_conversations.py", "tests/golden/test_captures.py"),
+    "decode": (
+        "tests/properties/test_conversations.py",
+        "tests/golden/test_captures.py",
+        "tests/adversary/test_network_pairing.py",
+    ),
     "packets": ("tests/properties/test_captures.py",),
 }
 
