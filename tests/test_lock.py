@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from tests.lock import bill_of_materials, locked, requirements
+from tests.lock import locked, requirements
 
 REPORT = {
     "install": [
@@ -16,6 +16,3 @@ REPORT = {
 def test_each_package_has_its_version_and_hash_and_mbtool_itself_is_left_out() -> None:
     packages = locked(REPORT)
     assert requirements(packages) == "rich==14.0 --hash=sha256:ab\n"
-    (component,) = bill_of_materials(packages)["components"]
-    assert component["purl"] == "pkg:pypi/rich@14.0"
-    assert component["hashes"] == [{"alg": "SHA-256", "content": "ab"}]

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from mbtool.cli.connection_options import ConnectionOptions
+from mbtool.cli.modem_options import ModemOptions
 from mbtool.cli.option_groups import takes_groups
 from mbtool.cli.options import (
     AllowOption,
@@ -97,6 +98,7 @@ def sniff(
     ] = False,
     ports: PortOptions,
     silences: SilenceOptions,
+    modem: ModemOptions,
     format_: Annotated[Format, typer.Option("--format", help="How to print.")] = Format.TABLE,
     table: TableOptionGroup,
     events: EventsOption = None,
@@ -144,7 +146,7 @@ def sniff(
     serial_lines(specs)
     if write is not None:
         check_log_path(write, overwrite=overwrite)
-    specs = timing.given(with_settings(specs, say))
+    specs = modem.on(timing.given(with_settings(specs, say)))
     begin: Callable[[], Log] | None = None
     run = ServiceRun(os.environ) if service else None
     if write is not None:

@@ -22,6 +22,7 @@ from pathlib import PurePath
 
 from mbtool.core.errors import UsageError
 from mbtool.core.evidence import Endpoint
+from mbtool.core.modem_lines import ModemLines
 from mbtool.core.serial_format import SerialFormat
 
 MODBUS_PORT = 502
@@ -66,6 +67,8 @@ class SerialLink:
     """The port that receives the slaves' bytes; None if one port receives both sides."""
     is_relay: bool = field(default=False, kw_only=True)
     """True if the line is cut in two, and mbtool passes bytes between its two ports."""
+    modem_lines: ModemLines = field(default=ModemLines(), kw_only=True)
+    """What a listener does with DTR and RTS; no part of the text of a link."""
 
     def __post_init__(self) -> None:
         if self.is_relay and self.slave_port is None:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import serial
 
+from mbtool.core.modem_lines import ModemLine, ModemLines
 from mbtool.ports.serial_port import IDLE_S, explained, lost, settings_for
 
 if TYPE_CHECKING:
@@ -24,10 +25,17 @@ class PyserialPort:
 
     damaged: Sequence[int] = ()
 
-    def __init__(self, port: str, format_: SerialFormat) -> None:
+    def __init__(
+        self, port: str, format_: SerialFormat, modem_lines: ModemLines | None = None
+    ) -> None:
         self._name = port
+        lines = modem_lines or ModemLines()
         with explained(port, format_):
-            self._port = serial.Serial(port, timeout=IDLE_S, **settings_for(port, format_))
+            self._port = serial.Serial(timeout=IDLE_S, **settings_for(port, format_))
+            self._port.dtr = lines.dtr is not ModemLine.OFF
+            self._port.rts = lines.rts is not ModemLine.OFF
+            self._port.port = port
+            self._port.open()
 
     def read(self, wait_s: float) -> bytes:
         try:

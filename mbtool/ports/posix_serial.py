@@ -1,9 +1,14 @@
 """A serial port of Linux or macOS: read-only to listen, read and write for a serial tap."""
 
 # pyserial can set up a line on every system, also with unusual baud rates, but its open() opens the
-# port for writing, too, and sets DTR and RTS, which makes some RS-485 adapters send. So the
-# descriptor is opened here, with O_RDONLY, and only pyserial's setup is applied to it
-# (_reconfigure_port of pyserial 3.5 needs only the descriptor and the settings).
+# port for writing, too. So the descriptor is opened here, with O_RDONLY, and only pyserial's setup
+# is applied to it (_reconfigure_port of pyserial 3.5 needs only the descriptor and the settings).
+#
+# The kernel itself does two things that no program can prevent. It raises DTR and RTS when a port
+# is opened and drops them when it is closed (--dtr and --rts do what is possible afterwards). And
+# until a port is raw, its line discipline echoes what arrives: a port that was not raw before may
+# send back what arrives in the moment between opening and the next two calls here, which lock the
+# port and make it raw, before all other settings.
 #
 # The port is locked with flock, as pyserial and most terminal programs do, because two readers of
 # one port take bytes from each other. The lock stops only programs that use flock, and ends with
@@ -25,8 +30,12 @@ from typing import TYPE_CHECKING
 
 import serial
 
+from mbtool.core import LinkError
+from mbtool.core.modem_lines import ModemLine, ModemLines
 from mbtool.ports.line_errors import ErrorCounts
+from mbtool.ports.low_latency import LowLatency
 from mbtool.ports.marks import Unmarker
+from mbtool.ports.real_rate import demand_rate
 from mbtool.ports.serial_port import explained, lost, settings_for
 from mbtool.ports.serial_records import MAX_DATA
 
@@ -46,15 +55,22 @@ class PosixPort:
 
     _access = os.O_RDONLY
 
-    def __init__(self, port: str, format_: SerialFormat) -> None:
+    def __init__(
+        self, port: str, format_: SerialFormat, modem_lines: ModemLines | None = None
+    ) -> None:
         self._name = port
         self.damaged: Sequence[int] = ()
+        self._low_latency: LowLatency | None = None
         with explained(port, format_):
             self._fd = os.open(port, self._access | os.O_NOCTTY | os.O_NONBLOCK)
         try:
+            with explained(port, format_):
+                _claim(self._fd)
+            _set_modem_lines(self._fd, port, modem_lines or ModemLines())
+            self._low_latency = LowLatency(self._fd, port)
             self.tune(format_)
         except Exception:
-            os.close(self._fd)
+            self.close()
             raise
 
     def read(self, wait_s: float) -> bytes:
@@ -94,8 +110,11 @@ class PosixPort:
     def tune(self, format_: SerialFormat) -> None:
         with explained(self._name, format_):
             self._unmarker = _set_up(self._fd, self._name, format_)
+        demand_rate(self._fd, self._name, format_.baud)
 
     def close(self) -> None:
+        if self._low_latency is not None:
+            self._low_latency.restore()
         os.close(self._fd)
 
 
@@ -120,20 +139,44 @@ class PassingPort(PosixPort):
             raise lost(self._name) from error
 
 
+def _claim(fd: int) -> None:
+    """Lock a port, and make it raw, so that it echoes nothing. Fails if it is no serial port."""
+    fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    attributes = termios.tcgetattr(fd)
+    attributes[0] &= ~(termios.IXON | termios.IXOFF)
+    attributes[1] &= ~termios.OPOST
+    attributes[3] &= ~(termios.ECHO | termios.ECHONL | termios.ICANON | termios.ISIG)
+    termios.tcsetattr(fd, termios.TCSANOW, attributes)
+
+
+def _set_modem_lines(fd: int, port: str, wanted: ModemLines) -> None:
+    """Drop DTR and RTS, or have them kept at the end. Raises LinkError if the driver does not."""
+    lines = ((wanted.dtr, "DTR", termios.TIOCM_DTR), (wanted.rts, "RTS", termios.TIOCM_RTS))
+    if ModemLine.KEEP in (wanted.dtr, wanted.rts):
+        attributes = termios.tcgetattr(fd)
+        attributes[2] &= ~termios.HUPCL
+        termios.tcsetattr(fd, termios.TCSANOW, attributes)
+    for how, name, bit in lines:
+        if how is ModemLine.OFF:
+            try:
+                fcntl.ioctl(fd, termios.TIOCMBIC, struct.pack("i", bit))
+            except OSError as error:
+                raise LinkError(
+                    f"serial port {port}: its driver does not switch {name} off; "
+                    f"leave out --{name.lower()} off"
+                ) from error
+
+
 def _set_up(fd: int, port: str, format_: SerialFormat) -> Unmarker | None:
-    """Lock the port, apply the line settings, and discard the bytes that arrived before.
+    """Apply the line settings, and discard the bytes that arrived before.
 
     Returns an Unmarker if the driver now marks damaged bytes, else None.
     """
-    termios.tcgetattr(fd)  # If this is no serial port, the error says so; pyserial's would not.
-    fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
     # With this timeout pyserial sets VMIN to 1. So a read without data fails with EAGAIN, and a
     # read that returns no bytes means that the port is gone.
     settings = serial.Serial(inter_byte_timeout=0, **settings_for(port, format_))
     settings.fd = fd
     settings._reconfigure_port(force_update=True)  # type: ignore[attr-defined]
-    with suppress(OSError, ValueError, NotImplementedError):
-        settings.set_low_latency_mode(True)
     is_marking = _ask_for_marks(fd)
     if not hasattr(termios, f"B{format_.baud}"):
         # termios has no constant for this baud rate, so pyserial has set it by a special call. On

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from mbtool.core import SerialFormat, SerialLink
+    from mbtool.core.modem_lines import ModemLines
     from mbtool.ports.posix_serial import PassingPort
     from mbtool.ports.serial_port import ListeningPort
 
@@ -28,19 +29,23 @@ WriteTimeout = serial.SerialTimeoutException
 """Raised by a write to a port that takes no bytes for WRITE_TIMEOUT_S."""
 
 
-def open_listening(port: str, format_: SerialFormat) -> ListeningPort:
+def open_listening(
+    port: str, format_: SerialFormat, modem_lines: ModemLines | None = None
+) -> ListeningPort:
     """Open a port that can only be read. Raises LinkError if that fails."""
     if sys.platform != "win32":
         from mbtool.ports.posix_serial import PosixPort
 
-        return PosixPort(port, format_)
+        return PosixPort(port, format_, modem_lines)
     else:
         from mbtool.ports.portable_serial import PyserialPort
 
-        return PyserialPort(port, format_)
+        return PyserialPort(port, format_, modem_lines)
 
 
-def open_passing(port: str, format_: SerialFormat) -> PassingPort:
+def open_passing(
+    port: str, format_: SerialFormat, modem_lines: ModemLines | None = None
+) -> PassingPort:
     """Open a port at one end of a line that was cut in two, for a serial tap to read and write.
 
     Raises LinkError if that fails, and always on Windows.
@@ -48,7 +53,7 @@ def open_passing(port: str, format_: SerialFormat) -> PassingPort:
     if sys.platform != "win32":
         from mbtool.ports.posix_serial import PassingPort
 
-        return PassingPort(port, format_)
+        return PassingPort(port, format_, modem_lines)
     else:
         raise LinkError("a serial tap needs Linux or macOS")
 
@@ -59,13 +64,22 @@ def open_port(link: SerialLink, timeout_s: float) -> serial.Serial:
     Raises LinkError if the port cannot be opened or its driver refuses the settings.
     """
     with explained(link.port, link.format):
-        return serial.Serial(
+        port = serial.Serial(
             link.port,
             timeout=timeout_s,
             write_timeout=WRITE_TIMEOUT_S,
             exclusive=True,
             **settings_for(link.port, link.format),
         )
+    if sys.platform != "win32":
+        from mbtool.ports.real_rate import demand_rate
+
+        try:
+            demand_rate(port.fileno(), link.port, link.format.baud)
+        except LinkError:
+            port.close()
+            raise
+    return port
 
 
 @contextmanager

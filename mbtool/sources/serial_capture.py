@@ -79,10 +79,10 @@ class SerialSource(LiveSource[SerialLink]):
             end_child(self._child)
 
     def _start_child(self) -> subprocess.Popen[bytes]:
-        settings = str(self._link.format)
+        settings, modem_lines = str(self._link.format), str(self._link.modem_lines)
         if self._link.is_relay:
-            return start_child("mbtool.sources.serial_relay", *self._ports, settings)
-        return start_child("mbtool.sources.serial_reader", self._port, settings)
+            return start_child("mbtool.sources.serial_relay", *self._ports, settings, modem_lines)
+        return start_child("mbtool.sources.serial_reader", self._port, settings, modem_lines)
 
     def _carry(self, child: subprocess.Popen[bytes]) -> None:
         assert child.stdout is not None

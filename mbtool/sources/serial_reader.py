@@ -1,4 +1,4 @@
-"""The process that reads one serial port: python -m mbtool.sources.serial_reader PORT FORMAT."""
+"""The process that reads one serial port: mbtool.sources.serial_reader PORT FORMAT DTR,RTS."""
 
 # The loop waits, reads, notes the time and writes a record. Each read becomes one record. Nothing
 # else runs in this interpreter: a busy decoder would make the loop wait for the interpreter, and
@@ -18,6 +18,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from mbtool.core import SerialFormat
+from mbtool.core.modem_lines import ModemLines
 from mbtool.ports.clock import now_ns
 from mbtool.ports.line_errors import LineErrors
 from mbtool.ports.serial_opening import open_listening
@@ -31,12 +32,19 @@ if TYPE_CHECKING:
 
 
 def main() -> None:
-    port, settings = sys.argv[1:]
-    run_process(partial(_read_port, port, SerialFormat.parse(settings)))
+    port, settings, lines = sys.argv[1:]
+    format_, modem_lines = SerialFormat.parse(settings), ModemLines.parse(lines)
+    run_process(partial(_read_port, port, format_, modem_lines))
 
 
-def _read_port(port: str, format_: SerialFormat, records: RecordWriter, told_to_end: Event) -> None:
-    with closing(open_listening(port, format_)) as source:
+def _read_port(
+    port: str,
+    format_: SerialFormat,
+    modem_lines: ModemLines,
+    records: RecordWriter,
+    told_to_end: Event,
+) -> None:
+    with closing(open_listening(port, format_, modem_lines)) as source:
         records.put(RecordKind.QUIET, now_ns())
         read_until(told_to_end, source, records, format_)
 

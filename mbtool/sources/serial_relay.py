@@ -1,4 +1,4 @@
-"""The process of a serial tap: python -m mbtool.sources.serial_relay MASTER SLAVES FORMAT."""
+"""The process of a serial tap: mbtool.sources.serial_relay MASTER SLAVES FORMAT DTR,RTS."""
 
 # The line is cut in two, and each end is connected to a port. The process waits, reads, notes the
 # time, sends the bytes to the other port at once, and records them. So the record of a request
@@ -26,6 +26,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Protocol
 
 from mbtool.core import LinkError, SerialFormat
+from mbtool.core.modem_lines import ModemLines
 from mbtool.ports.clock import now_ns
 from mbtool.ports.line_errors import ErrorCounts, LineErrors
 from mbtool.ports.serial_opening import open_passing
@@ -54,16 +55,21 @@ class Port(Protocol):
 
 
 def main() -> None:
-    master, slaves, settings = sys.argv[1:]
-    run_process(partial(_join_ports, (master, slaves), SerialFormat.parse(settings)))
+    master, slaves, settings, lines = sys.argv[1:]
+    format_, modem_lines = SerialFormat.parse(settings), ModemLines.parse(lines)
+    run_process(partial(_join_ports, (master, slaves), format_, modem_lines))
 
 
 def _join_ports(
-    names: tuple[str, str], format_: SerialFormat, records: RecordWriter, told_to_end: Event
+    names: tuple[str, str],
+    format_: SerialFormat,
+    modem_lines: ModemLines,
+    records: RecordWriter,
+    told_to_end: Event,
 ) -> None:
     with (
-        closing(open_passing(names[0], format_)) as master,
-        closing(open_passing(names[1], format_)) as slaves,
+        closing(open_passing(names[0], format_, modem_lines)) as master,
+        closing(open_passing(names[1], format_, modem_lines)) as slaves,
     ):
         records.put(RecordKind.QUIET, now_ns())
         SerialRelay(master, slaves, records, format_).run_until(told_to_end)

@@ -21,6 +21,7 @@ from mbtool.devices import NamedTransaction
 from mbtool.logs import LogReader, follow
 from mbtool.master.links import open_master
 from mbtool.modbus import ascii_adu
+from mbtool.sources.virtual_line import VirtualLine
 from tests.cli.program import (
     PATIENCE_S,
     CommandLine,
@@ -30,7 +31,7 @@ from tests.cli.program import (
     full_terminal,
     patient,
 )
-from tests.workflows.bench import Bench, be_turned_away, speak
+from tests.workflows.bench import FAST, Bench, be_turned_away, speak
 from tests.workflows.evidence import WRITE
 
 if TYPE_CHECKING:
@@ -355,3 +356,16 @@ def test_a_line_that_cannot_be_read_is_told_while_it_is_heard(bench: Bench, tmp_
         program.end(signal.SIGINT)
     assert "bytes none can be read with rtu@9600-8N1, so the settings are probably wrong" in remark
     assert f"; ascii:{line.port}@9600-7E1 fits these bytes (9600-7E1 ASCII: " in remark
+
+
+def test_dtr_and_rts_are_for_serial_lines(mbtool: CommandLine) -> None:
+    told = mbtool("sniff", "tap:127.0.0.1:0=127.0.0.1:1", "--dtr", "off")
+    assert told.code == exit_codes.USAGE
+    assert told.err == ("mbtool: --dtr and --rts are for serial lines; none of the links is one\n")
+
+
+def test_a_line_that_the_driver_cannot_switch_off_ends_the_run(mbtool: CommandLine) -> None:
+    with VirtualLine(ends=2, format=FAST) as line:
+        told = mbtool("sniff", f"rtu:{line.ports[0]}@{FAST}", "--rts", "off")
+    assert told.code == exit_codes.UNREADABLE
+    assert "does not switch RTS off; leave out --rts off" in told.err

@@ -107,6 +107,7 @@ def _guided(name: str, corpus: Path, seconds: float) -> None:
         f"-timeout={TIMEOUT_S}",
         f"-rss_limit_mb={MEMORY_MIB}",
         f"-artifact_prefix={CASES / name}/",
+        f"-report_slow_units={10 * TIMEOUT_S}",  # On a busy machine any input is slow at times.
         "-print_final_stats=1",
         str(corpus),
     ]

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import errno
 import os
+import select
 import struct
 import sys
+from contextlib import closing
 from typing import TYPE_CHECKING
 
 import pytest
 
 from mbtool.core import LinkError, SerialFormat
+from mbtool.core.modem_lines import ModemLine, ModemLines
 from mbtool.ports.serial_opening import open_listening
 from tests.sources.live_helpers import PATIENCE_S, stop_marking
 
@@ -24,6 +27,8 @@ import fcntl
 import termios
 
 from mbtool.ports.posix_serial import PosixPort
+
+FORMAT = SerialFormat(19200, 8, "E", 1)
 
 
 @pytest.fixture
@@ -208,3 +213,24 @@ def test_a_failed_opening_leaves_no_descriptor(tmp_path_factory: pytest.TempPath
     after = os.dup(0)
     os.close(after)
     assert after == before
+
+
+def test_a_port_is_raw_while_it_is_opened_and_echoes_nothing(pty: tuple[int, str]) -> None:
+    near, far = pty
+    with open(far, "rb", buffering=0) as cooked:
+        settings = termios.tcgetattr(cooked.fileno())
+        settings[3] |= termios.ECHO | termios.ICANON
+        termios.tcsetattr(cooked.fileno(), termios.TCSANOW, settings)
+        with closing(PosixPort(far, FORMAT)):
+            os.write(near, b"\1\2\3")
+            assert select.select([near], [], [], 0) == ([], [], [])
+
+
+def test_lines_that_a_driver_cannot_switch_are_told(pty: tuple[int, str]) -> None:
+    with pytest.raises(LinkError, match="does not switch RTS off; leave out --rts off"):
+        PosixPort(pty[1], FORMAT, ModemLines(rts=ModemLine.OFF))
+
+
+def test_lines_that_are_kept_are_not_dropped_at_the_end(pty: tuple[int, str]) -> None:
+    with closing(PosixPort(pty[1], FORMAT, ModemLines(dtr=ModemLine.KEEP))) as port:
+        assert not termios.tcgetattr(port._fd)[2] & termios.HUPCL

@@ -1,0 +1,51 @@
+"""The options for DTR and RTS of the ports of serial lines."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from mbtool.cli.option_groups import OptionGroup
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from mbtool.core import LinkSpec
+
+
+class LineChoice(StrEnum):
+    """What a user may choose for DTR and for RTS."""
+
+    KEEP = "keep"
+    OFF = "off"
+
+
+@dataclass(frozen=True, slots=True)
+class ModemOptions(OptionGroup):
+    """What is done with DTR and RTS of a port that is opened to listen."""
+
+    dtr: Annotated[
+        LineChoice | None,
+        typer.Option(
+            "--dtr",
+            help="The kernel raises DTR when a serial port is opened, and drops it at the end. "
+            "off: drop it right after the opening; keep: do not drop it at the end.",
+        ),
+    ] = None
+    rts: Annotated[LineChoice | None, typer.Option("--rts", help="The same for RTS.")] = None
+
+    def on(self, links: Sequence[LinkSpec]) -> list[LinkSpec]:
+        """The links, with what was chosen. Raises UsageError if there is no serial line."""
+        from mbtool.core import SerialLink, UsageError
+        from mbtool.core.modem_lines import ModemLine, ModemLines
+
+        chosen = ModemLines(*(ModemLine(one or ModemLine.RAISED) for one in (self.dtr, self.rts)))
+        if chosen != ModemLines() and not any(isinstance(link, SerialLink) for link in links):
+            raise UsageError("--dtr and --rts are for serial lines; none of the links is one")
+        return [
+            replace(link, modem_lines=chosen) if isinstance(link, SerialLink) else link
+            for link in links
+        ]
