@@ -35,8 +35,7 @@ PURE_ROOMS = (
 
 ROOMS_OF_TESTS_ONLY = {
     "adversary", "benchmarks", "cases", "certificates", "differential", "end_to_end", "fuzz",
-    "golden",
-    "kills", "properties", "soak",
+    "golden", "kills", "properties", "real_drivers", "soak",
 }  # fmt: skip
 """Folders of tests/ that test several rooms at once, or hold what tests read."""
 

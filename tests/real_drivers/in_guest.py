@@ -70,6 +70,8 @@ def _pulled(log: Path, links: tuple[str, ...]) -> Iterator[str]:
         assert sniffer.stderr is not None
         _await(sniffer.stderr, "listening on")
         for line in ("usb", "s1"):
+            # Slow enough for a machine that is interpreted, so that no driver loses bytes.
+            host("pause", line, "0.5")
             host("traffic", line, "on")
         for _ in range(PULLS):
             time.sleep(5)
