@@ -11,6 +11,13 @@ Int64s = npt.NDArray[np.int64]
 Uint64s = npt.NDArray[np.uint64]
 Bools = npt.NDArray[np.bool_]
 Octets = npt.NDArray[np.uint8]
+Numbers = Int64s | npt.NDArray[np.uint16]
+
+
+def narrow(numbers: Int64s) -> Numbers:
+    """The same numbers in 16 bits if they have room, as those are sorted several times as fast."""
+    has_room = len(numbers) and numbers.min() >= 0 and numbers.max() < 1 << 16
+    return numbers.astype(np.uint16) if has_room else numbers
 
 
 def gather(octets: Octets, places: Int64s, dtype: np.dtype[Any]) -> npt.NDArray[Any]:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mbtool.columns.arrays import narrow
 from mbtool.columns.column_decoder import order_of
 from mbtool.columns.plain_transactions import origin_fields, plain_transaction
 from mbtool.columns.sunspec_rows import SunSpecRows
@@ -83,7 +84,7 @@ class PollRuns:
         asked[~usual.is_usual] = -1
         distinct, like = np.unique(asked, return_inverse=True)
         _, first, kind = np.unique(
-            place_of[rows.connection] * len(distinct) + like,
+            narrow(place_of[rows.connection] * len(distinct) + like),
             return_index=True,
             return_inverse=True,
         )
@@ -139,12 +140,12 @@ def between(
 def _run_of(
     likes: list[NamedTransaction], kind: Int64s, request_ns: Int64s, response_ns: Int64s
 ) -> AnsweredRun:
-    found, first, local = np.unique(kind, return_index=True, return_inverse=True)
+    found, first, local = np.unique(narrow(kind), return_index=True, return_inverse=True)
     by_first = np.argsort(first)
     number = np.empty(len(found), np.int64)
     number[by_first] = np.arange(len(found))
     local = number[local]
-    order = np.argsort(local, kind="stable")
+    order = np.argsort(narrow(local), kind="stable")
     counts = np.bincount(local)
     ends = np.cumsum(counts)
     starts = ends - counts

@@ -9,9 +9,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
-from mbtool.columns.arrays import Int64s
+from mbtool.columns.arrays import narrow
 from mbtool.columns.plain_transactions import plain_transaction
 from mbtool.columns.poll_runs import between
 from mbtool.columns.sunspec_rows import SunSpecRows
@@ -24,13 +23,12 @@ from mbtool.modbus.functions import READ_BITS, READ_REGISTERS
 if TYPE_CHECKING:
     from collections.abc import Hashable, Iterator, Sequence
 
-    from mbtool.columns.arrays import Bools
+    from mbtool.columns.arrays import Bools, Int64s, Numbers
     from mbtool.columns.column_decoder import DecodedBlock
     from mbtool.columns.plain_rows import PlainRows
     from mbtool.decode.decoder import Record
     from mbtool.devices import NamedTransaction
 
-_Numbers = Int64s | npt.NDArray[np.uint16]
 _READS = [*READ_BITS, *READ_REGISTERS - {0x17}]
 FEWEST = 64
 """Fewer rows together are made one by one."""
@@ -76,11 +74,11 @@ class _QuietBlock:
         self.is_quiet = self._without_findings(asked, is_read)
         ends = [(one.link, str(one.master), str(one.slave)) for one in rows.connections]
         self._ends = [*dict.fromkeys(ends)]
-        self._connection = _short(_numbers(ends)[rows.connection])
+        self._connection = narrow(_numbers(ends)[rows.connection])
         link = _numbers([link for link, _, _ in ends])[rows.connection]
         _, kind = np.unique(asked, return_inverse=True)
         _, poll = np.unique(kind << 32 | link << 8 | rows.unit, return_inverse=True)
-        self._poll = _short(poll)
+        self._poll = narrow(poll)
 
     def transaction(self, index: int) -> NamedTransaction:
         return self._namer.name(plain_transaction(self._rows, index))
@@ -162,13 +160,7 @@ def _numbers(values: Sequence[Hashable]) -> Int64s:
     return np.array([known[value] for value in values], np.int64)
 
 
-def _short(numbers: Int64s) -> _Numbers:
-    """The same numbers in 16 bits if they have room, as those are sorted several times as fast."""
-    is_short = not len(numbers) or numbers.max() < 1 << 16
-    return numbers.astype(np.uint16) if is_short else numbers
-
-
-def _alike(group: _Numbers, begin: int, end: int) -> list[Int64s]:
+def _alike(group: Numbers, begin: int, end: int) -> list[Int64s]:
     """The rows of each group, from one row to another; the group whose last row is first comes
     first.
     """

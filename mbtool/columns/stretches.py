@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from mbtool.columns.arrays import Bools, Int64s, Octets, gather, pieces
+from mbtool.columns.arrays import Bools, Int64s, Octets, gather, narrow, pieces
 from mbtool.columns.packet_block import SPARE
 from mbtool.columns.sent_again import is_sent_again
 from mbtool.decode.network_pairing import TIMEOUT_NS
@@ -101,9 +101,7 @@ class _Payloads:
 def find_stretches(headers: Headers, flows: Int64s, data: Octets) -> Stretches:
     """Find the plain stretches; `flows` are the flow numbers of the segments."""
     segments = headers.segments
-    # Numbers of flows that have room in 16 bits are sorted several times as fast.
-    has_room = len(flows) and flows.min() >= 0 and flows.max() < 1 << 16
-    order = np.argsort(flows.astype(np.uint16) if has_room else flows, kind="stable")
+    order = np.argsort(narrow(flows), kind="stable")
     flows = flows[order]
     repeats = is_sent_again(segments, order, flows, data)
     kept = np.flatnonzero(~repeats)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
+from operator import sub
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -134,7 +134,7 @@ class MasterHabits:
 
     def _note_ids(self, ids: Sequence[int]) -> None:
         before = ids[0] if self._last_id is None else self._last_id
-        steps = {later - earlier & 0xFFFF for earlier, later in pairwise((before, *ids))}
+        steps = {step & 0xFFFF for step in set(map(sub, ids, (before, *ids)))}
         if self._last_id is not None and steps == {0}:
             return  # Equal ids say nothing: a retry may have the same id.
         if self._last_id is not None and all(0 < step < 0x8000 for step in steps):
@@ -152,7 +152,7 @@ class MasterHabits:
         if older:
             # After FORGOTTEN steps, less than FORGET ns is left of an older latency; that falls no
             # more.
-            slowest_ns = min(max(slowest_ns, *older), FORGET - 1)
+            slowest_ns = min(max(slowest_ns, max(older)), FORGET - 1)
         for latency_ns in latencies[-FORGOTTEN:]:
             slowest_ns = max(slowest_ns - slowest_ns // FORGET, latency_ns)
         self._slowest_ns[function] = slowest_ns
