@@ -110,6 +110,7 @@ def check(
         told_as_lost,
         verdict_kept,
     )
+    from mbtool.cli.progress import with_progress
     from mbtool.cli.talk import interruptible
     from mbtool.devices.checking.security_limits import SecurityLimits
     from mbtool.workflows.check import CheckRun, CodeFilter
@@ -132,7 +133,7 @@ def check(
             file, _printer(chosen, file, each=each, names_files=len(files) > 1), run, path
         ) as printer,
     ):
-        for found in interrupt.breakable(run.findings()):
+        for found in interrupt.breakable(run.findings(with_progress)):
             printer.add(found)
     say_if_empty(run.reading)
     if run.counts:
@@ -151,14 +152,20 @@ def _finished(
     from mbtool.cli.talk import say
 
     has_failed = True
+    was_interrupted = False
     try:
         yield printer
         has_failed = False
+    except KeyboardInterrupt:
+        was_interrupted = True
+        raise
     finally:
         printer.end(run)
         file.flush()
-        for remark in run.remarks:
+        for remark in () if was_interrupted else run.remarks:
             say(remark)
+        if was_interrupted:
+            say("interrupted; what follows from the rest of the files is not there")
         if run.transactions or run.counts or not (has_failed or run.is_outside):
             say(_sentence(run) + ("" if path is None else f" -> {path}"))
 

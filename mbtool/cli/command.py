@@ -9,8 +9,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from enum import Enum
-from typing import Any
+from typing import Any, Literal, get_args, get_origin
 
 from typer import BadParameter
 from typer.core import TyperArgument, TyperCommand
@@ -29,6 +30,9 @@ class Command(TyperCommand):
 
     def get_params(self, ctx: Any) -> list[Any]:
         return with_plain_values(super().get_params(ctx))
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        return super().parse_args(ctx, with_plain_json(self.params, args))
 
     def collect_usage_pieces(self, ctx: Any) -> list[str]:
         options = [self.options_metavar] if self.options_metavar else []
@@ -49,11 +53,64 @@ class Command(TyperCommand):
             if not isinstance(param, TyperArgument)
             and (record := param.get_help_record(ctx)) is not None
         ]
+        own = {name: one for one in self.params for name in one.opts}
+        name = _json_name(own)
+        if name is not None and "--json" not in own:
+            at = next(at for at, one in enumerate(options) if one[0].startswith("--format")) + 1
+            options.insert(at, ("--json", f"Short for --format {name}."))
         with formatter.section("Options"):
             formatter.write_dl(options)
 
     def _arguments(self) -> list[TyperArgument]:
         return [param for param in self.params if isinstance(param, TyperArgument)]
+
+
+def with_plain_json(params: Sequence[Any], args: Sequence[str]) -> list[str]:
+    """Let --json and --format json stand for what a command calls its JSON.
+
+    That is --format json, --format jsonl where there are only lines of it, or --json. Where there
+    is only --json, --format table is what goes without saying.
+    """
+    options = {name: one for one in params for name in one.opts}
+    name = _json_name(options)
+    if name is None:
+        return [*args]
+    has_flag = "--json" in options
+    plain = ["--json"] if has_flag else ["--format", name]
+    made: list[str] = []
+    left = iter(args)
+    for one in left:
+        if one == "--":
+            return [*made, one, *left]
+        value = next(left, None) if one == "--format" else one.removeprefix("--format=")
+        if one != "--json" and not one.startswith("--format"):
+            made.append(one)
+        elif one == "--json" or value == "json":
+            made += plain
+        elif not has_flag or value != "table":
+            made += [one] if one != "--format" or value is None else [one, value]
+    return made
+
+
+def _json_name(options: dict[str, Any]) -> str | None:
+    """What the value of --format is for JSON; json where there is only --json, None for neither."""
+    if "--json" in options:
+        return "json"
+    if "--format" not in options:
+        return None
+    choices = [str(one) for one in _choices(options["--format"])]
+    return next((one for one in ("json", "jsonl") if one in choices), None)
+
+
+def _choices(option: Any) -> Sequence[object]:
+    """The values of an option whose type is an Enum or a Literal, also if it may be None."""
+    type_ = option.type_descriptor.annotation
+    for part in (type_, *get_args(type_)):
+        if isinstance(part, type) and issubclass(part, Enum):
+            return list(part)
+        if get_origin(part) is Literal:
+            return get_args(part)
+    return ()
 
 
 def with_plain_values(params: list[Any]) -> list[Any]:

@@ -56,7 +56,8 @@ def convert(
 
     from mbtool.cli.options import condition
     from mbtool.cli.output import demand_other_file
-    from mbtool.cli.talk import say
+    from mbtool.cli.progress import with_progress
+    from mbtool.cli.talk import interruption_told, say
     from mbtool.core import UsageError
     from mbtool.core.wording import counted
     from mbtool.workflows.convert import CAPTURE_SUFFIXES, Conversion
@@ -71,13 +72,14 @@ def convert(
     fits = None if where is None else condition(where)
     options = source.read(device, silences=silences)
     window = TimeWindow.parse(start, end)
-    conversion = Conversion(paths, options, window, fits)
+    conversion = Conversion(paths, options, window, fits, with_progress)
     if PurePath(out).suffix.lower() not in CAPTURE_SUFFIXES:
         _write_records(conversion, out, events, overwrite=overwrite)
     elif events is not None:
         raise UsageError("--events goes with .jsonl")
     else:
-        done = conversion.write(out, overwrite=overwrite, topic_per_point=topic_per_point)
+        with interruption_told(f"interrupted; {out} is not there, or ends early"):
+            done = conversion.write(out, overwrite=overwrite, topic_per_point=topic_per_point)
         parts = (
             (done.packets, "packet"),
             (done.reads, "read"),

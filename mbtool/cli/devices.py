@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from mbtool.cli.command import Command
+from mbtool.cli.command import Command, with_plain_json
 from mbtool.cli.devices_import import import_
 from mbtool.cli.devices_own import draft, export, new, schema
 from mbtool.cli.option_groups import takes_groups
@@ -28,6 +28,9 @@ _SHOW = "show"
 
 class _ShowsByDefault(TyperGroup):
     """A group in which a word that is not a command is the name of a profile."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        return super().parse_args(ctx, with_plain_json(self.params, args))
 
     def resolve_command(self, ctx: Any, args: list[str]) -> tuple[str | None, Any, list[str]]:
         if args[0] not in self.commands or args[0] == _SHOW:
@@ -67,18 +70,19 @@ def _devices(
         ),
     ] = None,
     format_: Annotated[
-        ListFormat, typer.Option("--format", help="How to print what --match says.")
+        ListFormat, typer.Option("--format", help="How to print; --json is short for jsonl.")
     ] = "table",
     source: SourceOptions,
 ) -> None:
     from mbtool.core import UsageError
 
-    has_match_option = source != SourceOptions() or format_ != "table"
     if matched is None:
-        if has_match_option:
-            raise UsageError("--format, --port, --rtu-port and --link go with --match FILE")
+        if source != SourceOptions():
+            raise UsageError("--port, --rtu-port and --link go with --match FILE")
         if context.invoked_subcommand is None:
-            _list()
+            _list(format_)
+        elif format_ != "table":
+            raise UsageError("--format goes with the list of profiles, and with --match FILE")
         return
     if context.invoked_subcommand not in (None, _SHOW):
         raise UsageError(f"--match does not go with {context.invoked_subcommand}")
@@ -107,12 +111,19 @@ def _show(
     PipeConsole().print(profile_page(load_profile(names[0])))
 
 
-def _list() -> None:
+def _list(format_: ListFormat) -> None:
+    import json
+
     from mbtool.cli.console import PipeConsole
     from mbtool.devices import builtin_profiles, load_profile
     from mbtool.views.profile import profile_list
 
-    PipeConsole().print(profile_list([load_profile(one) for one in builtin_profiles()]))
+    profiles = [load_profile(one) for one in builtin_profiles()]
+    if format_ == "table":
+        PipeConsole().print(profile_list(profiles))
+        return
+    for one in profiles:
+        typer.echo(json.dumps({"name": one.name, "title": one.title}, ensure_ascii=False))
 
 
 def _match(file: str, names: Sequence[str], options: ReadingOptions, format_: ListFormat) -> None:

@@ -49,7 +49,8 @@ def diff(
     from mbtool.cli.console import PipeConsole
     from mbtool.cli.options import condition
     from mbtool.cli.output import verdict_kept
-    from mbtool.cli.talk import say
+    from mbtool.cli.progress import with_progress
+    from mbtool.cli.talk import interruption_told, say
     from mbtool.views.differences import count_text, print_differences
     from mbtool.workflows.diff import DiffOptions, compare
 
@@ -59,7 +60,8 @@ def diff(
         ignore=ignore or (),
         latency=latency,
     )
-    compared = compare(a, b, options, say)
+    with interruption_told("interrupted; nothing was compared"):
+        compared = compare(a, b, options, say, with_progress)
     with verdict_kept(lambda: bool(compared.differences)):
         if format_ == "json":
             typer.echo(msgspec.json.format(msgspec.json.encode(compared), indent=2).decode())

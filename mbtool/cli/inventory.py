@@ -103,7 +103,7 @@ def inventory(
         told_as_lost,
     )
     from mbtool.cli.progress import with_progress
-    from mbtool.cli.talk import say
+    from mbtool.cli.talk import interruption_told, say
     from mbtool.core import UsageError
     from mbtool.version import __version__
     from mbtool.workflows.inventory import InventoryOptions, InventoryRun, changes_since
@@ -122,8 +122,9 @@ def inventory(
     # older output.
     run.reading.demand_files()
     demand_new(path, overwrite=overwrite)
-    document = run.take(say, with_progress)
-    new = changes_since(baseline, document, options, say) if baseline else None
+    with interruption_told():
+        document = run.take(say, with_progress)
+        new = changes_since(baseline, document, options, say) if baseline else None
     with opened(path, lambda: None, overwrite=overwrite) as (file, name), told_as_lost(name):
         _write(file, chosen, document, new, __version__, everything=each)
         file.flush()

@@ -14,7 +14,7 @@ from mbtool.cli import exit_codes
 from mbtool.cli.options import EventChoice, Format, SortKey
 from mbtool.cli.printers import LinesPrinter, ParquetPrinter, demand_columns, printer_for
 from mbtool.cli.record_order import SORTED
-from mbtool.cli.talk import say
+from mbtool.cli.talk import NOTHING_WRITTEN, say
 from mbtool.cli.tally import CONNECTION_EVENTS, Tally
 from mbtool.core import MbtoolError, OutputError, UsageError, WireEvent
 from mbtool.views.table_options import TableOptions
@@ -256,10 +256,12 @@ def open_output(
             yield output
         except OutputError:
             raise
-        except (MbtoolError, KeyboardInterrupt):
+        except (MbtoolError, KeyboardInterrupt) as error:
             output.finish()
             if is_summed and not output.is_empty:
                 say(output.sentence())
+            elif is_summed and isinstance(error, KeyboardInterrupt):
+                say(NOTHING_WRITTEN)
             raise
         output.finish()
         if is_summed:

@@ -75,7 +75,7 @@ def plot(
         say_if_empty,
     )
     from mbtool.cli.progress import with_progress
-    from mbtool.cli.talk import say
+    from mbtool.cli.talk import interruption_told, say
     from mbtool.core import UsageError
     from mbtool.workflows.plot import PlotRun
     from mbtool.workflows.shared.time_window import TimeWindow
@@ -97,7 +97,8 @@ def plot(
     run = PlotRun(files, options, texts, window, condition(where))
     run.reading.demand_files()
     demand_new(path, overwrite=overwrite)
-    values = run.take(with_progress)
+    with interruption_told():
+        values = run.take(with_progress)
     if path is not None and picture is not None:
         _write(values, path, picture, overwrite=overwrite)
     else:

@@ -20,8 +20,10 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 _APPEARS_S = 1.0
-_SHOW_EVERY = 500
-"""The bar is updated once for so many records."""
+_LOOK_EVERY = 100
+"""The clock is looked at once for so many records, and at each part of several rows."""
+_PAUSE_S = 0.1
+"""The bar is updated at most this often, in s."""
 
 
 def with_progress(reading: Reading, records: Iterator[T]) -> Iterator[T]:
@@ -32,16 +34,29 @@ def with_progress(reading: Reading, records: Iterator[T]) -> Iterator[T]:
 def _shown(reading: Reading, records: Iterator[T]) -> Iterator[T]:
     from rich.console import Console
     from rich.markup import escape
-    from rich.progress import Progress
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        TaskProgressColumn,
+        TextColumn,
+        TimeRemainingColumn,
+    )
 
-    bar = Progress(console=Console(stderr=True), transient=True)
+    bar = Progress(
+        TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn(),
+        TextColumn("left"), console=Console(stderr=True), transient=True,
+    )  # fmt: skip
     task = bar.add_task("reading", total=1.0)
     began_s = time.monotonic()
     with ExitStack() as shown:
         is_shown = False
-        for number, record in enumerate(records, 1):
-            if number % _SHOW_EVERY == 0 and time.monotonic() - began_s >= _APPEARS_S:
-                rate = number / (time.monotonic() - began_s)
+        number, next_s = 0, began_s + _APPEARS_S
+        for record in records:
+            rows = getattr(record, "row_count", 1)
+            number += rows
+            if (rows > 1 or number % _LOOK_EVERY == 0) and (now_s := time.monotonic()) >= next_s:
+                next_s = now_s + _PAUSE_S
+                rate = number / (now_s - began_s)
                 told = f"{reading.progress_text}, {rate:,.0f} rows/s"
                 bar.update(task, completed=reading.fraction, description=escape(escaped(told)))
                 if not is_shown:

@@ -74,7 +74,7 @@ def report(
         told_as_lost,
     )
     from mbtool.cli.progress import with_progress
-    from mbtool.cli.talk import say
+    from mbtool.cli.talk import interruption_told, say
     from mbtool.core import UsageError
     from mbtool.workflows.check import CodeFilter
     from mbtool.workflows.report import ReportRun
@@ -98,8 +98,9 @@ def report(
     demand_new(path, overwrite=overwrite)
     # The output is opened only when everything is read, so that an error does not overwrite an
     # older page.
-    run.read(with_progress)
-    text = run.page(against, say)
+    with interruption_told():
+        run.read(with_progress)
+        text = run.page(against, say)
     with opened(path, lambda: None, overwrite=overwrite) as (file, name), told_as_lost(name):
         file.write(text)
         file.flush()

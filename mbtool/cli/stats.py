@@ -156,7 +156,7 @@ def _read(shown: _Shown, options: ReadingOptions) -> None:
     from mbtool.cli.options import condition
     from mbtool.cli.output import say_if_empty
     from mbtool.cli.progress import with_progress
-    from mbtool.cli.talk import interruptible, say
+    from mbtool.cli.talk import interruptible, interruption_told, say
     from mbtool.core import InputError
     from mbtool.workflows.shared.reading_choice import part_reading
     from mbtool.workflows.stats import FileStatistics
@@ -165,7 +165,7 @@ def _read(shown: _Shown, options: ReadingOptions) -> None:
     run = FileStatistics(reading, condition(shown.where))
     reading.demand_files()
     broken: InputError | None = None
-    with interruptible() as interrupt:
+    with interruption_told(), interruptible() as interrupt:
         try:
             for _ in with_progress(reading, interrupt.breakable(run.run())):
                 pass

@@ -142,6 +142,19 @@ class Interrupt:
             yield item
 
 
+NOTHING_WRITTEN = "interrupted; nothing was written"
+
+
+@contextmanager
+def interruption_told(text: str = NOTHING_WRITTEN) -> Iterator[None]:
+    """If Ctrl-C ends what runs in the context, say so, and what was kept."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        say(text)
+        raise
+
+
 @contextmanager
 def interruptible() -> Iterator[Interrupt]:
     """While the context is open, only note Ctrl-C, SIGTERM and SIGHUP (the terminal is gone).

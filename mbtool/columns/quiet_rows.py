@@ -146,6 +146,11 @@ class _BlockRows:
     def __len__(self) -> int:
         return self._end - self._begin
 
+    @property
+    def row_count(self) -> int:
+        """The number of its rows, for a progress bar."""
+        return len(self)
+
     def run(self, begin: int) -> QuietRun:
         return self._block.run(self._begin + begin, self._end)
 

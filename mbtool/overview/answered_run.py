@@ -48,6 +48,11 @@ class AnsweredRun:
     def __len__(self) -> int:
         return len(self.kind)
 
+    @property
+    def row_count(self) -> int:
+        """The number of its transactions, for a progress bar."""
+        return len(self.kind)
+
     def latencies_of(self, polls: Sequence[P]) -> dict[P, list[int]]:
         """The latencies of each poll, in order; `polls` are those of the kinds."""
         found: dict[P, list[int]] = {poll: [] for poll in polls}

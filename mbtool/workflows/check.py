@@ -26,19 +26,22 @@ from mbtool.devices.profile_checks import finding_prefix
 from mbtool.sources.files import STANDARD_INPUT
 from mbtool.workflows.shared.log_records import profiles_of_logs
 from mbtool.workflows.shared.model_hints import ModelHints
+from mbtool.workflows.shared.read_all import unwatched
 from mbtool.workflows.shared.reading import Reading
 from mbtool.workflows.shared.reading_choice import column_reading
 from mbtool.workflows.shared.time_window import TimeWindow
 from mbtool.workflows.shared.unreadable_lines import UnreadableLines
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from mbtool.core import SerialFormat
     from mbtool.decode.decoder import Record
     from mbtool.devices import Profile
     from mbtool.devices.checking.quiet_run import QuietRows
     from mbtool.workflows.shared.reading import ReadingOptions
+
+    WatchRows = Callable[[Reading, Iterator[Record | QuietRows]], Iterator[Record | QuietRows]]
 
 LARGE = 1_000_000
 """A capture file of at least so many bytes is read as arrays, if it can be; for a smaller one their
@@ -170,15 +173,15 @@ class CheckRun:
         """True if the files have transactions, but none in the window."""
         return self._window.why_empty is not None
 
-    def findings(self) -> Iterator[FileFinding]:
+    def findings(self, watch: WatchRows = unwatched) -> Iterator[FileFinding]:
         """Yield the findings with chosen codes, capture by capture.
 
-        Raises InputError for a file that cannot be read. For a file that is cut or damaged,
-        InputError is raised after all findings.
+        `watch` may show how much has been read. Raises InputError for a file that cannot be read;
+        for a file that is cut or damaged, after all findings.
         """
         columns = self._columns if self._window.is_whole else None
         parts = self.reading.records() if columns is None else columns.quiet_parts()
-        for _, _, found in self._checked(parts):
+        for _, _, found in self._checked(watch(self.reading, parts)):
             yield from found
 
     def checked(self) -> Iterator[CheckedRecord]:

@@ -41,6 +41,7 @@ from mbtool.packets.line_packets import (
 )
 from mbtool.workflows.shared.conversion_inputs import grouped
 from mbtool.workflows.shared.pcapng_output import Converted, NumberedPacket, PcapngOutput, Shown
+from mbtool.workflows.shared.read_all import unwatched
 from mbtool.workflows.shared.wire_streams import StreamKey, WirePiece, WireStream
 
 if TYPE_CHECKING:
@@ -50,6 +51,7 @@ if TYPE_CHECKING:
     from mbtool.devices import NamedTransaction
     from mbtool.logs.messages import LogItem
     from mbtool.workflows.shared.conversion_inputs import InputGroup
+    from mbtool.workflows.shared.read_all import Watch
     from mbtool.workflows.shared.reading import ReadingOptions
     from mbtool.workflows.shared.time_window import TimeWindow
 
@@ -70,14 +72,18 @@ class Conversion:
         options: ReadingOptions,
         window: TimeWindow,
         where: Callable[[NamedTransaction], bool] | None = None,
+        watch: Watch = unwatched,
     ) -> None:
         """Look at the files; `where` is None to take all transactions.
+
+        `watch` may show how much of a capture has been decoded.
 
         Raises InputError for a file that cannot be read, UsageError for one that is not converted.
         """
         self._options = options
         self._window = window
         self._where = where
+        self._watch = watch
         self._groups = grouped(paths, options)
 
     @property
@@ -144,7 +150,7 @@ class Conversion:
         first = 1
         heard: dict[str, tuple[int, InputGroup]] = {}
         for group in self._groups:
-            group.read_marks(self._is_wanted, first)
+            group.read_marks(self._is_wanted, first, self._watch)
             first += group.marks.transactions
             for link, (begin_ns, end_ns) in group.marks.spans.items():
                 if link in heard and heard[link][0] > begin_ns:

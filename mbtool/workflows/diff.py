@@ -11,7 +11,7 @@ import msgspec
 from mbtool.core import InputError, WireEvent
 from mbtool.devices import Difference, NamedTransaction, Span, parse_span
 from mbtool.replay import Ignored, Traffic, differences
-from mbtool.workflows.shared.read_all import read_all
+from mbtool.workflows.shared.read_all import Watch, read_all, unwatched
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
 
 if TYPE_CHECKING:
@@ -42,7 +42,11 @@ class Comparison(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def compare(
-    a: str, b: str, options: DiffOptions, on_remark: Callable[[str], None] = lambda _: None
+    a: str,
+    b: str,
+    options: DiffOptions,
+    on_remark: Callable[[str], None] = lambda _: None,
+    watch: Watch = unwatched,
 ) -> Comparison:
     """Read both files and compare them.
 
@@ -53,7 +57,7 @@ def compare(
     traffic, profiles = [], dict[str, "Profile"]()
     for path in (a, b):
         reading = Reading([path], options.reading)
-        read = _traffic(path, reading, options, on_remark)
+        read = _traffic(path, reading, options, on_remark, watch)
         if not read.count:
             raise InputError(f"{path}: no transaction to compare; see what it holds with decode")
         traffic.append(read)
@@ -70,13 +74,17 @@ def compare(
 
 
 def _traffic(
-    path: str, reading: Reading, options: DiffOptions, on_remark: Callable[[str], None]
+    path: str,
+    reading: Reading,
+    options: DiffOptions,
+    on_remark: Callable[[str], None],
+    watch: Watch,
 ) -> Traffic:
     def say(remark: str) -> None:
         on_remark(remark if path in remark else f"{path}: {remark}")
 
     traffic = Traffic()
-    for record in read_all(reading, say, "{error}; comparing what is there"):
+    for record in read_all(reading, say, "{error}; comparing what is there", watch):
         if not isinstance(record, WireEvent) and options.wanted(record):
             traffic.add(record)
     return traffic

@@ -5,8 +5,10 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from mbtool.cli.command import with_plain_json
 from mbtool.cli.devices import devices
 from mbtool.cli.main import app
+from tests.cli.test_stats import LINE
 
 if TYPE_CHECKING:
     from tests.cli.program import CommandLine
@@ -48,3 +50,41 @@ def test_help_without_arguments_has_no_part_for_them(mbtool: CommandLine) -> Non
     help_ = mbtool("links", "--help").out
     assert help_.startswith("Usage: mbtool links [OPTIONS]\n")
     assert ("Arguments:" in help_, "Options:" in help_) == (False, True)
+
+
+@pytest.mark.parametrize("short", [["--json"], ["--format", "json"], ["--format=json"]])
+@pytest.mark.parametrize(
+    ("command", "usual"),
+    [
+        (["check", LINE], ["--format", "json"]),
+        (["inventory", LINE], ["--format", "json"]),
+        (["diff", LINE, LINE], ["--format", "json"]),
+        (["decode", LINE], ["--format", "jsonl"]),
+        (["devices"], ["--format", "jsonl"]),
+        (["stats", LINE], ["--json"]),
+        (["plot", LINE], ["--json"]),
+    ],
+)
+def test_json_has_the_same_short_form_everywhere(
+    mbtool: CommandLine, command: list[object], usual: list[str], short: list[str]
+) -> None:
+    told = mbtool(*command, *short)
+    assert told.out == mbtool(*command, *usual).out
+    assert told.out[0] == "{"
+
+
+def test_the_help_names_the_short_form(mbtool: CommandLine) -> None:
+    assert "  --json  " in mbtool("check", "--help").out
+    assert "Short for --format jsonl." in mbtool("decode", "--help").out
+    assert "--json" not in mbtool("sniff", "--help").out.partition("--format")[0]
+
+
+def test_a_format_that_is_the_only_one_goes_without_saying() -> None:
+    class Flag:
+        opts = ("--json",)
+
+    assert with_plain_json([Flag()], ["--format", "table", "x"]) == ["x"]
+    assert with_plain_json([Flag()], ["--", "--json"]) == ["--", "--json"]
+    assert with_plain_json([Flag()], ["--format", "csv"]) == ["--format", "csv"]
+    assert with_plain_json([Flag()], ["--format"]) == ["--format"]
+    assert with_plain_json([], ["--json"]) == ["--json"]

@@ -106,7 +106,7 @@ def test_match_of_a_capture_without_modbus_says_so(mbtool: CommandLine, tmp_path
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["--format", "jsonl"], "go with --match FILE"),
+        (["--format", "jsonl", "wago-750"], "goes with the list of profiles"),
         (["--port", "any", "wago-750"], "go with --match FILE"),
         (["--match", "x.pcap", "schema"], "--match does not go with schema"),
         (["--nonsense"], "see mbtool devices --help"),

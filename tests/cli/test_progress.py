@@ -106,3 +106,46 @@ def test_a_recording_that_is_to_be_played_is_read_with_it(
     assert told.code == exit_codes.UNREADABLE
     assert "/dev/absent" in told.err
     assert len(passed) >= 3
+
+
+class Part:
+    """Several rows at once."""
+
+    row_count = 250
+
+
+def test_parts_count_with_all_their_rows(monkeypatch: pytest.MonkeyPatch) -> None:
+    screen, left = Screen(is_terminal=True), [10.0, 11.0, 12.0, 12.0]
+    clock = SimpleNamespace(monotonic=lambda: left.pop(0) if len(left) > 1 else left[0])
+    monkeypatch.setattr("mbtool.cli.progress.time", clock)
+    monkeypatch.setattr("sys.stderr", screen)
+    monkeypatch.setenv("TERM", "xterm")
+    reading: Any = Halfway()
+    assert len([*with_progress(reading, iter([Part(), Part()]))]) == 2
+    assert "250 rows/s" in screen.getvalue()
+    assert "left" in screen.getvalue()
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["check", "{}"], ["diff", "{}", "{}"], ["convert", "{}", "x.mcap"], ["report", "{}", "-o",
+        "x.html"], ["plot", "{}"], ["inventory", "{}"], ["stats", "{}"], ["decode", "{}"],
+    ],
+)  # fmt: skip
+def test_ctrl_c_says_what_was_kept_of_a_file(
+    mbtool: CommandLine, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, command: list[str]
+) -> None:
+    def interrupted(_: object, records: Iterator[object]) -> Iterator[object]:
+        yield next(records)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("mbtool.cli.progress.with_progress", interrupted)
+    monkeypatch.setattr("mbtool.cli.decode.with_progress", interrupted, raising=False)
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / "plant.pcap"
+    path.write_bytes(pcap(captured(3)))
+    told = mbtool(*(one.replace("{}", str(path)) for one in command))
+    assert told.code == exit_codes.INTERRUPTED
+    assert "interrupted; " in told.err
+    assert not list(tmp_path.glob("x.*"))

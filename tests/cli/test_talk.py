@@ -9,7 +9,13 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from mbtool.cli.talk import Interrupt, interruptible, redrawn_line, say
+from mbtool.cli.talk import (
+    Interrupt,
+    interruptible,
+    interruption_told,
+    redrawn_line,
+    say,
+)
 from tests.cli.program import PATIENCE_S
 
 if TYPE_CHECKING:
@@ -101,3 +107,12 @@ def test_a_signal_at_any_line_of_a_wait_does_not_deadlock() -> None:
     while _waits_with_a_signal_at(line):
         line += 1
     assert line > 0
+
+
+def test_an_interruption_says_what_was_kept(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(KeyboardInterrupt), interruption_told("interrupted; nothing was written"):
+        raise KeyboardInterrupt
+    assert capsys.readouterr().err == "interrupted; nothing was written\n"
+    with interruption_told():
+        pass
+    assert capsys.readouterr().err == ""

@@ -21,6 +21,7 @@ from mbtool.sources.files import PACKET_KINDS, STANDARD_INPUT, CaptureKind, open
 from mbtool.workflows.shared.capture_parts import BACK_NS, Part
 from mbtool.workflows.shared.evidence_reading import EvidenceMarks, EvidenceReading, frames_of
 from mbtool.workflows.shared.evidence_reading import read_evidence as evidence_of_files
+from mbtool.workflows.shared.read_all import Watch, unwatched
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
 from mbtool.workflows.shared.wire_streams import StreamKey
 
@@ -70,12 +71,14 @@ class InputGroup:
             self.broken = error
         self.remarks = reading.remarks
 
-    def read_marks(self, wanted: Callable[[NamedTransaction], bool], first: int) -> None:
+    def read_marks(
+        self, wanted: Callable[[NamedTransaction], bool], first: int, watch: Watch = unwatched
+    ) -> None:
         """Decode the evidence, and note what it says of packets and frames."""
         reading = EvidenceReading(self.paths, replace(self.options, raw=self.is_raw))
         self.line_of = lambda link: reading.line_of(link)
         try:
-            reading.read_marks(wanted, first)
+            reading.read_marks(wanted, first, watch)
         except InputError as error:
             self.broken = error
         self.remarks = reading.remarks
@@ -94,7 +97,9 @@ class TransactionGroup(InputGroup):
         with open(path, "rb") as file:
             yield from read_jsonl(file, path)
 
-    def read_marks(self, wanted: Callable[[NamedTransaction], bool], first: int) -> None:
+    def read_marks(
+        self, wanted: Callable[[NamedTransaction], bool], first: int, watch: Watch = unwatched
+    ) -> None:
         number = first
         for record in self.records():
             if not isinstance(record, WireEvent):

@@ -23,6 +23,7 @@ from mbtool.modbus import Outcome, Verdict
 from mbtool.packets import reads_of, serial_pieces
 from mbtool.sources.files import PACKET_KINDS, CaptureKind, open_capture
 from mbtool.workflows.shared.heard_line import serial_types
+from mbtool.workflows.shared.read_all import unwatched
 from mbtool.workflows.shared.reading import Reading
 from mbtool.workflows.shared.wire_streams import SkippedBytes, StreamKey, WireFrame
 
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
 
     from mbtool.decode.decoder import Evidence
     from mbtool.devices import NamedTransaction, Profile
+    from mbtool.workflows.shared.read_all import Watch
     from mbtool.workflows.shared.reading import ReadingOptions
 
 
@@ -66,14 +68,16 @@ class EvidenceReading(Reading):
         """The streams with a direction, by link, direction and ends."""
         self.marks = EvidenceMarks()
 
-    def read_marks(self, wanted: Callable[[NamedTransaction], bool], first: int = 1) -> None:
+    def read_marks(
+        self, wanted: Callable[[NamedTransaction], bool], first: int = 1, watch: Watch = unwatched
+    ) -> None:
         """Decode all; `first` is the number of the first transaction.
 
         Raises the errors of `records`; what was read before is noted.
         """
         number = first
         try:
-            for record in self.records():
+            for record in watch(self, self.records()):
                 if isinstance(record, WireEvent):
                     self._note_event(record)
                 else:
