@@ -322,7 +322,8 @@ class BusModel:
         """True if a frame may be a retry or a slow response, and this line has shown neither.
 
         The frame equals the pending request. It comes so late that some masters would already
-        repeat the request, but not much later than the slowest responses of this line.
+        repeat the request, later than any response heard, but not much later than the slowest
+        responses of such lines.
         """
         history, pending = self.history, self.state.pending
         if pending is None or not history.trusts_silences or history.timeout.is_known:
@@ -330,7 +331,9 @@ class BusModel:
         waited_ns = start_ns - pending.awaited_from_ns
         if waited_ns < LatencyStatistics.MIN_RETRY_NS or not pending.is_same(unit, pdu):
             return False
-        if not 0.0 < history.latency.doublings_late(waited_ns) <= costs.SLOW_DOUBLINGS:
+        if history.latency.has_heard(waited_ns):
+            return False
+        if history.latency.doublings_late(waited_ns) > costs.SLOW_DOUBLINGS:
             return False
         heard = history.echo_latencies.get((unit, pdu[0]))
         return heard is None or not heard.has_heard(waited_ns)

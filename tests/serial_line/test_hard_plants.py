@@ -8,7 +8,7 @@ import pytest
 
 from mbtool.core import Direction, EventKind, SerialFormat
 from mbtool.decode import Bus
-from mbtool.modbus import Adu, Outcome, Transaction, rtu_adu
+from mbtool.modbus import Adu, Outcome, Transaction, Verdict, rtu_adu
 from tests.feeding import Line
 
 if TYPE_CHECKING:
@@ -185,3 +185,16 @@ def test_write_merged_with_its_response_on_a_slow_line_is_no_sure_retry() -> Non
     ]
     writes = transactions(heard(reads), 0x06)
     assert all(one.confidence < 0.8 for one in writes[3:])
+
+
+def test_an_echo_later_than_any_response_heard_is_ambiguous_also_at_the_beginning() -> None:
+    """In a scan with 08 a retry comes 100 ms after its request, and just one unit has answered."""
+    read, answer = rtu_adu(0x18, bytes.fromhex("03 006B 0001")), bytes.fromhex("03 02 022B")
+    line = Line(FORMAT).frame(read, 0).frame(rtu_adu(0x18, answer), 24 * MS)
+    echo = rtu_adu(5, bytes.fromhex("08 0000 A537"))
+    line.frame(echo, 32 * MS).frame(echo, 100 * MS)
+    bus = Bus("line", FORMAT)
+    decoded = [one for data, ts_ns in line.reads() for one in bus.feed(data, ts_ns)]
+    first, second = [one for one in [*decoded, *bus.close()] if isinstance(one, Transaction)]
+    assert (first.unit, Verdict.AMBIGUOUS in first.verdicts) == (0x18, False)
+    assert (second.unit, Verdict.AMBIGUOUS in second.verdicts) == (5, True)
