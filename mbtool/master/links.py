@@ -33,6 +33,7 @@ from mbtool.core.link_spec import ANSWERED
 from mbtool.framing import MbapSplitter, RtuStreamSplitter
 from mbtool.modbus import Adu, ascii_adu, mbap_adu, rtu_adu
 from mbtool.modbus.adu import DirectionBy, Transport
+from mbtool.ports.arrival_times import note_arrivals, receive
 from mbtool.ports.serial_opening import open_port, port_in_use
 from mbtool.ports.tls import client_context, failure
 from mbtool.serial_line import AsciiSplitter, RtuSplitter
@@ -150,11 +151,14 @@ class MasterLink(ABC):
     def _is_answered(self) -> bool:
         """Wait for the response to the last request of `exchange`; False if it does not come."""
         until_ns = time.monotonic_ns() + self.limits.timeout_ns
-        while (rest_ns := until_ns - time.monotonic_ns()) > 0:
-            if self._asked in self.lost():
-                return False
-            if any(one.number == self._asked for one in self.receive(rest_ns)):
+        rest_ns = self.limits.timeout_ns
+        while self._asked not in self.lost():
+            # Also if the time is over: the response may have come while this process did not run.
+            if any(one.number == self._asked for one in self.receive(max(rest_ns, 0))):
                 return True
+            if rest_ns <= 0:
+                return False
+            rest_ns = until_ns - time.monotonic_ns()
         return False
 
     def _note_request(
@@ -265,21 +269,20 @@ class TcpMaster(MasterLink):
         if not self._has_bytes(self._socket, wait_s):
             return ()
         try:
-            data = self._socket.recv(READ_BYTES)
+            data, arrived_ns = receive(self._socket, READ_BYTES)
         except (TimeoutError, ssl.SSLWantReadError):
             return ()  # What came were messages of TLS itself.
         except OSError as error:
             why = failure(error, "slave")
             if why is not None:
                 self._on_remark(f"mbtool: {self._link}: {why}")
-            data = b""
-        now_ns = time.monotonic_ns()
+            data, arrived_ns = b"", 0
         if not data:
             self._lose()
             return ()
         return [
             response
-            for event in self._splitter.feed(data, now_ns)
+            for event in self._splitter.feed(data, arrived_ns)
             if (response := self._matched(event)) is not None
         ]
 
@@ -349,6 +352,7 @@ class TcpMaster(MasterLink):
         connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         if self._tls is not None:
             connected = self._secured(connected, *self._tls)
+        note_arrivals(connected)
         self._splitter = (RtuStreamSplitter if self._link.rtu else MbapSplitter)(Direction.RESPONSE)
         return connected
 

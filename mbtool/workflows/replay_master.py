@@ -172,14 +172,18 @@ class MasterRun:
             master.send(step.number, step.unit, step.pdu)
             conductor.note_sent(step, time.monotonic_ns())
             return
-        for late, is_right in conductor.expire(now_ns):
-            on_answer(late, None, is_right)
         wake_ns = conductor.wake_ns(now_ns)
         rest_ns = longest_wait_ns if wake_ns is None else min(wake_ns - now_ns, longest_wait_ns)
-        for answer in master.receive(rest_ns):
+        answers = master.receive(max(rest_ns, 0))
+        for answer in answers:
             agrees = conductor.answered(*answer)
             if agrees is not None:
                 on_answer(self.script.steps[answer.number], answer.pdu, agrees)
+        if not answers:
+            # A response that came in time may be read late if this process did not run for a while.
+            # So requests only expire by the time before the wait, and when nothing was there.
+            for late, is_right in conductor.expire(now_ns):
+                on_answer(late, None, is_right)
 
     def _report(
         self, link: LinkSpec, judge: Judge, conductor: Conductor | None, problem: str | None

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import socket
 from concurrent.futures import ThreadPoolExecutor
+from itertools import count
+from types import SimpleNamespace
+from typing import TYPE_CHECKING
 
 from mbtool.core import Endpoint, SerialLink, TcpLink
-from mbtool.master.links import open_master
+from mbtool.master import links
+from mbtool.master.links import ReceivedResponse, open_master
 from mbtool.modbus import Response, mbap_adu, rtu_adu
 from mbtool.modbus.adu import Transport
 from mbtool.slave.shells import SerialSlave, TcpSlave
@@ -14,6 +18,9 @@ from mbtool.sources.virtual_line import VirtualLine
 from tests.slave.scripted import PATIENCE_S, Scripted
 from tests.workflows.bench import ANY, FAST
 from tests.workflows.evidence import READ, VALUES, WRITE
+
+if TYPE_CHECKING:
+    import pytest
 
 SHORT_NS = 200_000_000
 
@@ -80,3 +87,16 @@ def test_a_late_response_is_not_taken_for_that_of_the_next_request() -> None:
             done = master.exchange(1, WRITE)
     assert done.response is not None
     assert done.response.pdu == WRITE
+
+
+def test_a_response_that_came_while_this_process_did_not_run_is_read(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    ten_seconds = count(0, 10_000_000_000)  # Pass whenever somebody looks at the clock.
+    script = Scripted(lambda _unit, _pdu: Response(VALUES))
+    with TcpSlave(TcpLink(ANY), script) as slave, open_master(TcpLink(slave.endpoint)) as master:
+        answer = master.exchange(1, READ).response
+        assert answer is not None
+        monkeypatch.setattr(master, "receive", lambda _: [ReceivedResponse(2, VALUES, 0, 0)])
+        monkeypatch.setattr(links, "time", SimpleNamespace(monotonic_ns=ten_seconds.__next__))
+        assert master.exchange(1, READ).response is answer

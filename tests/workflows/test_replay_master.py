@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import re
+import time
 from fractions import Fraction
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING
 from xml.etree import ElementTree
@@ -13,9 +15,13 @@ import msgspec
 import pytest
 
 from mbtool.core import InputError, UsageError, parse_link
+from mbtool.core.limits import LinkLimits
+from mbtool.master.links import MasterLink, ReceivedResponse
 from mbtool.modbus import Response
+from mbtool.modbus.adu import Transport
 from mbtool.replay import Control, TimeRange, Tolerance
 from mbtool.slave.shells import open_shell
+from mbtool.workflows import replay_master
 from mbtool.workflows.replay_master import MasterOptions, MasterRun, Report, junit
 from mbtool.workflows.shared.reading import ReadingOptions
 from tests.packets.building import pcap
@@ -288,3 +294,33 @@ def test_only_a_window_is_asked(capture: Path) -> None:
     assert len(_run(capture, window=TimeRange(later)).script.steps) == 2
     with pytest.raises(InputError, match="to ask in the part from 99 s on; give another"):
         _run(capture, window=TimeRange(99_000_000_000))
+
+
+class _SlowReader(MasterLink):
+    """The response to each request is there as soon as somebody reads."""
+
+    limits = LinkLimits(timeout_ns=2_000_000_000, one_at_a_time=False)
+    transport = Transport.TCP
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._sent: list[int] = []
+
+    def send(self, number: int, unit: int, pdu: bytes) -> None:
+        self._sent.append(number)
+
+    def receive(self, timeout_ns: int) -> list[ReceivedResponse]:
+        numbers, self._sent = self._sent, []
+        return [ReceivedResponse(number, VALUES, 0, 0) for number in numbers]
+
+    def close(self) -> None: ...
+
+
+def test_a_slave_is_not_blamed_if_this_process_did_not_run_for_a_while(
+    capture: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ten_seconds = count(0, 10_000_000_000)  # Pass whenever somebody looks at the clock.
+    monkeypatch.setattr(replay_master, "open_master", lambda *_: _SlowReader())
+    monkeypatch.setattr(time, "monotonic_ns", lambda: next(ten_seconds))
+    report = _run(capture).play(parse_link("tcp:127.0.0.1:1"))
+    assert (report.requests, report.different) == (3, 0)

@@ -1,0 +1,60 @@
+"""When bytes arrived, although they are read late."""
+
+from __future__ import annotations
+
+import socket
+import struct
+import sys
+import time
+from typing import cast
+
+import pytest
+
+from mbtool.ports.arrival_times import MOST_LATE_NS, note_arrivals, receive
+
+SECOND = 1_000_000_000
+STAMPS = 35
+
+
+class StampedSocket:
+    """A socket whose bytes arrived some time before they are read."""
+
+    def __init__(self, late_ns: int) -> None:
+        self._late_ns = late_ns
+
+    def recvmsg(self, size: int, _: int) -> tuple[bytes, list[tuple[int, int, bytes]], int, object]:
+        stamp = struct.pack("@ll", *divmod(time.time_ns() - self._late_ns, SECOND))
+        return b"read late"[:size], [(socket.SOL_SOCKET, STAMPS, stamp)], 0, None
+
+
+def lateness_of(late_ns: int) -> int:
+    """How long ago bytes are said to have arrived that are as late as this, in ns."""
+    before_ns = time.monotonic_ns()
+    data, arrived_ns = receive(cast("socket.socket", StampedSocket(late_ns)), 100)
+    assert data == b"read late"
+    return before_ns - arrived_ns
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells times of arrival")
+def test_bytes_arrived_when_the_kernel_says() -> None:
+    assert 4 * SECOND < lateness_of(5 * SECOND) <= 5 * SECOND
+
+
+@pytest.mark.parametrize("late_ns", [-5 * SECOND, MOST_LATE_NS + SECOND], ids=["future", "old"])
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells times of arrival")
+def test_a_time_that_a_set_clock_explains_is_not_used(late_ns: int) -> None:
+    assert lateness_of(late_ns) <= 0
+
+
+def test_bytes_of_a_connection_arrive_between_sending_and_reading() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        near = socket.create_connection(server.getsockname())
+        far, _ = server.accept()
+    with near, far:
+        note_arrivals(near)
+        far.sendall(b"abc")
+        data, arrived_ns = receive(near, 100)
+        assert data == b"abc"
+        assert arrived_ns <= time.monotonic_ns()
+        far.close()
+        assert receive(near, 100)[0] == b""
