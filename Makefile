@@ -13,7 +13,7 @@ IN_PARALLEL := --numprocesses $(WORKERS) --dist worksteal
 # Tests start hundreds of processes; without byte code each would compile all it imports again.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: help install demo test quick coverage mutants lint test-peers truth format clean
+.PHONY: help install demo test quick coverage mutants lint test-peers truth format clean docs man zipapp dist
 
 help:
 	@echo "make demo        install into .venv and run mbtool demo"
@@ -23,6 +23,10 @@ help:
 	@echo "make mutants     change the code in 60 small ways, list the changes that no test notices"
 	@echo "make test-peers  install mbpoll, tshark and libmodbus (Debian), run the tests that need them"
 	@echo "make truth       compare every capture made by others with its truth, as a table"
+	@echo "make docs        run the commands of the pages, build the site into build/site"
+	@echo "make man         write the manual page build/mbtool.1 from the help texts"
+	@echo "make zipapp      one file with all dependencies, build/mbtool.pyz"
+	@echo "make dist        wheel and source archive in dist/"
 	@echo "make install     install into .venv only: then .venv/bin/mbtool"
 	@echo "make format      let ruff put the code in order"
 
@@ -71,6 +75,30 @@ test-peers: $(VENV)/installed-test
 truth: $(VENV)/installed-test
 	$(RUN)/python -m tests.differential.truth
 	$(RUN)/python -m tests.differential.inventory_truth
+
+$(VENV)/installed-docs: $(VENV)/installed
+	$(PYTHON) -m pip --python $(RUN)/python install --quiet --editable '.[docs]'
+	@touch $@
+
+docs: $(VENV)/installed-docs $(VENV)/installed-test
+	$(RUN)/python -m tests.docs.console
+	$(RUN)/python -m tests.docs.site
+
+man: install
+	@mkdir -p build
+	$(RUN)/python -m tests.docs.man_page > build/mbtool.1
+
+# The packages of one Python and system, as some hold machine code.
+zipapp:
+	rm -rf build/zipapp && mkdir -p build/zipapp
+	$(PYTHON) -m pip install --quiet --target build/zipapp/packages '.[watch]'
+	cp tests/docs/zipapp_main.py build/zipapp/__main__.py
+	$(PYTHON) -m zipapp build/zipapp --compress --python '/usr/bin/env python3' --output build/mbtool.pyz
+
+dist: install
+	rm -rf dist
+	$(PYTHON) -m pip --python $(RUN)/python install --quiet build
+	SOURCE_DATE_EPOCH=$$(git log -1 --format=%ct) $(RUN)/python -m build --quiet
 
 format: $(VENV)/installed-test
 	$(RUN)/ruff check --fix .

@@ -1,3 +1,3 @@
-"""The version of mbtool. It stands alone so that every room can import it."""
+"""The version of mbtool. It stands here only: the package takes it from this file."""
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"

@@ -35,7 +35,7 @@ SLOW = frozenset((
     "cli/test_status.py",
     "columns/test_equality.py", "columns/test_headers.py", "columns/test_lines.py",
     "cli/watching/test_app.py", "cli/watching/test_playing.py",
-    "devices/test_wrong_profiles.py", "logs/test_damaged_logs.py", "logs/test_reader.py",
+    "devices/test_wrong_profiles.py", "docs", "logs/test_damaged_logs.py", "logs/test_reader.py",
     "logs/test_writer.py",
     "replay/test_read_back.py", "serial_line/test_plants.py",
     "serial_line/test_stray_bytes.py",

@@ -25,7 +25,14 @@ SOURCE = ROOT / "mbtool"
 TESTS = ROOT / "tests"
 MODULES = sorted(path.relative_to(SOURCE) for path in SOURCE.rglob("*.py"))
 PACKAGES = sorted(path for path in SOURCE.glob("*/__init__.py") if path.read_text().strip())
-PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("captures/*.md")])
+PAGES = sorted(
+    [
+        *ROOT.glob("*.md"),
+        *ROOT.glob("docs/**/*.md"),
+        *ROOT.glob("captures/*.md"),
+        *ROOT.glob("examples/**/*.md"),
+    ]
+)
 
 MAX_LINES = 450
 PURE_ROOMS = (
@@ -34,8 +41,8 @@ PURE_ROOMS = (
 )  # fmt: skip
 
 ROOMS_OF_TESTS_ONLY = {
-    "adversary", "benchmarks", "cases", "certificates", "differential", "end_to_end", "fuzz",
-    "golden", "kills", "properties", "real_drivers", "soak",
+    "adversary", "benchmarks", "cases", "certificates", "differential", "docs", "end_to_end",
+    "fuzz", "golden", "kills", "properties", "real_drivers", "soak",
 }  # fmt: skip
 """Folders of tests/ that test several rooms at once, or hold what tests read."""
 
@@ -157,8 +164,8 @@ def test_a_command_line_of_the_docs_can_be_given(page: str, line: str) -> None:
 
 def test_the_docs_name_every_command_and_no_other() -> None:
     root: Any = get_command(app)
-    readme = (ROOT / "README.md").read_text()
-    assert set(re.findall(r"^\| `mbtool ([a-z]+)", readme, re.MULTILINE)) == set(root.commands)
+    table = (ROOT / "docs" / "commands.md").read_text()
+    assert set(re.findall(r"^\| `mbtool ([a-z]+)", table, re.MULTILINE)) == set(root.commands)
     for page in PAGES:
         named = set(re.findall(r"`mbtool ([a-z]+)[ `]", page.read_text()))
         assert named <= set(root.commands), page

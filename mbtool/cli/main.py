@@ -32,6 +32,7 @@ from mbtool.cli.decode import decode
 from mbtool.cli.demo import demo
 from mbtool.cli.devices import devices
 from mbtool.cli.diff import diff
+from mbtool.cli.doctor import doctor
 from mbtool.cli.extcap import extcap
 from mbtool.cli.inventory import inventory
 from mbtool.cli.leaving import leave
@@ -93,6 +94,7 @@ for command in (
     write,
     poll,
     links,
+    doctor,
     line,
     demo,
 ):

@@ -226,4 +226,4 @@ _TERMS = (
 )
 
 NAMES = {term.text: term for term in _TERMS}
-"""The names that an expression can use. README.md lists them."""
+"""The names that an expression can use. docs/filters.md lists them."""

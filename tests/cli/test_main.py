@@ -21,7 +21,7 @@ from tests.logs.samples import NAMED, transaction, write_log
 from tests.workflows.bench import FAST
 from tests.workflows.evidence import capture_file
 
-README = Path(__file__).resolve().parents[2] / "README.md"
+ROOT = Path(__file__).resolve().parents[2]
 COMMANDS = (
     "sniff",
     "status",
@@ -42,6 +42,7 @@ COMMANDS = (
     "poll",
     "devices",
     "links",
+    "doctor",
     "line",
     "demo",
     "extcap",
@@ -81,7 +82,8 @@ def test_each_help_is_in_sentences_and_fits_a_terminal(mbtool: CommandLine, comm
 
 
 def test_help_has_every_option_of_the_readme(mbtool: CommandLine) -> None:
-    text = README.read_text(encoding="utf-8")
+    pages = (ROOT / "README.md", ROOT / "docs/commands.md", ROOT / "docs/filters.md")
+    text = "\n".join(page.read_text(encoding="utf-8") for page in pages)
     used = {
         (command, option)
         for command, rest in re.findall(r"mbtool (\w+)([^\n`]*)", text)

@@ -11,7 +11,7 @@ from mbtool.modbus import Outcome
 from mbtool.query.terms import NAMES, ValueKind, why_never_true
 from tests.logs.samples import NAMED, transaction
 
-README = Path(__file__).resolve().parents[2] / "README.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "filters.md"
 EMPTY = transaction(
     source=None,
     destination=None,
@@ -51,6 +51,6 @@ def test_outcome_can_be_compared_with_each_of_its_values() -> None:
 
 
 def test_the_readme_has_every_name_and_no_other() -> None:
-    _, _, behind = README.read_text(encoding="utf-8").partition("The names are ")
+    _, _, behind = PAGE.read_text(encoding="utf-8").partition("The names are ")
     sentence, _, _ = behind.partition(". ")
     assert set(re.findall(r"`([a-z_-]+)`", sentence)) == {*NAMES, *Outcome}

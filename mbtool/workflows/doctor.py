@@ -1,0 +1,238 @@
+"""Looks at what mbtool needs on this machine, and names the command for what is missing."""
+
+# Nothing is opened, started or changed, except for a packet socket that is closed at once. A check
+# has one of three states:
+#
+#     OK        it is there, or nothing needs it
+#     MISSING   a part of mbtool does without it: an extra, a permission, a setting
+#     BROKEN    mbtool, or what is connected here, does not work well before it is mended
+
+from __future__ import annotations
+
+import os
+import platform
+import re
+import shutil
+import sys
+from dataclasses import dataclass
+from enum import StrEnum
+from importlib import metadata
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from mbtool.core import UsageError
+from mbtool.workflows.extcap_install import scripts
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping
+
+    from mbtool.core.local_ports import LocalSerialPort, Trouble
+
+OLDEST_PYTHON = (3, 11)
+SMALLEST_TERMINAL = (80, 24)
+"""Columns and rows for which tables and `watch` are made."""
+_NEEDED = ("fastcrc", "mcap", "msgspec", "serial", "rich", "scapy", "typer", "zstandard")
+EXTRAS: Mapping[str, tuple[str, ...]] = {
+    "watch": ("textual",),
+    "columns": ("numpy", "pyarrow"),
+    "plot": ("matplotlib",),
+    "pytest": ("pytest",),
+    "tls": ("cryptography",),
+    "yaml": ("yaml",),
+}
+"""Each extra of the package, with the modules that it brings."""
+_FOR = {
+    "watch": "mbtool watch",
+    "columns": "Parquet, Arrow and large captures",
+    "plot": "pictures of mbtool plot",
+    "pytest": "fixtures for tests",
+    "tls": "the role in TLS certificates",
+    "yaml": "devices import --home-assistant",
+}
+
+
+class CheckState(StrEnum):
+    """How a check ended."""
+
+    OK = "ok"
+    MISSING = "missing"
+    BROKEN = "broken"
+
+
+@dataclass(frozen=True, slots=True)
+class MachineCheck:
+    """One thing that was looked at."""
+
+    name: str
+    state: CheckState
+    found: str
+    """What is there, in one line."""
+    remedy: str = ""
+    """A command that mends it; this program never runs it itself."""
+
+
+@dataclass(frozen=True, slots=True)
+class Screen:
+    """The terminal of standard output."""
+
+    is_terminal: bool
+    columns: int
+    rows: int
+    encoding: str
+
+
+def machine_checks(
+    ports: Iterable[LocalSerialPort], capture: Trouble | None, screen: Screen
+) -> Iterator[MachineCheck]:
+    """Yield all checks, in the order of the report."""
+    yield python_check(sys.version_info[:3])
+    yield from _packages()
+    yield from port_checks(list(ports))
+    yield from _port_group()
+    yield _priority()
+    yield capture_check(capture)
+    yield wireshark_check(os.environ)
+    yield terminal_check(screen)
+
+
+def python_check(version: tuple[int, int, int]) -> MachineCheck:
+    text = f"{platform.python_implementation()} {'.'.join(map(str, version))}, {sys.executable}"
+    if version[:2] >= OLDEST_PYTHON:
+        return MachineCheck("Python", CheckState.OK, text)
+    remedy = "install Python 3.11 or later, and mbtool into it"
+    return MachineCheck("Python", CheckState.BROKEN, text, remedy)
+
+
+def _packages() -> Iterator[MachineCheck]:
+    missing = [name for name in _NEEDED if not _is_there(name)]
+    if missing:
+        found = f"{', '.join(missing)} cannot be imported"
+        yield MachineCheck("packages", CheckState.BROKEN, found, installer("mbtool"))
+    else:
+        yield MachineCheck("packages", CheckState.OK, "all that mbtool needs")
+    for extra, modules in EXTRAS.items():
+        name = f"extra {extra}"
+        if all(map(_is_there, modules)):
+            yield MachineCheck(name, CheckState.OK, f"for {_FOR[extra]}")
+        else:
+            remedy = installer(*requirements(extra))
+            yield MachineCheck(name, CheckState.MISSING, f"without it: no {_FOR[extra]}", remedy)
+
+
+def _is_there(module: str) -> bool:
+    return find_spec(module) is not None
+
+
+def requirements(extra: str) -> list[str]:
+    """The requirements of an extra, without the marks that name it."""
+    try:
+        lines = metadata.requires("mbtool") or []
+    except metadata.PackageNotFoundError:
+        lines = []
+    mark = re.compile(rf";.*\bextra\s*==\s*['\"]{extra}['\"]")
+    found = [line.partition(";")[0].strip() for line in lines if mark.search(line)]
+    return found or [f"mbtool[{extra}]"]
+
+
+def installer(*packages: str, prefix: str = sys.prefix) -> str:
+    """The command that installs packages where this mbtool is installed."""
+    parts = Path(prefix).parts
+    quoted = " ".join(f"'{one}'" if re.search(r"[<>\[\]~! ]", one) else one for one in packages)
+    if "pipx" in parts:
+        return f"pipx inject mbtool {quoted}"
+    if "uv" in parts and "tools" in parts:
+        given = " ".join(f"--with {one}" for one in quoted.split())
+        return f"uv tool install mbtool {given}"
+    return f"{sys.executable} -m pip install {quoted}"
+
+
+def port_checks(ports: list[LocalSerialPort]) -> Iterator[MachineCheck]:
+    """Yield a check for each obstacle to a port; `mbtool links` has the rest.
+
+    A USB adapter is there to be used, so its obstacles count as broken. A port of the machine
+    itself is often not connected to anything.
+    """
+    if not ports:
+        found = "none here; mbtool line lays a virtual line"
+        yield MachineCheck("serial ports", CheckState.OK, found)
+    for port in ports:
+        name = f"port {port.name}"
+        if not port.troubles:
+            yield MachineCheck(name, CheckState.OK, f"ready as {port.link}")
+        state = CheckState.MISSING if port.usb_id is None else CheckState.BROKEN
+        for trouble in port.troubles:
+            yield MachineCheck(name, state, trouble.problem, trouble.remedy)
+
+
+def _port_group() -> Iterator[MachineCheck]:
+    """Check that this user is in the group that serial ports of Debian and others have."""
+    if sys.platform != "linux":
+        return
+    import grp
+
+    try:
+        group = grp.getgrnam("dialout")
+    except KeyError:
+        return
+    if os.geteuid() == 0 or group.gr_gid in os.getgroups():
+        yield MachineCheck("group dialout", CheckState.OK, "adapters may be opened")
+        return
+    remedy = "sudo usermod -aG dialout $USER, then log in again"
+    found = "you are not in it, so most adapters do not open"
+    yield MachineCheck("group dialout", CheckState.MISSING, found, remedy)
+
+
+def _priority() -> MachineCheck:
+    """Check the right to a real-time priority, which makes times of a busy machine exact."""
+    name = "real-time priority"
+    if sys.platform != "linux":
+        return MachineCheck(name, CheckState.OK, "only used on Linux")
+    import resource
+
+    limit = resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
+    if os.geteuid() == 0 or limit:
+        return MachineCheck(name, CheckState.OK, "times of serial bytes stay exact under load")
+    remedy = (
+        "echo '@dialout - rtprio 1' | sudo tee /etc/security/limits.d/mbtool.conf, "
+        "then log in again"
+    )
+    found = "not permitted; on a busy machine times of serial bytes are some ms late"
+    return MachineCheck(name, CheckState.MISSING, found, remedy)
+
+
+def capture_check(trouble: Trouble | None) -> MachineCheck:
+    if trouble is None:
+        return MachineCheck("capture", CheckState.OK, "net: links may be opened")
+    return MachineCheck("capture", CheckState.MISSING, trouble.problem, trouble.remedy)
+
+
+def wireshark_check(environment: Mapping[str, str]) -> MachineCheck:
+    """Check that an installed Wireshark finds serial lines."""
+    name = "Wireshark"
+    program = shutil.which("wireshark") or shutil.which("tshark")
+    if program is None:
+        return MachineCheck(name, CheckState.OK, "not here; files for it can be made all the same")
+    try:
+        found = [path for path in scripts(environment) if path.exists()]
+    except UsageError as error:
+        return MachineCheck(name, CheckState.MISSING, str(error))
+    if found:
+        return MachineCheck(name, CheckState.OK, f"finds serial lines by {found[0]}")
+    missing = f"{program} does not list serial lines"
+    return MachineCheck(name, CheckState.MISSING, missing, "mbtool extcap --install")
+
+
+def terminal_check(screen: Screen) -> MachineCheck:
+    """Check the size and the characters of the terminal."""
+    name = "terminal"
+    if not screen.is_terminal:
+        return MachineCheck(name, CheckState.OK, "output goes to a pipe or file")
+    size = f"{screen.columns}x{screen.rows}, {screen.encoding}"
+    if "utf" not in screen.encoding.lower():
+        found = f"{size}: characters that it lacks are shown as codes"
+        return MachineCheck(name, CheckState.MISSING, found, "export LANG=C.UTF-8")
+    if (screen.columns, screen.rows) < SMALLEST_TERMINAL or screen.rows < SMALLEST_TERMINAL[1]:
+        found = f"{size}: tables and watch are made for 80x24 and more"
+        return MachineCheck(name, CheckState.MISSING, found, "make the window larger")
+    return MachineCheck(name, CheckState.OK, size)

@@ -1,0 +1,55 @@
+"""The site: every page is in its navigation, its pictures are what the program prints."""
+
+from __future__ import annotations
+
+import asyncio
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.docs import pictures
+from tests.docs.site import OTHERS
+
+ROOT = Path(__file__).parents[2]
+SETTINGS = (ROOT / "mkdocs.yml").read_text()
+ZENSICAL = Path(sys.executable).with_name("zensical")
+
+
+def test_every_page_is_in_the_navigation() -> None:
+    shown = re.findall(r": ([\w/.-]+\.md)$", SETTINGS, re.MULTILINE)
+    pages = {str(path.relative_to(ROOT / "docs")) for path in ROOT.glob("docs/**/*.md")}
+    assert sorted(shown) == sorted(pages | set(OTHERS.values()))
+
+
+@pytest.mark.skipif(not ZENSICAL.exists(), reason="zensical is not installed: make docs")
+def test_the_site_builds_without_a_warning_a_dead_link_or_a_load_from_a_network() -> None:
+    ran = subprocess.run(
+        [sys.executable, "-m", "tests.docs.site"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert ran.returncode == 0, ran.stdout + ran.stderr
+
+
+def test_the_picture_of_decode_is_its_output() -> None:
+    assert (pictures.FOLDER / "decode.svg").read_text() == pictures.decode_picture()
+
+
+def test_the_picture_of_watch_is_a_frame_of_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    picture = asyncio.run(pictures.watch_picture())
+    assert (pictures.FOLDER / "watch.svg").read_text() == picture
+
+
+def test_no_picture_loads_anything() -> None:
+    for path in pictures.FOLDER.glob("*.svg"):
+        text = path.read_text().replace("http://www.w3.org/2000/svg", "")
+        assert "http" not in text, path
