@@ -54,6 +54,7 @@ COMMANDS: dict[str, list[str | Path]] = {
     "links": ["links"],
     "line": ["line", "left", "right"],
     "demo": ["demo"],
+    "doctor": ["doctor"],
 }
 STARTS_PROCESSES = {"line", "demo"}
 """The commands that start processes where they can, which takes long."""
@@ -61,7 +62,7 @@ RUNS = {"replay --as-slave", "replay --as-master", "slave", "slave --state", *ST
 """The commands that run until they are stopped, once they have said that they run."""
 EACH = 3
 """In each environment, every third command is tried: another third in the next environment."""
-PRINTING = {"", "version", "decode", "check", "stats", "devices", "links", "line"}
+PRINTING = {"", "version", "decode", "check", "stats", "devices", "doctor", "links", "line"}
 """The commands that cannot do without standard output."""
 FAILS = {
     "full output": "standard output: cannot be written: No space left on device",
