@@ -1,4 +1,4 @@
-"""Where transactions come from: packets, files of serial bytes, and addresses of the link layer."""
+"""Where transactions come from: packets and files of serial bytes."""
 
 from __future__ import annotations
 
@@ -9,10 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mbtool.core import EventKind, LinkAddresses, Origin, StreamPlace, WireEvent, parse_line
+from mbtool.core import EventKind, Origin, StreamPlace, WireEvent, parse_line
 from mbtool.decode.serial_origins import SerialOrigins
 from mbtool.modbus.adu import Skipped
-from mbtool.packets.link_addresses import link_addresses
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
 from tests.packets.building import pcap
 from tests.workflows.evidence import captured
@@ -94,41 +93,3 @@ def test_marks_are_dropped_with_their_bytes(sizes: list[int], data: st.DataObjec
     assert origins.added_to([skipped]) == [skipped]
     assert origins.held <= len(sizes)
     assert bool(origins.held) is (given_bytes < total)
-
-
-@pytest.mark.parametrize(
-    ("link_type", "header", "addresses"),
-    [
-        (1, SLAVE + MASTER + b"\x08\x00", ("00:0a:e4:01:02:03", "00:04:17:02:03:04", None)),
-        (
-            1,
-            SLAVE + MASTER + bytes.fromhex("88a8 0064 8100 6005 0800"),
-            ("00:0a:e4:01:02:03", "00:04:17:02:03:04", 5),
-        ),
-        (
-            1,
-            SLAVE + MASTER + bytes.fromhex("8100 6000 0800"),  # Only a priority.
-            ("00:0a:e4:01:02:03", "00:04:17:02:03:04", None),
-        ),
-        (1, bytes(12) + b"\x08\x00", (None, None, None)),  # The loopback interface.
-        (
-            113,
-            bytes.fromhex("0000 0001 0006") + MASTER + bytes.fromhex("0000 8100 0007 0800"),
-            ("00:0a:e4:01:02:03", None, 7),
-        ),
-        (
-            276,
-            bytes.fromhex("8100 0000 00000002 0001 0006") + MASTER + bytes.fromhex("00000009 0800"),
-            ("00:0a:e4:01:02:03", None, 9),
-        ),
-    ],
-)  # fmt: skip
-def test_addresses_are_read_in_the_header_of_the_link_layer(
-    link_type: int, header: bytes, addresses: tuple[str | None, str | None, int | None]
-) -> None:
-    assert link_addresses(link_type, header) == LinkAddresses(*addresses)
-
-
-@given(st.sampled_from([0, 1, 12, 101, 113, 276]), st.binary(max_size=40))
-def test_no_header_raises(link_type: int, header: bytes) -> None:
-    link_addresses(link_type, header)

@@ -29,6 +29,7 @@ REQUEST, RESPONSE = Direction.REQUEST, Direction.RESPONSE
         ("14 05 04 06 0DFE 00", RESPONSE, (((0x0DFE,),),), "an odd number of bytes"),
         ("14 02 05 06", RESPONSE, (((),),), "does not end with a group"),
         ("14 02 00 00", RESPONSE, (), "does not end with a group"),
+        ("14 05 03 06 0DFE 03", RESPONSE, (((0x0DFE,),),), "does not end with a group"),
     ],
 )
 def test_file_groups_are_kept_and_their_faults_named(

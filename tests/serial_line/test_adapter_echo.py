@@ -53,6 +53,13 @@ def test_second_copy_of_each_request_is_an_event() -> None:
     assert b"".join(one.raw for one in events) == sent.data
 
 
+def test_without_silences_three_copied_requests_in_a_row_are_an_echo() -> None:
+    sent = Line(FORMAT)
+    for _ in range(4):
+        sent.frame(READ, 30 * MS).frame(READ, MS // 2).frame(ANSWER, 4 * MS)
+    assert [one.raw for one in echoes(heard(sent, timed=False))] == [READ]
+
+
 def test_adapter_is_told_once() -> None:
     events = heard(echoing(20)[0])
     assert [one.reason for one in echoes(events)] == [ECHOES, *[ECHO] * 39]
