@@ -28,7 +28,7 @@ def test_written_quantity_is_the_field_or_else_the_number_of_values() -> None:
         link="rs485", transport=Transport.RTU, unit=1, function=0x17,
         function_name="read/write multiple registers", outcome=Outcome.OK, request_ns=5, retries=0,
         direction_by=DirectionBy.FORM, confidence=1.0, write_quantity=0x2112,
-        request_values=(1, 2),
+        request_values=[1, 2],
     )  # fmt: skip
     assert transaction.written_quantity == 0x2112
     assert msgspec.structs.replace(transaction, write_quantity=None).written_quantity == 2
