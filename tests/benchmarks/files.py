@@ -119,7 +119,7 @@ def programs_for(made: Made, folder: Path) -> dict[str, list[str]]:
     }
     tshark, suricata = shutil.which("tshark"), shutil.which("suricata")
     if made.path.suffix == ".pcap":
-        for command in ("stats", "inventory"):
+        for command in ("stats", "inventory", "check"):
             programs[f"mbtool {command}"] = [
                 sys.executable,
                 "-m",
