@@ -16,6 +16,8 @@ from typing import Any, Literal, get_args, get_origin
 from typer import BadParameter
 from typer.core import TyperArgument, TyperCommand
 
+from mbtool.cli.completion import is_asked, with_completed_values
+
 _NUMBERS = {
     "Input should be a valid integer": "a whole number",
     "Input should be a valid number": "a number",
@@ -29,7 +31,8 @@ class Command(TyperCommand):
     """The class of every command: `app.command(cls=Command)`."""
 
     def get_params(self, ctx: Any) -> list[Any]:
-        return with_plain_values(super().get_params(ctx))
+        params = with_plain_values(super().get_params(ctx))
+        return with_completed_values(params) if is_asked() else params
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         return super().parse_args(ctx, with_plain_json(self.params, args))

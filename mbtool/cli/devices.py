@@ -13,6 +13,7 @@ import typer
 from typer.core import TyperGroup
 
 from mbtool.cli.command import Command, with_plain_json
+from mbtool.cli.completion import items, profile_names
 from mbtool.cli.devices_import import import_
 from mbtool.cli.devices_own import draft, export, new, schema
 from mbtool.cli.option_groups import takes_groups
@@ -36,6 +37,9 @@ class _ShowsByDefault(TyperGroup):
         if args[0] not in self.commands or args[0] == _SHOW:
             args = [_SHOW, *args]
         return super().resolve_command(ctx, args)
+
+    def shell_complete(self, ctx: Any, incomplete: str) -> list[Any]:
+        return [*super().shell_complete(ctx, incomplete), *items(profile_names(), incomplete)]
 
     def format_usage(self, ctx: Any, formatter: Any) -> None:
         formatter.write_usage(ctx.command_path, "[NAME]")

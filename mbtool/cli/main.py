@@ -27,6 +27,7 @@ from mbtool.cli import exit_codes
 from mbtool.cli.ask import read, write
 from mbtool.cli.check import check
 from mbtool.cli.command import Command, with_plain_values
+from mbtool.cli.completion import is_asked, join_words
 from mbtool.cli.convert import convert
 from mbtool.cli.decode import decode
 from mbtool.cli.demo import demo
@@ -71,7 +72,6 @@ app = typer.Typer(
     cls=_InOrder,
     name="mbtool",
     help="Capture, decode and replay Modbus: serial lines, TCP, and the devices' own words.",
-    add_completion=False,
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
@@ -130,6 +130,9 @@ def _root(
 
 def main() -> None:
     """Run the command line and exit with its code."""
+    if is_asked():
+        join_words(os.environ)
+        get_command(app).main(prog_name="mbtool")
     gc.set_threshold(_NEW_OBJECTS, *gc.get_threshold()[1:])
     _open_standard_descriptors()
     # If a stream was closed before the program began, it is None; its output is dropped.
