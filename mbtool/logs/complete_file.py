@@ -14,10 +14,12 @@
 # A tail must not be written in part. So a private record of a few bytes is inserted where needed to
 # keep each tail inside one 512-byte sector: the kernel stops the write of a killed process only
 # between pages, and a disk that loses power writes a sector entirely or not at all. If the disk is
-# full, step 3 never happens and the file stays as it was.
+# full, step 3 never happens and the file stays as it was. All steps may then be done again, once
+# there is room.
 
 from __future__ import annotations
 
+import errno
 import os
 import zlib
 from typing import TYPE_CHECKING, BinaryIO
@@ -39,17 +41,22 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 SECTOR = 512
+DISK_FULL = frozenset({errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC)})
 
 
 class CompleteFile:
     """A growing MCAP file."""
 
-    def __init__(self, file: BinaryIO, name: str, head: bytes) -> None:
+    def __init__(
+        self, file: BinaryIO, name: str, head: bytes, make_room: Callable[[], bool] = lambda: False
+    ) -> None:
         """Write `head`: the magic and the first records.
 
         `file` is empty and unbuffered, and `close` closes it. `name` appears in error messages.
+        `make_room` is called when the disk is full; it returns True if it has removed something.
         Raises OutputError if the file cannot be written.
         """
+        self._make_room = make_room
         self._file = file
         self._name = name
         self._failure: OutputError | None = None
@@ -59,10 +66,10 @@ class CompleteFile:
         """The offset of the next record."""
         self._crc = zlib.crc32(head)
         try:
-            self._write(0, head + data_end(self._crc) + footer())
-        except OSError as error:
+            self._guarded(lambda: self._write(0, head + data_end(self._crc) + footer()))
+        except OutputError:
             file.close()
-            raise self._error(error) from error
+            raise
 
     @property
     def size(self) -> int:
@@ -95,7 +102,7 @@ class CompleteFile:
 
         Raises OutputError if the disk has refused it before, as `append` does.
         """
-        self._guarded(self._disk.request)
+        self._guarded(self._disk.request, is_sync=True)
 
     def finish(self, summary: Callable[[int], tuple[bytes, bytes]]) -> None:
         """Add the summary section, and return when it is on the disk.
@@ -131,14 +138,19 @@ class CompleteFile:
         self._disk.close()
         self._file.close()
 
-    def _guarded(self, write: Callable[[], None]) -> None:
+    def _guarded(self, write: Callable[[], None], *, is_sync: bool = False) -> None:
         if self._failure is not None:
             raise self._failure
-        try:
-            write()
-        except OSError as error:
-            self._failure = self._error(error)
-            raise self._failure from error
+        while True:
+            try:
+                write()
+            except OSError as error:
+                # A sync that has failed fails again, whatever room there is.
+                if not is_sync and error.errno in DISK_FULL and self._make_room():
+                    continue
+                self._failure = self._error(error)
+                raise self._failure from error
+            return
 
     def _replace(self, at: int, new: bytes, old_size: int, *, sync: bool) -> None:
         """Write `new` over the last `old_size` bytes of the file, which begin at `at`, and beyond.

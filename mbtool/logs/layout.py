@@ -22,9 +22,14 @@ MAGIC = b"\x89MCAP0\r\n"
 PROFILE = "mbtool"
 LIBRARY = "mbtool "
 """The library in a log's header is this text, followed by the version of mbtool."""
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
+"""The log format that is written."""
+READ_VERSIONS = ("1", "2")
+"""The log formats that are read. In format 1 each read of a serial line is a message."""
 
 CAPTURE = "mbtool.capture"
+EVIDENCE_ONLY = "evidence_only"
+"""A key of CAPTURE; its value is "true" in a log that holds nothing decoded."""
 LINK = "mbtool.link"
 DEVICE = "mbtool.device"
 STATUS = "mbtool.status"
@@ -76,6 +81,7 @@ __all__ = [
     "DATA_END_SIZE",
     "DECODING_TOPIC",
     "DEVICE",
+    "EVIDENCE_ONLY",
     "FOOTER_SIZE",
     "FORMAT_VERSION",
     "LIBRARY",
@@ -86,6 +92,7 @@ __all__ = [
     "PRIVATE",
     "PROFILE",
     "PROFILE_MEDIA_TYPE",
+    "READ_VERSIONS",
     "RECORD_HEAD",
     "RECOVERED",
     "STATUS",

@@ -1,11 +1,14 @@
 """Decodes the messages of a log's chunks into items, many at once."""
 
 # One walk over the records of a chunk collects the bytes of the wanted messages by their schema,
-# and the order of the schemas. The messages of a schema are then decoded by one call, as one JSON
+# and the order of the schemas. The messages of a JSON schema are then decoded by one call, as one
 # array, and put back in order. If that fails, they are decoded one by one, so that a damaged
 # message costs no other one.
 #
-# A chunk of more than BATCH messages gives several lists.
+# A chunk of more than BATCH messages gives several lists. One of many reads counts as several.
+#
+# A writer joins the reads of each serial line (evidence_blocks.py). Where such messages and those
+# of other evidence follow one another, the reads and packets come in the order of their times.
 #
 # Memory: BATCH messages, and the schema of each channel (at most 65,535).
 
@@ -13,14 +16,18 @@ from __future__ import annotations
 
 import struct
 from contextlib import suppress
+from heapq import merge
+from itertools import groupby
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
 import msgspec
 from mcap.records import Channel, Schema
 
-from mbtool.core import Chunk, DamageError
+from mbtool.core import Chunk, DamageError, Packet
 from mbtool.devices import NamedTransaction
 from mbtool.logs import schemas
+from mbtool.logs.evidence_blocks import separated
 from mbtool.logs.impossible import ImpossibleItems
 from mbtool.logs.layout import MESSAGE_HEAD, RECORD_HEAD, Opcode
 from mbtool.logs.messages import ChunkMessage, DecodingMark, EventMessage
@@ -34,6 +41,8 @@ if TYPE_CHECKING:
     from mbtool.logs.records import RecordStream
 
 BATCH = 4096
+_COUNTED = 16
+"""So many bytes of joined reads count as one message; one read takes 2 bytes or more."""
 
 _TYPES: dict[str, Any] = {
     schemas.CHUNK: ChunkMessage,
@@ -41,6 +50,7 @@ _TYPES: dict[str, Any] = {
     schemas.WIRE_EVENT: EventMessage,
     schemas.DECODING: DecodingMark,
 }
+_EVIDENCE = frozenset({schemas.EVIDENCE, schemas.CHUNK})
 _ARE_ITEMS = frozenset({schemas.TRANSACTION, schemas.DECODING})
 """Schemas whose messages are items themselves."""
 # Making a decoder takes longer than reading a small log, so all readers share these.
@@ -106,7 +116,7 @@ class MessageDecoder:
         add, add_schema = batch.raw.append, batch.order.append
         left = BATCH
         last_ns = 0
-        while at < end and left:
+        while at < end and left > 0:
             opcode, length, channel, log_ns = unpack(padded, at)
             to = at + _HEAD + length
             if to > end:
@@ -120,7 +130,7 @@ class MessageDecoder:
                 if schema in wanted:
                     if left == BATCH:
                         batch.begin_ns = log_ns
-                    left -= 1
+                    left -= 1 if schema != schemas.EVIDENCE else 1 + length // _COUNTED
                     last_ns = log_ns
                     add(data[at + _DATA_AT : to])
                     add_schema(schema)
@@ -139,22 +149,40 @@ class MessageDecoder:
         except _NOT_DECODABLE:
             yield from self._decoded_singly(batch)
         else:
-            self.end_ns = batch.end_ns
+            self._note_end(batch, items)
             yield items
+
+    def _note_end(self, batch: _Batch, items: list[LogItem]) -> None:
+        self.end_ns = batch.end_ns
+        if batch.order[-1] == schemas.EVIDENCE and isinstance(items[-1], Chunk):
+            self.end_ns = items[-1].ts_ns  # The message has the time of its first read.
 
     def _decoded_at_once(self, batch: _Batch) -> list[LogItem]:
         order, raw = batch.order, batch.raw
         kinds = set(order)
+        if kinds == {schemas.EVIDENCE}:
+            return _merged(self._decoded_alike(schemas.EVIDENCE, raw))
         if len(kinds) == 1:
             return self._decoded_alike(order[0], raw)
         found = {}
         for kind in kinds:
             alike = [data for schema, data in zip(order, raw, strict=True) if schema == kind]
             found[kind] = iter(self._decoded_alike(kind, alike))
-        return [next(found[schema]) for schema in order]
+        if schemas.EVIDENCE not in kinds:
+            return [next(found[schema]) for schema in order]
+        items: list[LogItem] = []
+        for is_evidence, run in groupby(order, _EVIDENCE.__contains__):
+            some = [next(found[schema]) for schema in run]
+            items += _merged(some) if is_evidence else some
+        return items
 
-    def _decoded_alike(self, schema: str, raw: list[bytes]) -> list[LogItem]:
-        """Decode messages of one schema. Raises one of _NOT_DECODABLE if one is damaged."""
+    def _decoded_alike(self, schema: str, raw: list[bytes]) -> list[Any]:
+        """Decode messages of one schema into items, or for EVIDENCE into lists of reads.
+
+        Raises one of _NOT_DECODABLE if one is damaged.
+        """
+        if schema == schemas.EVIDENCE:
+            return [separated(data) for data in raw]
         array = b"[" + b",".join(raw) + b"]"
         found: list[Any]
         if schema == schemas.CHUNK and _OF_A_PACKET not in array:
@@ -170,8 +198,7 @@ class MessageDecoder:
     def _decoded_singly(self, batch: _Batch) -> Iterator[list[LogItem]]:
         for schema, data in zip(batch.order, batch.raw, strict=True):
             try:
-                message: Any = _DECODERS[schema].decode(data)
-                item = message if schema in _ARE_ITEMS else message.item()
+                items = _items_of(schema, data)
             except _NOT_DECODABLE as error:
                 if self.impossible.note(error, data):
                     continue
@@ -179,8 +206,8 @@ class MessageDecoder:
                 continue
             if gap := self._damage.take_gap(self.end_ns):
                 yield [*gap]
-            self.end_ns = batch.end_ns
-            yield [item]
+            self._note_end(batch, items)
+            yield items
 
     def _learn(self, opcode: int, offset: int, content: bytes) -> None:
         record = McapRecord(offset, opcode, content)
@@ -213,10 +240,30 @@ class MessageDecoder:
             with suppress(*_NOT_DECODABLE):
                 decoder.decode(data)
                 return schema
+        with suppress(ValueError):
+            separated(data)
+            return schemas.EVIDENCE
         return ""
 
     def _hole(self, offset: int, what: str, size: int) -> None:
         self._damage.add_hole(self._records.damaged(offset, what), offset, size)
+
+
+def _items_of(schema: str, data: bytes) -> list[LogItem]:
+    if schema == schemas.EVIDENCE:
+        return [*separated(data)]
+    message = _DECODERS[schema].decode(data)
+    return [message if schema in _ARE_ITEMS else message.item()]
+
+
+def _merged(evidence: list[list[Chunk] | Chunk | Packet]) -> list[LogItem]:
+    """The evidence of several messages, in the order of its times if it is of several links."""
+    by_link: dict[str, list[Chunk | Packet]] = {}
+    for one in evidence:
+        some = one if isinstance(one, list) else [one]
+        by_link.setdefault(some[0].link, []).extend(some)
+    lists = [*by_link.values()]
+    return [*(lists[0] if len(lists) == 1 else merge(*lists, key=attrgetter("ts_ns")))]
 
 
 class _Batch:

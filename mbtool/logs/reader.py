@@ -35,7 +35,7 @@ from mbtool.devices import NamedTransaction
 from mbtool.logs import layout, schemas
 from mbtool.logs.damage import Damage
 from mbtool.logs.healing import Hole, SoundRecords
-from mbtool.logs.layout import FORMAT_VERSION, LIBRARY, PROFILE, Opcode
+from mbtool.logs.layout import EVIDENCE_ONLY, LIBRARY, PROFILE, READ_VERSIONS, Opcode
 from mbtool.logs.log_end import check_end, is_open_end
 from mbtool.logs.message_decoder import MessageDecoder
 from mbtool.logs.messages import DecodingMark
@@ -48,7 +48,8 @@ if TYPE_CHECKING:
     from mbtool.logs.records import ByteStream, McapRecord
 
 MAX_KEPT = 32 << 20
-_ITEMS = frozenset({schemas.CHUNK, schemas.TRANSACTION, schemas.WIRE_EVENT})
+_EVIDENCE = frozenset({schemas.CHUNK, schemas.EVIDENCE})
+_ITEMS = _EVIDENCE | {schemas.TRANSACTION, schemas.WIRE_EVENT}
 _ITEM_OPCODES = frozenset({Opcode.CHUNK, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE})
 """Records that hold items, or define their types."""
 
@@ -108,6 +109,11 @@ class LogReader(ClosesOnExit):
             raise
 
     @property
+    def is_evidence_only(self) -> bool:
+        """True if the log holds nothing decoded, so that its reader decodes the evidence."""
+        return self.capture.get(EVIDENCE_ONLY) == "true"
+
+    @property
     def end_ns(self) -> int:
         """The log time (ns) of the last item that was read; 0 before the first."""
         return self._messages.end_ns
@@ -139,7 +145,7 @@ class LogReader(ClosesOnExit):
 
         A log is read once: call this, `items` or `transactions`, and only one of them.
         """
-        for batch in self._read(frozenset({schemas.CHUNK})):
+        for batch in self._read(_EVIDENCE):
             for item in batch:
                 if not isinstance(item, NamedTransaction):
                     yield item
@@ -149,7 +155,7 @@ class LogReader(ClosesOnExit):
 
         A log is read once: call only one of `items`, `transactions`, `evidence` and this.
         """
-        for batch in self._read(frozenset({schemas.CHUNK, schemas.WIRE_EVENT})):
+        for batch in self._read(_EVIDENCE | {schemas.WIRE_EVENT}):
             for item in batch:
                 if not isinstance(item, NamedTransaction):
                     yield item
@@ -184,11 +190,11 @@ class LogReader(ClosesOnExit):
             )
 
     def _check_version(self) -> None:
-        version = self.capture.get("log_format", str(FORMAT_VERSION))
-        if version != str(FORMAT_VERSION):
+        version = self.capture.get("log_format", READ_VERSIONS[-1])
+        if version not in READ_VERSIONS:
             raise InputError(
                 f"{self._name}: log format {version}, from another version of mbtool; "
-                f"this one reads format {FORMAT_VERSION}"
+                f"this one reads the formats {' and '.join(READ_VERSIONS)}"
             )
 
     def _data_section(self, wait: Callable[[], bool] | None) -> Iterator[McapRecord | Hole]:

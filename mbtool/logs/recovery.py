@@ -25,6 +25,7 @@ from mbtool.logs.chunks import records_in
 from mbtool.logs.complete_file import CompleteFile
 from mbtool.logs.container import Container, Topic
 from mbtool.logs.creating import create_file
+from mbtool.logs.evidence_blocks import separated
 from mbtool.logs.healing import Hole, SoundRecords
 from mbtool.logs.layout import (
     DATA_END_SIZE,
@@ -248,7 +249,9 @@ class Recovery:
         channel = self._channels.get(channel_id)
         schema = self._schemas.get(channel.schema_id) if channel is not None else None
         if channel is not None and schema is not None:
-            topic = self._topic(channel.topic, schema.name, schema.data)
+            encodings = schema.encoding, channel.message_encoding
+            known = schemas.TopicSchema(schema.name, *encodings, schema.data)
+            topic = self._topic(channel.topic, known)
             self._by_channel[channel_id] = topic
             return topic
         for name, type_ in schemas.MESSAGE_TYPES.items():
@@ -256,17 +259,18 @@ class Recovery:
                 with suppress(msgspec.MsgspecError, ValueError, RecursionError):
                     message: Any = msgspec.json.decode(data, type=type_)
                     link = "" if name in _SHARED else message.link
-                    return self._topic(
-                        topic_name(link, _KINDS[name]), name, schemas.json_schema(name)
-                    )
+                    return self._topic(topic_name(link, _KINDS[name]), schemas.schema_of(name))
+        with suppress(ValueError):
+            kind = topic_name(separated(data)[0].link, "evidence")
+            return self._topic(kind, schemas.schema_of(schemas.EVIDENCE))
         return None
 
-    def _topic(self, name: str, schema_name: str, schema: bytes) -> Topic | None:
-        key = (name, schema_name)
+    def _topic(self, name: str, schema: schemas.TopicSchema) -> Topic | None:
+        key = (name, schema.name)
         if key not in self._topics:
             if len(self._topics) >= MAX_TOPICS:
                 return None
-            self._topics[key] = self._container.add_topic(name, schema_name, schema)
+            self._topics[key] = self._container.add_topic(name, schema)
         return self._topics[key]
 
     def _repaired(self, error: DamageError) -> None:
@@ -305,8 +309,7 @@ class Recovery:
         size = loss.end - loss.offset
         message = f"{size} bytes of the log, from byte {loss.offset} on, were damaged and are lost"
         gap = WireEvent(ts_ns=ts_ns, link="", kind=EventKind.GAP, message=message)
-        name, schema = topic_name("", "events"), schemas.WIRE_EVENT
-        topic = self._topic(name, schema, schemas.json_schema(schema))
+        topic = self._topic(topic_name("", "events"), schemas.schema_of(schemas.WIRE_EVENT))
         if topic is not None:
             data = msgspec.json.encode(EventMessage.of(gap))
             self._container.add_message(topic, ts_ns, ts_ns, data)

@@ -1,7 +1,9 @@
-"""Makes the JSON schema of each topic from the type of its messages."""
+"""Makes the schema of each topic from the type of its messages."""
 
-# The schemas use only what Foxglove reads (its parseJsonSchema): objects with properties, arrays,
-# boolean, string, number, integer; no null, no union, no $ref; bytes are strings with
+# All messages are JSON except EVIDENCE, which is protobuf (evidence_blocks.py).
+#
+# The JSON schemas use only what Foxglove reads (its parseJsonSchema): objects with properties,
+# arrays, boolean, string, number, integer; no null, no union, no $ref; bytes are strings with
 # contentEncoding base64; an enumeration of numbers is a oneOf of title and const. Foxglove has no
 # enumeration of strings, so that is a string whose description lists the values. A field that does
 # not apply is absent, so `X | None` becomes X, not required.
@@ -9,13 +11,14 @@
 from __future__ import annotations
 
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import msgspec
 from msgspec import inspect
 
 from mbtool.core import Connection, Endpoint
 from mbtool.devices import NamedTransaction, PointValue
+from mbtool.logs.evidence_blocks import descriptor
 from mbtool.logs.messages import (
     ChunkMessage,
     DecodingMark,
@@ -28,6 +31,7 @@ from mbtool.logs.messages import (
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+EVIDENCE = "mbtool.Evidence"
 CHUNK = "mbtool.Chunk"
 TRANSACTION = "mbtool.Transaction"
 WIRE_EVENT = "mbtool.WireEvent"
@@ -158,6 +162,23 @@ _DESCRIPTIONS: dict[type, dict[str, str]] = {
     },
     LogTime: {"sec": "Seconds since 1970, UTC", "nsec": "Nanoseconds of the second"},
 }
+
+
+class TopicSchema(NamedTuple):
+    """The schema of a topic, as MCAP keeps it."""
+
+    name: str
+    encoding: str
+    message_encoding: str
+    data: bytes
+
+
+@cache
+def schema_of(name: str) -> TopicSchema:
+    """The schema called `name`."""
+    if name == EVIDENCE:
+        return TopicSchema(name, "protobuf", "protobuf", descriptor())
+    return TopicSchema(name, "jsonschema", "json", json_schema(name))
 
 
 @cache

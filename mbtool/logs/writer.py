@@ -1,7 +1,10 @@
 """Writes a log: evidence, its decoding, and the metadata for reading both."""
 
-# The order in the file is the order of the calls: evidence that is written before it is decoded
-# comes before the transactions decoded from it.
+# Reads of serial lines are joined, as a message for each byte takes 40 times its space: those of
+# one line since the last flush become one message (evidence_blocks.py). What is written meanwhile
+# waits and stands behind them: first other evidence, then all else. Apart from that the order in
+# the file is that of the calls. So evidence that is written before it is decoded comes before the
+# transactions decoded from it.
 #
 # The writer has no clock: `tick` gives it the time. It flushes once something may have been in
 # memory for FLUSH_AFTER_NS, so with ten ticks a second at most 0.6 s of a capture are in memory. If
@@ -9,9 +12,9 @@
 # What was flushed is synced to the disk at most every FLUSH_AFTER_NS, by a thread of its own
 # (disk_sync.py). A log that is made from a file needs no ticks.
 #
-# Memory: one chunk, the last value of each point (points.py), and the file's indexes
-# (container.py). Links after the first MAX_LINKS share the topics of OTHER_LINKS; each of their
-# messages still names its own link.
+# Memory: MAX_READS reads and MAX_WAITING messages behind them, one chunk, the last value of each
+# point (points.py), and the file's indexes (container.py). Links after the first MAX_LINKS share
+# the topics of OTHER_LINKS; each of their messages still names its own link.
 
 from __future__ import annotations
 
@@ -22,7 +25,7 @@ from typing import TYPE_CHECKING, BinaryIO
 import msgspec
 from mcap.records import Header
 
-from mbtool.core import Chunk, OutputError, Packet
+from mbtool.core import Chunk, EventKind, OutputError, Packet
 from mbtool.core.closing import ClosesOnExit
 from mbtool.core.errors import reason_of
 from mbtool.devices import NamedTransaction, finding_text
@@ -31,6 +34,7 @@ from mbtool.logs import schemas
 from mbtool.logs.complete_file import CompleteFile
 from mbtool.logs.container import Container, Topic
 from mbtool.logs.creating import create_file
+from mbtool.logs.evidence_blocks import MAX_READS, is_joinable, joined
 from mbtool.logs.layout import (
     CAPTURE,
     DECODING_TOPIC,
@@ -59,24 +63,39 @@ from mbtool.logs.points import PointChanges
 from mbtool.version import __version__
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
     from mbtool.devices.checking.finding import Finding
 
 FLUSH_AFTER_NS = 500_000_000
 FLUSH_LARGE_AFTER_NS = 150_000_000
 LARGE = 32 * 1024
+MAX_WAITING = 2000
+"""The most messages that wait behind joined reads."""
+MAX_READ_BYTES = 64 * 1024
+"""The most bytes of all joined reads."""
 MAX_LINKS = 10_000
 OTHER_LINKS = "others"
+
+
+_Waiting = tuple[Topic, int, int, bytes]
+"""A message with its topic, its log time and its publish time, both in ns."""
 
 
 class LogWriter(ClosesOnExit):
     """A log that is complete on disk at every moment; a context manager whose exit closes it."""
 
     def __init__(
-        self, path: str | Path, *, capture: Mapping[str, str], replace: bool = False
+        self,
+        path: str | Path,
+        *,
+        capture: Mapping[str, str],
+        replace: bool = False,
+        make_room: Callable[[], bool] = lambda: False,
     ) -> None:
         """Create the file. `capture` is metadata of the run: host, command, clock.
+
+        `make_room` is called when the disk is full; it returns True if it has removed something.
 
         Raises UsageError if the file exists (unless `replace`) or cannot be created, OutputError if
         another recorder has it open, or if the disk has no room for its beginning; then no new file
@@ -86,7 +105,7 @@ class LogWriter(ClosesOnExit):
         is_new = not self._path.exists()
         file = create_file(self._path, replace=replace)
         try:
-            self._begin(file, capture)
+            self._begin(file, capture, make_room)
         except OutputError as error:
             file.close()
             if is_new:
@@ -95,10 +114,19 @@ class LogWriter(ClosesOnExit):
             reason = reason_of(error.__cause__) if isinstance(error.__cause__, OSError) else error
             raise OutputError(f"{path}: the log cannot be begun: {reason}") from error
 
-    def _begin(self, file: BinaryIO, capture: Mapping[str, str]) -> None:
+    def _begin(
+        self, file: BinaryIO, capture: Mapping[str, str], make_room: Callable[[], bool]
+    ) -> None:
         header = Header(profile=PROFILE, library=f"{LIBRARY}{__version__}")
-        self._file = CompleteFile(file, str(self._path), MAGIC + packed(header))
+        self._file = CompleteFile(file, str(self._path), MAGIC + packed(header), make_room)
         self._container = Container(self._file)
+        self._reads: dict[str, list[Chunk]] = {}
+        """The reads of serial lines since the last flush, by link."""
+        self._read_count = self._read_bytes = 0
+        self._evidence: list[_Waiting] = []
+        """Evidence of other kinds that stands behind these reads."""
+        self._decoded: list[_Waiting] = []
+        """The messages that stand behind all of it."""
         self._topics: dict[tuple[str, str], Topic] = {}
         self._links: set[str] = set()
         self._encode = msgspec.json.Encoder().encode
@@ -133,13 +161,19 @@ class LogWriter(ClosesOnExit):
         """Add one item. Raises OutputError if it cannot be written."""
         if isinstance(item, NamedTransaction):
             self._write_transaction(item)
+        elif isinstance(item, Chunk) and is_joinable(item):
+            self._add_read(item)
         elif isinstance(item, Chunk | Packet):
+            if item.link in self._reads:
+                self._join_reads()
             topic = self._topic(item.link, "chunks", schemas.CHUNK)
-            self._add(topic, item.ts_ns, item.ts_ns, ChunkMessage.of(item))
+            self._add(topic, item.ts_ns, item.ts_ns, ChunkMessage.of(item), is_evidence=True)
         elif isinstance(item, DecodingMark):
             topic = self._topic("", DECODING_TOPIC, schemas.DECODING)
             self._add(topic, item.ts_ns, item.ts_ns, item)
         else:
+            if item.kind is EventKind.GAP:
+                self._join_reads()  # No reader joins the bytes before it to those behind it.
             topic = self._topic(item.link, "events", schemas.WIRE_EVENT)
             self._add(topic, item.ts_ns, item.ts_ns, EventMessage.of(item))
 
@@ -163,10 +197,12 @@ class LogWriter(ClosesOnExit):
 
     def add_link(self, name: str, settings: Mapping[str, str]) -> None:
         """Add a link's settings as metadata: its link spec and its TCP ports."""
+        self._join_reads()
         self._container.add_metadata(LINK, _clean({"name": name, **settings}))
 
     def add_device(self, who: str, profile: str) -> None:
         """Record which device has which profile; `who` names the device as `--device` does."""
+        self._join_reads()
         self._container.add_metadata(DEVICE, _clean({"who": who, "profile": profile}))
 
     def give_points_topics(self) -> None:
@@ -175,10 +211,12 @@ class LogWriter(ClosesOnExit):
 
     def add_status(self, values: Mapping[str, str]) -> None:
         """Add a heartbeat of the recording."""
+        self._join_reads()
         self._container.add_metadata(STATUS, _clean(values))
 
     def add_profile(self, name: str, profile_json: bytes) -> None:
         """Attach a complete device profile, as JSON."""
+        self._join_reads()
         (clean,) = _clean({name: ""})
         self._container.add_attachment(clean, PROFILE_MEDIA_TYPE, profile_json)
 
@@ -187,11 +225,12 @@ class LogWriter(ClosesOnExit):
 
         Raises OutputError if the file cannot be written.
         """
-        pending = self._container.pending
+        pending = self._container.pending + self._read_bytes + self._read_count
         after_ns = FLUSH_AFTER_NS if pending < LARGE else FLUSH_LARGE_AFTER_NS
         if not pending:
             self._flushed_ns = now_ns
         elif not 0 <= now_ns - self._flushed_ns < after_ns:
+            self._join_reads()
             self._container.flush(sync=False)
             self._flushed_ns = now_ns
         if self._file.position == self._synced:
@@ -210,11 +249,31 @@ class LogWriter(ClosesOnExit):
         if self._file.closed:
             return
         try:
+            self._join_reads()
             if final:
                 self._container.add_metadata(CAPTURE, {**self._capture, **_clean(final)})
             self._container.finish()
         finally:
             self._file.close()
+
+    def _add_read(self, read: Chunk) -> None:
+        self._reads.setdefault(read.link, []).append(read)
+        self._read_count += 1
+        self._read_bytes += len(read.data)
+        if self._read_count >= MAX_READS or self._read_bytes >= MAX_READ_BYTES:
+            self._join_reads()
+
+    def _join_reads(self) -> None:
+        """Add a message for the reads of each line since the last call, then what waits."""
+        found, self._reads = self._reads, {}
+        waiting, self._evidence, self._decoded = self._evidence + self._decoded, [], []
+        self._read_count = self._read_bytes = 0
+        for link, reads in found.items():
+            topic = self._topic(link, "evidence", schemas.EVIDENCE)
+            begin_ns = reads[0].ts_ns
+            self._container.add_message(topic, begin_ns, begin_ns, joined(reads))
+        for one in waiting:
+            self._container.add_message(*one)
 
     def _write_transaction(self, item: NamedTransaction) -> None:
         # The log time is that of the transaction's last byte, so that no viewer shows the
@@ -239,13 +298,27 @@ class LogWriter(ClosesOnExit):
             return None
         topic = self._topics.get(("", name))
         if topic is None:
-            schema = schemas.POINT_VALUE
-            topic = self._container.add_topic(name, schema, schemas.json_schema(schema))
+            topic = self._container.add_topic(name, schemas.schema_of(schemas.POINT_VALUE))
             self._topics["", name] = topic
         return topic
 
-    def _add(self, topic: Topic, log_ns: int, publish_ns: int, message: msgspec.Struct) -> None:
-        self._container.add_message(topic, log_ns, publish_ns, self._encode(message))
+    def _add(
+        self,
+        topic: Topic,
+        log_ns: int,
+        publish_ns: int,
+        message: msgspec.Struct,
+        *,
+        is_evidence: bool = False,
+    ) -> None:
+        data = self._encode(message)
+        if not self._reads:
+            self._container.add_message(topic, log_ns, publish_ns, data)
+            return
+        waiting = self._evidence if is_evidence else self._decoded
+        waiting.append((topic, log_ns, publish_ns, data))
+        if len(waiting) >= MAX_WAITING:
+            self._join_reads()
 
     def _topic(self, link: str, kind: str, schema: str) -> Topic:
         """Return the topic of a link's messages of one kind; for link "" the topic of all links."""
@@ -256,9 +329,7 @@ class LogWriter(ClosesOnExit):
             if len(self._links) >= MAX_LINKS and link != OTHER_LINKS:
                 return self._topic(OTHER_LINKS, kind, schema)
             self._links.add(link)
-        topic = self._container.add_topic(
-            topic_name(link, kind), schema, schemas.json_schema(schema)
-        )
+        topic = self._container.add_topic(topic_name(link, kind), schemas.schema_of(schema))
         self._topics[link, kind] = topic
         return topic
 

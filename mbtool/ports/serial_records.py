@@ -12,6 +12,7 @@
 #     ERROR    why the process ends, in one line for the user, UTF-8; no record follows
 #     DAMAGE   the driver's report of damaged bytes, one line, UTF-8
 #     OVERRUN  8 bytes: the number of bytes that the driver has lost, as it reports
+#     STOPPED  why bytes before this record may be missing, one line, UTF-8
 #     ANSWER   like DATA, but from the slaves' side of a serial tap; its master's side gives DATA
 #
 # A record is never larger than PIPE_BUF, so a write to the pipe succeeds whole or not at all. The
@@ -50,6 +51,7 @@ class RecordKind(IntEnum):
     DAMAGE = 5
     OVERRUN = 6
     ANSWER = 7
+    STOPPED = 8
 
 
 _READS = frozenset((RecordKind.DATA, RecordKind.ANSWER))

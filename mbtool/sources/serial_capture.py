@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 
     from mbtool.sources.inbox import Sink
 
+STEP_NS = 10_000
+"""Times of reads are multiples of this, in ns. A read is noted some 50 us late at best, and finer
+times would take twice the space in the log. The decoder gets the same times."""
 _START_S = 20.0
 """Timeout in seconds for the reading process to open its port."""
 
@@ -119,13 +122,14 @@ class SerialSource(LiveSource[SerialLink]):
                 # The driver reports a loss up to a second later. So the event is not a GAP: a GAP
                 # would end the frame that is being decoded now.
                 self._tell(record, EventKind.LINE_ERROR, text, record.lost)
+            case RecordKind.STOPPED:
+                self._tell(record, EventKind.GAP, f"{self.link}: {record.data.decode()}")
             case RecordKind.ERROR:
                 self._error = LinkError(record.data.decode(errors="replace"))
 
     def _hear(self, record: SerialRecord, speaker: Direction) -> None:
-        self._inbox.put(
-            Chunk(ts_ns=record.ts_ns, link=self.link, data=record.data, direction=speaker)
-        )
+        ts_ns = record.ts_ns // STEP_NS * STEP_NS
+        self._inbox.put(Chunk(ts_ns=ts_ns, link=self.link, data=record.data, direction=speaker))
 
     def _tell(self, record: SerialRecord, kind: EventKind, text: str, missing: int = 0) -> None:
         self._inbox.put(

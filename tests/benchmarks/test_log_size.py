@@ -1,20 +1,44 @@
-"""The measurement of the size of logs, on a few polls."""
+"""The size of logs, and the memory for decoding them, on a few minutes of a polled line."""
 
 from __future__ import annotations
 
-from mbtool.core import Chunk
-from tests.benchmarks.log_size import block, sizes
+import tracemalloc
+from typing import TYPE_CHECKING
+
+import pytest
+
+from mbtool.logs import LogReader
+from mbtool.workflows.shared.reading import Reading, ReadingOptions
+from tests.benchmarks.log_size import polling, write_line
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 
-def test_a_block_holds_times_lengths_and_bytes() -> None:
-    reads = [
-        Chunk(ts_ns=5_000_000, link="a", data=b"\x01\x03"),
-        Chunk(ts_ns=8_009_000, link="a", data=b"\x04"),
-    ]
-    # 3.009 ms are 300 times 10 us: ac 02, seven bits at a time.
-    assert block(reads) == bytes.fromhex("05  00 02  ac02 01  010304")
+@pytest.mark.parametrize("size", [1, 8, 64])
+def test_evidence_takes_at_most_three_times_the_bytes_of_ten_polls_a_second(
+    tmp_path: Path, size: int
+) -> None:
+    path = tmp_path / "x.mcap"
+    log = write_line(path, 10, 300, size, decoded=False)
+    assert log.ratio < 3
+    with LogReader.open(path) as reader:
+        assert list(reader.evidence()) == list(polling(10, 300, size))
+    records = list(Reading([str(path)], ReadingOptions()).records())
+    assert len(records) == 300
+    whole = write_line(tmp_path / "whole.mcap", 10, 300, size, decoded=True)
+    assert whole.size > log.size
+    again = Reading([str(tmp_path / "whole.mcap")], ReadingOptions())
+    assert [repr(one).replace("whole", "x") for one in again.records()] == list(map(repr, records))
 
 
-def test_evidence_alone_is_smaller_and_in_blocks_smaller_still() -> None:
-    whole, evidence, blocks, long_blocks = sizes(10, 100, by_byte=True)
-    assert whole > evidence > blocks > long_blocks
+def test_decoding_a_longer_log_takes_no_more_memory(tmp_path: Path) -> None:
+    peaks = []
+    for polls in (200, 400, 1200):
+        write_line(tmp_path / f"{polls}.mcap", 10, polls, 8, decoded=False)
+        tracemalloc.start()
+        reading = Reading([str(tmp_path / f"{polls}.mcap")], ReadingOptions(raw=True))
+        assert sum(1 for _ in reading.records()) == polls
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[2] < 1.3 * max(peaks[:2])

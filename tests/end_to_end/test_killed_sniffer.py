@@ -105,6 +105,8 @@ def assert_nothing_is_missing(log: Path, answered_ns: list[int], killed_ns: int)
     with log.open("rb") as stream:
         for schema, channel, message in make_reader(stream, validate_crcs=True).iter_messages():
             assert schema is not None
+            if schema.encoding == "protobuf":
+                continue
             body = json.loads(message.data)
             Draft202012Validator(json.loads(schema.data)).validate(body)
             if channel.topic.endswith("/transactions"):

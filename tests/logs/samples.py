@@ -161,6 +161,13 @@ chunks = st.builds(
     stamp=st.sampled_from(Stamp),
     connection=st.none() | _connections,
 )
+reads = st.builds(
+    Chunk,
+    ts_ns=st.integers(0, 1000) | _times,
+    link=st.sampled_from(["a", "b"]),
+    data=_raw,
+    direction=st.sampled_from(Direction),
+)
 packets = st.builds(
     Packet,
     ts_ns=_times,

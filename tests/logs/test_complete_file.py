@@ -12,12 +12,13 @@ from mbtool.core import OutputError
 from mbtool.logs.complete_file import SECTOR, CompleteFile
 from mbtool.logs.container import Container
 from mbtool.logs.layout import MAGIC, TAIL_SIZE, packed
+from mbtool.logs.schemas import TopicSchema
 
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
 
 HEAD = MAGIC + packed(Header(profile="mbtool", library="test"))
-SCHEMA = b'{"type": "object", "properties": {}}'
+SCHEMA = TopicSchema("s", "jsonschema", "json", b'{"type": "object", "properties": {}}')
 
 
 class Disk(io.BytesIO):
@@ -49,7 +50,7 @@ class Disk(io.BytesIO):
 def test_every_state_in_which_a_kill_leaves_the_file_opens_in_the_stock_reader() -> None:
     disk = Disk()
     container = Container(CompleteFile(disk, "x.mcap", HEAD))
-    topic = container.add_topic("/t", "s", SCHEMA)
+    topic = container.add_topic("/t", SCHEMA)
     written: list[int] = []
     seen = [0]
     for number in range(6):
@@ -75,7 +76,7 @@ def test_every_state_while_the_summary_is_written_opens_in_the_stock_reader(
         disk = Disk()
         container = Container(CompleteFile(disk, "x.mcap", HEAD))
         container.add_metadata("m", {"filler": "x" * filler})
-        topic = container.add_topic("/t", "s", SCHEMA)
+        topic = container.add_topic("/t", SCHEMA)
         container.add_message(topic, 1, 1, b"{}")
         container.flush(sync=False)
         disk.states.clear()
@@ -130,7 +131,7 @@ def test_after_an_error_a_log_stays_as_it_is_and_repeats_the_error() -> None:
 
 
 def fill(container: Container, flushes: int) -> None:
-    topic = container.add_topic("/t", "s", SCHEMA)
+    topic = container.add_topic("/t", SCHEMA)
     for number in range(flushes):
         container.add_message(topic, number, number, bytes(range(200)))
         container.flush(sync=False)

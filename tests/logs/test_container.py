@@ -43,8 +43,8 @@ def log(tmp_path: Path) -> Log:
 
 
 def test_the_stock_reader_finds_messages_by_topic_and_time_through_the_indexes(log: Log) -> None:
-    one = log.container.add_topic("/one", "s", SCHEMA)
-    two = log.container.add_topic("/two", "s", SCHEMA)
+    one = log.container.add_topic("/one", SCHEMA)
+    two = log.container.add_topic("/two", SCHEMA)
     for number in range(10):
         log.container.add_message(one, number, number, b"%d" % number)
         log.container.add_message(two, number, number, b"%d" % -number)
@@ -59,8 +59,8 @@ def test_the_stock_reader_finds_messages_by_topic_and_time_through_the_indexes(l
 
 
 def test_message_indexes_point_at_the_messages(log: Log) -> None:
-    one = log.container.add_topic("/one", "s", SCHEMA)
-    two = log.container.add_topic("/two", "s", SCHEMA)
+    one = log.container.add_topic("/one", SCHEMA)
+    two = log.container.add_topic("/two", SCHEMA)
     for number in range(6):
         log.container.add_message(two if number % 3 else one, number, number, b"%d" % number)
     data = log.finish()
@@ -79,8 +79,8 @@ def test_message_indexes_point_at_the_messages(log: Log) -> None:
 
 
 def test_the_summary_counts_what_is_in_the_file(log: Log) -> None:
-    topic = log.container.add_topic("/one", "s", SCHEMA)
-    log.container.add_topic("/two", "s", SCHEMA)
+    topic = log.container.add_topic("/one", SCHEMA)
+    log.container.add_topic("/two", SCHEMA)
     log.container.add_metadata("m", {"key": "value"})
     for number in (5, 3, 9):
         log.container.add_message(topic, number, number, b"{}")
@@ -108,7 +108,7 @@ def test_the_stock_reader_finds_metadata_and_attachments(log: Log) -> None:
 
 
 def test_every_crc_is_right(log: Log) -> None:
-    topic = log.container.add_topic("/one", "s", SCHEMA)
+    topic = log.container.add_topic("/one", SCHEMA)
     log.container.add_message(topic, 1, 1, b"{}")
     data = log.finish()
     assert list(StreamReader(io.BytesIO(data), validate_crcs=True).records)
@@ -119,7 +119,7 @@ def test_every_crc_is_right(log: Log) -> None:
 
 
 def test_a_chunk_goes_to_the_file_when_it_is_full(log: Log) -> None:
-    topic = log.container.add_topic("/one", "s", SCHEMA)
+    topic = log.container.add_topic("/one", SCHEMA)
     message = bytes(CHUNK_SIZE // 10)
     for number in range(25):
         log.container.add_message(topic, number, number, message)
@@ -131,7 +131,7 @@ def test_a_chunk_goes_to_the_file_when_it_is_full(log: Log) -> None:
 
 
 def test_records_keep_the_order_in_which_they_were_added(log: Log) -> None:
-    topic = log.container.add_topic("/one", "s", SCHEMA)
+    topic = log.container.add_topic("/one", SCHEMA)
     log.container.add_message(topic, 1, 1, b"{}")
     log.container.add_metadata("m", {})
     log.container.add_message(topic, 2, 2, b"{}")
@@ -148,7 +148,7 @@ def test_records_keep_the_order_in_which_they_were_added(log: Log) -> None:
 def test_a_time_outside_the_range_of_mcap_is_set_to_the_limit(
     log: Log, given: int, written: int
 ) -> None:
-    topic = log.container.add_topic("/one", "s", SCHEMA)
+    topic = log.container.add_topic("/one", SCHEMA)
     log.container.add_message(topic, given, given, b"{}")
     ((_, _, message),) = NonSeekingReader(io.BytesIO(log.finish())).iter_messages()
     assert (message.log_time, message.publish_time) == (written, written)
@@ -163,7 +163,7 @@ def test_an_empty_file_has_a_summary(log: Log) -> None:
 
 def test_a_topic_is_announced_once_with_its_schema(log: Log) -> None:
     for name in ("/one", "/two"):
-        topic = log.container.add_topic(name, "s", SCHEMA)
+        topic = log.container.add_topic(name, SCHEMA)
         log.container.add_message(topic, 1, 1, b"{}")
     data = log.finish()
     announced = [type(record).__name__ for record in StreamReader(io.BytesIO(data)).records]

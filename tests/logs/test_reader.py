@@ -15,7 +15,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.writer import CompressionType, Writer
 
-from mbtool.core import Chunk, CutError, DamageError, EventKind, InputError, WireEvent
+from mbtool.core import (
+    Chunk,
+    CutError,
+    DamageError,
+    EventKind,
+    InputError,
+    Packet,
+    WireEvent,
+)
 from mbtool.devices import NamedTransaction
 from mbtool.logs import reader
 from mbtool.logs.layout import DATA_END_SIZE, FOOTER_SIZE, Opcode
@@ -28,6 +36,7 @@ from tests.logs.samples import (
     changed,
     chunk,
     items,
+    reads,
     records_of,
     transaction,
     write_log,
@@ -41,10 +50,18 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 
-@given(st.lists(items, max_size=6))
+@given(st.lists(st.one_of(items, reads), max_size=6))
 def test_what_was_written_is_read_back(written: list[LogItem]) -> None:
     with tempfile.TemporaryDirectory() as folder:
-        assert list(read_log(write_log(Path(folder) / "x.mcap", written))) == written
+        found = list(read_log(write_log(Path(folder) / "x.mcap", written)))
+    # Reads of a line are joined, and stand before what was written between them.
+    for link in {item.link for item in written}:
+        assert _evidence(found, link) == _evidence(written, link)
+    assert _without_evidence(found) == _without_evidence(written)
+    for number, item in enumerate(written):
+        if isinstance(item, Chunk):
+            behind = _without_evidence(written[number:])
+            assert _without_evidence(found[found.index(item) :])[-len(behind) :] == behind
 
 
 def test_a_log_gives_only_transactions_or_only_evidence(tmp_path: Path) -> None:
@@ -350,8 +367,8 @@ def test_an_mcap_file_of_another_profile_is_told() -> None:
 
 
 def test_a_log_of_a_later_format_is_told(tmp_path: Path) -> None:
-    LogWriter(tmp_path / "x.mcap", capture={"log_format": "2"}).close()
-    with pytest.raises(InputError, match="log format 2, from another version of mbtool"):
+    LogWriter(tmp_path / "x.mcap", capture={"log_format": "3"}).close()
+    with pytest.raises(InputError, match="log format 3, from another version of mbtool"):
         LogReader.open(tmp_path / "x.mcap")
 
 
@@ -513,6 +530,14 @@ def some_chunks(path: Path) -> Path:
             writer.write(transaction(number))
             writer.tick((number + 1) * 10**9)
     return path
+
+
+def _evidence(some: list[LogItem], link: str) -> list[LogItem]:
+    return [one for one in some if isinstance(one, Chunk | Packet) and one.link == link]
+
+
+def _without_evidence(some: list[LogItem]) -> list[LogItem]:
+    return [one for one in some if not isinstance(one, Chunk | Packet)]
 
 
 def _is_hole(item: LogItem) -> bool:

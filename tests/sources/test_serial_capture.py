@@ -22,7 +22,7 @@ from mbtool.core import (
 from mbtool.ports.clock import now_ns
 from mbtool.ports.serial_records import RecordKind, SerialRecord
 from mbtool.sources.inbox import Ended, Inbox
-from mbtool.sources.serial_capture import SerialSource
+from mbtool.sources.serial_capture import STEP_NS, SerialSource
 from tests.sources.live_helpers import (
     drain,
     start_program,
@@ -44,7 +44,7 @@ A_PARENT = """
 import sys
 from mbtool.core import SerialFormat, SerialLink
 from mbtool.sources.inbox import Inbox
-from mbtool.sources.serial_capture import SerialSource
+from mbtool.sources.serial_capture import STEP_NS, SerialSource
 with SerialSource(SerialLink(sys.argv[1], SerialFormat()), Inbox()) as source:
     print(source._child.pid, flush=True)
     sys.stdin.read()
@@ -74,7 +74,7 @@ def test_every_byte_arrives_in_order_with_the_time_of_its_read(pty: tuple[int, s
     chunks = []
     with source_on(port, inbox):
         for number in range(100):
-            before_ns = now_ns()
+            before_ns = now_ns() - STEP_NS  # Times are rounded down.
             os.write(near, bytes([number, 0xFF, 0x11]))
             heard = take_bytes(inbox, 3)
             after_ns = now_ns()
@@ -84,6 +84,7 @@ def test_every_byte_arrives_in_order_with_the_time_of_its_read(pty: tuple[int, s
     assert b"".join(chunk.data for chunk in chunks) == expected
     times = [chunk.ts_ns for chunk in chunks]
     assert times == sorted(times)
+    assert not any(time % STEP_NS for time in times)
     assert {chunk.stamp for chunk in chunks} == {Stamp.LAST_BYTE}
 
 
@@ -194,3 +195,16 @@ def test_the_reading_process_ends_on_a_silent_line_when_its_parent_is_killed(
         descriptor = os.pidfd_open(int(parent.stdout.readline()))
         parent.kill()
         wait_for_end(descriptor)
+
+
+def test_a_stopped_reading_process_is_a_gap_of_its_line(pty: tuple[int, str]) -> None:
+    _, port = pty
+    inbox = Inbox()
+    with source_on(port, inbox) as source:
+        source._take(SerialRecord(RecordKind.STOPPED, 5, b"nothing was read for 3.0 s"))
+        items = take_until(inbox, lambda item: isinstance(item, WireEvent))
+    event = items[-1]
+    assert isinstance(event, WireEvent)
+    assert (event.kind, event.message) == (
+        EventKind.GAP, f"{source.link}: nothing was read for 3.0 s"
+    )  # fmt: skip
