@@ -14,7 +14,7 @@ from mbtool.workflows.shared.heartbeat import HeartbeatLog
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from mbtool.logs import LogWriter, RotatingLog
+    from mbtool.workflows.shared.heartbeat import StatusLog
     from mbtool.workflows.sniff import Sniffer
 
 STATUS_NS = 10_000_000_000
@@ -33,7 +33,7 @@ class ServiceRun:
         self._log: HeartbeatLog | None = None
         self._status_ns = self._alive_ns = 0
 
-    def with_heartbeats(self, create: Callable[[], LogWriter | RotatingLog]) -> HeartbeatLog:
+    def with_heartbeats(self, create: Callable[[], StatusLog]) -> HeartbeatLog:
         """Create the log with `create`; the result adds heartbeats to it."""
         self._log = HeartbeatLog(create(), self._lost_links, now_ns())
         return self._log

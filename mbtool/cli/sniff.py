@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from mbtool.logs.rotation import RotatingLog
     from mbtool.logs.writer import LogWriter
     from mbtool.workflows.shared.checked_log import FindingsLog
+    from mbtool.workflows.shared.heartbeat import StatusLog
     from mbtool.workflows.shared.recorder import Log
     from mbtool.workflows.sniff import Sniffer
 
@@ -81,6 +82,22 @@ def sniff(
             help="Write FILE-0001.mcap, and go on in the next file at this size or age.",
         ),
     ] = None,
+    keep: Annotated[
+        int | None,
+        typer.Option(
+            "--keep",
+            metavar="N",
+            min=2,
+            help="With --rotate: keep the last N files, and fewer where the disk is full.",
+        ),
+    ] = None,
+    evidence_only: Annotated[
+        bool,
+        typer.Option(
+            "--evidence-only",
+            help="Log the bytes and not what they mean; reading the log decodes them.",
+        ),
+    ] = False,
     reconnect: Annotated[
         bool,
         typer.Option(
@@ -117,7 +134,7 @@ def sniff(
     from mbtool.cli.options import assignments, condition
     from mbtool.cli.output import open_output
     from mbtool.cli.service import ServiceRun
-    from mbtool.cli.talk import interruptible, never_waiting, say
+    from mbtool.cli.talk import interruptible, never_suspended, never_waiting, say
     from mbtool.core import UsageError, parse_link
     from mbtool.core.link_spec import HEARD
     from mbtool.decode.line_timing import LineTiming
@@ -125,6 +142,7 @@ def sniff(
     from mbtool.logs.opening import check_log_path, create_log, with_point_topics
     from mbtool.logs.rotation import part_path
     from mbtool.workflows.shared.checked_log import begin_checked
+    from mbtool.workflows.shared.evidence_only import begin_evidence_only
     from mbtool.workflows.sniff import serial_lines, with_settings
 
     if rotate is not None and write is None:
@@ -133,6 +151,12 @@ def sniff(
         raise UsageError("--topic-per-point is about a log: name one with -w FILE.mcap")
     if service and rotate is None:
         raise UsageError("--service needs a log in parts: name it with -w FILE.mcap --rotate 1h")
+    if keep is not None and rotate is None:
+        raise UsageError("--keep needs a log of several files: name its limit with --rotate 1h")
+    if evidence_only and write is None:
+        raise UsageError("--evidence-only needs a log to leave things out of: -w FILE.mcap")
+    if evidence_only and topic_per_point:
+        raise UsageError("--evidence-only logs no points, so --topic-per-point has nothing to do")
     specs = tls.on_taps([parse_link(link, HEARD) for link in links])
     for warning in tls.warnings():
         say(f"mbtool: {warning}")
@@ -158,16 +182,29 @@ def sniff(
             rotation=rotation,
             overwrite=overwrite,
             continues=service,
+            evidence_only=evidence_only,
+            keep=keep,
+            on_full=lambda text: say(f"mbtool: {text}"),
             **tcp_ports._asdict(),
         )
         if topic_per_point:
             created = partial(with_point_topics, created)
+        kept: Callable[[], StatusLog] = created
+        if evidence_only:
+            kept = partial(begin_evidence_only, created, specs)
         create: Callable[[], FindingsLog] = (
-            created if run is None else partial(run.with_heartbeats, created)
+            kept if run is None else partial(run.with_heartbeats, kept)
         )
-        begin = partial(begin_checked, create, timing, serial_lines(specs), tcp_ports.expected)
+        begin = create
+        if not evidence_only:
+            begin = partial(begin_checked, create, timing, serial_lines(specs), tcp_ports.expected)
     sniffer = sniffer_of(specs, timing, tcp_ports, allowed, begin, reconnects=reconnect)
-    with interruptible() as interrupt, never_waiting(), ExitStack() as opened:
+    with (
+        interruptible() as interrupt,
+        never_suspended() as tell_suspension,
+        never_waiting(),
+        ExitStack() as opened,
+    ):
         is_hurried = partial(getattr, interrupt, "asked")
         live = partial(
             LiveOutput, is_kept=write is not None, is_hurried=is_hurried, is_silent=service
@@ -192,7 +229,7 @@ def sniff(
             say(f"listening on {', '.join(sniffer.places)}; Ctrl-C ends")
             if run is not None:
                 run.begin(sniffer)
-            ends = _end(interrupt, out, duration, run)
+            ends = _end(interrupt, out, duration, tell_suspension, run)
             _show(sniffer, out, devices, serial_lines(specs), ends, is_hurried)
             if run is not None:
                 run.end()
@@ -204,7 +241,11 @@ def sniff(
 
 
 def _end(
-    interrupt: Interrupt, out: RecordOutput, duration_s: float | None, run: ServiceRun | None
+    interrupt: Interrupt,
+    out: RecordOutput,
+    duration_s: float | None,
+    tell_suspension: Callable[[], None],
+    run: ServiceRun | None,
 ) -> Callable[[int], bool]:
     """Return a function that takes the time in ns and returns True if the run must end."""
     from mbtool.ports.clock import now_ns
@@ -213,6 +254,7 @@ def _end(
 
     def ends(at_ns: int) -> bool:
         out.wait()
+        tell_suspension()
         if run is not None:
             run.look()
         return interrupt.asked or out.is_full or at_ns >= end_ns

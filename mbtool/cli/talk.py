@@ -156,6 +156,35 @@ def interruption_told(text: str = NOTHING_WRITTEN) -> Iterator[None]:
 
 
 @contextmanager
+def never_suspended() -> Iterator[Callable[[], None]]:
+    """While the context is open, Ctrl-Z does not stop the command, as nothing would be heard.
+
+    Yields a function that tells the user so after Ctrl-Z; it is called now and then. SIGTTOU, which
+    stops a command in the background that prints, is ignored, too.
+    """
+    pressed = [False]
+
+    def note(_signal: int, _frame: FrameType | None) -> None:
+        pressed[0] = True
+
+    def tell() -> None:
+        if pressed[0]:
+            pressed[0] = False
+            say("mbtool: Ctrl-Z does not stop a recording, which would lose what comes; "
+                "Ctrl-C ends it")  # fmt: skip
+
+    if sys.platform == "win32":
+        yield tell
+        return
+    before = signal.signal(signal.SIGTSTP, note), signal.signal(signal.SIGTTOU, signal.SIG_IGN)
+    try:
+        yield tell
+    finally:
+        signal.signal(signal.SIGTSTP, before[0])
+        signal.signal(signal.SIGTTOU, before[1])
+
+
+@contextmanager
 def interruptible() -> Iterator[Interrupt]:
     """While the context is open, only note Ctrl-C, SIGTERM and SIGHUP (the terminal is gone).
 

@@ -71,12 +71,22 @@ def check_path(path: Path, *, replace: bool = False) -> None:
         raise _exists(path)
 
 
-def _lock(file: BinaryIO, path: Path) -> None:
+def demand_unlocked(path: Path) -> None:
+    """Raise OutputError if a recorder is writing to an existing file."""
+    try:
+        with path.open("rb+", buffering=0) as file:
+            _lock(file, path, is_shared=True)
+    except OSError:
+        return  # Nobody can write to it.
+
+
+def _lock(file: BinaryIO, path: Path, *, is_shared: bool = False) -> None:
     """Lock the file until it is closed. Raises OutputError if another recorder has locked it."""
     if sys.platform == "win32":
         return
     try:
-        fcntl.flock(file.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
+        kind = fcntl.LOCK_SH if is_shared else fcntl.LOCK_EX
+        fcntl.flock(file.fileno(), kind | fcntl.LOCK_NB)
     except BlockingIOError:
         raise OutputError(
             f"{path}: another recorder is writing to it; name another, or end that one first"

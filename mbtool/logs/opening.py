@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from mbtool.core import InterfaceLink, TapLink, UsageError
 from mbtool.devices import profile_to_json
 from mbtool.logs.creating import check_path
+from mbtool.logs.layout import EVIDENCE_ONLY
 from mbtool.logs.links import ANY_PORT, PORTS, RTU_PORTS, SPEC
 from mbtool.logs.rotation import RotatingLog
 from mbtool.logs.writer import LogWriter
@@ -38,13 +39,18 @@ def create_log(
     rotation: Rotation | None = None,
     overwrite: bool = False,
     continues: bool = False,
+    evidence_only: bool = False,
+    keep: int | None = None,
+    on_full: Callable[[str], None] = lambda _: None,
 ) -> LogWriter | RotatingLog:
     """Create a log, and write to it everything that is needed to decode its evidence again.
 
-    With `continues`, a rotated log goes on behind the parts that exist. `ports`, `rtu_ports` and
-    `any_port` are the TCP ports that the run decodes on interfaces. Raises UsageError if the file
-    cannot be created or has the suffix of another format, OutputError if another recorder has it
-    open.
+    `ports`, `rtu_ports` and `any_port` are the TCP ports that the run decodes on interfaces. With
+    `evidence_only` the log tells its readers that they have to decode it. `continues`, `keep` and
+    `on_full` are those of a RotatingLog.
+
+    Raises UsageError if the file cannot be created or has the suffix of another format, OutputError
+    if another recorder has it open.
     """
     _check_suffix(path)
     capture = {
@@ -54,11 +60,21 @@ def create_log(
         "clock": "the host's system clock at the start, plus the time that passed since, "
         "UTC nanoseconds, read right after each read",
     }
+    if evidence_only:
+        capture[EVIDENCE_ONLY] = "true"
     log: LogWriter | RotatingLog
     if rotation is None:
         log = LogWriter(path, capture=capture, replace=overwrite)
     else:
-        log = RotatingLog(path, rotation, capture=capture, replace=overwrite, continues=continues)
+        log = RotatingLog(
+            path,
+            rotation,
+            capture=capture,
+            replace=overwrite,
+            continues=continues,
+            keep=keep,
+            on_full=on_full,
+        )
     for link in links:
         settings = {SPEC: str(link)}
         if isinstance(link, InterfaceLink):

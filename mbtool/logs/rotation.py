@@ -4,20 +4,27 @@
 # a complete log, with the metadata, the links and the profiles. A file ends at the first tick or
 # item after it has reached its limit, so it is longer by up to one flush, and it has at least one
 # item. A number whose file exists already is skipped. A transaction may be in the file after the
-# one with its evidence. The first file stays locked to the end, so that no other recorder starts a
-# series with the same names.
+# one with its evidence. The first file stays locked to the end, or until it is removed. A series in
+# which one file is locked is not begun anew by another recorder.
+#
+# With a limit of files the oldest one is removed before the next is begun, and also when the disk
+# is full. Only files that this run has finished are removed, or, in a series that goes on, those of
+# the runs before, too.
 
 from __future__ import annotations
 
+import os
 import re
+from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, BinaryIO, Self
 
 import msgspec
 
 from mbtool.core import UsageError
 from mbtool.core.closing import ClosesOnExit
+from mbtool.logs.creating import check_path, demand_unlocked
 from mbtool.logs.messages import DecodingMark
 from mbtool.logs.writer import LogWriter
 
@@ -70,13 +77,22 @@ class RotatingLog(ClosesOnExit):
         capture: Mapping[str, str],
         replace: bool = False,
         continues: bool = False,
+        keep: int | None = None,
+        on_full: Callable[[str], None] = lambda _: None,
     ) -> None:
         """Create the first file; with `continues`, the first part behind those that exist.
 
-        Raises UsageError if the file exists (unless `replace`) or cannot be created, OutputError if
-        another recorder has it open.
+        With `keep` there are never more files than that; `on_full` gets a line for each file that
+        is removed before, because the disk is full.
+
+        Raises UsageError if the file exists (unless `replace` or `continues`; with `keep`, if any
+        part exists) or cannot be created, OutputError if another recorder writes to a part.
         """
         self._path = Path(path)
+        self._keep = keep
+        self._on_full = on_full
+        self._finished: deque[Path] = deque()
+        """The finished files of this run, the oldest first; kept only if some are to be removed."""
         self._rotation = rotation
         self._capture = dict(capture)
         self._replace = replace
@@ -88,6 +104,9 @@ class RotatingLog(ClosesOnExit):
         self._status: Mapping[str, str] = {}
         self._began_ns: int | None = None
         self._now_ns: int | None = None
+        self._first: BinaryIO | None = None
+        """A handle of the first file of this run, which keeps it locked."""
+        self._take_series()
         self._writer = self._open()
         self._first = self._writer.hold()
 
@@ -140,7 +159,19 @@ class RotatingLog(ClosesOnExit):
         try:
             self._writer.close(final)
         finally:
-            self._first.close()
+            self._let_first_go()
+
+    def _take_series(self) -> None:
+        """Look at the parts that exist: none may be written to, and a series may go on."""
+        parts = parts_of(self._path)
+        for part in parts:
+            if self._keep is not None and not self._continues:
+                check_path(part, replace=self._replace)
+            demand_unlocked(part)
+        if self._continues and parts:
+            self._number = part_number(parts[-1]) + 1
+            for part in parts:
+                self._finish(part)
 
     def _add_to_each(self, add: Callable[[LogWriter], None]) -> None:
         """Add metadata to this file and to each later one."""
@@ -150,6 +181,7 @@ class RotatingLog(ClosesOnExit):
     def _rotate_if_due(self) -> None:
         if self._is_due():
             self._writer.close()
+            self._finish(self._writer.path)
             self._number += 1
             self._began_ns = self._now_ns
             self._writer = self._open()
@@ -172,13 +204,44 @@ class RotatingLog(ClosesOnExit):
 
     def _open(self) -> LogWriter:
         path = self._part()
-        while (self._number > 1 or self._continues) and not self._replace and path.exists():
+        while self._number > 1 and not self._replace and path.exists():
             self._number += 1
             path = self._part()
         capture = {**self._capture, "part": str(self._number)}
-        writer = LogWriter(path, capture=capture, replace=self._replace)
+        writer = LogWriter(path, capture=capture, replace=self._replace, make_room=self._make_room)
         self._is_empty = True
         return writer
+
+    def _finish(self, path: Path) -> None:
+        """Take a file that is finished; remove the oldest one if there are too many."""
+        if self._keep is None:
+            return
+        self._finished.append(path)
+        while len(self._finished) >= self._keep:
+            self._remove_oldest()
+
+    def _make_room(self) -> bool:
+        """Remove the oldest finished file that can be removed; False if there is none."""
+        while self._finished:
+            oldest = self._finished[0]
+            if self._remove_oldest():
+                self._on_full(
+                    f"the disk is full; {oldest}, the oldest file of this log, was removed"
+                )
+                return True
+        return False
+
+    def _remove_oldest(self) -> bool:
+        self._let_first_go()  # A file that is held takes its room although it is removed.
+        try:
+            self._finished.popleft().unlink()
+        except OSError:
+            return False
+        return True
+
+    def _let_first_go(self) -> None:
+        if self._first is not None:
+            self._first.close()
 
     def _part(self) -> Path:
         return part_path(self._path, self._number)
@@ -187,3 +250,19 @@ class RotatingLog(ClosesOnExit):
 def part_path(path: Path, number: int) -> Path:
     """The file of a part, counted from 1, of a log that the user has named `path`."""
     return path.with_name(f"{path.stem}-{number:04}{path.suffix}")
+
+
+def parts_of(path: Path) -> list[Path]:
+    """The parts that exist of a log that the user has named `path`, in their order."""
+    numbered = re.compile(rf"{re.escape(path.stem)}-\d{{4,9}}{re.escape(path.suffix)}", re.ASCII)
+    try:
+        names = os.listdir(path.parent)
+    except OSError:
+        return []
+    found = [path.with_name(name) for name in names if numbered.fullmatch(name)]
+    return sorted(found, key=part_number)
+
+
+def part_number(part: Path) -> int:
+    """The number of a part, by its name."""
+    return int(part.stem.rpartition("-")[2])

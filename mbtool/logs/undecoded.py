@@ -39,6 +39,9 @@ if TYPE_CHECKING:
     from pathlib import Path
     from typing import BinaryIO
 
+UNDECODED_PIECES = "undecoded_pieces"
+"""A key of the metadata at the end of a log: how many chunks and packets were not decoded."""
+
 
 def undecoded_pieces(path: str | Path) -> int:
     """The number of chunks and packets of a log that were not decoded when it was made.

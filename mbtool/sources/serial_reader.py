@@ -8,6 +8,9 @@
 # known without delay, and then every 50 ms. The time of a QUIET record is noted before a read that
 # returned no bytes, so the line was certainly silent up to it.
 #
+# A read that takes longer than STOPPED_NS tells that the process was stopped, or that the machine
+# slept. A STOPPED record before its bytes says so, as the driver holds only some of what came.
+#
 # The driver's reports of damaged and lost bytes follow the record of the bytes (line_errors.py).
 
 from __future__ import annotations
@@ -29,6 +32,10 @@ from mbtool.sources.serial_process import put_troubles, run_process
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from threading import Event
+
+
+STOPPED_NS = 2_000_000_000
+"""A read takes at most IDLE_S; on a busy machine it has been late by tenths of a second."""
 
 
 def main() -> None:
@@ -64,6 +71,12 @@ def read_until(
             asked_ns = now_ns()
             data = source.read(wait_s)
             read_ns = now_ns()
+            if read_ns - asked_ns > STOPPED_NS:
+                stopped_s = (read_ns - asked_ns) / 1e9
+                text = (
+                    f"nothing was read for {stopped_s:.1f} s: this program or machine was stopped"
+                )
+                records.put(RecordKind.STOPPED, asked_ns, text.encode())
             if data:
                 _put_data(records, errors, data, source.damaged, read_ns)
                 wait_s = settle_s

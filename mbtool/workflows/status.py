@@ -7,6 +7,7 @@ from enum import StrEnum
 from pathlib import Path
 
 from mbtool.core import InputError
+from mbtool.logs.rotation import parts_of
 from mbtool.logs.status import LogStatus, read_status
 from mbtool.ports.clock import now_ns
 from mbtool.workflows.shared.heartbeat import HEARTBEAT_NS
@@ -53,17 +54,10 @@ def recording_of(path: str) -> RecordingStatus:
 def _newest(path: Path) -> Path:
     if path.exists():
         return path
-    parts = sorted(
-        path.parent.glob(f"{_plain(path.stem)}-[0-9][0-9][0-9][0-9]*{_plain(path.suffix)}")
-    )
+    parts = parts_of(path)
     if not parts:
         raise InputError(f"{path}: there is no such log, nor parts of it")
-    return max(parts, key=lambda part: (len(part.name), part.name))
-
-
-def _plain(text: str) -> str:
-    """A text that stands for itself in a pattern of glob."""
-    return "".join(f"[{one}]" if one in "*?[" else one for one in text)
+    return parts[-1]
 
 
 def _state(log: LogStatus, at_ns: int) -> RecordingState:

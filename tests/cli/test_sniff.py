@@ -110,6 +110,27 @@ def test_a_slave_that_says_its_model_is_told_once_as_it_is_heard(bench: Bench) -
     assert told.err == "2 transactions: 2 ok\n"
 
 
+def test_a_log_of_evidence_only_is_decoded_when_it_is_read(
+    bench: Bench, tmp_path: Path, mbtool: CommandLine
+) -> None:
+    path, whole = tmp_path / "a.mcap", tmp_path / "whole.mcap"
+    with Program("sniff", bench.tap(), "-w", path, "--evidence-only") as program:
+        _ask(_tap_of(program), 3)
+        live = program.end(signal.SIGINT)
+    assert live.out.count("06 write") == 3
+    with LogReader.open(path) as log:
+        found = [getattr(item, "kind", "bytes") for item in log.items()]
+    assert found == ["bytes"] * 6 + ["opened", "closed"]
+    again = mbtool("decode", path)
+    assert again.out == live.out
+    assert again.err == "3 transactions: 3 ok\n"
+    assert mbtool("convert", path, whole).err == f"6 reads, 3 transactions -> {whole}\n"
+    assert len(_logged(whole)) == 3
+    refused = mbtool("decode", path, "--follow")
+    assert (refused.code, len(refused.err.splitlines())) == (exit_codes.USAGE, 1)
+    assert "decode it without --follow" in refused.err
+
+
 def test_stops_after_so_many_and_logs_what_it_heard(bench: Bench, tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     with Program("sniff", bench.tap(), "-w", path, "--count", 2, "--format", "jsonl") as program:
@@ -291,6 +312,8 @@ def test_a_log_is_replaced_where_that_is_asked(bench: Bench, tmp_path: Path) -> 
         (["rtu:/dev/tty-no@auto", "-w", "a.pcap"], "name it a.mcap"),
         (["rtu:/dev/tty-no@auto", "rtu:/dev/x/tty-no@auto"], "two links are called 'tty-no'"),
         (["rtu:/dev/tty-no@auto", "-w", "a.mcap", "--rotate", "often"], "rotation 'often'"),
+        (["rtu:/dev/tty-no@auto", "-w", "a.mcap", "--keep", "3"], "--keep needs a log of several"),
+        (["rtu:/dev/tty-no@auto", "--evidence-only"], "--evidence-only needs a log"),
     ],
 )
 def test_what_cannot_be_done_is_said_before_settings_are_looked_for(

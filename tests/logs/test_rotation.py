@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from mbtool.core import UsageError
+from mbtool.core import OutputError, UsageError
 from mbtool.logs.reader import LogReader, read_log
 from mbtool.logs.rotation import RotatingLog, Rotation
 from tests.logs.samples import chunk
@@ -82,6 +82,52 @@ def test_a_number_whose_file_exists_is_skipped(tmp_path: Path) -> None:
         assert log.path.name == "x-0003.mcap"
         assert 0 < log.size < 2_000
     assert (tmp_path / "x-0002.mcap").read_bytes() == b"evidence"
+
+
+def test_with_a_limit_of_files_the_oldest_goes_before_the_next_begins(tmp_path: Path) -> None:
+    seen = []
+    with RotatingLog(tmp_path / "x.mcap", Rotation(time_ns=1), capture={}, keep=3) as log:
+        for number in range(6):
+            log.tick(number)
+            log.write(chunk(number))
+            log.tick(number + 1)
+            seen.append(sorted(path.name for path in tmp_path.iterdir()))
+    assert max(map(len, seen)) == 3
+    assert seen[-1] == ["x-0005.mcap", "x-0006.mcap", "x-0007.mcap"]
+    assert list(read_log(tmp_path / "x-0005.mcap")) == [chunk(4)]
+
+
+def test_a_series_that_goes_on_counts_the_parts_of_the_runs_before(tmp_path: Path) -> None:
+    for name in ("x-0007.mcap", "x-0012.mcap", "x-10001.mcap", "x-old.mcap", "y-0001.mcap"):
+        (tmp_path / name).write_bytes(b"old")
+    rotation = Rotation(time_ns=1)
+    with RotatingLog(tmp_path / "x.mcap", rotation, capture={}, keep=3, continues=True) as log:
+        names = sorted(path.name for path in tmp_path.iterdir())
+        assert names == [
+            "x-0012.mcap", "x-10001.mcap", "x-10002.mcap", "x-old.mcap", "y-0001.mcap"
+        ]  # fmt: skip
+        assert log.path.name == "x-10002.mcap"
+
+
+def test_with_a_limit_files_of_others_stay(tmp_path: Path) -> None:
+    (tmp_path / "x-0003.mcap").write_bytes(b"evidence")
+    with pytest.raises(UsageError, match=r"x-0003\.mcap: the file exists"):
+        RotatingLog(tmp_path / "x.mcap", Rotation(time_ns=1), capture={}, keep=2)
+    assert [path.name for path in tmp_path.iterdir()] == ["x-0003.mcap"]
+
+
+@pytest.mark.parametrize("replace", [False, True])
+def test_a_series_that_is_written_is_not_begun_again(tmp_path: Path, replace: bool) -> None:
+    with RotatingLog(tmp_path / "x.mcap", Rotation(time_ns=1), capture={}, keep=2) as log:
+        for number in range(4):
+            log.tick(number)
+            log.write(chunk(number))
+        assert not (tmp_path / "x-0001.mcap").exists()
+        with pytest.raises((OutputError, UsageError)):
+            RotatingLog(
+                tmp_path / "x.mcap", Rotation(time_ns=1), capture={}, keep=2, replace=replace
+            )
+        assert not (tmp_path / "x-0001.mcap").exists()
 
 
 def test_the_first_file_must_not_exist(tmp_path: Path) -> None:

@@ -127,3 +127,14 @@ def test_damage_on_a_port_that_goes_away_is_told() -> None:
     told = [record.data for record in records if record.kind is RecordKind.DAMAGE]
     assert told[0] == b"parity or framing error at byte DAH"
     assert len(told) == 2
+
+
+def test_a_process_that_was_stopped_tells_a_gap_before_the_bytes(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    times = iter(range(0, 10**12, 3 * 10**9))  # Each look at the clock is 3 s after the last.
+    monkeypatch.setattr("mbtool.sources.serial_reader.now_ns", lambda: next(times))
+    records, _ = run_loop([b"\x01", b""])
+    kinds = [record.kind for record in records if record.kind is not RecordKind.DAMAGE]
+    assert kinds[:2] == [RecordKind.STOPPED, RecordKind.DATA]
+    assert records[0].data == (b"nothing was read for 3.0 s: this program or machine was stopped")

@@ -10,20 +10,26 @@ minute, when a link is lost or back, and at the end.
 from __future__ import annotations
 
 from collections import Counter
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 from mbtool.core import Chunk, EventKind, Packet, WireEvent
 from mbtool.devices import NamedTransaction
+from mbtool.workflows.shared.checked_log import FindingsLog
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from mbtool.devices.checking.finding import Finding
-    from mbtool.logs import LogWriter, RotatingLog
     from mbtool.logs.messages import DecodingMark, LogItem
 
 HEARTBEAT_NS = 60_000_000_000
 """The time in ns between two heartbeats."""
+
+
+class StatusLog(FindingsLog, Protocol):
+    """A log that takes heartbeats, too."""
+
+    def add_status(self, values: Mapping[str, str]) -> None: ...
 
 
 class Counts:
@@ -76,7 +82,10 @@ class HeartbeatLog:
     """Passes everything on to a log, counts it, and adds the heartbeats."""
 
     def __init__(
-        self, log: LogWriter | RotatingLog, lost_links: Callable[[], list[str]], now_ns: int
+        self,
+        log: StatusLog,
+        lost_links: Callable[[], list[str]],
+        now_ns: int,
     ) -> None:
         """`lost_links` returns the names of the links that are lost at present."""
         self._log = log

@@ -46,6 +46,11 @@ def followed(path: str, assignments: Assignments, wait: Callable[[], bool]) -> I
     with open_capture(path) as capture:
         if capture.kind is not CaptureKind.MCAP or not capture.stream.seekable():
             raise UsageError(f"{path}: not a log (.mcap); only a plain one can be followed")
+        if LogReader(capture.stream, capture.name).is_evidence_only:
+            raise UsageError(
+                f"{path}: a log of evidence only holds nothing decoded to follow; "
+                "decode it without --follow"
+            )
     yield from log_records(follow(path, wait), assignments, path)
 
 

@@ -382,14 +382,14 @@ class Reading:
         if self._options.raw:
             self.assignments = all_assignments(log, self._options.assignments)
             yield from self._decoded_again(log, log.evidence(), Part.of_log(log))
+        elif log.is_evidence_only or self._logs.are_undecoded:
+            self.assignments = all_assignments(log, self._options.assignments)
+            yield from self._decoded_again(log, heard(log), Part.of_log(log))
         elif self._timing(self.assignments).is_given:
             raise UsageError(
                 f"{capture.name}: a log holds what was decoded when it was made; "
                 "--t1-5, --t3-5 and --response-timeout need --raw, which decodes it again"
             )
-        elif self._logs.are_undecoded:
-            self.assignments = all_assignments(log, self._options.assignments)
-            yield from self._decoded_again(log, heard(log), Part.of_log(log))
         else:
             part = Part.of_log(log)
             if not part.follows(self._part):

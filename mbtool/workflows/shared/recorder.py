@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Protocol
 
 from mbtool.core import Chunk, EventKind, Packet, WireEvent
 from mbtool.logs.messages import DecodingMark
+from mbtool.logs.undecoded import UNDECODED_PIECES
 from mbtool.sources.inbox import Inbox
 
 if TYPE_CHECKING:
@@ -137,7 +138,7 @@ class Recorder:
                 self._mark(self._now_ns(), self.waiting)
         finally:
             if self.waiting or self.dropped:
-                final["undecoded_pieces"] = str(self.waiting + self.dropped)
+                final[UNDECODED_PIECES] = str(self.waiting + self.dropped)
             self._log.close(final)
 
     def _run(self) -> None:

@@ -3,9 +3,9 @@
 # Logs that were not closed may lack the records of their last moments, too: those of up to
 # MAX_LOOKED_THROUGH bytes together are decoded again if their evidence goes on behind the records.
 #
-# Such a log is decoded again from its beginning, as what a packet or a byte means depends on what
-# came before it. Its records are left out, but not the events that its evidence cannot give: what
-# drivers, taps and interfaces told.
+# Such a log, and one of evidence only, is decoded from its beginning, as what a packet or a byte
+# means depends on what came before it. Its records are left out, but not the events that its
+# evidence cannot give: what drivers, taps and interfaces told.
 
 from __future__ import annotations
 
@@ -16,12 +16,17 @@ from typing import TYPE_CHECKING
 from mbtool.core import EventKind, WireEvent
 from mbtool.core.wording import counted
 from mbtool.logs.links import SPEC
-from mbtool.logs.undecoded import MAX_LOOKED_THROUGH, ends_undecoded, undecoded_pieces
+from mbtool.logs.undecoded import (
+    MAX_LOOKED_THROUGH,
+    UNDECODED_PIECES,
+    ends_undecoded,
+    undecoded_pieces,
+)
 from mbtool.sources.files import place_of
 from mbtool.views.cells import clock_time, day
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence, Set
 
     from mbtool.core import Chunk, Packet
     from mbtool.logs import LogReader
@@ -54,12 +59,13 @@ class LogRemarks:
 
     def note(self, log: LogReader, name: str) -> None:
         """Take a log that has been read to its end."""
-        text = log.capture.get("undecoded_pieces", "0")
+        text = log.capture.get(UNDECODED_PIECES, "0")
         if not self._counts and text.isdecimal() and len(text) <= 9 and int(text):
             self._unread[name] = int(text)
         if not log.closed:
             end = f"ends at {day(log.end_ns)} {clock_time(log.end_ns)} UTC"
-            end = end + self._last_moments(name) if log.end_ns else "holds nothing"
+            more = "" if log.is_evidence_only else self._last_moments(name)
+            end = end + more if log.end_ns else "holds nothing"
             self._unclosed.append(f"{name}: was not closed; it {end}")
 
     def _last_moments(self, name: str) -> str:
@@ -110,11 +116,15 @@ def heard(log: LogReader) -> Iterator[Chunk | Packet | WireEvent]:
     """The evidence of a log, and the events that its evidence cannot give."""
     taps = {name for name, one in log.links.items() if one.get(SPEC, "").startswith("tap:")}
     for item in log.heard():
-        if not isinstance(item, WireEvent) or _is_of_source(item, taps):
+        if not isinstance(item, WireEvent) or is_of_source(item, taps):
             yield item
 
 
-def _is_of_source(event: WireEvent, taps: set[str]) -> bool:
+def is_of_source(event: WireEvent, taps: Set[str]) -> bool:
+    """True for an event of a driver, a tap or an interface, which the evidence does not show.
+
+    `taps` are the names of the links that are taps.
+    """
     if event.kind in _OF_TAPS:
         return event.link in taps
     if event.kind is EventKind.DISCARDED:

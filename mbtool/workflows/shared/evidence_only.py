@@ -1,0 +1,52 @@
+"""A log that gets what is heard and nothing that is decoded."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from mbtool.core import Chunk, Packet, TapLink, WireEvent
+from mbtool.logs.undecoded import UNDECODED_PIECES
+from mbtool.workflows.shared.undecoded_logs import is_of_source
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence, Set
+
+    from mbtool.core import LinkSpec
+    from mbtool.devices.checking.finding import Finding
+    from mbtool.logs import LogItem
+    from mbtool.logs.messages import DecodingMark
+    from mbtool.workflows.shared.heartbeat import StatusLog
+
+
+def begin_evidence_only(
+    begin: Callable[[], StatusLog], links: Sequence[LinkSpec]
+) -> EvidenceOnlyLog:
+    """Create a log with `begin`; `links` are those of the run."""
+    return EvidenceOnlyLog(begin(), {link.name for link in links if isinstance(link, TapLink)})
+
+
+class EvidenceOnlyLog:
+    """Passes evidence on to a log, and the events that decoding it again cannot give."""
+
+    def __init__(self, log: StatusLog, taps: Set[str]) -> None:
+        """`taps` are the names of the links that are taps."""
+        self._log = log
+        self._taps = taps
+
+    def write(self, item: LogItem | DecodingMark) -> None:
+        is_kept = isinstance(item, Chunk | Packet)
+        if is_kept or (isinstance(item, WireEvent) and is_of_source(item, self._taps)):
+            self._log.write(item)
+
+    def add_finding(self, finding: Finding, known_ns: int) -> None:
+        pass  # A finding is decoded.
+
+    def add_status(self, values: Mapping[str, str]) -> None:
+        self._log.add_status(values)
+
+    def tick(self, now_ns: int) -> None:
+        self._log.tick(now_ns)
+
+    def close(self, final: Mapping[str, str]) -> None:
+        # Nothing is decoded, so nothing remains to be decoded.
+        self._log.close({key: value for key, value in final.items() if key != UNDECODED_PIECES})
