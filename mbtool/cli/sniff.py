@@ -140,7 +140,7 @@ def sniff(
     from mbtool.decode.line_timing import LineTiming
     from mbtool.logs import Rotation
     from mbtool.logs.opening import check_log_path, create_log, with_point_topics
-    from mbtool.logs.rotation import part_path
+    from mbtool.logs.rotation import parts_of
     from mbtool.workflows.shared.checked_log import begin_checked
     from mbtool.workflows.shared.evidence_only import begin_evidence_only
     from mbtool.workflows.sniff import serial_lines, with_settings
@@ -234,7 +234,7 @@ def sniff(
             if run is not None:
                 run.end()
         if write is not None:
-            first = part_path(Path(write), 1)
+            first = next(iter(parts_of(Path(write))), write)
             say(f"log: {write if rotation is None else f'{first} and those behind it'}")
     if interrupt.asked:
         raise KeyboardInterrupt

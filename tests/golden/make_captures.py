@@ -71,6 +71,7 @@ MBPOLL_RUNS = """
 def main(folder: Path) -> None:
     with chdir(folder):
         ft1a_touch_line("ft1a-touch-line.mcap")
+        ft1a_touch_line("ft1a-touch-line-evidence.mcap", "--evidence-only")
         fa3_at1m8x_setup("fa3-at1m8x-setup")
         polling_with_exceptions("polling-with-exceptions.mcap")
         retry_after_silence("retry-after-silence.mcap")
@@ -81,13 +82,17 @@ def main(folder: Path) -> None:
             capture.chmod(0o644)
 
 
-def ft1a_touch_line(log: str) -> None:
+def ft1a_touch_line(log: str, *options_of_log: str) -> None:
     """mbpoll as the master of the embedded FT1A Touch."""
     mbpoll = required("mbpoll", "mbpoll")
     Path("touch.toml").write_text(TOUCH_IMAGE)
     slave = ("slave", "idec-ft1a-touch", "--on", f"rtu:./touch@{LINE}", "--image", "touch.toml")
     runs = [run.partition("/") for run in MBPOLL_RUNS.strip().splitlines()]
-    with virtual_line(LINE), answering(*slave), recording(log, len(runs), TAP, touch=True):
+    with (
+        virtual_line(LINE),
+        answering(*slave),
+        recording(log, len(runs), TAP, *options_of_log, touch=True),
+    ):
         for options, _, values in runs:
             command = [mbpoll, "-m", "rtu", "-b", str(LINE.baud), "-P", "none", "-a", "1", "-1"]
             with Program(*command, *options.split(), "./plc", *values.split()) as one:

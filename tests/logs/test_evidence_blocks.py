@@ -145,8 +145,7 @@ def test_the_descriptor_names_every_field() -> None:
 
 
 @pytest.mark.parametrize("path", sorted(CAPTURES.glob("*.mcap")), ids=lambda path: path.name)
-def test_logs_of_format_1_are_read(path: Path) -> None:
-    data = path.read_bytes()
-    log = LogReader(io.BytesIO(data), path.name)
-    assert log.capture["log_format"] == "1"
+def test_logs_of_both_formats_are_read(path: Path) -> None:
+    log = LogReader(io.BytesIO(path.read_bytes()), path.name)
+    assert log.capture["log_format"] == ("2" if log.is_evidence_only else "1")
     assert list(log.items())
