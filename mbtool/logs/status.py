@@ -49,6 +49,9 @@ class LogStatus:
 def read_status(path: Path) -> LogStatus:
     """Read a log. Raises InputError if the file cannot be read or is no log."""
     try:
+        if not path.is_file():
+            path.stat()  # Of a path that is not there, the error says so.
+            raise InputError(f"{path}: not a regular file, so not a log")
         with path.open("rb") as stream:
             size = stream.seek(0, io.SEEK_END)
             status = LogStatus(size, _is_held(stream))

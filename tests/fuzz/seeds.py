@@ -83,7 +83,7 @@ def _lines(*names: str) -> Iterator[bytes]:
         data = b"".join(
             bytes([len(one.data), 4]) + one.data for one in _evidence(name) if len(one.data) < 256
         )
-        yield from (data[at : at + 200] for at in range(0, min(len(data), 4000), 200))
+        yield from (data[at : at + 100] for at in range(0, min(len(data), 4000), 100))
 
 
 def _streams(name: str) -> Iterator[bytes]:

@@ -117,7 +117,7 @@ def test_what_is_no_log_is_told(tmp_path: Path) -> None:
     path.write_bytes(b"\x89PNG")
     with pytest.raises(InputError, match="not an MCAP file"):
         recording_of(str(path))
-    with pytest.raises(InputError, match="cannot be read: Is a directory"):
+    with pytest.raises(InputError, match="not a regular file"):
         recording_of(str(tmp_path))
 
 
