@@ -62,7 +62,7 @@ def pulls() -> Iterator[str]:
 def _pulled(log: Path, links: tuple[str, ...]) -> Iterator[str]:
     specs = [f"rtu:{link}@{FORMAT}" for link in links]
     with subprocess.Popen(
-        [sys.executable, "-m", "mbtool", "sniff", *specs, "-w", str(log), "--format", "jsonl"],
+        [sys.executable, "-m", "mbtool", "sniff", *specs, "-w", str(log), "--overwrite"],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         text=True,
