@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import fcntl
 import json
+import re
 import signal
 import struct
 import subprocess
@@ -16,8 +17,9 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mbtool.core import SerialFormat
+from mbtool.core import Chunk, SerialFormat
 from mbtool.core.modem_lines import ModemLine, ModemLines
+from mbtool.logs import LogReader
 from mbtool.ports.posix_serial import PosixPort
 
 if TYPE_CHECKING:
@@ -69,9 +71,12 @@ def _pulled(log: Path, links: tuple[str, ...]) -> Iterator[str]:
     ) as sniffer:
         assert sniffer.stderr is not None
         _await(sniffer.stderr, "listening on")
+        before = received()
         for line in ("usb", "s1"):
-            # Slow enough for a machine that is interpreted, so that no driver loses bytes.
+            # Slow enough for a machine that is interpreted; the other end drops what it does not
+            # take in time, at most some 17 pieces.
             host("pause", line, "0.5")
+            host("burst", line, "64")
             host("traffic", line, "on")
         for _ in range(PULLS):
             time.sleep(5)
@@ -84,9 +89,28 @@ def _pulled(log: Path, links: tuple[str, ...]) -> Iterator[str]:
         for line in ("usb", "s1"):
             host("traffic", line, "off")
         time.sleep(2)
+        driver_bytes = received() - before
         sniffer.send_signal(signal.SIGINT)
         sniffer.wait()
     yield from _judged(log, links)
+    say(f"  the other end: usb {host('sent', 'usb')}; s1 {host('sent', 's1')}")
+    if UART in links:
+        with LogReader.open(log) as reader:
+            logged = sum(
+                len(one.data)
+                for one in reader.evidence()
+                if isinstance(one, Chunk) and one.link == Path(UART).name
+            )
+        say(f"  {UART}: its driver has heard {driver_bytes} bytes, {logged} are in the log")
+        if logged != driver_bytes:
+            yield f"{UART}: {driver_bytes} bytes heard, {logged} in the log"
+
+
+def received() -> int:
+    """How many bytes the driver of the 8250 has heard since the boot."""
+    text = Path("/proc/tty/driver/serial").read_text()
+    found = re.search(r"^1:.* rx:(\d+)", text, re.MULTILINE)
+    return int(found[1]) if found else 0
 
 
 def _judged(log: Path, links: tuple[str, ...]) -> Iterator[str]:
