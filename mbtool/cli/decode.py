@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from mbtool.cli.decode_job import JobOptionGroup, is_job, refuse_others, run_job
 from mbtool.cli.option_groups import takes_groups
 from mbtool.cli.options import (
     DeviceOption,
@@ -69,7 +70,11 @@ def decode(
     output: Annotated[
         str | None,
         typer.Option(
-            "--output", "-o", metavar="OUT", help="Write to a file: .jsonl, .csv, .parquet or .txt."
+            "--output",
+            "-o",
+            metavar="OUT",
+            help="Write to a file: .jsonl, .csv, .parquet or .txt; with --format parquet also into "
+            "a folder, here or in an object store (s3://...): a file for each capture.",
         ),
     ] = None,
     overwrite: OverwriteOption = False,
@@ -101,6 +106,7 @@ def decode(
         typer.Option("--sort", help="Order of the rows; all of them are held until the end."),
     ] = None,
     jobs: JobsOption = None,
+    group: JobOptionGroup,
 ) -> None:
     """Decode captures and logs into transactions, a line for each."""
     from mbtool.cli.column_output import print_columns, processes_for
@@ -117,6 +123,15 @@ def decode(
 
     if follow and (raw or source.link is not None or sunspec is not None or len(files) > 1):
         raise UsageError("--follow goes with one log, and not with --raw, --link or --sunspec")
+    if is_job(files, output, group):
+        refuse_others({
+            "--device": device, "--where": where, "--start": start, "--end": end,
+            "--limit": limit, "--follow": follow, "--raw": raw, "--link": source.link,
+            "--sunspec": sunspec, "--events": events, "--sort": sort,
+        })  # fmt: skip
+        read = source.read()
+        run_job(files, output, format_, read, group, jobs, overwrite=overwrite)
+        return
     demand_other_file(files, output)
     window = TimeWindow.parse(start, end)
     fits = condition(where)

@@ -69,6 +69,11 @@ class FileResults:
         """Leave a file out, as it cannot be read at all."""
         self.refused[path] = error
 
+    def error_of(self, path: str) -> InputError | None:
+        """The error of a file that is cut or damaged; None if it was read to its end."""
+        result = self._opened.get(shown_name(path))
+        return None if result is None else result.error
+
     def in_turn(
         self,
         read: Callable[[str], Iterator[T]],

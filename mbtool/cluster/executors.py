@@ -1,0 +1,129 @@
+"""Runs a function for many tasks: on processes of this machine, or on those of a Dask cluster."""
+
+# Both give the results as they come, and a task whose process was killed again to another one, at
+# most RETRIES times. A task and a result are bytes: nothing else passes between processes.
+
+from __future__ import annotations
+
+import threading
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import suppress
+from typing import TYPE_CHECKING, Protocol
+
+from mbtool.core import LinkError, UsageError
+
+if TYPE_CHECKING:
+    import subprocess
+    from collections.abc import Callable, Iterator, Sequence
+
+    Work = Callable[[bytes], bytes]
+
+RETRIES = 2
+CONNECT_S = 20
+
+
+class Executor(Protocol):
+    """Runs tasks on some processes."""
+
+    processes: int
+    """How many tasks run at once."""
+
+    def run(self, tasks: Sequence[bytes]) -> Iterator[tuple[bytes, bytes | str]]:
+        """Yield each task with its result, or with a text that says why there is none."""
+
+
+class LocalProcesses:
+    """Processes of this machine, each of which reads tasks from its standard input."""
+
+    def __init__(self, start: Callable[[], subprocess.Popen[bytes]], processes: int) -> None:
+        """`start` starts a process that answers each line of hexadecimal digits with another."""
+        self.processes = processes
+        self._start = start
+        self._lock = threading.Lock()
+        self._idle: list[subprocess.Popen[bytes]] = []
+        self._all: set[subprocess.Popen[bytes]] = set()
+        self._is_ended = False
+
+    def run(self, tasks: Sequence[bytes]) -> Iterator[tuple[bytes, bytes | str]]:
+        count = min(self.processes, len(tasks)) or 1
+        pool = ThreadPoolExecutor(count)
+        try:
+            pending = {pool.submit(self._result, task): task for task in tasks}
+            for future in as_completed(pending):
+                yield pending[future], future.result()
+        finally:
+            self._end()
+            pool.shutdown(cancel_futures=True)
+
+    def _result(self, task: bytes) -> bytes | str:
+        status = 0
+        for _ in range(1 + RETRIES):
+            with self._lock:
+                if self._is_ended:
+                    return "interrupted"
+                process = self._idle.pop() if self._idle else self._start()
+                self._all.add(process)
+            line = b""
+            with suppress(OSError, ValueError):
+                assert process.stdin is not None
+                assert process.stdout is not None
+                process.stdin.write(task.hex().encode() + b"\n")
+                line = process.stdout.readline()
+            if line.endswith(b"\n"):
+                with self._lock:
+                    self._idle.append(process)
+                return bytes.fromhex(line.decode())
+            status = process.wait()
+        how = f"by signal {-status}" if status < 0 else f"with exit code {status}"
+        return f"its process ended {how}, {1 + RETRIES} times"
+
+    def _end(self) -> None:
+        with self._lock:
+            self._is_ended = True
+            for process in self._all:
+                process.kill()
+        for process in self._all:
+            process.wait()
+            for pipe in (process.stdin, process.stdout):
+                if pipe is not None:
+                    pipe.close()
+
+
+class DaskCluster:
+    """The workers of a Dask scheduler; mbtool[cluster] must be installed on each."""
+
+    def __init__(self, address: str, work: Work) -> None:
+        """Connect. Raises UsageError if dask is not installed, LinkError if nothing answers."""
+        try:
+            from distributed import Client
+        except ImportError:
+            raise UsageError(
+                "--cluster needs dask and distributed: pip install 'mbtool[cluster]'"
+            ) from None
+        try:
+            self._client = Client(address, timeout=CONNECT_S, set_as_default=False)
+        except (OSError, ValueError) as error:
+            raise LinkError(f"{address}: no Dask scheduler answers: {error}") from error
+        self._work = work
+        self.processes = max(sum(self._client.nthreads().values()), 1)
+
+    def run(self, tasks: Sequence[bytes]) -> Iterator[tuple[bytes, bytes | str]]:
+        from distributed import as_completed as completed
+
+        futures = [
+            self._client.submit(self._work, task, pure=False, retries=RETRIES) for task in tasks
+        ]
+        by_key = {future.key: task for future, task in zip(futures, tasks, strict=True)}
+        try:
+            for future in completed(futures):
+                task = by_key[future.key]
+                error = future.exception()
+                yield task, future.result() if error is None else _told(error)
+                future.release()
+        finally:
+            self._client.cancel(futures)
+            self._client.close()
+
+
+def _told(error: BaseException) -> str:
+    return " ".join(f"{type(error).__name__}: {error}".split())

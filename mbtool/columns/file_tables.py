@@ -1,0 +1,44 @@
+"""Changes tables by the files that their transactions come from."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pyarrow as pa
+import pyarrow.compute as pc
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from mbtool.columns.schema import Table
+
+_COLUMNS = ("file", "response_file")
+
+
+def with_file_names(table: Table, names: Mapping[str, str]) -> Table:
+    """The table with other names of its files; a name that is not in `names` stays."""
+    for column in _COLUMNS:
+        place = table.schema.get_field_index(column)
+        chunks = [
+            pa.DictionaryArray.from_arrays(
+                one.indices,
+                pa.array(
+                    [names.get(each, each) for each in one.dictionary.to_pylist()], pa.string()
+                ),
+            )
+            for one in table[column].chunks
+        ]
+        field = table.schema.field(place)
+        table = table.set_column(place, field, pa.chunked_array(chunks, field.type))
+    return table
+
+
+def _renamed(column: pa.DictionaryArray, names: Mapping[str, str]) -> pa.DictionaryArray:
+    words = [names.get(one, one) for one in column.dictionary.to_pylist()]
+    return pa.DictionaryArray.from_arrays(column.indices, pa.array(words, pa.string()))
+
+
+def split_by_file(table: Table, name: str) -> tuple[Table, Table]:
+    """The transactions whose first packet is in a file, and all others."""
+    is_of_file = pc.fill_null(pc.equal(table["file"].cast(pa.string()), name), fill_value=False)
+    return table.filter(is_of_file), table.filter(pc.invert(is_of_file))

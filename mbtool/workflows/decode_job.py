@@ -1,0 +1,168 @@
+"""Decodes many captures into a Parquet file for each, on the processes of an executor."""
+
+# The job lists the captures and the records of those that are done, plans runs of the others
+# (cluster/plan.py), and lets the executor decode them (decode_run.py). It keeps nothing: if it is
+# ended in the middle, the next one finds the records of the files that are done.
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import takewhile
+from os.path import abspath
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from mbtool.cluster.executors import DaskCluster, LocalProcesses
+from mbtool.cluster.plan import (
+    MAX_FILES,
+    FileRun,
+    InputFile,
+    files_each,
+    path_name,
+    plan,
+    record_name,
+    remaining,
+    share_of,
+)
+from mbtool.cluster.store import OutputStore, is_address, list_inputs
+from mbtool.sources.child import start_child
+from mbtool.workflows.decode_run import DONE, FAILED, RECORDS, DecodeTask, FileOutcome, decode_run
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from mbtool.cluster.executors import Executor
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JobOptions:
+    """What to decode."""
+
+    ports: Sequence[int] = ()
+    rtu_ports: Sequence[int] = ()
+    any_port: bool = False
+    is_anew: bool = False
+    """True to decode also what is done."""
+    share: tuple[int, int] | None = None
+    """Which part of the runs to decode, counted from 0, and the number of parts; None for all."""
+
+    @property
+    def text(self) -> str:
+        """The options that change the result."""
+        return f"{sorted(self.ports)} {sorted(self.rtu_ports)} {self.any_port}"
+
+
+@dataclass(slots=True)
+class DecodeJob:
+    """Captures that are decoded into a folder or prefix."""
+
+    patterns: Sequence[str]
+    output: str
+    options: JobOptions
+    files: int = 0
+    """The number of captures found, or of those in this share."""
+    done_before: int = 0
+    failed_before: list[FileOutcome] = field(default_factory=list)
+    """Those of them that could not be read to their ends."""
+
+    def run(self, executor: Executor) -> Iterator[FileOutcome]:
+        """Decode what is not done, and yield what became of each file.
+
+        Raises InputError if there are no captures, OutputError if the output cannot be used.
+        """
+        tasks = self._tasks(executor.processes)
+        for data, result in executor.run([msgspec.json.encode(one) for one in tasks]):
+            if isinstance(result, bytes):
+                yield from msgspec.json.decode(result, type=list[FileOutcome])
+                continue
+            for file in msgspec.json.decode(data, type=DecodeTask).run.files:
+                yield FileOutcome(
+                    path=file.path, size=file.size, changed_ns=file.changed_ns, error=result
+                )
+
+    def __post_init__(self) -> None:
+        if not is_address(self.output):
+            self.output = abspath(self.output)
+
+    def _tasks(self, processes: int) -> list[DecodeTask]:
+        files = {one.path: one for pattern in self.patterns for one in list_inputs(pattern)}
+        share = self.options.share
+        # The parts of a job may see different files at their starts, and must cut them alike.
+        most = files_each(len(files), processes) if share is None else MAX_FILES
+        runs = plan(files.values(), most)
+        if share is not None:
+            runs = [one for one in runs if share_of(one, share[1]) == share[0]]
+        self.files = sum(len(one.files) for one in runs)
+        records = self._records()
+        tasks = []
+        for run in runs:
+            for left in remaining(run, lambda *two: self._is_done(records, *two)):
+                tasks.append(self._task(left, records))
+        left_files = sum(len(one.run.files) for one in tasks)
+        self.done_before = self.files - left_files
+        return tasks
+
+    def _records(self) -> dict[str, list[str]]:
+        """The names of the records in the output, by the part that stands for a path."""
+        records: dict[str, list[str]] = {}
+        for name in OutputStore(self.output).names(RECORDS):
+            if name.endswith(DONE):
+                records.setdefault(name.partition("-")[0], []).append(name)
+        return records
+
+    def _is_done(
+        self, records: dict[str, list[str]], file: InputFile, previous: InputFile | None
+    ) -> bool:
+        if self.options.is_anew:
+            return False
+        name = record_name(file, previous, self.options.text)
+        known = records.get(path_name(file.path), ())
+        if name + FAILED in known:
+            data = OutputStore(self.output).read(f"{RECORDS}/{name}{FAILED}")
+            self.failed_before.append(msgspec.json.decode(data, type=FileOutcome))
+            return True
+        return name + DONE in known
+
+    def _task(self, run: FileRun, records: dict[str, list[str]]) -> DecodeTask:
+        before = (run.previous, *run.files)
+        options = self.options
+        return DecodeTask(
+            run=run,
+            output=self.output,
+            folders=[self._folder(one) for one in run.files],
+            previous_folder="" if run.previous is None else self._folder(run.previous),
+            records=[
+                record_name(one, previous, options.text)
+                for previous, one in zip(before, run.files, strict=False)
+            ],
+            older=[records.get(path_name(one.path), []) for one in run.files],
+            ports=[*options.ports],
+            rtu_ports=[*options.rtu_ports],
+            any_port=options.any_port,
+        )
+
+    def _folder(self, file: InputFile) -> str:
+        """The folder of a file's Parquet in the output: as in the input, below what all share."""
+        base = _shared(self.patterns)
+        return "/".join(file.path.split("/")[len(base) : -1])
+
+
+def local_processes(processes: int) -> LocalProcesses:
+    """Processes of this machine that decode."""
+    return LocalProcesses(lambda: start_child("mbtool.workflows.decode_run"), processes)
+
+
+def dask_cluster(address: str) -> DaskCluster:
+    """The workers of a Dask scheduler. Raises UsageError or LinkError if there are none."""
+    return DaskCluster(address, decode_run)
+
+
+def _shared(patterns: Sequence[str]) -> list[str]:
+    """The folders that all files of some patterns have in common."""
+    folders = []
+    for pattern in patterns:
+        parts = (pattern if is_address(pattern) else abspath(pattern)).split("/")[:-1]
+        folders.append([*takewhile(lambda part: "*" not in part, parts)])
+    return [one[0] for one in takewhile(lambda one: len({*one}) == 1, zip(*folders, strict=False))]
