@@ -44,6 +44,12 @@ class LocalProcesses:
         self._all: set[subprocess.Popen[bytes]] = set()
         self._is_ended = False
 
+    @property
+    def pids(self) -> list[int]:
+        """The process ids of the processes that were started."""
+        with self._lock:
+            return [one.pid for one in self._all]
+
     def run(self, tasks: Sequence[bytes]) -> Iterator[tuple[bytes, bytes | str]]:
         count = min(self.processes, len(tasks)) or 1
         pool = ThreadPoolExecutor(count)
@@ -115,7 +121,7 @@ class DaskCluster:
         ]
         by_key = {future.key: task for future, task in zip(futures, tasks, strict=True)}
         try:
-            for future in completed(futures):
+            for future in completed(futures, loop=self._client.loop):
                 task = by_key[future.key]
                 error = future.exception()
                 yield task, future.result() if error is None else _told(error)

@@ -1,18 +1,20 @@
 """Plans which files of many captures are decoded together, and names what is made of them."""
 
-# A file is the unit of the result: it gives one Parquet file. A connection may begin in one file of
-# a rotated capture and end in the next, so files are decoded in runs, with one decoder:
+# A file is the unit of the result: its Parquet file has the transactions that begin in it. They may
+# end in the next file of a rotated capture, whose connections may have begun in the one before. So
+# files are decoded in runs, by one decoder:
 #
 #     files of one folder whose names differ only in digits, and whose folders differ only in dates,
 #     are taken as one rotated capture, in the order of these numbers
-#     a run has at most MAX_FILES of them; it begins behind the one before it, which is read
-#     again, so that the decoder knows the connections and the requests that are still open
+#     a run has at most MAX_FILES of them
+#     around a run, the file before it and the beginning of the next one are read, too (of small
+#     files several), and their transactions left out
 #
 # Two captures that are taken as one do no harm: the times of their packets tell them apart
 # (workflows/shared/capture_parts.py).
 #
 # A file is done if there is a record with the name that `record_name` gives. It tells the file's
-# path, size and time, and those of the file before it. So a run does not depend on which other
+# path, size and time, and those of the files around it. So a result does not depend on which other
 # files were done when.
 
 from __future__ import annotations
@@ -31,6 +33,9 @@ MIN_FILES, MAX_FILES = 4, 16
 be lost if its process is killed."""
 MAX_RUN_BYTES = 512 * 1024 * 1024
 """A run ends behind the file with which it has so many bytes: it may be copied to a disk."""
+NEAR_BYTES, MAX_NEAR = 1024 * 1024, 8
+"""On each side of a run, files are read that have so many bytes together, but not more files than
+that. Of those behind it, only so many bytes are read: more is not needed to end what is open."""
 RUNS_EACH = 4
 """Runs for each process, so that all of them end at about the same time."""
 
@@ -52,14 +57,20 @@ class InputFile:
 
 
 @dataclass(frozen=True, slots=True)
+class Around:
+    """The files of a rotated capture around one of its files, in order."""
+
+    before: tuple[InputFile, ...]
+    after: tuple[InputFile, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class FileRun:
     """Files that are decoded one after the other, by one decoder."""
 
     files: tuple[InputFile, ...]
-    previous: InputFile | None
-    """The file before them, if it is of the same rotated capture."""
-    is_end: bool
-    """True if the last one is the last of its rotated capture."""
+    around: tuple[Around, ...]
+    """For each file, those that are read with it if it is the first or the last."""
 
 
 def plan(files: Iterable[InputFile], most: int = MAX_FILES) -> list[FileRun]:
@@ -77,20 +88,14 @@ def files_each(files: int, processes: int) -> int:
     return min(max(-(-files // (processes * RUNS_EACH)), MIN_FILES), MAX_FILES)
 
 
-def remaining(
-    run: FileRun, is_done: Callable[[InputFile, InputFile | None], bool]
-) -> list[FileRun]:
-    """The parts of a run whose files are not done; `is_done` takes a file and the one before it."""
-    before = (run.previous, *run.files)
-    found: list[FileRun] = []
-    begun: int | None = None
-    for index, file in enumerate((*run.files, None)):
-        if file is not None and not is_done(file, before[index]):
-            begun = index if begun is None else begun
-        elif begun is not None:
-            is_end = run.is_end and index == len(run.files)
-            found.append(FileRun(run.files[begun:index], before[begun], is_end))
-            begun = None
+def remaining(run: FileRun, is_done: Callable[[InputFile, Around], bool]) -> list[FileRun]:
+    """The parts of a run whose files are not done."""
+    found = []
+    pairs = zip(run.files, run.around, strict=True)
+    for done, some in groupby(pairs, key=lambda pair: is_done(*pair)):
+        if not done:
+            files, around = zip(*some, strict=True)
+            found.append(FileRun(files, around))
     return found
 
 
@@ -99,13 +104,14 @@ def share_of(run: FileRun, shares: int) -> int:
     return int(_hash(run.files[0].path)[:8], 16) % shares
 
 
-def record_name(file: InputFile, previous: InputFile | None, options: str) -> str:
+def record_name(file: InputFile, around: Around, options: str) -> str:
     """The name of the record that a file was decoded; `options` are those that change the result.
 
     The part before the dash is the same for all records of one path.
     """
-    state = [_VERSION, options, _state(file), _state(previous)]
-    return f"{path_name(file.path)}-{_hash(*state)}"
+    before, after = ("\n\n".join(map(_state, some)) for some in (around.before, around.after))
+    state = _hash(_VERSION, options, _state(file), before, after)
+    return f"{path_name(file.path)}-{state}"
 
 
 def path_name(path: str) -> str:
@@ -119,14 +125,29 @@ def parquet_name(path: str, digest: str) -> str:
 
 
 def _runs(group: Sequence[InputFile], most: int) -> Iterator[FileRun]:
+    around = [
+        Around(
+            tuple(reversed(_near(group[max(index - MAX_NEAR, 0) : index][::-1]))),
+            _near(group[index + 1 : index + 1 + MAX_NEAR]),
+        )
+        for index in range(len(group))
+    ]
     begun = size = 0
-    for index, file in enumerate(group):
+    for index, file in enumerate(group, 1):
         size += file.size
-        is_end = index == len(group) - 1
-        if is_end or index - begun + 1 == most or size >= MAX_RUN_BYTES:
-            previous = group[begun - 1] if begun else None
-            yield FileRun(tuple(group[begun : index + 1]), previous, is_end)
-            begun, size = index + 1, 0
+        if index == len(group) or index - begun == most or size >= MAX_RUN_BYTES:
+            yield FileRun(tuple(group[begun:index]), tuple(around[begun:index]))
+            begun, size = index, 0
+
+
+def _near(files: Sequence[InputFile]) -> tuple[InputFile, ...]:
+    """The first files that have NEAR_BYTES together."""
+    size = 0
+    for count, file in enumerate(files, 1):
+        size += file.size
+        if size >= NEAR_BYTES:
+            return tuple(files[:count])
+    return tuple(files)
 
 
 def _group(path: str) -> tuple[str, str]:
@@ -139,8 +160,8 @@ def _natural(path: str) -> list[str | int]:
     return [int(one) if one.isdigit() else one for one in _DIGITS.split(path)]
 
 
-def _state(file: InputFile | None) -> str:
-    return "" if file is None else f"{file.path}\n{file.size}\n{file.changed_ns}"
+def _state(file: InputFile) -> str:
+    return f"{file.path}\n{file.size}\n{file.changed_ns}"
 
 
 def _hash(*texts: str) -> str:

@@ -46,24 +46,34 @@ def list_inputs(pattern: str) -> list[InputFile]:
     return found
 
 
-def fetch(file: InputFile, copy: Path) -> tuple[str, str]:
+def fetch(file: InputFile, copy: Path, most: int | None = None) -> tuple[str, str]:
     """The path at which a file can be read, and the SHA-256 of its bytes.
 
-    A file of an object store is copied to `copy`. Raises InputError.
+    A file of an object store is copied to `copy`; of any file only the beginning, if it has more
+    bytes than `most`. Raises InputError.
     """
-    digest = hashlib.sha256()
+    is_cut = most is not None and file.size > most
     try:
-        if not is_address(file.path):
-            with open(file.path, "rb") as local:
-                return file.path, hashlib.file_digest(local, "sha256").hexdigest()
-        store, path = _opened(file.path)
-        with store.open_input_stream(path, compression=None) as stream, copy.open("wb") as local:
-            while piece := stream.read(_PIECE):
-                digest.update(piece)
-                local.write(piece)
+        with _stream(file.path) as stream:
+            if not is_address(file.path) and not is_cut:
+                return file.path, hashlib.file_digest(stream, "sha256").hexdigest()
+            digest, left = hashlib.sha256(), most if is_cut else None
+            with copy.open("wb") as local:
+                while piece := stream.read(_PIECE if left is None else min(_PIECE, left)):
+                    digest.update(piece)
+                    local.write(piece)
+                    left = None if left is None else left - len(piece)
     except OSError as error:
         raise InputError(f"{file.path}: cannot be read: {_reason(error)}") from error
     return str(copy), digest.hexdigest()
+
+
+def _stream(path: str) -> Any:
+    """Open a file for reading, here or in an object store."""
+    if not is_address(path):
+        return open(path, "rb")
+    store, place = _opened(path)
+    return store.open_input_stream(place, compression=None)
 
 
 class OutputStore:

@@ -38,7 +38,10 @@ def _renamed(column: pa.DictionaryArray, names: Mapping[str, str]) -> pa.Diction
     return pa.DictionaryArray.from_arrays(column.indices, pa.array(words, pa.string()))
 
 
-def split_by_file(table: Table, name: str) -> tuple[Table, Table]:
-    """The transactions whose first packet is in a file, and all others."""
-    is_of_file = pc.fill_null(pc.equal(table["file"].cast(pa.string()), name), fill_value=False)
-    return table.filter(is_of_file), table.filter(pc.invert(is_of_file))
+def tables_by_file(table: Table) -> dict[str, Table]:
+    """The transactions of each file: those of which the first packet is in it."""
+    names = table["file"].cast(pa.string())
+    found = [one for one in pc.unique(names).to_pylist() if one is not None]
+    if len(found) == 1 and not names.null_count:
+        return {found[0]: table}
+    return {one: table.filter(pc.equal(names, one)) for one in found}

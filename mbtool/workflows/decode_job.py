@@ -17,6 +17,7 @@ import msgspec
 from mbtool.cluster.executors import DaskCluster, LocalProcesses
 from mbtool.cluster.plan import (
     MAX_FILES,
+    Around,
     FileRun,
     InputFile,
     files_each,
@@ -112,12 +113,10 @@ class DecodeJob:
                 records.setdefault(name.partition("-")[0], []).append(name)
         return records
 
-    def _is_done(
-        self, records: dict[str, list[str]], file: InputFile, previous: InputFile | None
-    ) -> bool:
+    def _is_done(self, records: dict[str, list[str]], file: InputFile, around: Around) -> bool:
         if self.options.is_anew:
             return False
-        name = record_name(file, previous, self.options.text)
+        name = record_name(file, around, self.options.text)
         known = records.get(path_name(file.path), ())
         if name + FAILED in known:
             data = OutputStore(self.output).read(f"{RECORDS}/{name}{FAILED}")
@@ -126,16 +125,14 @@ class DecodeJob:
         return name + DONE in known
 
     def _task(self, run: FileRun, records: dict[str, list[str]]) -> DecodeTask:
-        before = (run.previous, *run.files)
         options = self.options
         return DecodeTask(
             run=run,
             output=self.output,
             folders=[self._folder(one) for one in run.files],
-            previous_folder="" if run.previous is None else self._folder(run.previous),
             records=[
-                record_name(one, previous, options.text)
-                for previous, one in zip(before, run.files, strict=False)
+                record_name(one, around, options.text)
+                for one, around in zip(run.files, run.around, strict=True)
             ],
             older=[records.get(path_name(one.path), []) for one in run.files],
             ports=[*options.ports],
