@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 from mbtool.cli.options import Format
 from mbtool.core import LinkError
-from mbtool.workflows.shared.reading_choice import unpacked_bytes
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -29,6 +28,8 @@ WORTH_PROCESSES = 64 * 1024 * 1024
 
 def processes_for(files: Sequence[str], jobs: int | None) -> int:
     """The number of processes to read files with; `jobs` is what the user allows."""
+    from mbtool.workflows.shared.reading_choice import unpacked_bytes
+
     if sys.platform == "win32" or unpacked_bytes(files) < WORTH_PROCESSES:
         return 1
     return jobs or cores()

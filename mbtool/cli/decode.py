@@ -128,6 +128,8 @@ def decode(
             "--device": device, "--where": where, "--start": start, "--end": end,
             "--limit": limit, "--follow": follow, "--raw": raw, "--link": source.link,
             "--sunspec": sunspec, "--events": events, "--sort": sort,
+            "--t1-5, --t3-5, --response-timeout": silences != SilenceOptions(),
+            "options of the table": table != TableOptionGroup(),
         })  # fmt: skip
         read = source.read()
         run_job(files, output, format_, read, group, jobs, overwrite=overwrite)

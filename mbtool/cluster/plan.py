@@ -33,7 +33,7 @@ MIN_FILES, MAX_FILES = 4, 16
 be lost if its process is killed."""
 MAX_RUN_BYTES = 512 * 1024 * 1024
 """A run ends behind the file with which it has so many bytes: it may be copied to a disk."""
-NEAR_BYTES, MAX_NEAR = 1024 * 1024, 8
+NEAR_BYTES, MAX_NEAR = 1024 * 1024, 4
 """On each side of a run, files are read that have so many bytes together, but not more files than
 that. Of those behind it, only so many bytes are read: more is not needed to end what is open."""
 RUNS_EACH = 4

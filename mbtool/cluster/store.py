@@ -185,12 +185,15 @@ def _opened(address: str) -> tuple[Any, str]:
 def _options(scheme: str) -> str:
     """What pyarrow does not take from the environment itself: a store that is not Amazon's."""
     endpoint = os.environ.get("AWS_ENDPOINT_URL_S3") or os.environ.get("AWS_ENDPOINT_URL")
-    if scheme != "s3" or not endpoint:
+    if scheme != "s3":
         return ""
+    once = "?allow_delayed_open=true"  # A small file is then written by one request, not three.
+    if not endpoint:
+        return once
     region = os.environ.get("AWS_REGION") or os.environ.get("AWS_DEFAULT_REGION")
     way, _, place = endpoint.rpartition("://")
     return (
-        f"?endpoint_override={quote(place, safe='')}&scheme={way or 'https'}"
+        f"{once}&endpoint_override={quote(place, safe='')}&scheme={way or 'https'}"
         f"&region={region or _DEFAULT_REGION}"
     )
 

@@ -60,7 +60,7 @@ def rows_in(folder: str, store: fs.FileSystem | None = None) -> list[str]:
 def test_a_cluster_gives_the_rows_of_one_process_also_if_a_worker_is_killed(
     tmp_path: Path, cluster: Any
 ) -> None:
-    paths = make_sites(tmp_path / "in", 4)
+    paths = make_sites(tmp_path / "in", 4, 300)
     job = DecodeJob([str(tmp_path / "in/*/*/*")], str(tmp_path / "out"), JobOptions())
     outcomes = job.run(dask_cluster(cluster.scheduler_address))
     first = next(outcomes)
@@ -76,7 +76,7 @@ def test_a_cluster_gives_the_rows_of_one_process_also_if_a_worker_is_killed(
 def test_captures_of_an_object_store_give_the_rows_of_one_process(
     tmp_path: Path, cluster: Any, object_store: fs.S3FileSystem
 ) -> None:
-    paths = make_sites(tmp_path / "in", 4)
+    paths = make_sites(tmp_path / "in", 4, 300)
     fs.copy_files(str(tmp_path / "in"), "plants/in", destination_filesystem=object_store)
     pattern = "s3://plants/in/site-*/2026-*/*.pcap"
     outcomes = [
