@@ -36,6 +36,7 @@ _NEEDED = ("fastcrc", "mcap", "msgspec", "serial", "rich", "scapy", "typer", "zs
 EXTRAS: Mapping[str, tuple[str, ...]] = {
     "watch": ("textual",),
     "columns": ("numpy", "pyarrow"),
+    "cluster": ("numpy", "pyarrow", "dask", "distributed"),
     "plot": ("matplotlib",),
     "pytest": ("pytest",),
     "tls": ("cryptography",),
@@ -45,6 +46,7 @@ EXTRAS: Mapping[str, tuple[str, ...]] = {
 _FOR = {
     "watch": "mbtool watch",
     "columns": "Parquet, Arrow and large captures",
+    "cluster": "decode --cluster",
     "plot": "pictures of mbtool plot",
     "pytest": "fixtures for tests",
     "tls": "the role in TLS certificates",
