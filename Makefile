@@ -75,6 +75,7 @@ test-peers: $(VENV)/installed-test
 truth: $(VENV)/installed-test
 	$(RUN)/python -m tests.differential.truth
 	$(RUN)/python -m tests.differential.inventory_truth
+	$(RUN)/python -m tests.differential.conversions
 
 $(VENV)/installed-docs: $(VENV)/installed
 	$(PYTHON) -m pip --python $(RUN)/python install --quiet --editable '.[docs]'

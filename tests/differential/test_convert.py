@@ -15,6 +15,8 @@ from mbtool.workflows.convert import Conversion
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
 from mbtool.workflows.shared.time_window import TimeWindow
 from tests.captures import public_folder
+from tests.differential.conversions import captures, compare
+from tests.records import without_origins
 
 if TYPE_CHECKING:
     from mbtool.devices import NamedTransaction
@@ -37,6 +39,13 @@ LINES = (
     (public_folder() / "derived" / "noisy_bus_flowmeter.bytes.csv", None),
     (public_folder() / "derived" / "noisy_bus_flowmeter.bus.bin", "rtu@9600-8N1"),
 )
+MAX_BYTES = 60_000
+SMALL = [
+    path
+    for path in captures(public_folder())
+    if path.stat().st_size <= MAX_BYTES and path.parent != SIGROK
+]
+"""Captures of networks; python -m tests.differential.conversions converts the large ones, too."""
 FIELDS = (
     "udp.srcport",
     "frame.time_epoch",
@@ -50,10 +59,7 @@ FIELDS = (
     "frame.comment",
 )
 
-pytestmark = [
-    pytest.mark.peers,
-    pytest.mark.skipif(shutil.which("tshark") is None, reason="needs tshark"),
-]
+needs_tshark = pytest.mark.skipif(shutil.which("tshark") is None, reason="needs tshark")
 
 
 class _Frame(NamedTuple):
@@ -109,6 +115,8 @@ def _converted(path: Path, line: str | None, out: Path) -> list[NamedTransaction
     return [one for one in records.records() if not isinstance(one, WireEvent)]
 
 
+@pytest.mark.peers
+@needs_tshark
 @pytest.mark.parametrize(("path", "line"), LINES, ids=lambda one: getattr(one, "name", None))
 def test_tshark_shows_directions_pairs_and_latencies_as_mbtool_does(
     path: Path, line: str | None, tmp_path: Path
@@ -139,6 +147,28 @@ def test_tshark_shows_directions_pairs_and_latencies_as_mbtool_does(
     assert expected == len(frames) > 0
 
 
+@pytest.mark.parametrize(("path", "line"), LINES, ids=lambda one: getattr(one, "name", None))
+def test_a_serial_recording_comes_back_from_pcapng(
+    path: Path, line: str | None, tmp_path: Path
+) -> None:
+    if not path.exists():
+        pytest.skip(f"{path} is not there")
+    out = tmp_path / "x.pcapng"
+    transactions = without_origins(_converted(path, line, out))
+    records = Reading([str(out)], ReadingOptions()).records()
+    assert without_origins(one for one in records if not isinstance(one, WireEvent)) == transactions
+    assert transactions
+
+
+@pytest.mark.parametrize("path", SMALL, ids=lambda path: path.name)
+def test_packets_made_by_others_come_back_one_by_one(path: Path, tmp_path: Path) -> None:
+    result = compare(path, tmp_path)
+    assert result.unlike == []
+    assert result.ways >= 2
+
+
+@pytest.mark.peers
+@needs_tshark
 def test_the_list_of_packets_names_master_and_slave(tmp_path: Path) -> None:
     out = tmp_path / "x.pcapng"
     _converted(OWN / "ft1a-touch-line.mcap", None, out)
@@ -148,6 +178,8 @@ def test_the_list_of_packets_names_master_and_slave(tmp_path: Path) -> None:
     assert set(ends) == {"master.rs485\tunit1.rs485", "unit1.rs485\tmaster.rs485"}
 
 
+@pytest.mark.peers
+@needs_tshark
 def test_a_filter_finds_the_check_bytes_and_the_comments(tmp_path: Path) -> None:
     out = tmp_path / "x.pcapng"
     _converted(OWN / "torn-and-glued-frames.mcap", None, out)
