@@ -179,13 +179,14 @@ def _capture(fifo: str, options: LineOptions) -> None:
     except OSError as error:
         raise OutputError(f"{fifo}: cannot be written: {reason_of(error)}") from error
     timing = LineTiming(devices)
-    with pipe, interruptible() as interrupt:
+    with pipe:
+        # This may take minutes. Wireshark ends it by SIGTERM, so it is not within interruptible().
         (line,) = timing.given(with_settings([link], say))
         if not isinstance(line, SerialLink):
             raise UsageError(f"link {line}: is no serial line")
         sniffer = sniffer_of([line], timing, TcpPorts([], [], False), THIS_MACHINE)
         try:
-            with sniffer:
+            with interruptible() as interrupt, sniffer:
                 live = LivePackets(pipe, line, devices)
                 for record in sniffer.records(lambda _: interrupt.asked):
                     live.write(record)
