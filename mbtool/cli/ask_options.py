@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import typer
 
@@ -43,6 +43,8 @@ ReferencesArgument = Annotated[
 @dataclass(frozen=True, slots=True)
 class AskOptions(TargetTlsOptions):
     """Who is asked, and how."""
+
+    heading: ClassVar[str] = "Options"
 
     unit: Annotated[str, typer.Option("--unit", metavar="UNIT", help="The unit to ask.")] = "1"
     device: Annotated[

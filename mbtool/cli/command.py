@@ -17,6 +17,7 @@ from typer import BadParameter
 from typer.core import TyperArgument, TyperCommand
 
 from mbtool.cli.completion import is_asked, with_completed_values
+from mbtool.cli.examples import examples_of
 
 _NUMBERS = {
     "Input should be a valid integer": "a whole number",
@@ -25,6 +26,25 @@ _NUMBERS = {
     "Input should be less than or equal to": "at most",
 }
 """How pydantic begins to tell what is wrong with a number, and what `_in_plain_words` says."""
+
+
+_FIRST_SECTION = "Options"
+"""The heading of options that have no other."""
+
+
+def _heading(param: Any) -> str:
+    return getattr(param, "rich_help_panel", None) or _FIRST_SECTION
+
+
+def write_examples(context: Any, formatter: Any) -> None:
+    """End the help of a command with its examples and its page."""
+    examples = examples_of(context.command_path)
+    if examples is None:
+        return
+    with formatter.section("Examples"):
+        for line in filter(None, examples[1:]):
+            formatter.write(f"  {line}\n")
+    formatter.write(f"\nMore: docs/{examples.page}.md\n")
 
 
 class Command(TyperCommand):
@@ -50,19 +70,21 @@ class Command(TyperCommand):
         if arguments:
             with formatter.section("Arguments"):
                 formatter.write_dl(arguments)
-        options = [
-            record
-            for param in self.get_params(ctx)
-            if not isinstance(param, TyperArgument)
-            and (record := param.get_help_record(ctx)) is not None
-        ]
         own = {name: one for one in self.params for name in one.opts}
         name = _json_name(own)
-        if name is not None and "--json" not in own:
-            at = next(at for at, one in enumerate(options) if one[0].startswith("--format")) + 1
-            options.insert(at, ("--json", f"Short for --format {name}."))
-        with formatter.section("Options"):
-            formatter.write_dl(options)
+        sections: dict[str, list[tuple[str, str]]] = {_FIRST_SECTION: []}
+        for param in self.get_params(ctx):
+            record = param.get_help_record(ctx)
+            if isinstance(param, TyperArgument) or record is None:
+                continue
+            options = sections.setdefault(_heading(param), [])
+            options.append(record)
+            if "--format" in param.opts and name is not None and "--json" not in own:
+                options.append(("--json", f"Short for --format {name}."))
+        for heading, options in sections.items():
+            with formatter.section(heading):
+                formatter.write_dl(options)
+        write_examples(ctx, formatter)
 
     def _arguments(self) -> list[TyperArgument]:
         return [param for param in self.params if isinstance(param, TyperArgument)]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import typer
 
@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 @dataclass(frozen=True, slots=True)
 class ConnectionOptions(OptionGroup):
     """Options that limit TCP connections: their number, new ones a second, and idle seconds."""
+
+    heading: ClassVar[str] = "Connections"
 
     max_connections: Annotated[
         int | None,

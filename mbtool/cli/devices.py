@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from mbtool.cli.command import Command, with_plain_json
+from mbtool.cli.command import Command, with_plain_json, write_examples
 from mbtool.cli.completion import items, profile_names
 from mbtool.cli.devices_import import import_
 from mbtool.cli.devices_own import draft, export, new, schema
@@ -45,6 +45,10 @@ class _ShowsByDefault(TyperGroup):
         formatter.write_usage(ctx.command_path, "[NAME]")
         formatter.write_usage(ctx.command_path, "--match FILE [NAME]...")
         formatter.write_usage(ctx.command_path, "COMMAND [ARGS]...")
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        super().format_options(ctx, formatter)
+        write_examples(ctx, formatter)
 
 
 devices = typer.Typer(

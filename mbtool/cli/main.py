@@ -34,6 +34,7 @@ from mbtool.cli.demo import demo
 from mbtool.cli.devices import devices
 from mbtool.cli.diff import diff
 from mbtool.cli.doctor import doctor
+from mbtool.cli.examples import first_steps
 from mbtool.cli.extcap import extcap
 from mbtool.cli.inventory import inventory
 from mbtool.cli.leaving import leave
@@ -124,7 +125,7 @@ def _root(
     ] = False,
 ) -> None:
     if context.invoked_subcommand is None:
-        say(context.get_help())
+        say(first_steps())
         raise typer.Exit(exit_codes.USAGE)
 
 

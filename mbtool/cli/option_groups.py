@@ -6,10 +6,13 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass, fields
 from functools import wraps
 from inspect import Parameter, Signature, signature
-from typing import TYPE_CHECKING, Any, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, get_args, get_type_hints
+
+from typer.models import OptionInfo
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -19,8 +22,11 @@ if TYPE_CHECKING:
 class OptionGroup:
     """Base class of groups of options. A subclass has one field for each option.
 
-    A field is annotated like a parameter of a command, and has a default.
+    A field is annotated like a parameter of a command, and has a default. `heading` stands above
+    the options in the help.
     """
+
+    heading: ClassVar[str] = "Options"
 
 
 def takes_groups(command: Callable[..., None]) -> Callable[..., None]:
@@ -54,7 +60,26 @@ def _parameters_of(group: type[OptionGroup]) -> list[Parameter]:
     types = get_type_hints(group, include_extras=True)
     return [
         Parameter(
-            field.name, Parameter.KEYWORD_ONLY, default=field.default, annotation=types[field.name]
+            field.name,
+            Parameter.KEYWORD_ONLY,
+            default=field.default,
+            annotation=_under(_heading(group, field.name), types[field.name]),
         )
         for field in fields(group)
     ]
+
+
+def _heading(group: type[OptionGroup], name: str) -> str:
+    """The heading of the class that has the field, which may be a base of the group."""
+    owner = next(one for one in group.__mro__ if name in vars(one).get("__annotations__", ()))
+    return owner.heading if issubclass(owner, OptionGroup) else group.heading
+
+
+def _under(heading: str, annotation: Any) -> Any:
+    """An annotation whose option stands below a heading in the help, unless it names another."""
+    type_, *rest = get_args(annotation)
+    options = [copy(one) for one in rest]
+    for option in options:
+        if isinstance(option, OptionInfo) and option.rich_help_panel is None:
+            option.rich_help_panel = heading
+    return Annotated[(type_, *options)]

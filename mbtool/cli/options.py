@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, NamedTuple
 
 import typer
 
@@ -158,6 +158,8 @@ class TcpPorts(NamedTuple):
 class PortOptions(OptionGroup):
     """The TCP ports of slaves."""
 
+    heading: ClassVar[str] = "Ports and lines"
+
     port: Annotated[
         list[str] | None,
         typer.Option(
@@ -242,6 +244,8 @@ class SourceOptions(PortOptions):
 class SilenceOptions(OptionGroup):
     """Silences of serial lines, in place of those that follow from baud rate and format."""
 
+    heading: ClassVar[str] = "Timing of serial lines"
+
     t1_5: Annotated[
         str | None,
         typer.Option(
@@ -287,6 +291,8 @@ class SilenceOptions(OptionGroup):
 @dataclass(frozen=True, slots=True)
 class TableOptionGroup(OptionGroup):
     """The options that decide how the table shows transactions."""
+
+    heading: ClassVar[str] = "The table"
 
     time: Annotated[
         TimeStyle,

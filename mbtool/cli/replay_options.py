@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import typer
 
@@ -98,6 +98,8 @@ class SideOptions(OptionGroup):
 class AsSlaveOptions(OptionGroup):
     """Options for --as-slave only."""
 
+    heading: ClassVar[str] = "As the slave"
+
     match: Annotated[
         MatchChoice,
         typer.Option(
@@ -177,6 +179,8 @@ class AsSlaveOptions(OptionGroup):
 class PaceOptions(OptionGroup):
     """Options for every side: how fast, how often, and which part of the recording."""
 
+    heading: ClassVar[str] = "Pace and part"
+
     speed: Annotated[
         str,
         typer.Option(
@@ -248,6 +252,8 @@ class PaceOptions(OptionGroup):
 @dataclass(frozen=True, slots=True)
 class AsMasterOptions(OptionGroup):
     """Options for --as-master only."""
+
+    heading: ClassVar[str] = "As the master"
 
     ignore: Annotated[
         list[str] | None,

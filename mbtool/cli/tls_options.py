@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import typer
 
@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 @dataclass(frozen=True, slots=True)
 class TargetTlsOptions(OptionGroup):
     """TLS on the side of a slave."""
+
+    heading: ClassVar[str] = "TLS"
 
     tls_target_ca: Annotated[
         str | None,

@@ -27,7 +27,8 @@ def test_lists_the_built_in_profiles(mbtool: CommandLine) -> None:
 
 
 def test_help_lists_the_commands_in_whole_sentences(mbtool: CommandLine) -> None:
-    listed = mbtool("devices", "--help").out.partition("Commands:\n")[2].splitlines()
+    shown = mbtool("devices", "--help").out.partition("\nExamples:")[0]
+    listed = shown.partition("Commands:\n")[2].splitlines()
     assert [line.split()[0] for line in listed] == ["new", "import", "draft", "export", "schema"]
     assert all(line.endswith(".") and not line.endswith("...") for line in listed)
 
@@ -68,7 +69,7 @@ def test_the_help_shows_all_ways_to_call_it(mbtool: CommandLine) -> None:
         "Usage: mbtool devices --match FILE [NAME]...",
         "Usage: mbtool devices COMMAND [ARGS]...",
     ]
-    commands = told.out.partition("Commands:")[2].split("\n  ")[1:]
+    commands = told.out.partition("\nExamples:")[0].partition("Commands:")[2].split("\n  ")[1:]
     assert [line.split()[0] for line in commands] == ["new", "import", "draft", "export", "schema"]
 
 

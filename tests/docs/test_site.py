@@ -10,12 +10,17 @@ from pathlib import Path
 
 import pytest
 
+from mbtool.version import __version__
 from tests.docs import pictures
 from tests.docs.site import OTHERS
 
 ROOT = Path(__file__).parents[2]
 SETTINGS = (ROOT / "mkdocs.yml").read_text()
 ZENSICAL = Path(sys.executable).with_name("zensical")
+
+
+def test_the_citation_names_the_version() -> None:
+    assert f"\nversion: {__version__}\n" in (ROOT / "CITATION.cff").read_text()
 
 
 def test_every_page_is_in_the_navigation() -> None:
