@@ -133,7 +133,7 @@ def first_steps() -> str:
     lines += [
         "",
         "No device at hand? mbtool demo -w site.mcap makes a recording to try them with.",
-        "mbtool --help lists all commands, mbtool COMMAND --help its options and examples,",
+        "mbtool --help lists all commands, mbtool COMMAND --help tells of one, and",
         "mbtool doctor says what this machine lacks.",
     ]
     return "\n".join(lines)
