@@ -34,7 +34,7 @@ OTHERS = {
 """Pages outside docs/, and their names in the site."""
 _LINK = re.compile(r"(?<=\]\()(?P<path>[^)#\s:]+)(?=[)#])")
 _LOADS = {"script": "src", "img": "src", "iframe": "src", "source": "src"}
-_BOX = re.compile(r"(<pre[^>]*>(?:<span></span>)?)<code")
+_BOX = re.compile(r"<pre(?=[^>]*>(?:<span></span>)?<code)")
 _ORDER = re.compile(r"^<!-- console: .*? -->\n", re.MULTILINE | re.DOTALL)
 
 
@@ -71,7 +71,7 @@ def build() -> None:
     subprocess.run(command, cwd=ROOT, check=True, env={**os.environ, "NO_COLOR": "1"})
     for page in SITE.rglob("*.html"):
         # Boxes wider than the page scroll, so the keyboard must reach them.
-        page.write_text(_BOX.sub(r'\1<code tabindex="0"', page.read_text()))
+        page.write_text(_BOX.sub(r'<pre tabindex="0"', page.read_text()))
 
 
 class _Document(HTMLParser):
