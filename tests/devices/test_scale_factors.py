@@ -18,6 +18,7 @@ from mbtool.devices.values import registers_of
 from mbtool.modbus.adu import Transport
 from mbtool.modbus.tables import Table
 from mbtool.modbus.transaction import Outcome
+from mbtool.slave.device.value_targets import ValueTargets
 from tests.devices.transactions import transaction
 
 
@@ -124,6 +125,15 @@ def test_the_number_for_no_value_is_none() -> None:
 def test_a_value_is_not_written_while_the_device_holds_its_scale() -> None:
     with pytest.raises(UsageError, match="scale of A in A_SF; give the number"):
         registers_of(CURRENT, 23.5)
+
+
+def test_the_number_of_a_register_is_written_at_its_address() -> None:
+    targets = ValueTargets(METER)
+    assert targets.find("holding 10").registers(235) == [235]
+    assert targets.find("holding 10").nearest(234.6) == [235]
+    assert targets.find("holding 11").registers(35000) == [1, 4464]  # 70000, as W counts halves.
+    with pytest.raises(UsageError, match="scale of W in W_SF"):
+        targets.find("W").registers(1)
 
 
 @pytest.mark.parametrize(

@@ -77,7 +77,7 @@ class ValueTarget:
             return [self._stored(value)]
         if self.point is None or not isinstance(value, int | float | str):
             raise UsageError(f"{reprlib.repr(value)}: {self._range()}")
-        return registers_of(self.point, value)
+        return self._encoded(self.point, value)
 
     def all_registers(self, value: object, *, stored: bool = False) -> list[int]:
         """Convert a value, or a list of contents of consecutive registers or bits.
@@ -104,8 +104,16 @@ class ValueTarget:
         if self.point is None:
             return [self._stored(round(value))]
         if self.point.type in _FLOATS or self.point.scale != 1 or self.point.offset:
-            return registers_of(self.point, value)
-        return registers_of(self.point, round(value))
+            return self._encoded(self.point, value)
+        return self._encoded(self.point, round(value))
+
+    def _encoded(self, point: Point, value: float | str) -> list[int]:
+        """The registers of a value. At an address it is the number in the registers where the
+        device holds the scale.
+        """
+        if point.scale_from is not None and not self.is_named:
+            point = replace(point, scale_from=None)
+        return registers_of(point, value)
 
     def put(self, image: RegisterImage, values: list[int]) -> None:
         """Write the registers or bits of this target into an image."""
