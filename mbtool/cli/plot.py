@@ -70,7 +70,6 @@ def plot(
         demand_new,
         demand_other_file,
         demand_standard_output,
-        format_by_name,
         named_file,
         say_if_empty,
     )
@@ -87,7 +86,7 @@ def plot(
         raise UsageError("--output writes a picture; --json goes to standard output")
     demand_other_file(files, output)
     path = named_file(output)
-    picture = None if output is None else format_by_name(path or ".", _SUFFIXES, "png")
+    picture = None if output is None else _picture(output)
     if picture is not None:
         _demand_matplotlib()
     else:
@@ -106,6 +105,8 @@ def plot(
     for remark in run.reading.remarks:
         say(remark)
     say_if_empty(run.reading)
+    if not values.series and not as_json and run.reading.why_empty is None:
+        say("no value was read or written")
     if values.left_out:
         say(f"{values.left_out:,} more values are left out; name those that you want")
     if window.why_empty is not None:
@@ -118,6 +119,16 @@ def _divided(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
     """The files, and what to plot: it begins with the first argument that is no file."""
     at = next((at for at, one in enumerate(arguments) if at and not os.path.exists(one)), None)
     return list(arguments[:at]), [] if at is None else list(arguments[at:])
+
+
+def _picture(output: str) -> str:
+    """The format that the suffix of a file names."""
+    from mbtool.core import UsageError
+
+    found = _SUFFIXES.get(os.path.splitext(output)[1].lower())
+    if found is None:
+        raise UsageError(f"{output}: a picture ends in {', '.join(_SUFFIXES)}")
+    return found
 
 
 def _demand_matplotlib() -> None:

@@ -34,7 +34,7 @@ def test_a_value_is_drawn_and_given_as_json(mbtool: CommandLine) -> None:
     [
         (["nonsense"], "'nonsense': no value of that name or address"),
         (["-o", "x.png"], "name what to plot behind the files"),
-        (["HR400001", "-o", "x.bmp"], "x.bmp: its suffix names no format; let it end in .png"),
+        (["HR400001", "-o", "x.bmp"], "x.bmp: a picture ends in .png, .svg, .pdf"),
         (["HR400001", "-o", "x.png", "--json"], "--output writes a picture"),
     ],
 )
@@ -62,3 +62,9 @@ def test_a_picture_is_written(mbtool: CommandLine, tmp_path: Path, suffix: str) 
     begin = out.read_bytes()[:100]
     assert begin.startswith(b"\x89PNG" if suffix == "png" else b"<?xml")
     assert "exists" in mbtool("plot", LINE, "HR400001", "-o", out).err
+
+
+def test_a_capture_without_values_says_so(mbtool: CommandLine) -> None:
+    told = mbtool("plot", LINE, "--where", "unit == 9")
+    assert (told.code, told.out) == (exit_codes.DONE, "")
+    assert told.err == "no value was read or written\n"
