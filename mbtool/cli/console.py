@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import shutil
 from typing import NoReturn
 
-from rich.console import Console
+from rich.console import Console, ConsoleDimensions
 
 
 class PipeConsole(Console):
@@ -12,6 +13,17 @@ class PipeConsole(Console):
 
     main.py turns the error into an exit code.
     """
+
+    @property
+    def size(self) -> ConsoleDimensions:
+        """The size of the terminal, also with TERM=dumb, for which rich takes 80 columns."""
+        if self.is_dumb_terminal and self._width is None:
+            return ConsoleDimensions(*shutil.get_terminal_size((80, 25)))
+        return super().size
+
+    @size.setter
+    def size(self, new_size: tuple[int, int]) -> None:
+        self._width, self._height = new_size
 
     def on_broken_pipe(self) -> NoReturn:
         raise BrokenPipeError
