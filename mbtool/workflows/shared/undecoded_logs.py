@@ -10,6 +10,7 @@
 from __future__ import annotations
 
 import os
+from collections import deque
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -36,6 +37,10 @@ _OF_SOURCES = frozenset(
 )
 _OF_TAPS = frozenset({EventKind.OPENED, EventKind.CLOSED})
 """Only a tap tells that a connection was opened or closed; packets show it."""
+
+_HELD_NS = 2_000_000_000
+"""Evidence is held back for so many ns of its time, as an event may belong before it."""
+_MOST_HELD = 5000
 
 _LOSSES_OF_SOURCES = ("not recorded", "turned away")
 
@@ -113,11 +118,33 @@ class LogRemarks:
 
 
 def heard(log: LogReader) -> Iterator[Chunk | Packet | WireEvent]:
-    """The evidence of a log, and the events that its evidence cannot give."""
+    """The evidence of a log, and the events that its evidence cannot give, each at its time."""
     taps = {name for name, one in log.links.items() if one.get(SPEC, "").startswith("tap:")}
-    for item in log.heard():
-        if not isinstance(item, WireEvent) or is_of_source(item, taps):
-            yield item
+    return _in_place(
+        item for item in log.heard() if not isinstance(item, WireEvent) or is_of_source(item, taps)
+    )
+
+
+def _in_place(items: Iterator[Chunk | Packet | WireEvent]) -> Iterator[Chunk | Packet | WireEvent]:
+    """Put each event before the evidence of its link that is later than it.
+
+    An event is written when it has passed the decoder, so often behind later evidence. A loss ends
+    the frames of its line, and must not do so in the middle of a later one.
+    """
+    held: deque[Chunk | Packet | WireEvent] = deque()
+    for item in items:
+        at = len(held)
+        if isinstance(item, WireEvent):
+            later = (
+                number
+                for number, one in enumerate(held)
+                if one.ts_ns > item.ts_ns and item.link in ("", one.link)
+            )
+            at = next(later, at)
+        held.insert(at, item)
+        while len(held) > _MOST_HELD or held[0].ts_ns < item.ts_ns - _HELD_NS:
+            yield held.popleft()
+    yield from held
 
 
 def is_of_source(event: WireEvent, taps: Set[str]) -> bool:
