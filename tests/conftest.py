@@ -27,7 +27,7 @@ settings.load_profile("same-examples")
 # many captures.
 SLOW = frozenset((
     "adversary", "benchmarks", "differential", "end_to_end", "golden", "properties",
-    "cli/test_ask.py", "cli/test_decode.py", "cli/test_decode_jobs.py",
+    "cli/test_ask.py", "cli/test_decode.py", "cli/test_decode_folder.py", "cli/test_decode_jobs.py",
     "cli/test_decode_parquet.py",
     "cli/test_environments.py",
     "cli/test_line.py", "cli/test_main.py", "cli/test_output.py",
@@ -44,6 +44,7 @@ SLOW = frozenset((
     "sources/test_virtual_line.py", "test___main__.py", "test_mutants.py", "test_pytest_plugin.py",
     "workflows/test_check_attacks.py", "workflows/test_check_byte_times.py",
     "workflows/test_check_wrong_settings.py",
+    "workflows/test_decode_cluster.py", "workflows/test_decode_job.py",
 ))  # fmt: skip
 _HERE = Path(__file__).parent
 
