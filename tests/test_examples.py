@@ -26,6 +26,9 @@ RUNS = {
     "decode_own_bytes.py": Run((), "HR400001..400002 -> [100, 200]\nskipped: ff\n"),
     "listen_through_a_tap.py": Run(("tap.mcap",), "HR400001..400002 -> [100, 200]\n"),
     "points_to_csv.py": Run((PACKETS, "fa3-at1m8x"), "42H,Model code,22,FA3-AT1M8X,,False"),
+    "parquet_and_duckdb.py": Run(
+        ("plant.parquet", str(ROOT / "captures/plant.pcap")), "63 transactions -> plant.parquet\n"
+    ),
     "poll_a_recording.py": Run((LINE,), "[100, 200, 300, 400]\n"),
     "slowest_requests.py": Run((LINE,), " ms  unit 1  HR400001..400004\n"),
 }

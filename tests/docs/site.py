@@ -30,6 +30,7 @@ OTHERS = {
     "SECURITY.md": "security.md",
     "captures/README.md": "captures.md",
     "examples/README.md": "examples.md",
+    "examples/faulty-line/README.md": "faulty-line.md",
 }
 """Pages outside docs/, and their names in the site."""
 _LINK = re.compile(r"(?<=\]\()(?P<path>[^)#\s:]+)(?=[)#])")
