@@ -33,7 +33,7 @@ from mbtool.core.link_spec import ANSWERED
 from mbtool.framing import MbapSplitter, RtuStreamSplitter
 from mbtool.modbus import Adu, ascii_adu, mbap_adu, rtu_adu
 from mbtool.modbus.adu import DirectionBy, Transport
-from mbtool.ports.arrival_times import note_arrivals, receive
+from mbtool.ports.arrival_times import SerialArrivals, note_arrivals, receive
 from mbtool.ports.serial_opening import open_port, port_in_use
 from mbtool.ports.tls import client_context, failure
 from mbtool.serial_line import AsciiSplitter, RtuSplitter
@@ -385,6 +385,7 @@ class SerialMaster(MasterLink):
         self._splitter: AsciiSplitter | RtuSplitter = splitter(
             link.format, speaker=Direction.RESPONSE
         )
+        self._arrivals = SerialArrivals(link.format.character_ns)
         self._pending: tuple[int, int] | None = None
 
     def send(self, number: int, unit: int, pdu: bytes) -> None:
@@ -403,32 +404,40 @@ class SerialMaster(MasterLink):
         while not responses:
             rest_ns = until_ns - time.monotonic_ns()
             with port_in_use(self._link):
-                data = self._read(min(max(rest_ns, 0), self._link.format.t3_5_ns) / _NS)
-            now_ns = time.monotonic_ns()
-            events = self._splitter.feed(data, now_ns) if data else self._splitter.advance(now_ns)
+                data, at_ns = self._read(min(max(rest_ns, 0), self._link.format.t3_5_ns))
+            events = self._splitter.feed(data, at_ns) if data else self._splitter.advance(at_ns)
             self._unread.extend(event for event in events if not isinstance(event, Adu))
             responses = [self._matched(event) for event in events if isinstance(event, Adu)]
-            if rest_ns <= 0:
+            if rest_ns <= 0 and not data:
                 break
         return responses
 
     def close(self) -> None:
         self._port.close()
 
-    def _read(self, wait_s: float) -> bytes:
-        """Return the bytes that have come; if there are none, wait `wait_s` seconds at most.
+    def _read(self, wait_ns: int) -> tuple[bytes, int]:
+        """Return the bytes that have come; if there are none, wait `wait_ns` at most.
+
+        Also returns when the last of them came, or now if there are none.
 
         The timeout of the pyserial port stays unchanged. To change it, pyserial would configure the
         whole port again, which takes time, and fails on a pseudo-terminal if the line has parity.
         """
+        begin_ns = time.monotonic_ns()
+        is_there = self._has_bytes(0.0)
+        has_bytes = is_there or self._has_bytes(wait_ns / _NS)
+        data = bytes(self._port.read(self._port.in_waiting or 1)) if has_bytes else b""
+        now_ns = time.monotonic_ns()
+        return data, self._arrivals.arrived_ns(
+            len(data), begin_ns, 0 if is_there else wait_ns, now_ns
+        )
+
+    def _has_bytes(self, wait_s: float) -> bool:
         if os.name == "posix":
-            if not select.select([self._port], [], [], wait_s)[0]:
-                return b""
-        elif not self._port.in_waiting:
+            return bool(select.select([self._port], [], [], wait_s)[0])
+        if not self._port.in_waiting:
             time.sleep(min(wait_s, _POLL_S))
-            if not self._port.in_waiting:
-                return b""
-        return bytes(self._port.read(self._port.in_waiting or 1))
+        return bool(self._port.in_waiting)
 
     def _matched(self, adu: Adu) -> ReceivedResponse:
         number, unit = self._pending if self._pending is not None else (-1, -1)

@@ -1,8 +1,10 @@
-"""Tells when the bytes that a socket hands out had arrived, by the kernel's own time stamps."""
+"""Tells when bytes arrived that a process reads late, for lack of processor time."""
 
-# A process that gets no processor for a while reads late. The kernel (Linux) notes when the segment
-# with the last of the bytes arrived, however late they are read. Other systems and TLS do not tell:
-# there, bytes count as having arrived when they are read.
+# Of a TCP connection the kernel (Linux) notes when the segment with the last of the bytes arrived.
+# Other systems and TLS do not tell: there, bytes count as having arrived when they are read.
+#
+# Of a serial port nobody notes it. But bytes that are there at once when one looks may have come
+# right after one looked before, and bytes that one waited for have come before the wait was over.
 
 from __future__ import annotations
 
@@ -17,6 +19,27 @@ _SO_TIMESTAMPNS = 35
 _TIMESPEC = struct.Struct("@ll")
 MOST_LATE_NS = 10_000_000_000
 """A time stamp that seems older than this, in ns, is not used: the clock was probably set."""
+
+
+class SerialArrivals:
+    """Times of arrival of the bytes of a serial port, not later than they can be."""
+
+    def __init__(self, character_ns: int) -> None:
+        self._character_ns = character_ns
+        self._looked_ns: int | None = None
+        """When the last read ended; None before the first one."""
+
+    def arrived_ns(self, size: int, begin_ns: int, wait_ns: int, now_ns: int) -> int:
+        """When the last of `size` bytes arrived that a read from `begin_ns` to `now_ns` gave.
+
+        `wait_ns` is how long the read would have waited; 0 if there were bytes at its beginning.
+        """
+        last_ns, self._looked_ns = self._looked_ns, now_ns
+        if not size:
+            return now_ns
+        if wait_ns:
+            return min(now_ns, begin_ns + wait_ns)
+        return now_ns if last_ns is None else min(now_ns, last_ns + size * self._character_ns)
 
 
 def note_arrivals(connected: socket.socket) -> None:

@@ -40,6 +40,8 @@ if TYPE_CHECKING:
     from mbtool.workflows.shared.read_all import Watch
 
 _NS = 1_000_000_000
+_AT_ONCE_NS = 200_000
+"""A request that was sent within so many ns counts as sent at the beginning of that time."""
 _LOOK_NS = 200_000_000
 """The user's wish to end is checked at least once in so many ns."""
 _STEERED_NS = 30_000_000
@@ -169,8 +171,11 @@ class MasterRun:
                 on_answer(gone, None, is_right)
         step = conductor.next_step(now_ns)
         if step is not None:
+            begin_ns = time.monotonic_ns()
             master.send(step.number, step.unit, step.pdu)
-            conductor.note_sent(step, time.monotonic_ns())
+            end_ns = time.monotonic_ns()
+            # A slave on this machine may have responded before the clock was read again.
+            conductor.note_sent(step, begin_ns if end_ns - begin_ns < _AT_ONCE_NS else end_ns)
             return
         wake_ns = conductor.wake_ns(now_ns)
         rest_ns = longest_wait_ns if wake_ns is None else min(wake_ns - now_ns, longest_wait_ns)

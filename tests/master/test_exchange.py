@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import os
 import socket
 from concurrent.futures import ThreadPoolExecutor
 from itertools import count
 from types import SimpleNamespace
-from typing import TYPE_CHECKING
 
-from mbtool.core import Endpoint, SerialLink, TcpLink
+import pytest
+
+from mbtool.core import Endpoint, SerialFormat, SerialLink, TcpLink
 from mbtool.master import links
 from mbtool.master.links import ReceivedResponse, open_master
 from mbtool.modbus import Response, mbap_adu, rtu_adu
@@ -18,9 +20,6 @@ from mbtool.sources.virtual_line import VirtualLine
 from tests.slave.scripted import PATIENCE_S, Scripted
 from tests.workflows.bench import ANY, FAST
 from tests.workflows.evidence import READ, VALUES, WRITE
-
-if TYPE_CHECKING:
-    import pytest
 
 SHORT_NS = 200_000_000
 
@@ -100,3 +99,44 @@ def test_a_response_that_came_while_this_process_did_not_run_is_read(
         monkeypatch.setattr(master, "receive", lambda _: [ReceivedResponse(2, VALUES, 0, 0)])
         monkeypatch.setattr(links, "time", SimpleNamespace(monotonic_ns=ten_seconds.__next__))
         assert master.exchange(1, READ).response is answer
+
+
+class _Port:
+    """A serial port that a process reads which does not run for seconds; see `_jumping`."""
+
+    def __init__(self, response: bytes) -> None:
+        self._response = response
+        self._near, self._far = os.pipe()
+        self._reads = 0
+
+    def fileno(self) -> int:
+        return self._near
+
+    @property
+    def in_waiting(self) -> int:
+        return len(self._response) if self._reads else 1
+
+    def write(self, _: bytes) -> None:
+        os.write(self._far, self._response)
+
+    def flush(self) -> None: ...
+
+    def read(self, size: int) -> bytes:
+        self._reads += 1
+        return os.read(self._near, size)
+
+    def close(self) -> None:
+        os.close(self._near)
+        os.close(self._far)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="waits with select")
+def test_a_response_that_is_read_in_two_parts_seconds_apart_is_one_frame(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    seconds = count(0, 1_000_000_000)  # Pass whenever somebody looks at the clock.
+    monkeypatch.setattr(links, "open_port", lambda *_: _Port(rtu_adu(1, VALUES)))
+    monkeypatch.setattr(links, "time", SimpleNamespace(monotonic_ns=seconds.__next__))
+    with open_master(SerialLink("/dev/ttyUSB0", SerialFormat(19200))) as master:
+        master.send(7, 1, READ)
+        assert [(one.number, one.pdu) for one in master.receive(0)] == [(7, VALUES)]

@@ -10,7 +10,7 @@ from typing import cast
 
 import pytest
 
-from mbtool.ports.arrival_times import MOST_LATE_NS, note_arrivals, receive
+from mbtool.ports.arrival_times import MOST_LATE_NS, SerialArrivals, note_arrivals, receive
 
 SECOND = 1_000_000_000
 STAMPS = 35
@@ -58,3 +58,17 @@ def test_bytes_of_a_connection_arrive_between_sending_and_reading() -> None:
         assert arrived_ns <= time.monotonic_ns()
         far.close()
         assert receive(near, 100)[0] == b""
+
+
+def test_bytes_that_one_waited_for_came_before_the_wait_was_over() -> None:
+    arrivals = SerialArrivals(character_ns=100)
+    assert arrivals.arrived_ns(1, begin_ns=1000, wait_ns=500, now_ns=1200) == 1200
+    assert arrivals.arrived_ns(1, begin_ns=2000, wait_ns=500, now_ns=9000) == 2500
+
+
+def test_bytes_that_are_there_at_once_may_have_come_right_after_the_last_look() -> None:
+    arrivals = SerialArrivals(character_ns=100)
+    assert arrivals.arrived_ns(3, begin_ns=1000, wait_ns=0, now_ns=1010) == 1010
+    assert arrivals.arrived_ns(0, begin_ns=1100, wait_ns=500, now_ns=1600) == 1600
+    assert arrivals.arrived_ns(3, begin_ns=9000, wait_ns=0, now_ns=9010) == 1900
+    assert arrivals.arrived_ns(3, begin_ns=9020, wait_ns=0, now_ns=9030) == 9030

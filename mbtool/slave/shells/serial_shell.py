@@ -28,6 +28,7 @@ from typing import TYPE_CHECKING
 from mbtool.core import Direction, SerialLink, UsageError
 from mbtool.modbus.adu import Adu
 from mbtool.modbus.distortion import wire_pieces
+from mbtool.ports.arrival_times import SerialArrivals
 from mbtool.ports.clock import steady_clock
 from mbtool.ports.serial_opening import WriteTimeout, open_port, port_in_use
 from mbtool.serial_line.ascii import AsciiSplitter
@@ -68,6 +69,7 @@ class SerialSlave(Shell):
         self._on_exchange = on_exchange
         self._clock = steady_clock()
         self._stopping = threading.Event()
+        self._arrivals = SerialArrivals(link.format.character_ns)
         splitter = AsciiSplitter if link.ascii else RtuSplitter
         self._splitter: AsciiSplitter | RtuSplitter = splitter(link.format, _RequestsOnlyModel())
         self._pending: deque[tuple[int, bytes]] = deque()
@@ -91,11 +93,15 @@ class SerialSlave(Shell):
                 self._send_due()
 
     def _read(self) -> None:
-        data = self._port.read(self._port.in_waiting or 1)
+        begin_ns, waiting = self._clock(), self._port.in_waiting
+        data = self._port.read(waiting or 1)
         now_ns = self._clock()
+        wait_ns = 0 if waiting else self.link.format.t3_5_ns
+        at_ns = self._arrivals.arrived_ns(len(data), begin_ns, wait_ns, now_ns)
         if self._strict is not None:
             self._strict.hear(len(data), now_ns)
-        events = self._splitter.feed(data, now_ns) if data else self._splitter.advance(now_ns)
+            at_ns = now_ns
+        events = self._splitter.feed(data, at_ns) if data else self._splitter.advance(at_ns)
         for event in events:
             if isinstance(event, Adu) and event.direction is Direction.REQUEST:
                 if self._strict is None:
