@@ -147,6 +147,8 @@ class SoundRecords:
         if opcode == Opcode.MESSAGE and len(content) < _MESSAGE_FIELDS:
             self._why = "a message shorter than its header"
             return None
+        if opcode == Opcode.MESSAGE and _is_index(content):
+            return None  # One changed bit in the opcode can turn an index into a message.
         if opcode == PRIVATE and not content.strip(b"\0"):
             return record  # The filler of a log; the record behind it may be damaged.
         if not self._may_begin(_HEAD + len(content)):
@@ -318,3 +320,10 @@ class SoundRecords:
         if len(data) < DATA_LENGTH.size:
             return None
         return at + DATA_LENGTH.size + int(DATA_LENGTH.unpack(data)[0]) + _CRC.size
+
+
+def _is_index(content: bytes) -> bool:
+    """True if the content of a message outside of chunks is that of a message index."""
+    (size,) = _BLOCK_LENGTH.unpack_from(content, 2)
+    is_whole = size == len(content) - 6 and size % 16 == 0
+    return is_whole and content[_MESSAGE_FIELDS : _MESSAGE_FIELDS + 1] not in (b"{", b"\x09")

@@ -61,7 +61,8 @@ def test_what_was_written_is_read_back(written: list[LogItem]) -> None:
     for number, item in enumerate(written):
         if isinstance(item, Chunk):
             behind = _without_evidence(written[number:])
-            assert _without_evidence(found[found.index(item) :])[-len(behind) :] == behind
+            after = _without_evidence(found[found.index(item) :])
+            assert after[len(after) - len(behind) :] == behind
 
 
 def test_a_log_gives_only_transactions_or_only_evidence(tmp_path: Path) -> None:

@@ -143,6 +143,15 @@ def test_a_cut_is_a_loss_and_a_cut_in_the_summary_is_none(tmp_path: Path, log: b
         assert result.messages == len(stock_messages(tmp_path / "x.mcap"))
 
 
+def test_an_index_whose_opcode_became_that_of_a_message_is_none(tmp_path: Path, log: bytes) -> None:
+    for offset, _ in records_of(log, Opcode.MESSAGE_INDEX):
+        broken = log[:offset] + bytes([Opcode.MESSAGE]) + log[offset + 1 :]
+        result, losses = recover(broken, tmp_path)
+        assert losses == []
+        assert "the head of a record; nothing is lost there" in result.remark
+        assert stock_messages(tmp_path / "good.mcap") == stock_messages(tmp_path / "x.mcap")
+
+
 def test_damage_that_costs_nothing_is_a_remark(tmp_path: Path, log: bytes) -> None:
     offset, size = records_of(log, Opcode.MESSAGE_INDEX)[0]
     chunk_at, _ = records_of(log, Opcode.CHUNK)[1]
