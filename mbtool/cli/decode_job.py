@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from mbtool.workflows.shared.reading import ReadingOptions
 
 _SHARE = re.compile(r"(\d+)/(\d+)")
+_SCHEDULER = re.compile(r"[a-z]+://.+:\d+")
 _OBJECT_STORE = re.compile(r"[a-zA-Z][a-zA-Z0-9+.-]+://")
 
 
@@ -79,6 +80,8 @@ def run_job(
         raise UsageError(
             "a folder, an object store, --cluster and --share go with --format parquet -o FOLDER/"
         )
+    if group.cluster is not None and not _SCHEDULER.fullmatch(group.cluster):
+        raise UsageError(f"--cluster {group.cluster}: tcp://HOST:PORT of a scheduler is wanted")
     demand_columns()
     from mbtool.workflows.decode_job import DecodeJob, JobOptions, dask_cluster, local_processes
 

@@ -40,6 +40,8 @@ def list_inputs(pattern: str) -> list[InputFile]:
 
     Raises InputError if there is none, UsageError for an address of an unknown kind.
     """
+    if os.path.isdir(pattern):
+        raise InputError(f"{pattern}: a directory; name captures in it: '{pattern}/*.pcap'")
     found = _remote_files(pattern) if is_address(pattern) else _local_files(pattern)
     if not found:
         raise InputError(f"{pattern}: there is no such file")
@@ -95,9 +97,15 @@ class OutputStore:
             return [one.base_name for one in self._fs.get_file_info(chosen) if one.is_file]
 
     def read(self, name: str) -> bytes:
-        with self._guarded(), self._fs.open_input_stream(f"{self._root}/{name}") as stream:
+        """The bytes of a file; none if it is not there."""
+        with (
+            self._guarded(),
+            suppress(FileNotFoundError),
+            self._fs.open_input_stream(f"{self._root}/{name}") as stream,
+        ):
             data: bytes = stream.read()
             return data
+        return b""
 
     def put(self, name: str, data: bytes | Path) -> None:
         """Write a file: bytes, or what is in a file of this machine."""
@@ -128,8 +136,6 @@ class OutputStore:
     def _guarded(self) -> Iterator[None]:
         try:
             yield
-        except FileNotFoundError:
-            raise
         except OSError as error:
             raise OutputError(f"{self.address}: cannot be written: {_reason(error)}") from error
 

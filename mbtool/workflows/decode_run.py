@@ -139,6 +139,7 @@ class _RunWork:
         for number, outcome in enumerate(self.outcomes):
             if number not in self._done:
                 outcome.error = outcome.error or why
+                outcome.parquet, outcome.transactions = "", 0
 
     def _inputs(self) -> list[_Input]:
         """The files that can be read; of the others, note why not."""
@@ -213,7 +214,7 @@ class _RunWork:
 
     def _forget(self, record: str, kept: str) -> None:
         """Delete an older record, and its Parquet if that is another one."""
-        with suppress(FileNotFoundError, msgspec.DecodeError):
+        with suppress(msgspec.DecodeError):
             data = self._output.read(f"{RECORDS}/{record}")
             parquet = msgspec.json.decode(data, type=FileOutcome).parquet
             if parquet not in ("", kept):

@@ -66,6 +66,7 @@ def place_of(row: dict[str, object]) -> str:
         (("--format", "parquet", "-o", "out/", "--share", "2/2"), "I from 0 to N-1"),
         (("--format", "parquet", "-o", "out/", "--where", "unit == 1"), "--where: not with"),
         (("--format", "parquet", "-o", "nowhere://a/b"), "nowhere://a/b: "),
+        (("--format", "parquet", "-o", "out/", "--cluster", "here"), "tcp://HOST:PORT"),
     ],
 )
 def test_a_wrong_command_line_is_told_in_one_line(
@@ -88,3 +89,21 @@ def test_a_pattern_that_fits_nothing_is_told(mbtool: CommandLine, tmp_path: Path
     said = mbtool("decode", f"{tmp_path}/*.pcap", "--format", "parquet", "-o", f"{tmp_path}/out/")
     assert said.code == 3
     assert said.err == f"mbtool: {tmp_path}/*.pcap: there is no such file\n"
+
+
+def test_a_directory_as_input_is_told(mbtool: CommandLine, tmp_path: Path) -> None:
+    said = mbtool("decode", tmp_path, "--format", "parquet", "-o", f"{tmp_path}/out/")
+    assert said.code == 3
+    assert (
+        said.err == f"mbtool: {tmp_path}: a directory; name captures in it: '{tmp_path}/*.pcap'\n"
+    )
+
+
+def test_an_output_that_cannot_be_written_is_told(mbtool: CommandLine, tmp_path: Path) -> None:
+    make_sites(tmp_path / "in", 1, 300)
+    (tmp_path / "out").write_text("a file")
+    capture = tmp_path / "in" / "site-0" / "2026-11-22" / "cap-0.pcap"
+    said = mbtool("decode", capture, "--format", "parquet", "-o", f"{tmp_path}/out/")
+    assert said.code == 3
+    assert "Traceback" not in said.err
+    assert "cannot be " in said.err
