@@ -110,10 +110,12 @@ class OutputStore:
     def put(self, name: str, data: bytes | Path) -> None:
         """Write a file: bytes, or what is in a file of this machine."""
         path = f"{self._root}/{name}"
-        begun = f"{path}.{os.getpid()}.part" if self._is_local else path
+        folder, _, base = path.rpartition("/")
+        # If this process is killed, the part stays; readers of Parquet leave out such names.
+        begun = f"{folder}/.{base}.{os.getpid()}.part" if self._is_local else path
         with self._guarded():
             if self._is_local:
-                self._fs.create_dir(path.rpartition("/")[0])
+                self._fs.create_dir(folder)
             self._write(begun, data)
             if begun != path:
                 os.replace(begun, path)
