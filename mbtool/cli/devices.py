@@ -31,7 +31,10 @@ class _ShowsByDefault(TyperGroup):
     """A group in which a word that is not a command is the name of a profile."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        return super().parse_args(ctx, with_plain_json(self.params, args))
+        # Behind the name of a command stand its own options; its --json is another one.
+        end = next((at for at, one in enumerate(args) if one in self.commands), len(args))
+        plain = with_plain_json(self.params, args[:end])
+        return super().parse_args(ctx, [*plain, *args[end:]])
 
     def resolve_command(self, ctx: Any, args: list[str]) -> tuple[str | None, Any, list[str]]:
         if args[0] not in self.commands or args[0] == _SHOW:

@@ -13,25 +13,20 @@ if TYPE_CHECKING:
     from mbtool.modbus.adu import Adu
 
 
-class UnansweredCounts:
+class UnansweredCounts(dict[tuple[int, bytes], int]):
     """By unit and PDU, the number of requests in a row that had no answer."""
 
-    __slots__ = ("_counts",)
-
-    def __init__(self) -> None:
-        self._counts: dict[tuple[int, bytes], int] = {}
-
-    def __len__(self) -> int:
-        return len(self._counts)
+    # A dict, as each transaction asks whether there are any: of a dict, that takes no call.
+    __slots__ = ()
 
     def add(self, request: Adu) -> int:
         """Count a request without an answer; return the number of equal ones before it."""
         before = self.take(request)
-        if len(self._counts) >= MAX_OPEN_REQUESTS:
-            del self._counts[next(iter(self._counts))]
-        self._counts[request_key(request)] = before + 1
+        if len(self) >= MAX_OPEN_REQUESTS:
+            del self[next(iter(self))]
+        self[request_key(request)] = before + 1
         return before
 
     def take(self, request: Adu) -> int:
         """Forget the number of requests equal to this one, and return it."""
-        return self._counts.pop(request_key(request), 0)
+        return self.pop(request_key(request), 0)
