@@ -77,6 +77,11 @@ def run_job(
     from mbtool.cli.printers import demand_columns
 
     if output is None or format_ is not Format.PARQUET:
+        if output is not None and group == JobOptionGroup() and os.path.isdir(output):
+            raise UsageError(
+                f"{output}: a directory; name a file in it, or give --format parquet, which writes "
+                "a file for each capture"
+            )
         raise UsageError(
             "a folder, an object store, --cluster and --share go with --format parquet -o FOLDER/"
         )

@@ -48,6 +48,8 @@ def _few_files() -> None:
 
 
 def _no_file_may_grow() -> None:
+    os.environ["PYTHONDONTWRITEBYTECODE"] = "1"  # A module would be left cut off.
+    sys.dont_write_bytecode = True
     resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
 
 

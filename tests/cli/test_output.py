@@ -53,6 +53,7 @@ def test_a_file_on_a_full_disk_is_one_line(
 _FULL = """
 import resource, sys
 from mbtool.cli.main import run
+sys.dont_write_bytecode = True  # A module would be left cut off.
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[1]),) * 2)
 sys.exit(run(sys.argv[2:]))
 """
@@ -141,7 +142,10 @@ def test_a_result_without_a_row_is_a_file_all_the_same(mbtool: CommandLine, capt
 def test_a_folder_is_no_output(mbtool: CommandLine, capture: Path, more: list[str]) -> None:
     told = mbtool("decode", capture, "-o", capture.parent, *more)
     assert (told.code, told.out) == (exit_codes.USAGE, "")
-    assert told.err == f"mbtool: {capture.parent}: a directory; name a file in it\n"
+    assert told.err == (
+        f"mbtool: {capture.parent}: a directory; name a file in it, or give --format parquet, "
+        "which writes a file for each capture\n"
+    )
 
 
 @pytest.mark.skipif(not Path("/dev/null").exists(), reason="no /dev/null here")

@@ -75,11 +75,11 @@ def test_what_a_tap_recorded_is_played_on_a_serial_line(tmp_path: Path) -> None:
         # The answers at its end carry other transaction ids than their requests.
         ("ntop__nDPI/modbus.pcap", None, 51),
         # All functions that there are, most refused, some with bodies that are not theirs.
-        ("digitalbond__Quickdraw-Snort/modbus_test_data_part2.pcap", None, 141),
+        ("digitalbond__Quickdraw-Snort/modbus_test_data_part2.pcap", None, 140),
         # A gateway with four units, up to sixteen open requests and some without an answer.
-        ("ITI__ICS-Security-Tools/Modbus__modbus_test.pcap", None, 1142),
+        ("ITI__ICS-Security-Tools/Modbus__modbus_test.pcap", None, 1137),
         # One of thirteen slaves that all are unit 255.
-        ("ITI__ICS-Security-Tools/mb2.pcap", 'link == "141.81.0.66"', 221),
+        ("ITI__ICS-Security-Tools/mb2.pcap", 'link == "141.81.0.66"', 220),
         # File records, masks, FIFO, device identification.
         ("cisagov__icsnpp-modbus/testing__traces__modbus_example.pcap", None, 24),
     ],
@@ -89,7 +89,9 @@ def test_a_capture_of_others_answers_as_it_did(
 ) -> None:
     path = public_captures / capture
     options = () if where is None else ("--where", where)
-    asked = [one for one in decoded(path, *options) if "request_raw" in one]
+    # Where the capture lacks an answer, the replay may know one from elsewhere.
+    records = [one for one in decoded(path, *options) if one["outcome"] != "not-captured"]
+    asked = [one for one in records if "request_raw" in one]
     asked.sort(key=lambda one: one["request_ns"])
     assert len(asked) == count
     on = ("--on", "tcp:127.0.0.1:0", "--speed", "max")

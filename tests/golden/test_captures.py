@@ -53,9 +53,10 @@ def test_a_capture_that_was_cut_off_gives_what_stands_before_the_cut(
     whole = answered(decode(capture, tmp_path))
     data = capture.read_bytes()
     counts = []
-    for tenth in range(1, 10):
+    # A short log may have all its evidence in one message, which the last cut leaves whole.
+    for size in (*(len(data) * tenth // 10 for tenth in range(1, 10)), len(data) - 1):
         cut = tmp_path / f"cut{capture.suffix}"
-        cut.write_bytes(data[: len(data) * tenth // 10])
+        cut.write_bytes(data[:size])
         lines = answered(decode(cut, tmp_path, code=None))
         lines = [line.replace(f'"{cut.name}"', f'"{capture.name}"') for line in lines]
         assert lines == whole[: len(lines)]

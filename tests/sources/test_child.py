@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from mbtool.core.modem_lines import ModemLines
 from mbtool.ports.serial_records import RecordKind, RecordReader
 from mbtool.sources import child
 from mbtool.sources.child import end_child, start_child
@@ -21,7 +22,9 @@ def test_a_module_in_the_current_folder_does_not_get_in_the_way(
 ) -> None:
     (tmp_path / "serial.py").write_text("raise SystemExit('not this one')")
     monkeypatch.chdir(tmp_path)
-    reader = start_child("mbtool.sources.serial_reader", "/dev/tty-no", "9600-8N1")
+    reader = start_child(
+        "mbtool.sources.serial_reader", "/dev/tty-no", "9600-8N1", str(ModemLines())
+    )
     assert reader.stdout is not None
     (record,) = RecordReader().feed(reader.stdout.read())
     assert record.kind is RecordKind.ERROR

@@ -14,7 +14,7 @@ from collections import deque
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-from mbtool.core import EventKind, WireEvent
+from mbtool.core import EventKind, InputError, WireEvent
 from mbtool.core.wording import counted
 from mbtool.logs.links import SPEC
 from mbtool.logs.undecoded import (
@@ -132,18 +132,22 @@ def _in_place(items: Iterator[Chunk | Packet | WireEvent]) -> Iterator[Chunk | P
     the frames of its line, and must not do so in the middle of a later one.
     """
     held: deque[Chunk | Packet | WireEvent] = deque()
-    for item in items:
-        at = len(held)
-        if isinstance(item, WireEvent):
-            later = (
-                number
-                for number, one in enumerate(held)
-                if one.ts_ns > item.ts_ns and item.link in ("", one.link)
-            )
-            at = next(later, at)
-        held.insert(at, item)
-        while len(held) > _MOST_HELD or held[0].ts_ns < item.ts_ns - _HELD_NS:
-            yield held.popleft()
+    try:
+        for item in items:
+            at = len(held)
+            if isinstance(item, WireEvent):
+                later = (
+                    number
+                    for number, one in enumerate(held)
+                    if one.ts_ns > item.ts_ns and item.link in ("", one.link)
+                )
+                at = next(later, at)
+            held.insert(at, item)
+            while len(held) > _MOST_HELD or held[0].ts_ns < item.ts_ns - _HELD_NS:
+                yield held.popleft()
+    except InputError:  # The log is cut off: what came before is whole.
+        yield from held
+        raise
     yield from held
 
 
