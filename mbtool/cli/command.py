@@ -25,7 +25,7 @@ _NUMBERS = {
     "Input should be greater than or equal to": "at least",
     "Input should be less than or equal to": "at most",
 }
-"""How pydantic begins to tell what is wrong with a number, and what `_in_plain_words` says."""
+"""By the first words of pydantic's message about a number: the words that replace them."""
 
 
 _FIRST_SECTION = "Options"
@@ -118,7 +118,7 @@ def with_plain_json(params: Sequence[Any], args: Sequence[str]) -> list[str]:
 
 
 def _json_name(options: dict[str, Any]) -> str | None:
-    """What the value of --format is for JSON; json where there is only --json, None for neither."""
+    """The value of --format that prints JSON; None for a command that prints none."""
     if "--json" in options:
         return "json"
     if "--format" not in options:
@@ -170,7 +170,7 @@ class _PlainValues:
 
 
 def _in_plain_words(message: str, value: Any) -> str:
-    """What is wrong with a value, in place of the words in which pydantic says it."""
+    """The message about a wrong value, in plain words."""
     for beginning, words in _NUMBERS.items():
         if message.startswith(beginning):
             return f"{value!r} is not {words}{message.removeprefix(beginning).partition(',')[0]}"

@@ -28,7 +28,7 @@ _OBJECT_STORE = re.compile(r"[a-zA-Z][a-zA-Z0-9+.-]+://")
 
 @dataclass(frozen=True, slots=True)
 class JobOptionGroup(OptionGroup):
-    """Where many captures are decoded."""
+    """The options --cluster and --share, which divide the decoding of many captures."""
 
     cluster: Annotated[
         str | None,

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 
 class HelpExamples(NamedTuple):
-    """How the help of a command ends."""
+    """The examples and the docs page at the end of a command's help."""
 
     page: str
     first: str
@@ -20,7 +20,7 @@ MOST_USED = (
     ("make a page to hand over", "mbtool report site.mcap -o site.html"),
     ("let it answer your program", "mbtool replay site.mcap --as-slave --on tcp:127.0.0.1:1502"),
 )
-"""What is shown if mbtool is called without a command: what one wants, and the command for it."""
+"""The text of `mbtool` without a command: five tasks, each with the command for it."""
 
 _PORT = "rtu:/dev/ttyUSB0"
 EXAMPLES = {
@@ -126,7 +126,7 @@ def examples_of(command_path: str) -> HelpExamples | None:
 
 
 def first_steps() -> str:
-    """What is shown if mbtool is called without a command."""
+    """The text of `mbtool` without a command."""
     lines = ["Capture, decode and replay Modbus. The commands used most:", ""]
     for wish, line in MOST_USED:
         lines += [f"  {wish}", f"    {line}"]

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class LineChoice(StrEnum):
-    """What a user may choose for DTR and for RTS."""
+    """The values of --dtr and --rts."""
 
     KEEP = "keep"
     OFF = "off"
@@ -25,7 +25,7 @@ class LineChoice(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class ModemOptions(OptionGroup):
-    """What is done with DTR and RTS of a port that is opened to listen."""
+    """The states that DTR and RTS get when a port is opened to listen."""
 
     dtr: Annotated[
         LineChoice | None,

@@ -1,4 +1,4 @@
-"""What the commands for profiles of one's own share: files read, and profiles written."""
+"""Reads the files and writes the profiles of the commands `devices new, import, draft`."""
 
 from __future__ import annotations
 

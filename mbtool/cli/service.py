@@ -1,4 +1,4 @@
-"""What `sniff --service` does beside recording: it tells the service manager how it goes."""
+"""Tells the service manager and the log of the state of `sniff --service`."""
 
 # docs/service.md describes the heartbeats, the messages and a unit for systemd.
 
