@@ -316,6 +316,9 @@ def follow(path: str | Path, wait: Callable[[], bool]) -> Iterator[LogItem]:
     """
     # Unbuffered, as the writer replaces the end of the file, and a buffer would keep the old end.
     with _open(path, buffering=0) as stream:
+        while not stream.read(1) and wait():
+            pass  # The recorder has made the file and not yet begun it.
+        stream.seek(0)
         yield from LogReader(stream, str(path), wait=wait).items()
 
 

@@ -517,6 +517,20 @@ def test_following_ends_when_wait_returns_false(tmp_path: Path) -> None:
     assert list(follow(tmp_path / "x.mcap", lambda: False)) == [chunk()]
 
 
+def test_following_waits_for_a_log_that_is_not_begun(tmp_path: Path) -> None:
+    path = tmp_path / "x.mcap"
+    path.touch()
+    waits = count(1)
+
+    def wait() -> bool:
+        if next(waits) == 2:
+            path.write_bytes(small_log())
+        return True
+
+    assert list(follow(path, wait)) == list(LogReader(io.BytesIO(small_log()), "x.mcap").items())
+    assert next(waits) == 3
+
+
 @cache
 def small_log() -> bytes:
     with tempfile.TemporaryDirectory() as folder:
