@@ -3,17 +3,19 @@
 # Kinds, each an edit of the source text, so that line numbers stay:
 #
 #     a < b          a <= b; also <=, >, >=, ==, !=, is, in and their opposites
-#     7              8 and 6 (a negative literal is the unary minus and its number)
+#     7              8 and 6 (a negative literal is the unary minus and its number); from LARGE on
+#                    the double and the half: that 60 s become 60 s and 1 ns need not be noticed
 #     a and b        a or b, and the other way round
 #     if a, a if b   if not (a); `not a` becomes `a`
 #     a + b          a - b; * and //, / and *, << and >>, & and |, % becomes //
-#     return a       return None
+#     return a       return None, but for `return False`, which is as false
 #     Enum.ONE       Enum.TWO, the next member, for the enums of mbtool/
 #     a statement    pass: calls, assignments to attributes and items, += and the like, raise,
 #                    break and continue
 #
-# Nothing is changed in annotations, decorators, docstrings, __all__, __slots__, `if TYPE_CHECKING`
-# and `if __name__`; also not in assert statements, which only tell mypy.
+# Nothing is changed in annotations, decorators, options of a class (frozen=True), docstrings,
+# __all__, __slots__, `if TYPE_CHECKING` and `if __name__`; also not in assert statements, which
+# only tell mypy.
 
 from __future__ import annotations
 
@@ -53,6 +55,7 @@ _CALCULATED: dict[type[ast.operator], tuple[str, str]] = {
     ast.Mod: ("%", "//"),
 }
 _NOT_CHANGED = {"__all__", "__slots__"}
+LARGE = 10_000
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -159,6 +162,8 @@ class _Finder:
         for name, value in ast.iter_fields(node):
             if name in {"annotation", "returns", "decorator_list", "bases"}:
                 continue
+            if name == "keywords" and isinstance(node, ast.ClassDef):
+                continue
             for child in value if isinstance(value, list) else [value]:
                 if isinstance(child, ast.AST):
                     yield from self.found(child)
@@ -200,8 +205,10 @@ class _Finder:
                 if not isinstance(test, ast.UnaryOp | ast.Compare | ast.Constant):
                     yield self._text.replaced(test, f"not ({self._text.of(test)})")
             case ast.Constant(value=int(number)) if not isinstance(number, bool):
-                yield self._text.replaced(node, str(number + 1))
-                if number:
+                yield self._text.replaced(node, str(2 * number if number >= LARGE else number + 1))
+                if number >= LARGE:
+                    yield self._text.replaced(node, str(number // 2))
+                elif number:
                     yield self._text.replaced(node, str(number - 1))
             case ast.Constant(value=bool(value)):
                 yield self._text.replaced(node, str(not value))
@@ -211,7 +218,10 @@ class _Finder:
                     new = members[(members.index(member) + 1) % len(members)]
                     yield self._text.replaced(node, f"{enum}.{new}")
             case ast.Return(value=ast.expr() as value):
-                if not isinstance(value, ast.Constant) or value.value is not None:
+                left_alone = isinstance(value, ast.Constant) and (
+                    value.value is None or value.value is False
+                )
+                if not left_alone:
                     yield self._text.replaced(node, "return None")
             case ast.Expr(value=ast.Call()):
                 yield self._text.replaced(node, "pass")
