@@ -74,6 +74,7 @@ def watch(
     """
     from mbtool.cli.options import condition
     from mbtool.cli.stats import is_link
+    from mbtool.cli.watching.terminal_abilities import prepare_terminal
     from mbtool.core import UsageError
 
     _demand_textual()
@@ -87,6 +88,7 @@ def watch(
         raise UsageError("--write, --overwrite and --allow go with a link")
     if sys.stdin is None or not (sys.stdin.isatty() and sys.stdout.isatty()):
         raise UsageError("watch needs a terminal; into a pipe or file, use sniff, decode or stats")
+    prepare_terminal()
     if any(live):
         _watch_links(sources, write, device, where, source, silences, allow, duration, overwrite)
     else:

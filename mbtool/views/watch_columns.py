@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 Span = tuple[str, str]
 Spans = list[Span]
 
+_LONGEST_PART = 12
+"""A text is cut between words; a part of a word is shown if the word is longer than so many
+characters."""
 LEAST_REST = 22
 """The columns that take the rest get at least so many characters each, or others are left out."""
 
@@ -153,17 +156,27 @@ def cut_spans(spans: Spans, width: int) -> Spans:
     if length <= width:
         return [*spans, (" " * (width - length), "")]
     result: Spans = []
-    left = max(width - 2, 0)
+    left = kept = _cut_at("".join(text for text, _ in spans), width)
     for text, style in spans:
         if len(text) >= left:
             result.append((text[:left], style))
             break
         result.append((text, style))
         left -= len(text)
-    return [*result, (".."[:width], "dim")]
+    return [*result, ("..".ljust(width - kept)[: width - kept], "dim")]
+
+
+def _cut_at(text: str, width: int) -> int:
+    """How many characters of a text stay if it is cut to a width, with `..` behind them.
+
+    The cut is behind a space, so that no number looks like a shorter one, and no word is halved.
+    """
+    end = max(width - 2, 0)
+    space = text.rfind(" ", max(end - _LONGEST_PART, 0), end)
+    return space + 1 or end
 
 
 def _aligned(text: str, width: int, *, is_right: bool) -> str:
     if len(text) > width:
-        text = text[:width] if width < 4 else f"{text[: width - 2]}.."
+        text = text[:width] if width < 4 else f"{text[: _cut_at(text, width)]}.."
     return f"{text:>{width}}" if is_right else f"{text:<{width}}"

@@ -37,7 +37,9 @@ def poll_values(row: PollRow, context: DrawContext) -> Spans:
     if isinstance(one, WireEvent):
         return []
     if one.outcome not in (Outcome.OK, Outcome.BROADCAST):
-        text = "wrong CRC" if row.is_damaged else result_text(one)
+        # Where there is little room, the code and its name say that it is an exception.
+        result = result_text(one).removeprefix("exception ")
+        text = "wrong CRC" if row.is_damaged else result
         return [(text, "bold red"), *_separated(_values(row, one, context))]
     return _values(row, one, context) or [(result_text(one), "dim")]
 

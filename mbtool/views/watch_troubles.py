@@ -33,7 +33,8 @@ def slave_trouble(row: WatchedSlaveRow) -> str:
     refused = row.exceptions + row.malformed
     if refused:
         word = "refused" if row.exceptions >= row.malformed else "malformed"
-        parts.append(f"{percent(refused / row.asked)} {word}")
+        share = f"{percent(refused / row.asked)} {word}"
+        parts.append("refuses every request" if row.exceptions == row.asked else share)
     if row.usual_ns is not None:
         parts.append(f"slow, {in_ms(row.median_ns)} ms (others {in_ms(row.usual_ns)})")
     return ", ".join(parts)
@@ -52,7 +53,9 @@ def trouble_line(rows: Sequence[WatchedSlaveRow], width: int) -> str:
     text = ""
     for at, row in enumerate(sick):
         place = f" at {row.link.removeprefix(network)}" if len(links) > 1 else ""
-        part = f"{'; ' if text else ''}unit {row.unit}{place} {slave_trouble(row)}"
+        trouble = slave_trouble(row)
+        colon = ":" if trouble[:1].isdigit() else ""  # "unit 4 17 %" would be hard to read.
+        part = f"{'; ' if text else ''}unit {row.unit}{place}{colon} {trouble}"
         left = len(sick) - at
         more = f"; {left} more: key 5"
         room = width - len(text) - (len(more) if left > 1 else 0)

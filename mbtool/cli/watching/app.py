@@ -44,8 +44,8 @@ class WatchApp(PromptedApp):
         Binding("enter,d", "detail", "Detail"),
         Binding("p", "play", "Play or pause a file"),
         Binding("full_stop", "step", "One transaction more", key_display="."),
-        Binding("plus,equals_sign", "speed(1)", "Play faster"),
-        Binding("minus", "speed(-1)", "Play slower"),
+        Binding("plus,equals_sign", "speed(1)", "Play faster", key_display="+"),
+        Binding("minus", "speed(-1)", "Play slower", key_display="-"),
         Binding("left", "seek(-1)", "Jump back 10 s"),
         Binding("right", "seek(1)", "Jump on 10 s"),
         Binding("less_than_sign", "seek_to(0)", "To the beginning of the file", key_display="<"),
@@ -68,9 +68,8 @@ class WatchApp(PromptedApp):
         yield from super().get_system_commands(screen)
         for binding in self.BINDINGS:
             if isinstance(binding, Binding) and binding.show:
-                yield SystemCommand(
-                    binding.description, f"key {binding.key}", self._runner(binding.action)
-                )
+                key = binding.key_display or binding.key.replace(",", " or ")
+                yield SystemCommand(binding.description, f"key {key}", self._runner(binding.action))
 
     def _runner(self, action: str) -> Callable[[], Any]:
         return lambda: self.run_action(action)

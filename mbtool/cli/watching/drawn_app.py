@@ -28,6 +28,7 @@ from mbtool.views.watch_detail import record_detail, slave_detail
 from mbtool.views.watch_places import place_columns
 from mbtool.views.watch_troubles import trouble_line
 from mbtool.watching.board_rows import WatchedSlaveRow, slave_rows
+from mbtool.workflows.watch import FileFeed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -68,6 +69,7 @@ class DrawnApp(App[int]):
     #note { height: auto; max-height: 2; display: none; }
     #note.told { display: block; }
     HelpPanel { width: 50; max-width: 70%; }
+    OptionList:nocolor > .option-list--option-highlighted { text-style: bold underline; }
     """
 
     def __init__(
@@ -84,7 +86,8 @@ class DrawnApp(App[int]):
 
         `is_asked_to_end` is asked at each drawing: True after a signal.
         """
-        super().__init__()
+        # textual turns its colours into greys without colours, unless they are the terminal's own.
+        super().__init__(ansi_color=True if is_plain() else None)
         self.feed = feed
         self.place, self.recording = place, recording
         self.where = where
@@ -187,10 +190,19 @@ class DrawnApp(App[int]):
         columns = fitted(self.view.columns, width, chosen, self._places(width))
         table = self.table
         table.can_follow = self.view.can_follow
-        table.show(rows, columns, self.context, (None if column is None else name, descending))
+        sorting = (None if column is None else name, descending)
+        table.show(rows, columns, self.context, sorting, empty=self._why_empty())
         self._draw_lines(width)
         self._draw_detail()
         self.call_after_refresh(self._drawn, began_s)
+
+    def _why_empty(self) -> str:
+        """What stands in the view while it has no rows."""
+        if self.filter_is_on:
+            return f"no {self.view.what} pass the filter; \\ switches it off"
+        if isinstance(self.feed, FileFeed) and not self.feed.is_read:
+            return "the file is being read"
+        return f"no {self.view.what} {'heard yet' if self.feed.is_live else 'up to here'}"
 
     def _places(self, width: int) -> Mapping[str, PlaceColumn]:
         """The columns of links and masters, where there are several."""

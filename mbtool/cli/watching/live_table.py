@@ -14,7 +14,7 @@ from textual.message import Message
 from textual.strip import Strip
 from textual.widget import Widget
 
-from mbtool.cli.watching.spans import strip_of
+from mbtool.cli.watching.spans import is_plain, strip_of
 from mbtool.views.watch_columns import DrawContext, row_spans, title_spans
 
 if TYPE_CHECKING:
@@ -25,8 +25,20 @@ if TYPE_CHECKING:
     from mbtool.views.watch_columns import FittedColumn
 
 _CURSOR = Style(bgcolor="grey30")
-"""The row of the cursor. It is not reversed, as values that changed are."""
+"""The row of the cursor, with colours. It is not reversed, as values that changed are."""
+_REVERSED, _UPRIGHT = Style(reverse=True), Style(reverse=False)
 _WHEEL_ROWS = 3
+
+
+def _under_cursor(strip: Strip, width: int) -> Strip:
+    """The row of the cursor; without colours it is reversed, and what is reversed in it upright."""
+    if not is_plain():
+        return Strip(Segment.apply_style(strip, post_style=_CURSOR), width)
+    segments = []
+    for text, style, _ in strip:
+        style = style or Style.null()
+        segments.append(Segment(text, style + (_UPRIGHT if style.reverse else _REVERSED)))
+    return Strip(segments, width)
 
 
 class LiveTable(Widget, can_focus=True):
@@ -43,6 +55,7 @@ class LiveTable(Widget, can_focus=True):
         self._columns: Sequence[FittedColumn] = ()
         self._drawing = DrawContext()
         self._sorted_by: tuple[str | None, bool] = (None, False)
+        self._empty = ""
         self._top = 0
         self._cursor = 0
         self._key: Hashable = None
@@ -65,8 +78,11 @@ class LiveTable(Widget, can_focus=True):
         columns: Sequence[FittedColumn],
         context: DrawContext,
         sorted_by: tuple[str | None, bool],
+        *,
+        empty: str = "",
     ) -> None:
-        """Draw these rows; the cursor stays on its row."""
+        """Draw these rows, or the text `empty` if there is none; the cursor stays on its row."""
+        self._empty = empty
         self.rows, self._columns, self._drawing = rows, columns, context
         self._sorted_by = sorted_by
         self._cursor = len(rows) - 1 if self.follows else self._place_of_cursor(rows)
@@ -116,12 +132,14 @@ class LiveTable(Widget, can_focus=True):
             strip = strip_of(title_spans(self._columns, name, descending=descending), width)
             return strip.apply_style(self.rich_style)
         index = self._top + y - 1
+        if not self.rows and y == 2:
+            return strip_of([(f"  {self._empty}", "dim")], width).apply_style(self.rich_style)
         if index >= len(self.rows):
             return Strip.blank(width, self.rich_style)
         strip = strip_of(row_spans(self.rows[index], self._columns, self._drawing), width)
         strip = strip.apply_style(self.rich_style)
         if index == self._cursor and self.has_focus:
-            strip = Strip(Segment.apply_style(strip, post_style=_CURSOR), width)
+            return _under_cursor(strip, width)
         return strip
 
     def on_click(self, event: Click) -> None:

@@ -38,6 +38,8 @@ class WatchView:
     """One view."""
 
     name: str
+    what: str
+    """What its rows are about, in the plural."""
     columns: Sequence[WatchColumn]
     rows: Callable[[Board, int], Sequence[Any]]
     """Makes the rows of a board; the number is the width of the screen."""
@@ -62,11 +64,21 @@ _LINES = (
     ),
 )
 VIEWS = (
-    WatchView("polls", POLL_COLUMNS, lambda board, _: poll_rows(board)),
-    WatchView("points", POINT_COLUMNS, lambda board, _: point_rows(board)),
-    WatchView("transactions", RECORD_COLUMNS, lambda board, _: record_rows(board), can_follow=True),
-    WatchView("events", TROUBLE_COLUMNS, lambda board, _: trouble_rows(board)),
-    WatchView("slaves", SLAVE_COLUMNS, lambda board, _: slave_rows(board)),
-    WatchView("bus", _LINES, _line_rows, pause_s=1),
+    WatchView("polls", "requests", POLL_COLUMNS, lambda board, _: poll_rows(board)),
+    WatchView(
+        "points", "values read or written", POINT_COLUMNS, lambda board, _: point_rows(board)
+    ),
+    WatchView(
+        "transactions",
+        "transactions or events",
+        RECORD_COLUMNS,
+        lambda board, _: record_rows(board),
+        can_follow=True,
+    ),
+    WatchView(
+        "events", "events or findings", TROUBLE_COLUMNS, lambda board, _: trouble_rows(board)
+    ),
+    WatchView("slaves", "requests to slaves", SLAVE_COLUMNS, lambda board, _: slave_rows(board)),
+    WatchView("bus", "requests", _LINES, _line_rows, pause_s=1),
 )
 """The views in the order of their keys, 1 to 6."""

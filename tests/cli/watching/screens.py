@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from textual.pilot import Pilot
 
+    from mbtool.core import OutputError
     from mbtool.watching.watched_rows import Record
 
 SIZE = (80, 24)
@@ -72,9 +73,9 @@ class Screen:
 
     @property
     def lines(self) -> list[str]:
-        """The screen as it is drawn, line by line."""
+        """The screen, or the window on it, as it is drawn, line by line."""
         width, height = self.app.size
-        strips = self.app.screen_stack[0]._compositor.render_strips()
+        strips = self.app.screen._compositor.render_strips()
         return [strip.text[:width].rstrip() for strip in strips][:height]
 
     @property
@@ -115,3 +116,23 @@ def run(test: Callable[[], Awaitable[None]]) -> None:
         await test()
 
     asyncio.run(waited())
+
+
+class NotingSaver:
+    """Notes what it is asked to save."""
+
+    def __init__(self, error: OutputError | None = None) -> None:
+        self.asked: list[tuple[str, bool]] = []
+        self._error = error
+
+    def what(self, watched: Watched, *, is_filtered: bool) -> str:
+        return f"{len(watched.marked)} marked"
+
+    def job(self, watched: Watched, *, is_filtered: bool, out: str) -> Callable[[], str]:
+        def save() -> str:
+            if self._error is not None:
+                raise self._error
+            self.asked.append((out, is_filtered))
+            return "saved it"
+
+        return save

@@ -1,24 +1,23 @@
-"""Each key of the full screen, on records that the test gives."""
+"""The full screen on records that the test gives; the keys are in test_keys.py."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-import pytest
 from textual.widgets import OptionList
 
 from mbtool.cli import exit_codes
 from mbtool.core import EventKind, OutputError, WireEvent
 from mbtool.watching.value_formats import ValueFormat
-from tests.cli.watching.screens import GivenFeed, run, screen
+from tests.cli.watching.screens import GivenFeed, NotingSaver, run, screen
 from tests.overview.masters import MS, START_NS
 from tests.overview.requests import request, unanswered
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
     from pathlib import Path
 
-    from mbtool.watching.watched import Watched
+    import pytest
+
     from mbtool.watching.watched_rows import Record
 
 
@@ -51,27 +50,6 @@ def test_the_polls_are_shown_first_with_what_changed_lit() -> None:
             assert strip.style is not None
             assert strip.style.reverse
             assert "no answer" in seen.lines[4]
-
-    run(test)
-
-
-@pytest.mark.parametrize(
-    ("key", "text"),
-    [
-        ("1", "last values"),
-        ("2", "holding 101"),
-        ("3", "skipped: noise"),
-        ("4", "MB-101"),
-        ("5", "never answers"),
-        ("6", "asked"),
-    ],
-)
-def test_a_number_shows_a_view(key: str, text: str) -> None:
-    async def test() -> None:
-        async with screen(line()) as seen:
-            await seen.press(key)
-            assert text in seen.text
-            assert seen.app.view_at == int(key) - 1
 
     run(test)
 
@@ -182,36 +160,6 @@ def test_escape_gives_the_earlier_filter_back() -> None:
     run(test)
 
 
-def test_backslash_switches_the_filter_off_and_on() -> None:
-    async def test() -> None:
-        async with screen(line()) as seen:
-            await seen.press("backslash")
-            assert "there is no filter" in seen.note
-            seen.app.apply_filter("unit == 2")
-            await seen.press("backslash")
-            assert len(seen.rows) == 3
-            assert "filter off: unit == 2" in seen.lines[1]
-            await seen.press("backslash")
-            assert len(seen.rows) == 1
-
-    run(test)
-
-
-def test_up_goes_through_earlier_filters() -> None:
-    async def test() -> None:
-        async with screen(line()) as seen:
-            for text in ("unit == 1", "unit == 2"):
-                await seen.press("slash")
-                await seen.type(text)
-                await seen.press("enter")
-            await seen.press("slash", "up", "up")
-            assert seen.app.prompt.value == "unit == 1"
-            await seen.press("down")
-            assert seen.app.prompt.value == "unit == 2"
-
-    run(test)
-
-
 def test_f_finds_a_text_and_bytes_and_n_goes_on() -> None:
     async def test() -> None:
         async with screen(line()) as seen:
@@ -231,46 +179,6 @@ def test_f_finds_a_text_and_bytes_and_n_goes_on() -> None:
             await seen.type("nowhere")
             await seen.press("enter")
             assert "not found" in seen.note
-
-    run(test)
-
-
-class NotingSaver:
-    """Notes what it is asked to save."""
-
-    def __init__(self, error: OutputError | None = None) -> None:
-        self.asked: list[tuple[str, bool]] = []
-        self._error = error
-
-    def what(self, watched: Watched, *, is_filtered: bool) -> str:
-        return f"{len(watched.marked)} marked"
-
-    def job(self, watched: Watched, *, is_filtered: bool, out: str) -> Callable[[], str]:
-        def save() -> str:
-            if self._error is not None:
-                raise self._error
-            self.asked.append((out, is_filtered))
-            return "saved it"
-
-        return save
-
-
-def test_m_marks_a_transaction_and_s_saves() -> None:
-    async def test() -> None:
-        saver = NotingSaver()
-        async with screen(line(), saver=saver) as seen:
-            await seen.press("m")
-            assert "key 3" in seen.note
-            await seen.press("3", "home", "m")
-            assert seen.lines[3].startswith("*")
-            assert "1 marked" in seen.lines[1]
-            assert seen.number() == 2
-            await seen.press("s")
-            assert "1 marked" in seen.app.prompt.placeholder
-            await seen.type("part.mcap")
-            await seen.press("enter")
-            await seen.until(lambda: seen.note == "saved it")
-            assert saver.asked == [("part.mcap", False)]
 
     run(test)
 
@@ -383,42 +291,6 @@ def test_a_view_without_rows_has_no_detail() -> None:
     run(test)
 
 
-def test_a_question_mark_shows_the_keys_and_the_palette_has_them() -> None:
-    async def test() -> None:
-        async with screen(line()) as seen:
-            await seen.press("question_mark")
-            assert seen.app.screen.query("HelpPanel")
-            await seen.press("question_mark")
-            await seen.until(lambda: not seen.app.screen.query("HelpPanel"))
-            titles = [one.title for one in seen.app.get_system_commands(seen.app.screen)]
-            assert "Freeze the view, or go on" in titles
-
-    run(test)
-
-
-def test_keys_of_files_say_that_a_link_cannot_be_played() -> None:
-    async def test() -> None:
-        async with screen(line()) as seen:
-            for key in ("p", "full_stop", "plus", "minus", "left", "right", "less_than_sign"):
-                seen.app.tell("")
-                await seen.press(key)
-                assert "only files can be played" in seen.note
-
-    run(test)
-
-
-@pytest.mark.parametrize(
-    ("key", "code"), [("q", exit_codes.DONE), ("ctrl+c", exit_codes.INTERRUPTED)]
-)
-def test_a_key_ends_the_screen_with_its_exit_code(key: str, code: int) -> None:
-    async def test() -> None:
-        async with screen(line()) as seen:
-            await seen.press(key)
-            assert seen.app.return_value == code
-
-    run(test)
-
-
 def test_a_signal_or_the_end_of_the_duration_ends_the_screen() -> None:
     async def test() -> None:
         async with screen(line(), is_asked_to_end=lambda: True) as seen:
@@ -453,13 +325,52 @@ def test_text_from_a_wire_is_no_markup() -> None:
     run(test)
 
 
-def test_without_colours_what_changed_is_reversed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_colours_the_row_of_the_cursor_and_what_changed_are_reversed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setenv("NO_COLOR", "1")
 
     async def test() -> None:
         async with screen(line()) as seen:
-            styles = [one.style for one in seen.app.table.render_line(1) if one.text == "21"]
-            assert styles[0] is not None
-            assert styles[0].reverse
+            reversed_at = [
+                [one.text.strip() for one in strip if one.style and one.style.reverse]
+                for strip in seen.app.screen._compositor.render_strips()
+            ]
+            assert reversed_at[0] == ["1 polls"]
+            assert "21" not in reversed_at[3]
+            assert "holding 0..1" in reversed_at[3]
+            assert not reversed_at[5]
+            await seen.press("down")
+            assert "21" in [
+                one.text for one in seen.app.table.render_line(1) if one.style and one.style.reverse
+            ]
+            await seen.press("o")
+            await seen.pilot.pause()
+            styles = {
+                str(colour)
+                for strip in seen.app.screen._compositor.render_strips()
+                for one in strip
+                if one.style
+                for colour in (one.style.color, one.style.bgcolor)
+                if colour is not None and not colour.is_default
+            }
+            assert not styles
+            chosen, other = map(seen.app.screen.query_one(OptionList).render_line, (0, 1))
+            assert [bool(one.style and one.style.underline) for one in chosen] == [True, True]
+            assert not any(one.style and one.style.underline for one in other)
+
+    run(test)
+
+
+def test_a_view_without_rows_says_why() -> None:
+    async def test() -> None:
+        feed = GivenFeed()
+        async with screen(feed) as seen:
+            for key, text in (("1", "no requests heard yet"), ("2", "no values read or written")):
+                await seen.press(key)
+                assert text in seen.text
+            feed.give(read(0, 1, 2))
+            seen.app.apply_filter("unit == 9")
+            assert "no values read or written pass the filter; \\ switches it off" in seen.text
 
     run(test)

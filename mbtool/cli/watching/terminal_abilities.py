@@ -1,0 +1,46 @@
+"""What the terminal can do, as terminfo says: place its cursor, and show colours."""
+
+from __future__ import annotations
+
+import os
+import sys
+from typing import NamedTuple
+
+from mbtool.core import UsageError
+
+
+class TerminalAbilities(NamedTuple):
+    """What is known of a terminal; a terminal that terminfo does not know can do all."""
+
+    has_cursor: bool = True
+    """True if a program can say where the next text goes."""
+    has_colours: bool = True
+
+
+def terminal_abilities() -> TerminalAbilities:
+    """The abilities of the terminal that TERM names."""
+    try:
+        import curses
+
+        curses.setupterm(fd=sys.stdout.fileno())
+    except (ImportError, OSError, ValueError, curses.error):  # No terminfo, or not of this one.
+        return TerminalAbilities()
+    return TerminalAbilities(curses.tigetstr("cup") is not None, curses.tigetnum("colors") > 0)
+
+
+def prepare_terminal() -> None:
+    """Set NO_COLOR if the terminal shows no colours, and take it away if it is empty.
+
+    An empty one asks for nothing (no-color.org), but textual asks only if there is one. Raises
+    UsageError for a terminal on which no full screen can be drawn.
+    """
+    able = terminal_abilities()
+    if not able.has_cursor:
+        raise UsageError(
+            f"watch needs a terminal that can place its cursor; TERM={os.environ.get('TERM')} "
+            "cannot: use sniff, decode or stats"
+        )
+    if not os.environ.get("NO_COLOR"):
+        os.environ.pop("NO_COLOR", None)
+        if not able.has_colours:
+            os.environ["NO_COLOR"] = "1"
