@@ -80,8 +80,11 @@ function frame(caption, heads, body, cards) {
     el("table", { class: cards ? "cards" : null, role: role("table") }, cards ? null : el("caption", {}, caption),
       el("thead", { role: role("rowgroup") }, el("tr", { role: role("row") }, heads.map((head) => el("th", { scope: "col", role: role("columnheader"), class: kindOf(head) }, nameOf(head))))), body));
 }
+/* A reference such as HR400001..400004 may be broken behind its dots. */
+const breakable = (cell) => (typeof cell !== "string" || !cell.includes("..") ? cell
+  : cell.split("..").flatMap((part, at, all) => (at < all.length - 1 ? [`${part}..`, el("wbr")] : [part])));
 function tableRow(heads, cells, cards, attributes) {
-  return el("tr", { role: cards ? "row" : null, ...attributes }, cells.map((cell, at) => el("td", { class: kindOf(heads[at]), role: cards ? "cell" : null, "data-label": cards ? nameOf(heads[at]) : null }, cell)));
+  return el("tr", { role: cards ? "row" : null, ...attributes }, cells.map((cell, at) => el("td", { class: kindOf(heads[at]), role: cards ? "cell" : null, "data-label": cards ? nameOf(heads[at]) : null }, breakable(cell))));
 }
 function table(caption, allHeads, allRows, cards = false) {
   const filled = allHeads.map((_, at) => allRows.some((cells) => cells[at] !== "" && cells[at] !== null));
@@ -108,7 +111,7 @@ const utc = (s) => uPlot.tzDate(new Date(s * 1000), "Etc/UTC");
 const axisTimes = (u, splits, axis, space, step) => splits.map((s) => {
   const text = iso(s * 1e6);
   return step >= 86400 ? text.slice(5, 10) : step >= 60 ? text.slice(11, 16)
-    : step >= 1 ? text.slice(11, 19) : text.slice(17, 23);
+    : step >= 1 ? text.slice(11, 19) : text.slice(14, 23);
 });
 const atTime = (s) => `${moment(s * 1e6)} UTC`;
 const BINNED = `in bins of ${span(bins.width)}, UTC`;
@@ -388,8 +391,10 @@ function cycleTable(link, list, who, isOpen) {
   });
   const missing = list.with_missing_ms !== null && list.without_missing_ms !== null
     ? ` A cycle with a missing answer takes ${digits(list.with_missing_ms)} ms, one without ${digits(list.without_missing_ms)} ms.` : "";
+  const [least, most] = [digits(list.min_ms), digits(list.max_ms)], took = least === most ? `${least} ms each` : `${least} to ${most} ms`;
+  const other = list.other_cycles ? ` ${plural(list.other_cycles, "cycle")} had a poll more or less, or another order.` : "";
   return el("details", { open: isOpen }, el("summary", {}, el("h3", {}, `${who ? `${who}: ` : ""}${plural(list.steps.length, "poll")} every ${span(list.cycle_ms / 1000)}`)),
-    soft(`${plural(list.cycles, "cycle")} of ${digits(list.min_ms)} to ${digits(list.max_ms)} ms, ${count(list.other_cycles)} others.${missing}`),
+    soft(`${plural(list.cycles, "cycle")} went in this order and took ${took}.${other}${missing}`),
     table(`One cycle in order${who ? `, ${who}` : ""}, every ${span(list.cycle_ms / 1000)}`, ["~poll", ">pause before, ms", ">took, ms", ">cycles with missing", "+timeline"], rows));
 }
 
@@ -531,7 +536,7 @@ const haystack = (at) => {
   return (haystacks[at] ??= ` ${texts[row[LINK]]} unit:${row[UNIT]} #${row[NUMBER]} ${texts[row[WHAT]]} ${texts[row[RESULT]]} ${texts[row[OUTCOME]]} ${texts[row[CODES]]} ${clock(usOf(row))} `.toLowerCase());
 };
 let found = rows.map((_, at) => at), first = 0, here = -1;
-const HEADS = [">number", oneDay && rows.length ? `time (UTC, ${day(beginUs)})` : "time (UTC)", ...(several ? ["link"] : []), ">unit", "+request", "+result", "outcome", ">ms", "findings"];
+const HEADS = [">number", oneDay && rows.length ? `time (UTC, ${day(beginUs).replaceAll("-", "\u2011")})` : "time (UTC)", ...(several ? ["link"] : []), ">unit", "+request", "+result", "outcome", ">ms", "findings"];
 const body = el("tbody", { role: "rowgroup" });
 const told = el("span", { class: "soft", role: "status" });
 const field = el("input", { type: "search", on: { input: () => { filter(); first = 0; draw(); } } });
