@@ -133,8 +133,9 @@ class TcpConnection:
 
     def pass_plain(self, requests: PlainBytes, responses: PlainBytes) -> None:
         """Take segments that were read elsewhere, in order, up to a response; nothing is held."""
-        for (stream, _), passed in zip(self._directions, (requests, responses), strict=True):
-            stream.pass_plain(passed, self._arrivals)
+        asking, answering = self._directions[0]
+        asking.pass_plain(requests, self._arrivals)
+        answering.pass_plain(responses, self._arrivals)
         self._arrivals += responses.last_segment
         self.last_ns = self._now_ns = responses.last_ns
         self.unanswered_probes = 0
@@ -145,7 +146,8 @@ class TcpConnection:
     def is_replaced_by(self, segment: TcpSegment, *, from_lower: bool) -> bool:
         """True if a segment belongs to a new connection between the same ends.
 
-        `from_lower` is True if the lower end sent it, as in `feed`.
+        The segment has a SYN, or this connection is closed. `from_lower` is True if the lower end
+        sent it, as in `feed`.
         """
         sender, _ = self._directions[from_lower != self._master_is_lower]
         return begins_another(segment, sender, is_closed=self.closed)
@@ -312,7 +314,7 @@ class TcpConnection:
         Bytes that came too late, or that differ from their first copy, are reported as events.
         """
         differs = False
-        behind = sender.position - piece.start
+        fresh, behind = piece, sender.position - piece.start
         if behind > 0:
             if behind == 1 and len(piece.data) == 1:
                 self.keep_alives += 1
@@ -321,8 +323,8 @@ class TcpConnection:
                 message = "bytes that came after their gap was told"
                 self._report(sender, EventKind.DISCARDED, message, piece.ts_ns, late)
             differs = sender.differs_from_delivered(piece.start, piece.data)
+            fresh = piece.part(sender.position, piece.end)
         if piece.end > sender.position:
-            fresh = piece if behind <= 0 else piece.part(sender.position, piece.end)
             if fresh.start == sender.position and not sender.held and self._is_due(fresh, other):
                 self._deliver(sender, fresh)
             else:

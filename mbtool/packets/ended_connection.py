@@ -23,11 +23,10 @@ WINDOW = 1024 * 1024
 def begins_another(segment: TcpSegment, sender: Stream, *, is_closed: bool) -> bool:
     """True if a segment belongs to a new connection between the ends of another one.
 
-    `sender` is the stream of the same direction in the other connection, which `is_closed` or not.
+    The segment has a SYN, or the other connection `is_closed`. `sender` is the stream of the same
+    direction in the other connection.
     """
     flags = segment.flags
-    if not (is_closed or flags & SYN):
-        return False
     if flags & SYN:
         known = sender.origin is not None
         same = sender.begins_at(segment.sequence + 1 & 0xFFFFFFFF)

@@ -19,7 +19,7 @@
 from __future__ import annotations
 
 import struct
-from bisect import bisect_right, insort
+from bisect import bisect_left, insort
 from collections import OrderedDict
 from dataclasses import dataclass, field
 from enum import Enum
@@ -162,7 +162,7 @@ class Datagram:
         return cursor >= fragment.end
 
     def _touching(self, start: int, end: int) -> list[tuple[int, int, bytes]]:
-        at = bisect_right(self.pieces, (start, _MAX_PAYLOAD + 1))
+        at = bisect_left(self.pieces, (start,))
         if at and self.pieces[at - 1][1] > start:
             at -= 1
         behind = at

@@ -74,9 +74,8 @@ class _Layout:
         self.offset = Struct(order + "q")
 
 
-_LITTLE = bytes.fromhex("4d3c2b1a")
-_BIG = bytes.fromhex("1a2b3c4d")
-_LAYOUTS = {_LITTLE: _Layout("<"), _BIG: _Layout(">")}
+_LAYOUTS = {bytes.fromhex("4d3c2b1a"): _Layout("<"), bytes.fromhex("1a2b3c4d"): _Layout(">")}
+"""By the bytes of a section that show its byte order."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +107,8 @@ class _Reader:
         self._lines: LineReader | None = None
         """Reads packets that show bytes of a link; None if the file has no head."""
         self._last: Packet | None = None
-        self._layout = _LAYOUTS[_LITTLE]
+        self._layout: _Layout
+        """That of the section; each file begins with one."""
         self._interfaces: list[_Interface] = []
         self._number = 0
         self._ts_ns = 0

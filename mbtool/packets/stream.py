@@ -258,7 +258,7 @@ class Stream:
         return position if -window <= position - self.position <= window else None
 
     def is_overdue(
-        self, arrival: int, packets: int, ts_ns: int, wait_ns: int, needed: int = 0
+        self, arrival: int, packets: int, ts_ns: int, wait_ns: int, needed: int
     ) -> bool:
         """True if acknowledged bytes have not come within `packets` packets or `wait_ns`.
 

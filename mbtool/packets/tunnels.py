@@ -32,7 +32,7 @@ GRE_IN_FRAGMENTS = -2
 MAX_TUNNELS = 4
 """The most tunnels that are read if each contains the next."""
 
-_VXLAN_PORT = 4789
+_VXLAN_PORT = (4789).to_bytes(2)
 _VXLAN_FLAG = 0x08
 
 GRE = 47
@@ -92,9 +92,10 @@ def _behind_gre(data: bytes, at: int) -> int:
 
 
 def _behind_vxlan(data: bytes, at: int) -> int:
-    if len(data) < at + 16 or int.from_bytes(data[at + 2 : at + 4], "big") != _VXLAN_PORT:
+    if data[at + 2 : at + 4] != _VXLAN_PORT:
         return NOT_IP
-    return behind_ethernet(data, at + 16) if data[at + 8] & _VXLAN_FLAG else NOT_IP
+    inner = behind_ethernet(data, at + 16)
+    return inner if inner != NOT_IP and data[at + 8] & _VXLAN_FLAG else NOT_IP
 
 
 _FINDERS: dict[int, Callable[[bytes, int], int]] = {

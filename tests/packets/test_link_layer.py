@@ -9,45 +9,81 @@ _COOKED = "0000 0001 0006 66778899aabb 0000"  # type, device, address length, ad
 _COOKED_V2 = "0000 00000002 0001 00 06 66778899aabb0000"  # reserved, index, device, type, address
 
 
-@pytest.mark.parametrize(
-    ("link_type", "header"),
-    [
-        (1, f"{_ADDRESSES} 0800"),
-        (1, f"{_ADDRESSES} 86dd"),
-        (1, f"{_ADDRESSES} 8100 202a 0800"),
-        (1, f"{_ADDRESSES} 88a8 0001 8100 202a 86dd"),
-        (1, f"{_ADDRESSES} 9100 0001 8100 0002 8100 0003 0800"),
-        (1, f"{_ADDRESSES} 892f 0034 0001 0800"),
-        (1, f"{_ADDRESSES} 8100 202a 892f 0034 0001 86dd"),
-        (1, f"{_ADDRESSES} 8864 1100 0001 0016 0021"),
-        (1, f"{_ADDRESSES} 8100 202a 8864 1100 0001 0016 0057"),
-        (1, f"{_ADDRESSES} 8847 00010140"),
-        (1, f"{_ADDRESSES} 8848 00010040 00020040 00030140"),
-        (113, f"{_COOKED} 0800"),
-        (113, f"{_COOKED} 8100 202a 86dd"),
-        (276, f"0800 {_COOKED_V2}"),
-        (276, f"86dd {_COOKED_V2}"),
-        (276, f"8100 {_COOKED_V2} 202a 0800"),
-        (276, f"892f {_COOKED_V2} 0034 0001 0800"),
-        (276, f"8864 {_COOKED_V2} 1100 0001 0016 0021"),
-        (276, f"8847 {_COOKED_V2} 00010140"),
-        (0, "02 00 00 00"),
-        (0, "00 00 00 02"),
-        (0, "1e 00 00 00"),
-        (108, "00 00 00 02"),
-        (108, "00 00 00 18"),
-        *((108, f"00 00 00 {family:02x}") for family in (2, 10, 23, 24, 28, 30)),
-        (12, ""),
-        (14, ""),
-        (101, ""),
-        (228, ""),
-        (229, ""),
-    ],
-)
+_HEADERS = [
+    (1, f"{_ADDRESSES} 0800"),
+    (1, f"{_ADDRESSES} 86dd"),
+    (1, f"{_ADDRESSES} 8100 202a 0800"),
+    (1, f"{_ADDRESSES} 88a8 0001 8100 202a 86dd"),
+    (1, f"{_ADDRESSES} 9100 0001 8100 0002 8100 0003 0800"),
+    (1, f"{_ADDRESSES} 892f 0034 0001 0800"),
+    (1, f"{_ADDRESSES} 8100 202a 892f 0034 0001 86dd"),
+    (1, f"{_ADDRESSES} 8864 1100 0001 0016 0021"),
+    (1, f"{_ADDRESSES} 8100 202a 8864 1100 0001 0016 0057"),
+    (1, f"{_ADDRESSES} 8847 00010140"),
+    (1, f"{_ADDRESSES} 8848 00010040 00020040 00030140"),
+    (113, f"{_COOKED} 0800"),
+    (113, f"{_COOKED} 8100 202a 86dd"),
+    (276, f"0800 {_COOKED_V2}"),
+    (276, f"86dd {_COOKED_V2}"),
+    (276, f"8100 {_COOKED_V2} 202a 0800"),
+    (276, f"892f {_COOKED_V2} 0034 0001 0800"),
+    (276, f"8864 {_COOKED_V2} 1100 0001 0016 0021"),
+    (276, f"8847 {_COOKED_V2} 00010140"),
+    (0, "02 00 00 00"),
+    (0, "00 00 00 02"),
+    (0, "1e 00 00 00"),
+    (108, "00 00 00 02"),
+    (108, "00 00 00 18"),
+    *((108, f"00 00 00 {family:02x}") for family in (2, 10, 23, 24, 28, 30)),
+    (12, ""),
+    (14, ""),
+    (101, ""),
+    (228, ""),
+    (229, ""),
+]
+
+
+@pytest.mark.parametrize(("link_type", "header"), _HEADERS)
 def test_finds_ip_behind_each_link_layer(link_type: int, header: str) -> None:
     before = bytes.fromhex(header)
 
     assert IP_FINDERS[link_type](before + b"\x45" + bytes(19)) == len(before)
+
+
+@pytest.mark.parametrize(("link_type", "header"), _HEADERS)
+def test_a_header_that_is_cut_leads_nowhere(link_type: int, header: str) -> None:
+    before = bytes.fromhex(header)
+    for end in range(len(before)):
+        found = IP_FINDERS[link_type](before[:end])
+        # Type 276 begins with the protocol, so its first two bytes may tell where IP would begin.
+        assert found == NOT_IP or (link_type == 276 and found == len(before) > end), end
+    # MPLS does not name IP: its first byte must be there.
+    is_labelled = header.find(" 8847 ") > 0 or header.find(" 8848 ") > 0 or "8847" in header[:4]
+    assert IP_FINDERS[link_type](before) == (NOT_IP if is_labelled else len(before))
+
+
+@pytest.mark.parametrize("version", range(16))
+def test_only_version_4_and_6_behind_labels_are_ip(version: int) -> None:
+    before = bytes.fromhex(f"{_ADDRESSES} 8847 00010040 ffffff40")
+    found = IP_FINDERS[1](before + bytes([version << 4 | 5]))
+    assert found == (len(before) if version in (4, 6) else NOT_IP)
+
+
+def test_only_the_families_of_ip_are_read() -> None:
+    read = {
+        (link_type, order, family)
+        for link_type in (0, 108)
+        for order in ("big", "little")
+        for family in range(256)
+        if IP_FINDERS[link_type](family.to_bytes(4, order) + b"\x45") == 4  # type: ignore[arg-type]
+    }
+    assert {family for *_, family in read} == {2, 10, 23, 24, 28, 30}
+    assert len(read) == 2 * 2 * 6
+
+
+def test_no_other_link_type_is_read() -> None:
+    # tcpdump.org/linktypes.html; 12 and 14 are raw IP on some systems.
+    assert sorted(IP_FINDERS) == [0, 1, 12, 14, 101, 108, 113, 228, 229, 276]
 
 
 @pytest.mark.parametrize(

@@ -86,3 +86,45 @@ def test_an_empty_packet_with_a_time_is_a_packet() -> None:
     file = pcap([packet(b"", 1_000_000_000), *_PACKETS])
 
     assert [each.data for each in read_capture(io.BytesIO(file))] == [b"", b"first", b"second"]
+
+
+def test_packets_of_libpcaps_largest_size_are_read() -> None:
+    # libpcap: MAXIMUM_SNAPLEN is 262144 bytes.
+    (read,) = read_capture(io.BytesIO(pcap([packet(bytes(262144), 1)])))
+    assert len(read.data) == 262144
+
+
+def test_packets_are_counted_from_1_and_know_their_file() -> None:
+    read = list(read_capture(io.BytesIO(pcap(_PACKETS)), "line.pcap"))
+    assert [(each.file, each.number) for each in read] == [("line.pcap", 1), ("line.pcap", 2)]
+
+
+@pytest.mark.parametrize(
+    "record", [(0, 0, 0, 1), (0, 0, 1, 0), (0, 1, 0, 0), (1, 0, 0, 0), (0, 0, 1, 1)]
+)
+def test_a_record_with_any_number_in_its_header_is_a_packet(record: tuple[int, ...]) -> None:
+    seconds, fraction, captured, original = record
+    file = pcap([]) + struct.pack("<IIII", *record) + bytes(captured)
+    (read,) = read_capture(io.BytesIO(file))
+    assert read.ts_ns == seconds * 1_000_000_000 + fraction * 1000
+    assert (len(read.data), read.original_length) == (captured, max(original, captured))
+
+
+def test_a_file_may_end_in_its_header_or_in_the_header_of_a_record() -> None:
+    for end in range(4, 24):
+        with pytest.raises(CutError, match=r"^capture: ends inside the file header$"):
+            list(read_capture(io.BytesIO(pcap(_PACKETS)[:end])))
+    for end in (25, 39, 40, 44):
+        with pytest.raises(CutError, match=r"in the middle of a record, after 0 whole packets$"):
+            list(read_capture(io.BytesIO(pcap(_PACKETS)[:end])))
+
+
+def test_other_versions_are_refused_whatever_their_minor_number() -> None:
+    for major, minor in ((1, 4), (3, 4), (0, 2)):
+        file = bytearray(pcap(_PACKETS))
+        file[4:8] = struct.pack("<HH", major, minor)
+        with pytest.raises(InputError, match=rf"version {major}\.{minor} is unknown; 2\.4 is read"):
+            list(read_capture(io.BytesIO(bytes(file))))
+    file = bytearray(pcap(_PACKETS))
+    file[6:8] = b"\x03\0"
+    assert len(list(read_capture(io.BytesIO(bytes(file))))) == 2

@@ -155,3 +155,95 @@ def test_the_number_of_interfaces_is_bounded() -> None:
     assert _read(many + _MAKE.enhanced(b"a", interface=MAX_INTERFACES - 1))[0].data == b"a"
     with pytest.raises(InputError, match="more than 4096 interfaces"):
         _read(many + _MAKE.interface())
+
+
+def _enhanced(data: bytes, captured: int, original: int, interface: int = 0) -> bytes:
+    return _MAKE.block(6, struct.pack("<IIIII", interface, 0, 0, captured, original) + data)
+
+
+def test_a_packet_has_no_more_bytes_than_its_block() -> None:
+    # The block is padded to four bytes of data.
+    for captured in range(5):
+        (read,) = _read(_START + _enhanced(b"abc", captured, 9))
+        assert (read.data, read.original_length) == (b"abc\0"[:captured], 9)
+    with pytest.raises(InputError, match="the next packet claims 5 bytes"):
+        _read(_START + _enhanced(b"abc", 5, 9))
+
+
+def test_a_packet_is_no_longer_on_the_wire_than_its_bytes() -> None:
+    lengths = [_read(_START + _enhanced(b"abcd", 4, each))[0].original_length for each in (3, 4, 5)]
+    assert lengths == [4, 4, 5]
+
+
+def test_packets_of_libpcaps_largest_size_are_read() -> None:
+    most = 262144
+    assert len(_read(_START + _enhanced(bytes(most), most, most))[0].data) == most
+    with pytest.raises(InputError, match="the next packet claims 262145 bytes"):
+        _read(_START + _enhanced(bytes(most + 1), most + 1, most + 1))
+    # A simple packet does not say how much of it was captured.
+    simple = _START + _MAKE.simple(bytes(most + 4), most + 4)
+    assert [(len(one.data), one.original_length) for one in _read(simple)] == [(most, most + 4)]
+
+
+def test_a_simple_packet_needs_an_interface() -> None:
+    with pytest.raises(InputError, match="interface 0 is not described"):
+        _read(_MAKE.section() + _MAKE.simple(b"abc"))
+    assert _read(_START + _MAKE.simple(b"abc"))[0].ts_ns == 0
+
+
+def test_a_block_has_12_bytes_at_least_and_16_mebibytes_at_most() -> None:
+    longest = _MAKE.block(0xBAD, bytes(16 * 1024 * 1024 - 12))
+    shortest = _MAKE.block(0xBAD, b"")
+    assert len(_read(_START + longest + shortest + _MAKE.enhanced(b"a"))) == 1
+    # A section's first 12 bytes are read before its length is known to be true.
+    for length, problem in ((12, "a block claims 12 bytes"), (16, "too short for its type")):
+        section = struct.pack("<III", 0x0A0D0D0A, length, 0x1A2B3C4D) + struct.pack("<I", length)
+        with pytest.raises(InputError, match=problem):
+            _read(section + bytes(99))
+    version = struct.pack("<IIIHHI", 0x0A0D0D0A, 20, 0x1A2B3C4D, 1, 0, 20)
+    assert _read(version) == []
+
+
+def test_packets_are_counted_from_1_over_all_kinds_and_sections() -> None:
+    file = _START + _MAKE.enhanced(b"a") + _MAKE.simple(b"b") + _START + _MAKE.obsolete(b"c")
+    assert [(one.file, one.number) for one in _read(file)] == [
+        ("line.pcapng", number) for number in (1, 2, 3)
+    ]
+
+
+def _interface_of(options: bytes) -> bytes:
+    return _MAKE.section() + _MAKE.block(1, struct.pack("<HHI", 1, 0, 0) + options)
+
+
+@pytest.mark.parametrize(
+    ("options", "link"),
+    [
+        (b"\2\0\4\0eth0", "eth0"),  # The list may lack its end.
+        (b"\2\0\4\0eth0\2\0\4\0eth1", "eth0"),  # The first one counts.
+        (b"\1\0\1\0x\0\0\0\2\0\3\0abc\0", "abc"),
+        (b"\1\0\3\0xyz\0\2\0\3\0abc\0", "abc"),
+        (b"\1\0\0\0\2\0\3\0abc\0", "abc"),
+        (b"\0\0\0\0\2\0\4\0eth0", "if0"),  # Behind the end.
+        (b"\2\0\0\0", "if0"),
+        (b"\2\0\5\0eth0", "eth0"),
+        (b"\2\0\x08\0eth0\0\0\0\0", "eth0"),
+        (b"\2\0\4\0e\xffh0", "e\ufffdh0"),
+        (b"\2\0\4\0/\n\t\x7f", "____"),
+        (b"\2\0\x41\0" + b"x" * 65 + b"\0\0\0", "x" * 64),
+        (b"\2\0\x40\0" + b"x" * 63 + b"y", "x" * 63 + "y"),
+    ],
+)
+def test_the_name_of_an_interface_is_found_among_its_options(options: bytes, link: str) -> None:
+    assert _read(_interface_of(options) + _MAKE.enhanced(b"a"))[0].link == link
+
+
+def test_options_of_a_wrong_size_change_no_time() -> None:
+    for code, value in ((_OFFSET, bytes(7) + b"\1"), (_OFFSET, b"\1" * 9), (_OFFSET, b"\1" * 7)):
+        interface = _MAKE.interface(options={code: value})
+        ts_ns = _read(_MAKE.section() + interface + _MAKE.enhanced(b"a", 5))[0].ts_ns
+        assert (ts_ns == 5000) == (len(value) != 8)
+    interface = _MAKE.interface(options={_RESOLUTION: b""})
+    assert _read(_MAKE.section() + interface + _MAKE.enhanced(b"a", 5))[0].ts_ns == 5000
+    # Only the first byte counts.
+    interface = _MAKE.interface(options={_RESOLUTION: b"\x09\0"})
+    assert _read(_MAKE.section() + interface + _MAKE.enhanced(b"a", 5))[0].ts_ns == 5

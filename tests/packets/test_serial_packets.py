@@ -77,6 +77,12 @@ def test_a_packet_that_the_capture_cut_says_how_much_is_missing(whole: Packet) -
     assert (event.kind, event.missing) == (EventKind.CUT, 3)
 
 
+def test_the_link_types_are_those_of_the_registry() -> None:
+    # tcpdump.org/linktypes.html: USER0 to USER15, and RTAC_SERIAL.
+    assert sorted(USER_LINK_TYPES) == [*range(147, 163)]
+    assert sorted(SERIAL_LINK_TYPES) == [147, 250]
+
+
 @given(
     data=st.binary(max_size=40),
     link_type=st.sampled_from(sorted(SERIAL_LINK_TYPES | USER_LINK_TYPES)),

@@ -121,13 +121,13 @@ def test_a_wait_begins_with_the_acknowledgement_of_the_missing_bytes() -> None:
     stream.acknowledge(3, arrival=1, ts_ns=0)
     stream.acknowledge(6, arrival=3, ts_ns=0)
 
-    assert stream.is_overdue(4, 3, 0, 100)
+    assert stream.is_overdue(4, 3, 0, 100, needed=0)
     stream.advance(b"abc", 3)
-    assert not stream.is_overdue(5, 3, 0, 100)
-    assert stream.is_overdue(6, 3, 0, 100)
-    assert stream.is_overdue(5, 3, 100, 100)
+    assert not stream.is_overdue(5, 3, 0, 100, needed=0)
+    assert stream.is_overdue(6, 3, 0, 100, needed=0)
+    assert stream.is_overdue(5, 3, 100, 100, needed=0)
     stream.advance(b"def", 3)
-    assert not stream.is_overdue(99, 3, 999, 100)
+    assert not stream.is_overdue(99, 3, 999, 100, needed=0)
 
 
 def test_remembers_a_limited_number_of_acknowledgements_and_gaps() -> None:
@@ -136,8 +136,8 @@ def test_remembers_a_limited_number_of_acknowledgements_and_gaps() -> None:
         stream.acknowledge(10 * number + 1, arrival=number, ts_ns=0)
     stream.advance(b"x" * 9980, 9980)
     # Further ones are as old as the last that is remembered by itself, which is number 7.
-    assert not stream.is_overdue(MAX_ACKNOWLEDGEMENTS + 1, 3, 0, 100)
-    assert stream.is_overdue(MAX_ACKNOWLEDGEMENTS + 2, 3, 0, 100)
+    assert not stream.is_overdue(MAX_ACKNOWLEDGEMENTS + 1, 3, 0, 100, needed=0)
+    assert stream.is_overdue(MAX_ACKNOWLEDGEMENTS + 2, 3, 0, 100, needed=0)
 
     stream = _stream()
     for _ in range(MAX_GAPS + 1):
