@@ -64,7 +64,7 @@ ALSO = {
         "tests/golden/test_captures.py",
         "tests/adversary/test_network_pairing.py",
     ),
-    "packets": ("tests/properties/test_captures.py",),
+    "packets": ("tests/columns/test_state.py", "tests/properties/test_captures.py"),
 }
 
 _NOT_COPIED = shutil.ignore_patterns(

@@ -153,13 +153,9 @@ class Datagram:
         return len(added)
 
     def is_copy(self, fragment: Fragment) -> bool:
-        """True if all bytes of a fragment have come before and were the same."""
-        cursor = fragment.start
-        for start, end, data in self._touching(fragment.start, fragment.end):
-            if start > cursor or _differ(fragment, (start, end, data)):
-                return False
-            cursor = end
-        return cursor >= fragment.end
+        """True if this packet, which is whole, has all bytes of a fragment, and they are equal."""
+        touching = self._touching(fragment.start, fragment.end)
+        return fragment.end <= self.held and not any(_differ(fragment, one) for one in touching)
 
     def _touching(self, start: int, end: int) -> list[tuple[int, int, bytes]]:
         at = bisect_left(self.pieces, (start,))

@@ -257,9 +257,7 @@ class Stream:
             position = min(position, self.finish)
         return position if -window <= position - self.position <= window else None
 
-    def is_overdue(
-        self, arrival: int, packets: int, ts_ns: int, wait_ns: int, needed: int
-    ) -> bool:
+    def is_overdue(self, arrival: int, packets: int, ts_ns: int, wait_ns: int, needed: int) -> bool:
         """True if acknowledged bytes have not come within `packets` packets or `wait_ns`.
 
         `arrival` and `ts_ns` are the number and the time of the newest packet. The time counts from

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import groupby, permutations
 from typing import TYPE_CHECKING
 
@@ -8,21 +9,25 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mbtool.core import Chunk, Connection, Direction, Endpoint, EventKind
-from mbtool.packets.connection import HOLE_NS, PATIENCE, PATIENCE_NS
-from mbtool.packets.ended_connection import WINDOW
 from mbtool.packets.reassembler import TcpReassembler
 from mbtool.packets.segment import ACK, FIN, RST, SYN
-from mbtool.packets.stream import MAX_HELD_BYTES, MAX_HELD_PIECES
 from mbtool.packets.stream_events import CloseReason, StreamClosed, StreamGap, StreamOpened
 from tests.packets.building import MASTER, MASTER_PORT, SLAVE, SLAVE_PORT, End, Talk, cut
 from tests.packets.reading import close_reasons, run_packets, wire_events, words_of
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from mbtool.core import Packet
 
 _MASTER = Endpoint("10.0.0.1", 49152)
 _SLAVE = Endpoint("10.0.0.2", 502)
 _MS = 1_000_000
+
+# The limits of a connection, as numbers: with others, decode reports other gaps and events.
+PATIENCE, PATIENCE_NS, HOLE_NS = 3, 100_000_000, 10_000_000_000
+WINDOW = 1024 * 1024
+MAX_HELD_BYTES, MAX_HELD_PIECES = 64 * 1024, 64
 
 
 def test_joins_in_mid_stream_at_the_first_payload() -> None:
@@ -601,3 +606,256 @@ def test_a_lost_segment_loses_only_its_own_bytes(lost: int, pipelined: bool) -> 
     words = [part[1:] for part in said if isinstance(part, str)]
     assert words == [name for at, name in enumerate(names) if at != lost]
     assert [part for part in said if isinstance(part, int)] == [2]
+
+
+@pytest.mark.parametrize(
+    ("distance", "said"),
+    [
+        (WINDOW, [WINDOW, ">two"]),
+        (WINDOW + 1, [0, ">two"]),
+        (-WINDOW, []),
+        (-WINDOW - 1, [0, ">two"]),
+    ],
+)
+def test_a_mebibyte_is_the_farthest_that_a_segment_may_be_from_the_next_byte(
+    distance: int, said: list[str | int]
+) -> None:
+    talk = Talk()
+    packets = [*talk.handshake(), talk.request(b"one")]
+    packets += [talk.at(talk.master, talk.master.sequence + distance, b"two")]
+    assert words_of(run_packets(packets)) == [">one", *said]
+
+
+def test_a_jump_while_a_hole_is_open_tells_the_hole_first() -> None:
+    talk = Talk()
+    packets = [*talk.handshake(), talk.at(talk.master, 1004, b"def")]
+    packets += [talk.at(talk.master, 1001 + 2 * WINDOW, b"two")]
+    assert words_of(run_packets(packets)) == [3, ">def", 0, ">two"]
+
+
+def test_a_jump_before_a_joined_stream_has_begun_is_no_gap() -> None:
+    talk = Talk()
+    packets = [talk.response(b"told"), talk.at(talk.master, 1000 + 2 * WINDOW, b"two")]
+    assert words_of(run_packets(packets)) == ["<told", ">two"]
+    one, two = talk.request(b"one"), talk.at(talk.master, 1000 + 2 * WINDOW, b"two")
+    assert words_of(run_packets([one, two])) == [">one", 0, ">two"]
+
+
+@pytest.mark.parametrize(("ahead", "missing"), [(1, [1]), (WINDOW, [WINDOW]), (WINDOW + 1, [])])
+def test_an_acknowledgement_far_ahead_is_no_gap_at_the_end(ahead: int, missing: list[int]) -> None:
+    talk = Talk()
+    packets = talk.handshake()
+    talk.master.sequence += ahead
+    packets += [talk.send(talk.slave)]
+    assert words_of(run_packets(packets)) == missing
+
+
+@pytest.mark.parametrize(("ahead", "missing"), [(0, []), (1, [1]), (WINDOW, [WINDOW])])
+def test_bytes_before_a_fin_that_never_came_are_a_gap_at_the_end(
+    ahead: int, missing: list[int]
+) -> None:
+    talk = Talk()
+    packets = [*talk.handshake(), talk.at(talk.master, 1001 + ahead, b"", FIN | ACK)]
+    items = run_packets(packets)
+    assert words_of(items) == missing
+    assert close_reasons(items) == [CloseReason.CAPTURE_END]
+
+
+def _lost_request(later: int, wait_ns: int = 0) -> list[str | int]:
+    """What is said when a request is lost, and some packets come behind the response to it."""
+    talk = Talk()
+    packets = talk.handshake()
+    talk.request(b"lost")
+    packets += [talk.response(b"LOST")]
+    talk.ts_ns += wait_ns
+    packets += [talk.send(talk.slave) for _ in range(later)]
+    return words_of(run_packets(packets, close=False))
+
+
+@pytest.mark.parametrize(
+    ("later", "wait_ns", "is_given_up"),
+    [
+        (2, 0, False),
+        (3, 0, True),
+        (1, PATIENCE_NS - 2 * _MS, False),
+        (1, PATIENCE_NS - _MS, True),
+    ],
+)
+def test_a_response_waits_for_three_packets_or_a_tenth_of_a_second(
+    later: int, wait_ns: int, is_given_up: bool
+) -> None:
+    assert _lost_request(later, wait_ns) == (["<LOST"] if is_given_up else [])
+
+
+@pytest.mark.parametrize(
+    ("later", "wait_ns", "is_probe"),
+    [
+        (2, 0, False),
+        (3, 0, True),
+        (1, PATIENCE_NS - 2 * _MS, False),
+        (1, PATIENCE_NS - _MS, True),
+    ],
+)
+def test_a_single_first_byte_is_a_probe_if_none_follows_it_in_time(
+    later: int, wait_ns: int, is_probe: bool
+) -> None:
+    talk = Talk()
+    packets = [talk.at(talk.master, 999, b"\0")]
+    talk.ts_ns += wait_ns
+    packets += [talk.send(talk.slave) for _ in range(later)]
+    packets += [talk.request(b"ask")]
+    items = run_packets(packets)
+    (closed,) = [item for item in items if isinstance(item, StreamClosed)]
+    assert words_of(items) == ([">ask"] if is_probe else [">\0", ">ask"])
+    assert closed.keep_alives == is_probe
+
+
+@pytest.mark.parametrize("payload", [b"e", b"ea"])
+@pytest.mark.parametrize("counted", [0, 1])
+def test_a_syn_with_one_byte_always_counts(payload: bytes, counted: int) -> None:
+    talk = Talk()
+    packets = [talk.at(talk.master, 1000, payload, SYN)]
+    start = 1000 + len(payload) + counted
+    packets += [talk.at(talk.master, start, b"late")]
+    # One byte at one place less than the next could be a probe, so it decides nothing.
+    is_cut = len(payload) == 1 and not counted
+    said = [">" + payload.decode(), ">ate" if is_cut else ">late"]
+    assert words_of(run_packets(packets)) == said
+
+
+@pytest.mark.parametrize(
+    ("packets", "reason"),
+    [
+        (lambda talk: [talk.send(talk.slave, flags=RST | ACK)], CloseReason.REFUSED),
+        (lambda talk: [talk.send(talk.master, flags=RST)], CloseReason.RESET),
+        (
+            lambda talk: [
+                talk.at(talk.master, 1001, b"early"), talk.send(talk.slave, flags=RST | ACK),
+            ],
+            CloseReason.RESET,
+        ),
+        (
+            lambda talk: [
+                talk.at(talk.master, 1009, b"held"), talk.send(talk.slave, flags=RST | ACK),
+            ],
+            CloseReason.RESET,
+        ),
+        (
+            lambda talk: [
+                talk.send(talk.slave, flags=SYN | ACK), talk.send(talk.slave, flags=RST | ACK),
+            ],
+            CloseReason.RESET,
+        ),
+    ],
+    ids=["at once", "by the master", "after bytes", "after held bytes", "after its SYN"],
+)  # fmt: skip
+def test_only_a_slave_that_resets_before_any_byte_refuses(
+    packets: Callable[[Talk], list[Packet]], reason: CloseReason
+) -> None:
+    talk = Talk()
+    syn = talk.send(talk.master, flags=SYN)
+    assert close_reasons(run_packets([syn, *packets(talk)])) == [reason]
+
+
+def test_probes_are_unanswered_until_the_other_end_sends_anything() -> None:
+    def probes(*senders: str) -> tuple[int, int]:
+        talk = Talk()
+        packets = [*talk.handshake(), talk.request(b"ask"), talk.response(b"tell")]
+        ends = {"m": talk.master, "s": talk.slave}
+        for sender in senders:
+            end = ends[sender.lower()]
+            packets.append(talk.at(end, end.sequence - 1) if sender.islower() else talk.send(end))
+        items = run_packets(packets)
+        (closed,) = [item for item in items if isinstance(item, StreamClosed)]
+        return closed.keep_alives, closed.unanswered_probes
+
+    assert probes() == (0, 0)
+    assert probes("m", "m") == (2, 2)
+    assert probes("m", "S") == (1, 0)
+    assert probes("m", "s") == (2, 1)  # A probe of the other end answers, and is one.
+    assert probes("m", "M", "m") == (2, 2)
+    assert probes("s", "s", "M", "s") == (3, 1)
+    assert probes("m", "m", "s", "s", "s") == (5, 3)
+
+
+@pytest.mark.parametrize("flags", [FIN | ACK, SYN | ACK, ACK])
+def test_only_a_bare_acknowledgement_is_a_probe_without_a_byte(flags: int) -> None:
+    talk = Talk()
+    packets = [*talk.handshake(), talk.request(b"ask"), talk.response(b"tell")]
+    for back in (0, 1, 2):
+        packets.append(talk.at(talk.slave, talk.slave.sequence - back, b"", flags))
+    items = run_packets(packets)
+    closed = next(item for item in items if isinstance(item, StreamClosed))
+    assert closed.keep_alives == (flags == ACK)
+
+
+def test_an_event_of_a_response_names_the_slave_first() -> None:
+    talk = Talk()
+    packets = [*talk.handshake(), talk.request(b"ask"), talk.response(b"tell")]
+    (event,) = wire_events(run_packets([*packets, talk.at(talk.slave, 5001, b"TELL")]))
+    assert (event.source, event.destination) == (str(_SLAVE), str(_MASTER))
+    assert (event.ts_ns, event.raw) == (6 * _MS, b"TELL")
+
+
+def test_the_gap_of_a_cut_packet_has_the_time_of_that_packet() -> None:
+    talk = Talk()
+    packets = [*talk.handshake(), talk.request(b"ask"), cut(talk.response(b"tellmore"), 54 + 4)]
+    (gap,) = [item for item in run_packets(packets) if isinstance(item, StreamGap)]
+    assert gap == StreamGap(
+        5 * _MS, Connection(_MASTER, _SLAVE), Direction.RESPONSE, 4, EventKind.CUT
+    )
+
+
+def test_both_ends_may_close_with_the_last_of_their_bytes() -> None:
+    talk = Talk()
+    packets = [*talk.handshake(), talk.send(talk.master, b"ask", FIN | ACK)]
+    packets += [talk.send(talk.slave, b"tell", FIN | ACK)]
+    for order in permutations(range(3, 5)):
+        reassembler = TcpReassembler()
+        items = run_packets(
+            [*packets[:3], *(packets[at] for at in order)], reassembler, close=False
+        )
+        if order == (4, 3):  # Before the FIN has come, its acknowledgement is one of a byte.
+            items += reassembler.advance(5 * _MS + PATIENCE_NS)
+        assert words_of(items) == [">ask", "<tell"]
+        assert close_reasons(items) == [CloseReason.FINISHED]
+
+
+def test_a_connection_closes_when_the_hole_before_its_fin_is_given_up() -> None:
+    talk = Talk()
+    packets = talk.handshake()
+    packets += [
+        talk.at(talk.master, 1004, b"def", FIN | ACK),
+        talk.send(talk.slave, b"", FIN | ACK),
+    ]
+    reassembler = TcpReassembler()
+    assert close_reasons(run_packets(packets, reassembler, close=False)) == []
+    assert reassembler.advance(4 * _MS + HOLE_NS - 1) == []
+    items = reassembler.advance(4 * _MS + HOLE_NS)
+    assert words_of(items) == [3, ">def"]
+    assert close_reasons(items) == [CloseReason.FINISHED]
+
+
+def test_a_hole_waits_as_long_as_the_oldest_of_the_held_bytes() -> None:
+    talk = Talk()
+    packets = [*talk.handshake(), talk.at(talk.master, 1010, b"old")]
+    talk.ts_ns += 1000 * _MS
+    packets += [talk.at(talk.master, 1004, b"new")]
+    reassembler = TcpReassembler()
+    run_packets(packets, reassembler, close=False)
+    assert words_of(reassembler.advance(4 * _MS + HOLE_NS - 1)) == []
+    assert words_of(reassembler.advance(4 * _MS + HOLE_NS)) == [3, ">new", 3, ">old"]
+
+
+def test_the_packet_that_brought_bytes_is_their_origin() -> None:
+    talk = Talk()
+    packets = [
+        *talk.handshake(),
+        talk.at(talk.master, 1004, b"def"),
+        talk.at(talk.master, 1001, b"abc"),
+    ]
+    numbered = [replace(each, file="f", number=at) for at, each in enumerate(packets, 1)]
+    places = [one.place for one in run_packets(numbered) if isinstance(one, Chunk)]
+    assert [(one.position, one.origin[:2]) for one in places if one and one.origin] == [
+        (0, ("f", 5)), (3, ("f", 4)),
+    ]  # fmt: skip

@@ -8,7 +8,16 @@ import struct
 import msgspec
 import pytest
 
-from mbtool.core import Chunk, Direction, Packet
+from mbtool.core import (
+    Chunk,
+    Connection,
+    Direction,
+    Endpoint,
+    Origin,
+    Packet,
+    Stamp,
+    StreamPlace,
+)
 from mbtool.packets import CaptureHead, LinePacket, read_capture, reads_of
 from mbtool.packets.capture_writer import PcapngWriter, PcapWriter
 from mbtool.packets.line_packets import (
@@ -180,3 +189,116 @@ def test_open_reads_hold_no_more_than_a_packet() -> None:
         done = reads.take(like, data, [(len(data), 5)], is_open=True)
         given += sum(len(one.data) for one in done)
     assert given >= 16 * 64 * 1024
+
+
+def test_each_link_has_a_network_and_each_unit_an_address() -> None:
+    ends = LineEnds.of(3, 17)
+    assert (ends.master, ends.slave) == (bytes((10, 0, 0, 3)), bytes((10, 0, 3, 17)))
+    assert ends.master_port == 20502
+    assert LineEnds.of(255, 247, 20503) == LineEnds(b"\x0a\0\0\xff", b"\x0a\0\xff\xf7", 20503)
+    packet = line_datagram(LineEnds.of(1, 1, 0x1234), 0, b"", is_request=True)
+    assert struct.unpack(">HHHH", packet[20:]) == (0x1234, 502, 8, 0)
+
+
+@pytest.mark.parametrize("number", [0, 0x1234, 0xFFFF, 0x1_2345])
+def test_a_serial_frame_gets_the_header_of_modbus_tcp(number: int) -> None:
+    header = (number & 0xFFFF).to_bytes(2) + b"\0\0\0\3"
+    assert with_mbap(number, b"abc", b"de") == header + b"abcde"
+
+
+def test_bytes_of_a_line_get_the_header_of_rtac_serial() -> None:
+    # Seconds, microseconds, data sent or received, control lines, footer.
+    assert rtac_packet(7_000_008_999, b"abc", by_master=True) == (
+        bytes.fromhex("00000007 00000008 01 00 0000") + b"abc"
+    )
+    late = (2**32 + 5) * 1_000_000_000 + 999_999_999
+    assert rtac_packet(late, b"", by_master=False) == bytes.fromhex("00000005 000f423f 02 00 0000")
+
+
+def _take(*takes: tuple[bytes, list[tuple[int, int]], bool]) -> list[list[tuple[int, bytes]]]:
+    """The time and the bytes of the reads that each packet completes, and of those at the end."""
+    reads = OpenReads()
+    like = Chunk(ts_ns=0, link="x", data=b"")
+    found = [reads.take(like, data, sizes, is_open=is_open) for data, sizes, is_open in takes]
+    return [[(one.ts_ns, one.data) for one in chunks] for chunks in (*found, reads.close())]
+
+
+def test_a_read_goes_on_in_the_next_packet_if_it_is_of_the_same_time() -> None:
+    assert _take((b"abc", [(1, 5), (2, 6)], True), (b"de", [(1, 6), (1, 7)], False)) == [
+        [(5, b"a")], [(6, b"bcd"), (7, b"e")], [],
+    ]  # fmt: skip
+    assert _take((b"ab", [(2, 6)], True), (b"c", [(1, 7)], False)) == [
+        [], [(6, b"ab"), (7, b"c")], [],
+    ]  # fmt: skip
+    assert _take((b"ab", [(2, 6)], True), (b"c", [(1, 6)], True)) == [[], [], [(6, b"abc")]]
+    assert _take((b"ab", [(2, 6)], False), (b"c", [(1, 6)], False)) == [
+        [(6, b"ab")],
+        [(6, b"c")],
+        [],
+    ]
+    assert _take((b"ab", [], True), (b"c", [(1, 6)], False)) == [[], [(6, b"c")], []]
+
+
+def test_numbers_of_a_read_out_of_their_range_are_moved_into_it() -> None:
+    assert _take((b"abc", [(-1, 3), (0, 4), (1, -5), (9, 2**64)], False)) == [
+        [(0, b"a"), (2**63 - 1, b"bc")], [],
+    ]  # fmt: skip
+
+
+def test_a_read_of_the_size_of_the_longest_packet_is_not_kept_open() -> None:
+    most = 256 * 1024
+    for size, is_kept in ((most - 1, True), (most, False)):
+        (done, rest) = _take((bytes(size), [(size, 5)], True))
+        assert (len(done), len(rest)) == ((0, 1) if is_kept else (1, 0))
+
+
+def test_reads_of_different_links_directions_and_connections_are_joined_apart() -> None:
+    connection = Connection(Endpoint("10.0.0.1", 5000), Endpoint("10.0.0.2", 502))
+    likes = [
+        Chunk(ts_ns=0, link="x", data=b""),
+        Chunk(ts_ns=0, link="y", data=b""),
+        Chunk(ts_ns=0, link="x", data=b"", direction=Direction.REQUEST),
+        Chunk(ts_ns=0, link="x", data=b"", connection=connection),
+    ]
+    reads = OpenReads()
+    for number, like in enumerate(likes):
+        assert reads.take(like, b"%d" % number, [(1, 5)], is_open=True) == []
+    assert [one.data for one in reads.close()] == [b"0", b"1", b"2", b"3"]
+    assert reads.close() == []
+
+
+def test_a_mark_says_all_that_the_packet_does_not() -> None:
+    connection = Connection(Endpoint("10.0.0.1", 5000), Endpoint("10.0.0.2", 502))
+    mark = WireReads(
+        reads=[(3, 7)], raw=b":01", direction=Direction.RESPONSE, stamp=Stamp.AT_ONCE,
+        connection=connection,
+    )  # fmt: skip
+    plain = WireReads(reads=[(99, 8)], skip=-1)
+    first, second = _chunks(_line_file((RAW_IPV4, REQUEST, mark), (250, bytes(12) + b"ab", plain)))
+    assert (first.data, first.ts_ns, first.link) == (b":01", 7, "line")
+    assert (first.direction, first.stamp) == (Direction.RESPONSE, Stamp.AT_ONCE)
+    assert (first.connection, first.place) == (connection, None)
+    assert (second.data, second.direction, second.stamp) == (
+        b"ab", Direction.UNKNOWN, Stamp.LAST_BYTE,
+    )  # fmt: skip
+    assert (second.connection, second.place) == (None, StreamPlace(0, None, Origin("capture", 2)))
+
+
+def test_a_packet_with_a_mark_is_otherwise_as_others() -> None:
+    mark = WireReads(reads=[(8, 100)], skip=6, is_open=True)
+    (packet, rest) = _read(_line_file((RAW_IPV4, REQUEST, mark)))
+    assert isinstance(packet, LinePacket)
+    assert isinstance(rest, LinePacket)
+    assert packet.chunks == ()
+    assert [one.data for one in rest.chunks] == [REQUEST[34:]]
+    assert packet == rest
+    assert (packet.data, packet.ts_ns, packet.link, packet.link_type) == (REQUEST, 9, "line", 228)
+    assert (packet.number, packet.file, packet.original_length) == (1, "capture", len(REQUEST))
+
+
+def test_a_packet_without_a_mark_is_given_as_it_is() -> None:
+    stream = io.BytesIO()
+    writer = PcapngWriter(stream)
+    writer.write_block(LOCAL_BLOCK, msgspec.json.encode(CaptureHead()))
+    writer.write(_packet(3))
+    assert [*reads_of(_read(stream.getvalue()))] == [_packet(3)]

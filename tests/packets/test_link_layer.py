@@ -75,7 +75,7 @@ def test_only_the_families_of_ip_are_read() -> None:
         for link_type in (0, 108)
         for order in ("big", "little")
         for family in range(256)
-        if IP_FINDERS[link_type](family.to_bytes(4, order) + b"\x45") == 4  # type: ignore[arg-type]
+        if IP_FINDERS[link_type](family.to_bytes(4, order) + b"\x45") == 4
     }
     assert {family for *_, family in read} == {2, 10, 23, 24, 28, 30}
     assert len(read) == 2 * 2 * 6

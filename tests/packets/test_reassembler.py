@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mbtool.core import Chunk, Connection, Direction, Endpoint, EventKind, Stamp, WireEvent
-from mbtool.packets.reassembler import IDLE_NS, MAX_CONNECTIONS, MAX_HOLDING, TcpReassembler
+from mbtool.packets.reassembler import TcpReassembler
 from mbtool.packets.segment import ACK, FIN, RST, SYN
 from mbtool.packets.stream_events import CloseReason, StreamClosed, StreamGap, StreamOpened
 from tests.captures import read_packets
@@ -36,6 +36,10 @@ if TYPE_CHECKING:
 _MASTER = Endpoint("10.0.0.1", 49152)
 _SLAVE = Endpoint("10.0.0.2", 502)
 _MS = 1_000_000
+
+# The limits of the reassembler, as numbers: with others, decode reports other ends of connections.
+MAX_CONNECTIONS, MAX_HOLDING = 4096, 256
+IDLE_NS = 2 * 3600 * 1_000_000_000  # RFC 1122, 4.2.3.6
 
 
 def test_gives_the_bytes_of_a_connection_with_its_ends_and_times() -> None:
@@ -165,6 +169,32 @@ def test_the_number_of_connections_with_held_bytes_is_limited() -> None:
     assert said == [1, ">x"]
 
 
+def test_connections_without_held_bytes_do_not_count_as_holding_ones() -> None:
+    reassembler = TcpReassembler()
+    said = []
+    for number in range(MAX_HOLDING):
+        talk = Talk(master=End(MASTER, 10000 + number, 1000))
+        packets = [talk.handshake()[0], talk.at(talk.master, 1002, b"x")]
+        said += words_of(run_packets(packets, reassembler, close=False))
+    for port in (20000, 20001):
+        talk = Talk(master=End(MASTER, port, 1000))
+        said += words_of(run_packets(talk.handshake(), reassembler, close=False))
+    assert said == []
+
+
+def test_a_connection_that_is_dropped_says_what_it_held() -> None:
+    talk = Talk()
+    reassembler = TcpReassembler()
+    packets = [*talk.handshake(), talk.at(talk.master, 1004, b"def")]
+    run_packets(packets, reassembler, close=False)
+    with patch("mbtool.packets.reassembler.MAX_CONNECTIONS", 1):
+        other = Talk(End(MASTER, 10000, 1000), ts_ns=talk.ts_ns)
+        items = run_packets(other.handshake(), reassembler, close=False)
+    assert words_of(items) == [3, ">def"]
+    assert close_reasons(items) == [CloseReason.DISCARDED]
+    assert reassembler.advance(60_000 * _MS) == []
+
+
 def test_the_least_recently_used_connection_is_discarded_above_the_limit() -> None:
     reassembler = TcpReassembler()
     items = []
@@ -214,6 +244,14 @@ def test_a_clock_that_steps_back_loses_nothing() -> None:
 
     assert words_of(items) == [">one", "<ONE", ">two"]
     assert close_reasons(items) == [CloseReason.CAPTURE_END]
+
+
+def test_no_more_than_4096_reports_are_remembered() -> None:
+    reassembler = TcpReassembler()
+    told = []
+    for number in (*range(4097), 0):
+        told += reassembler.feed(packet(b"", link_type=9999, link=str(number)))
+    assert len(told) == 4096
 
 
 _OF_A_LINE = "; if it holds bytes of a serial line, say which: --link rtu@19200-8E1"
@@ -326,6 +364,59 @@ def test_fragments_of_other_ports_are_passed_over() -> None:
 
     assert run_packets([first, first, second]) == []
     assert run_packets([first]) == []
+
+
+@pytest.mark.parametrize("across", [False, True])
+def test_packets_of_two_interfaces_are_put_together_only_if_wanted(across: bool) -> None:
+    talk = Talk()
+    packets = [*talk.handshake(), talk.request(b"first"), talk.request(b"second")]
+    packets += in_fragments(talk.request(b"in fragments"), 24)
+    moved = [replace(each, link=f"if{at % 2}") for at, each in enumerate(packets)]
+    items = run_packets(moved, TcpReassembler(across=across))
+    opened = [item for item in items if isinstance(item, StreamOpened)]
+    assert len(opened) == (1 if across else 2)
+    assert (words_of(items)[:3] == [">first", ">second", ">in fragments"]) == across
+    assert bool(wire_events(items)) != across
+
+
+def test_connections_of_the_same_ports_are_told_apart_by_their_addresses() -> None:
+    pairs = (("10.0.0.1", "10.0.0.2"), ("10.0.0.3", "10.0.0.2"), ("10.0.0.3", "10.0.0.1"))
+    talks = [Talk(End(master, 502, 1000), End(slave, 502, 5000)) for master, slave in pairs]
+    packets = [one for talk in talks for one in talk.handshake()]
+    packets += [talk.request(b"%d" % at) for at, talk in enumerate(talks)]
+    packets += [talk.response(b"%d" % at) for at, talk in enumerate(talks)]
+    items = run_packets(packets)
+    assert words_of(items) == [">0", ">1", ">2", "<0", "<1", "<2"]
+    chunks = [item for item in items if isinstance(item, Chunk)]
+    assert [one.connection.master.host for one in chunks if one.connection] == [
+        "10.0.0.1", "10.0.0.3", "10.0.0.3",
+    ] * 2  # fmt: skip
+
+
+def test_only_whole_ports_are_compared() -> None:
+    for source, destination, is_read in (
+        (502, 1, True), (1, 502, True), (0x01F7, 1, False), (0x02F6, 1, False),
+        (1, 0x01F5, False), (1, 0xF6, False), (0xF601, 0x0001, False), (0x0101, 0xF6F6, False),
+    ):  # fmt: skip
+        data = ethernet(ipv4(tcp(source, destination, 1, payload=b"a")))
+        assert bool(run_packets([packet(data)])) == is_read, (source, destination)
+
+
+def test_the_time_of_a_second_connection_lets_the_first_go_on() -> None:
+    talk, other = Talk(), Talk(End(MASTER, 10000, 1000), ts_ns=20_000 * _MS)
+    packets = [*talk.handshake(), talk.at(talk.master, 1004, b"def")]
+    assert words_of(run_packets([*packets, *other.handshake()], close=False)) == [3, ">def"]
+
+
+def test_an_address_before_a_tunnel_is_not_that_of_an_end() -> None:
+    data = ipv4(tcp(49152, 502, 1000, payload=b"ask"))
+    inner = bytes.fromhex("0a0000000001 0a0000000002 0800") + data
+    outer = bytes.fromhex("0b0000000001 0b0000000002 0800") + ipv4(data, protocol=4)
+    for frame, addresses in ((inner, True), (outer, False)):
+        (chunk,) = [one for one in run_packets([packet(frame)]) if isinstance(one, Chunk)]
+        assert chunk.place is not None
+        assert chunk.place.origin is not None
+        assert (chunk.place.origin.addresses is not None) == addresses
 
 
 @given(
