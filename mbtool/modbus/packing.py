@@ -19,7 +19,7 @@ def words(data: bytes) -> tuple[int, ...]:
     return _registers(len(data) // 2).unpack_from(data)
 
 
-@lru_cache(maxsize=128)
+@lru_cache
 def _registers(count: int) -> struct.Struct:
     return struct.Struct(f">{count}H")
 

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from mbtool.core import Direction, EventKind
+from mbtool.core import Direction, EventKind, Origin
 from mbtool.framing import MbapSplitter
-from mbtool.framing.mbap import LONGEST_LENGTH
+from mbtool.framing.mbap import LONG_HEADER
 from mbtool.framing.skips import MAX_RUN
 from mbtool.modbus.adu import Adu, DirectionBy, Skipped, Transport, Verdict
 from mbtool.modbus.adu_bytes import mbap_adu
@@ -19,6 +19,7 @@ from tests.modbus.reading import adus, pdus, raw, skipped
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+LONGEST_LENGTH = 1454  # An ADU that fills a TCP segment of 1460 bytes.
 READ_HOLDING_REQUEST = bytes.fromhex(
     "0001"          # transaction id
     "0000"          # protocol id
@@ -343,3 +344,207 @@ def test_unknown_function_behind_bad_bytes_is_skipped_at_the_start_of_a_stream()
 def test_transaction_id_has_two_bytes() -> None:
     (adu,) = adus(every_way(requests, mbap_adu(0xA5C3, 1, bytes.fromhex("03 0000 0001"))))
     assert adu.transaction_id == 0xA5C3
+
+
+def test_headers_of_every_length_are_known_by_their_bytes() -> None:
+    matched = [
+        length for length in range(0x10000) if LONG_HEADER.match(b"\r\n\0\0" + length.to_bytes(2))
+    ]
+    assert matched == [*range(2, LONGEST_LENGTH + 1)]
+    assert LONG_HEADER.match(b"\1\2\0\1\0\6") is None
+    assert LONG_HEADER.match(b"\1\2\1\0\0\6") is None
+
+
+@pytest.mark.parametrize("length", [2, 3, 253, 254])
+def test_an_adu_of_any_length_is_found_behind_noise(length: int) -> None:
+    # 07 has no data; 0F has a byte count; both tell their length.
+    pdu = b"\x07"
+    if length > 2:
+        count = length - 7 if length > 100 else 0
+        bits = (8 * count).to_bytes(2)
+        pdu = b"\x0f\0\0" + bits + bytes((count, *bytes(count))) if count else b"\x83\2"
+    direction = Direction.RESPONSE if length == 3 else Direction.REQUEST
+    adu = mbap_adu(7, 1, pdu)
+    assert int.from_bytes(adu[4:6]) == length
+    events = every_way(lambda: MbapSplitter(direction), b"\xff" * 9 + adu)
+    assert [one.raw for one in adus(events)] == [adu]
+
+
+def _out_of_step(*segments: bytes, direction: Direction = Direction.REQUEST) -> list[str]:
+    """What segments give behind a gap: `adu` or `skipped`, until the last has come."""
+    splitter = MbapSplitter(direction, by_segments=True)
+    splitter.gap()
+    events = [event for segment in segments for event in splitter.feed(segment, 1)]
+    return [type(event).__name__.lower() for event in events]
+
+
+def _in_step(*segments: bytes) -> list[str]:
+    splitter = MbapSplitter(Direction.REQUEST, by_segments=True)
+    events = [event for segment in segments for event in splitter.feed(segment, 1)]
+    return [type(event).__name__.lower() for event in events]
+
+
+_LONG_START = bytes.fromhex("0001 0000 012C 11 5A")  # claims 306 bytes, of an unknown function
+_KNOWN_START = bytes.fromhex("0001 0000 012C 11 03")
+
+
+@pytest.mark.parametrize(
+    ("segments", "events"),
+    [
+        ([_LONG_START + READ_HOLDING_REQUEST], []),
+        ([_LONG_START, READ_HOLDING_REQUEST], ["skipped", "adu"]),
+        ([_LONG_START, READ_HOLDING_REQUEST[:9]], []),
+        ([_LONG_START, READ_HOLDING_REQUEST + b"\0"], []),
+        ([_LONG_START, b"\0" + READ_HOLDING_REQUEST], []),
+        ([_LONG_START, UNKNOWN], ["skipped", "adu"]),
+        ([_LONG_START + UNKNOWN], []),
+        ([_LONG_START, b"\0" + UNKNOWN], []),
+        ([_KNOWN_START + READ_HOLDING_REQUEST], ["skipped", "adu"]),
+        ([_KNOWN_START, READ_HOLDING_REQUEST], ["skipped", "adu"]),
+        ([_KNOWN_START + READ_HOLDING_REQUEST[:11]], []),
+        ([_KNOWN_START + UNKNOWN], []),
+        ([_KNOWN_START, UNKNOWN], ["skipped", "adu"]),
+        # Its PDU has not the form of its function, so it refutes nothing.
+        ([_KNOWN_START, mbap_adu(2, 0x11, bytes.fromhex("03 006B"))], []),
+        ([_LONG_START, mbap_adu(2, 0x11, bytes.fromhex("03 006B"))], []),
+    ],
+)
+def test_a_long_adu_is_awaited_until_another_refutes_it(
+    segments: list[bytes], events: list[str]
+) -> None:
+    assert _in_step(*segments) == events
+    if not events:  # It is whole when all its bytes have come.
+        rest = 306 - len(b"".join(segments))
+        assert _in_step(*segments, b"\xff" * rest) == ["adu"]
+
+
+@pytest.mark.parametrize("length", [0, 1, 2, 3, 254, 255, 256, 1453, 1454, 1455, 0xFFFF])
+def test_a_long_adu_is_whole_if_a_possible_header_follows(length: int) -> None:
+    adu, header = long_adu(300), b"\0\2\0\0" + length.to_bytes(2)
+    is_possible = 2 <= length <= LONGEST_LENGTH
+    noise = b"\xff" * 20
+    assert (_in_step(adu + header + noise)[:1] == ["adu"]) == is_possible
+    assert _in_step(adu + header[:5]) == ["adu"]
+    assert _in_step(adu + b"\0\2") == ["adu"]
+    for wrong in (b"\0\2\1", b"\0\2\0\1", b"\0\2\0\1\0\6"):
+        assert _in_step(adu + wrong)[:1] != ["adu"]
+
+
+@pytest.mark.parametrize("length", [255, 1454, 1455])
+@pytest.mark.parametrize("is_in_step", [True, False])
+def test_the_longest_adu_fills_a_segment(length: int, is_in_step: bool) -> None:
+    adu = long_adu(length)
+    found = _in_step(adu) if is_in_step else _out_of_step(adu)
+    assert (found == ["adu"]) == (length <= LONGEST_LENGTH)
+
+
+@pytest.mark.parametrize(
+    ("segments", "events"),
+    [
+        ([UNKNOWN], ["adu"]),
+        ([UNKNOWN[:8], UNKNOWN[8:]], ["adu"]),
+        ([UNKNOWN[:-1]], []),
+        ([UNKNOWN + READ_HOLDING_REQUEST], ["adu", "adu"]),
+        ([READ_HOLDING_REQUEST], ["adu"]),
+        ([READ_HOLDING_REQUEST[:-1]], []),
+        ([READ_HOLDING_REQUEST + b"\xff"], ["adu"]),
+        ([b"\xff" + READ_HOLDING_REQUEST], ["skipped", "adu"]),
+        ([b"\xff" + READ_HOLDING_REQUEST[:-1]], []),
+        ([b"\xff" + READ_HOLDING_REQUEST[:-1], READ_HOLDING_REQUEST[-1:]], ["skipped", "adu"]),
+        ([long_adu(300)], ["adu"]),
+        ([long_adu(300)[:200], long_adu(300)[200:]], ["adu"]),
+    ],
+)
+def test_out_of_step_the_ends_of_segments_confirm_an_adu(
+    segments: list[bytes], events: list[str]
+) -> None:
+    assert _out_of_step(*segments) == events
+
+
+@pytest.mark.parametrize(
+    ("kept", "missing", "is_adu"),
+    [
+        (7, 5, False),
+        (8, 4, True),
+        (11, 1, True),
+        (8, 3, False),
+        (8, 5, True),
+        (8, 0, False),
+    ],
+)
+@pytest.mark.parametrize("by_segments", [True, False])
+def test_a_cut_adu_needs_its_function_and_enough_missing_bytes(
+    kept: int, missing: int, is_adu: bool, by_segments: bool
+) -> None:
+    splitter = MbapSplitter(Direction.REQUEST, by_segments=by_segments)
+    splitter.feed(READ_HOLDING_REQUEST[:kept], 5)
+    (event,) = splitter.gap(missing)
+    assert isinstance(event, Adu) == is_adu
+    assert splitter.is_idle == (is_adu and missing == 12 - kept)
+
+
+def test_a_whole_foreign_or_too_long_adu_is_not_completed_by_missing_bytes() -> None:
+    foreign = bytes.fromhex("0001 0001 0006 11 03")
+    too_long = bytes.fromhex("0001 0000 00FF 11 5A 00")
+    for by_segments, start, missing, is_adu in (
+        (False, foreign, 4, False), (True, foreign, 4, False),
+        (False, too_long, 252, False), (True, too_long, 252, True),
+        (True, bytes.fromhex("0001 0000 05AE 11 5A 00"), 1451, True),
+        (True, bytes.fromhex("0001 0000 05AF 11 5A 00"), 1452, False),
+        (False, bytes.fromhex("0001 0000 00FE 11 5A 00"), 251, True),
+    ):  # fmt: skip
+        splitter = MbapSplitter(Direction.REQUEST, by_segments=by_segments)
+        splitter.feed(start, 5)
+        found = adus(splitter.gap(missing))
+        assert bool(found) == is_adu, start.hex()
+        if found:
+            size = len(start) + missing
+            assert found[0].verdicts == (
+                (Verdict.CUT, Verdict.OVER_LENGTH) if size > 260 else (Verdict.CUT,)
+            )
+
+
+def test_out_of_step_a_cut_adu_begins_with_a_segment_or_tells_its_size() -> None:
+    for by_segments, before, start, missing, is_adu in (
+        (True, b"", UNKNOWN[:9], 1, True),
+        (False, b"", READ_HOLDING_REQUEST[:9], 3, True),
+        (True, b"\xff", READ_HOLDING_REQUEST[:9], 3, True),
+        (True, b"\xff", UNKNOWN[:9], 1, False),
+        (True, b"\xff", bytes.fromhex("0001 0000 0007 11 03"), 5, False),
+    ):
+        splitter = MbapSplitter(Direction.REQUEST, by_segments=by_segments)
+        splitter.gap()
+        splitter.feed(before + start, 5)
+        found = adus(splitter.gap(missing))
+        assert bool(found) == is_adu, (before, start.hex())
+        if found:
+            assert found[0].verdicts == (Verdict.RESYNCHRONISED, Verdict.CUT)
+
+
+def test_a_request_may_take_30_s_and_no_ns_more() -> None:
+    for ns, is_late in ((30_000_000_000, False), (30_000_000_001, True)):
+        splitter = requests()
+        splitter.feed(READ_HOLDING_REQUEST[:7], 5)
+        (adu,) = adus(splitter.feed(READ_HOLDING_REQUEST[7:], 5 + ns))
+        assert (Verdict.LATE_PARTS in adu.verdicts) == is_late
+
+
+def test_an_adu_has_the_origin_of_its_last_byte() -> None:
+    splitter = requests()
+    first, second = Origin("f", 1), Origin("f", 2)
+    (whole,) = adus(splitter.feed(READ_HOLDING_REQUEST, 1, first))
+    assert (whole.origin, whole.start_ns, whole.end_ns) == (first, 1, 1)
+    assert splitter.feed(READ_HOLDING_REQUEST[:-1], 1, first) == []
+    (one, two) = adus(splitter.feed(READ_HOLDING_REQUEST[-1:] + WRITE_COIL_REQUEST, 2, second))
+    assert (one.origin, one.start_ns, one.end_ns) == (second, 1, 2)
+    assert (two.origin, two.start_ns, two.end_ns) == (second, 2, 2)
+
+
+def test_a_segment_of_one_adu_is_read_as_one_in_pieces() -> None:
+    # The short way for a whole ADU takes no other segment.
+    for segment in (
+        READ_HOLDING_REQUEST + b"\0", READ_HOLDING_REQUEST[:-1], mbap_adu(1, 1, bytes(253)),
+        bytes.fromhex("0001 0000 0001 11"), bytes.fromhex("0001 0001 0002 11 07"),
+        bytes.fromhex("0001 0000 0106 11 03 006B 0003"), bytes.fromhex("0001 0000 0002 11 07"),
+    ):  # fmt: skip
+        every_way(requests, segment)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import random
 
-from mbtool.core import Direction, EventKind
+from mbtool.core import Direction, EventKind, Origin
 from mbtool.framing import RtuStreamSplitter
 from mbtool.framing.skips import MAX_RUN
 from mbtool.modbus.adu import DirectionBy, Transport, Verdict
@@ -120,3 +120,32 @@ def test_frame_of_256_bytes_is_read_and_one_of_257_is_skipped() -> None:
     splitter = responses()
     assert adus(splitter.feed(longest[:255], 1)) == []
     assert [adu.raw for adu in adus(splitter.feed(longest[255:], 2))] == [longest]
+
+
+def test_a_frame_that_tells_its_size_too_late_is_skipped_at_256_bytes() -> None:
+    # Each of 255 objects of an identification may be followed by another.
+    endless = bytes.fromhex("01 2B 0E 01 01 00 00 FF") + b"\xf0\x00" * 124
+    assert len(endless) == 256
+    splitter = responses()
+    assert splitter.feed(endless[:255], 1) == []
+    assert not splitter.is_idle
+    splitter.feed(endless[255:], 2)
+    frame = rtu_adu(0x41, bytes.fromhex("83 02"))
+    assert pdus(splitter.feed(frame, 3)) == [(0x41, "8302")]
+
+
+def test_every_frame_is_found_behind_any_single_byte() -> None:
+    for byte in range(256):
+        events = every_way(requests, bytes([byte]) + READ_HOLDING_REQUEST + WRITE_COIL_REQUEST)
+        assert pdus(events) == [READ, WRITE]
+        assert [adu.verdicts for adu in adus(events)] == [(Verdict.RESYNCHRONISED,), ()]
+        assert adus(events)[0].confidence == 1.0
+
+
+def test_an_adu_has_the_origins_of_its_last_byte() -> None:
+    splitter = requests()
+    first, second = Origin("f", 1), Origin("f", 2)
+    assert splitter.feed(READ_HOLDING_REQUEST[:-1], 1, first) == []
+    (one, two) = adus(splitter.feed(READ_HOLDING_REQUEST[-1:] + WRITE_COIL_REQUEST, 2, second))
+    assert (one.origin, one.start_ns, one.end_ns) == (second, 1, 2)
+    assert (two.origin, two.start_ns, two.end_ns) == (second, 2, 2)

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mbtool.core import Origin
 from mbtool.framing.timed_buffer import TimedBuffer
 
 
@@ -60,3 +61,31 @@ def test_every_byte_comes_out_with_its_time(appends: list[tuple[bytes, int]]) ->
     buffer = filled(*appends)
     came = [(byte, ts_ns) for data, ts_ns in buffer.drain(1000) for byte in data]
     assert came == [(byte, ts_ns) for data, ts_ns in appends for byte in data]
+
+
+def test_seams_are_where_appends_began_or_ended_also_behind_taken_bytes() -> None:
+    buffer = filled((b"ab", 10), (b"c", 20), (b"", 25), (b"def", 30))
+
+    def seams() -> list[int]:
+        return [index for index in range(8) if buffer.is_seam(index)]
+
+    found = [seams()]
+    for size in (1, 1, 1, 2, 1):
+        buffer.take(size)
+        found.append(seams())
+    assert found == [[0, 2, 3, 6], [1, 2, 5], [0, 1, 4], [0, 3], [1], [0]]
+    buffer.append(b"g", 40)
+    assert seams() == [0, 1]
+
+
+def test_a_mark_is_that_of_the_append_that_brought_the_byte() -> None:
+    buffer = TimedBuffer()
+    origins = [Origin("f", number) for number in range(3)]
+    for number, origin in enumerate(origins):
+        buffer.append(b"ab", 10 * number, origin)
+    buffer.take(1)
+    assert [buffer.mark_at(index) for index in range(5)] == [
+        (0, origins[0]), (10, origins[1]), (10, origins[1]), (20, origins[2]), (20, origins[2]),
+    ]  # fmt: skip
+    with pytest.raises(IndexError):
+        buffer.mark_at(5)

@@ -86,3 +86,27 @@ def test_the_reason_names_characters_without_their_parity() -> None:
     heard = with_parity(b":020G0064000198\r\n", "even")
     assert why_unreadable(heard).startswith("a frame with 'G' (47H) as its character 5, ")
     assert why_unreadable(heard, eight_bits=False).startswith("a frame with B2H as its character 3")
+
+
+@pytest.mark.parametrize(
+    ("character", "shown"),
+    [(0x1F, "1FH"), (0x20, "20H"), (0x21, "'!' (21H)"), (0x7E, "'~' (7EH)"), (0x7F, "7FH")],
+)
+def test_only_a_visible_character_is_shown_as_itself(character: int, shown: str) -> None:
+    reason = why_unreadable(b":02" + bytes([character]) + b"064000198\r\n")
+    assert reason.startswith(f"a frame with {shown} as its character 4, ")
+
+
+def test_the_shortest_frame_has_a_unit_a_function_and_an_lrc() -> None:
+    assert read(b":0107F8\r\n").body == b"\x01\x07"
+    assert read_frame(b":01FF\r\n") is None
+
+
+@pytest.mark.parametrize("delimiter", [0x00, 0x01, 0x7F])
+def test_a_bit_that_is_always_set_is_a_stop_bit_at_any_character(delimiter: int) -> None:
+    heard = with_parity(FRAME[:-1] + bytes([delimiter]), "mark")
+    frame = read(heard)
+    assert (frame.end, frame.parity_in_data) == (bytes([0x0D, delimiter]), True)
+    # One character without the bit, and with another parity than others.
+    for clear in (0x7F, 0x00):
+        assert read_frame(heard[:-1] + bytes([clear])) is None

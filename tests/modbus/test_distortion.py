@@ -108,3 +108,29 @@ def test_an_adu_without_damage_can_be_read_back(pdu: bytes, transaction_id: int,
     assert isinstance(adu, Adu)
     assert (adu.unit, adu.pdu) == (unit + 3 & 0xFF, pdu)
     assert adu.transaction_id == transaction_id + 5 & 0xFFFF
+
+
+def test_faults_that_are_not_named_are_none() -> None:
+    assert Distortion() == Distortion(
+        unit_by=0, id_by=0, wrong_check=False, cut=0, extra=b"", pieces=1, gap_ns=0, silent=False,
+        ending=None,
+    )  # fmt: skip
+    assert Response(PDU) == Response(PDU, delay_ns=0, distortion=None)
+    assert [at_ns for at_ns, _ in wire_pieces(
+        Response(PDU, distortion=Distortion(pieces=2)), Transport.TCP, 1
+    )] == [0, 0]  # fmt: skip
+
+
+def test_the_transaction_id_is_0_if_none_is_given() -> None:
+    ((_, adu),) = wire_pieces(Response(PDU), Transport.TCP, 1)
+    assert adu == mbap_adu(0, 1, PDU)
+
+
+@pytest.mark.parametrize("transport", [Transport.RTU, Transport.ASCII])
+def test_a_wrong_check_differs_in_its_last_byte_or_digit(transport: Transport) -> None:
+    sent, right = _sent(Distortion(wrong_check=True), transport), FRAMED[transport]
+    end = -3 if transport is Transport.ASCII else -1
+    assert len(sent) == len(right)
+    assert [at for at, one in enumerate(sent) if one != right[at]] == [len(right) + end]
+    digit, before = sent[end], right[end]
+    assert digit ^ before == 0xFF or int(chr(digit), 16) ^ int(chr(before), 16) == 0xF

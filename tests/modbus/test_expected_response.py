@@ -7,12 +7,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mbtool.core import Direction
-from mbtool.modbus.expected_response import MAX_KNOWN, UNKNOWN_SIZE, ExpectedResponse
+from mbtool.modbus.expected_response import ExpectedResponse
 from mbtool.modbus.pdu import exception_pdu, parse_pdu
 from mbtool.modbus.request_match import is_response_to
 from tests.strategies import Exchange, Message, exchanges, messages
 
 READ = bytes.fromhex("03 006B 0003")
+UNKNOWN_SIZE = 0
+MAX_KNOWN = 1024
 
 
 def of(request: str) -> ExpectedResponse:
@@ -136,3 +138,31 @@ def test_the_first_bytes_of_a_fitting_response_fit(exchange: Exchange, data: st.
     assert expected.fits_start(exchange.response[:kept], size)
     if expected.size != UNKNOWN_SIZE:
         assert not expected.fits_start(exchange.response[:kept], size + 1)
+
+
+@pytest.mark.parametrize(
+    ("request_", "start", "size", "fits"),
+    [
+        ("03 006B 0003", "03", 8, True),
+        ("03 006B 0003", "03", 7, False),
+        ("03 006B 0003", "03 06", 8, True),
+        ("03 006B 0003", "03 05", 8, False),
+        ("03 006B 0003", "03 06 FFFF", 8, True),
+        ("03 006B 0003", "83", 2, True),
+        ("03 006B 0003", "83", 3, False),
+        ("03 006B 0003", "84", 2, False),
+        ("03 006B 0003", "03", 2, False),
+        ("11", "11", 2, True),
+        ("11", "11 05", 99, True),
+        ("06 0001 0003", "06 0001 00", 5, True),
+        ("06 0001 0003", "06 0001 01", 5, False),
+    ],
+)
+def test_a_response_may_begin_with_some_bytes(
+    request_: str, start: str, size: int, fits: bool
+) -> None:
+    assert of(request_).fits_start(bytes.fromhex(start), size) is fits
+
+
+def test_the_size_is_unknown_if_none_is_given() -> None:
+    assert ExpectedResponse(3, b"\x03").size == UNKNOWN_SIZE

@@ -85,3 +85,47 @@ def test_no_response_raises(function: int, transport: Transport, raw: bytes) -> 
 
 def test_a_text_has_printable_ascii_only() -> None:
     assert text_of(b"Caf\xe9 \x1b[0m \x00\x00") == "Caf\\xe9 \\x1b[0m"
+
+
+def test_the_objects_of_the_standard_have_names() -> None:
+    # MODBUS Application Protocol V1.1b3, 6.21.
+    objects = b"".join(bytes((number, 1, 0x41 + number)) for number in range(8))
+    assert said(bytes.fromhex("2b 0e 02 82 00 00 08") + objects) == [
+        Identity(name, chr(0x41 + number), number)
+        for number, name in enumerate((
+            "vendor", "product code", "revision", "vendor URL", "product", "model",
+            "application", "object 07H",
+        ))
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("data", "text"),
+    [
+        (b"AB", "41 42"),
+        (b"AB  ", "41 42 20 20"),
+        (b"ABC", "ABC"),
+        (b"A ~", "A ~"),
+        (b"A\x7fC", "41 7f 43"),
+        (b"A\x1fC", "41 1f 43"),
+    ],
+)
+def test_three_printable_characters_are_a_text(data: bytes, text: str) -> None:
+    assert said(bytes((0x11, len(data))) + data)[0].text == text
+
+
+def test_the_first_byte_of_a_server_id_is_no_run_indicator() -> None:
+    assert said(bytes.fromhex("11 03 00 01 ff")) == [
+        Identity("server id", "00 01"),
+        Identity("run indicator", "on"),
+    ]
+    assert said(bytes.fromhex("11 02 ff 00")) == [
+        Identity("server id", "ff"),
+        Identity("run indicator", "off"),
+    ]
+    assert said(bytes.fromhex("11 01 ff")) == [Identity("server id", "ff")]
+
+
+def test_printable_ascii_reaches_from_space_to_tilde() -> None:
+    kept = [byte for byte in range(256) if text_of(bytes((0x41, byte, 0x41)))[1:2] == chr(byte)]
+    assert kept == [*range(0x20, 0x7F)]

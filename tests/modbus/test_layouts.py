@@ -140,3 +140,40 @@ def test_fields_that_cannot_be_sent_are_refused(
 ) -> None:
     with pytest.raises(ValueError, match=problem):
         layout.encode(fields)
+
+
+@pytest.mark.parametrize(("width", "most"), [(1, 255), (2, 65535)])
+def test_data_are_as_long_as_their_byte_count_can_say(width: int, most: int) -> None:
+    layout = Layout(tail=Bytes(count_width=width))
+    for size in (0, 1, most - 1, most):
+        pdu = b"\x55" + layout.encode({"data": bytes(size)})
+        assert pdu == b"\x55" + size.to_bytes(width) + bytes(size)
+        assert layout.parse(pdu) == ({"data": bytes(size)}, None)
+        assert layout.length(pdu[: 1 + width]) == len(pdu)
+        assert layout.length(pdu[:width]) is None
+    with pytest.raises(ValueError, match=f"fit a byte count of {width} bytes"):
+        layout.encode({"data": bytes(most + 1)})
+
+
+def test_the_heads_are_the_integers_and_the_byte_count_with_their_widths() -> None:
+    assert FIXED.heads == [("first", 1), ("second", 2)]
+    assert COUNTED.heads == [("quantity", 2), ("byte_count", 1)]
+    assert Layout(tail=Registers(count_width=2)).heads == [("byte_count", 2)]
+    assert Layout(tail=Bits()).heads == [("byte_count", 1)]
+    assert Layout(tail=Bytes(count_width=0)).heads == []
+    assert Layout(("sub", 2), tail=UncountedRegisters()).heads == [("sub", 2)]
+
+
+def test_a_short_pdu_keeps_each_field_that_it_has() -> None:
+    layout = Layout(("a", 2), ("b", 1), ("c", 2))
+    pdu = bytes.fromhex("55 0102 03 0405")
+    kept = [len(layout.parse(pdu[:size])[0]) for size in range(1, 7)]
+    assert kept == [0, 0, 1, 2, 2, 3]
+    assert layout.parse(pdu[:5])[0] == {"a": 0x0102, "b": 3}
+
+
+def test_a_choice_counts_its_own_byte() -> None:
+    layout = Layout(("x", 1), tail=Choice("kind", {1: Layout(("value", 2)), 2: Layout()}))
+    assert [layout.length(bytes((0x2B, 9, kind))) for kind in (1, 2, 3)] == [5, 3, NO_LENGTH]
+    assert layout.parse(bytes((0x2B, 9, 2))) == ({"x": 9, "kind": 2}, None)
+    assert layout.encode({"x": 9, "kind": 1, "value": 5}) == bytes((9, 1, 0, 5))

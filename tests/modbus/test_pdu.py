@@ -226,3 +226,32 @@ def test_length_is_the_same_wherever_the_pdu_begins(code: int, direction: Direct
     for size in range(len(pdu) + 1):
         length = pdu_length(pdu[:size], direction)
         assert pdu_length(b"\xff\xff" + pdu[:size], direction, at=2) == length
+
+
+@pytest.mark.parametrize("code", [0, 1, 255, -1, 256])
+def test_a_function_code_is_a_byte(code: int) -> None:
+    if 0 <= code <= 255:
+        fields: dict[str, Value] = {"data": b"x"} if code != 1 else {"address": 0, "quantity": 0}
+        assert encode_pdu(code, REQUEST, **fields)[0] == code
+    else:
+        with pytest.raises(ValueError, match=r"not in 0\.\.255"):
+            encode_pdu(code, REQUEST, data=b"x")
+
+
+def test_an_exception_response_is_one_of_the_function_without_its_highest_bit() -> None:
+    for code in range(256):
+        parsed = parse_pdu(bytes((code, 4)), RESPONSE)
+        assert parsed.function == code % 128
+        assert parsed.exception_code == (4 if code >= 128 else None)
+        # A request has no exceptions.
+        assert parse_pdu(bytes((code, 4)), REQUEST).exception_code is None
+
+
+def test_an_adu_of_modbus_tcp_is_whole_if_its_length_says_so() -> None:
+    adu = bytes.fromhex("0001 0000 0003 11 03 02")
+    assert whole_pdu(Transport.TCP, adu) == b"\x03\x02"
+    for other in (adu[:-1], adu + b"\0", adu[:7], adu[:4]):
+        assert whole_pdu(Transport.TCP, other) is None
+    for transport in (Transport.RTU, Transport.RTU_TCP):
+        assert whole_pdu(transport, bytes.fromhex("11 07 0000")) == b"\x07"
+        assert whole_pdu(transport, bytes.fromhex("11 0000")) is None

@@ -133,3 +133,63 @@ def test_a_request_with_register_access_can_be_executed(function: int, data: byt
         assert len(values_after(request, [0] * len(access.writes))) == len(access.writes)
     response = response_to(request, pdu, [0] * len(access.reads))
     assert parse_pdu(response, Direction.RESPONSE).problem is None
+
+
+def _request(code: int, quantity: int, written: int = 1) -> bytes:
+    address = b"\x00\x10"
+    match code:
+        case 0x0F:
+            data = bytes((quantity + 7) // 8)
+        case 0x10:
+            data = bytes(2 * quantity)
+        case 0x17:
+            count = written.to_bytes(2) + bytes([2 * written & 0xFF])
+            return bytes([code]) + address + quantity.to_bytes(2) + address + count + bytes(
+                2 * written
+            )  # fmt: skip
+        case _:
+            return bytes([code]) + address + quantity.to_bytes(2)
+    return bytes([code]) + address + quantity.to_bytes(2) + bytes([len(data) & 0xFF]) + data
+
+
+@pytest.mark.parametrize(
+    ("code", "limit"), [(1, 2000), (2, 2000), (3, 125), (4, 125), (0x0F, 1968), (0x10, 123)]
+)
+def test_each_function_has_a_least_and_a_largest_quantity(code: int, limit: int) -> None:
+    for quantity in (0, 1, 2, limit - 1, limit, limit + 1):
+        request = parse_pdu(_request(code, quantity), Direction.REQUEST)
+        access = register_access(request)
+        assert (access is not None) == (1 <= quantity <= limit), quantity
+        if access is not None:
+            sizes = len(access.reads), len(access.writes)
+            assert sizes == ((0, quantity) if code in (0x0F, 0x10) else (quantity, 0))
+
+
+def test_function_17h_reads_at_most_125_and_writes_at_most_121_registers() -> None:
+    for reads, writes in ((1, 1), (125, 121), (126, 1), (1, 122), (0, 1), (1, 0)):
+        request = parse_pdu(_request(0x17, reads, writes), Direction.REQUEST)
+        access = register_access(request)
+        assert (access is not None) == (1 <= reads <= 125 and 1 <= writes <= 121)
+
+
+def test_a_function_without_a_quantity_accesses_one_address_and_nothing_else() -> None:
+    for request in ("05 0010 FF00", "06 0010 1234", "16 0010 00F2 0025"):
+        access = _access(request)
+        assert access is not None
+        assert (access.reads, access.writes) == (range(0), range(16, 17))
+    reading = _access("03 0010 0001")
+    assert reading is not None
+    assert reading.writes == range(0)
+
+
+@pytest.mark.parametrize(
+    ("request_", "response"),
+    [
+        ("05 0010 FF00", "05 0010 FF00"),
+        ("0F 0010 0003 01 05", "0F 0010 0003"),
+        ("16 0010 00F2 0025", "16 0010 00F2 0025"),
+    ],
+)
+def test_a_write_is_confirmed_by_its_first_bytes(request_: str, response: str) -> None:
+    pdu = bytes.fromhex(request_)
+    assert response_to(parse_pdu(pdu, Direction.REQUEST), pdu, []) == bytes.fromhex(response)

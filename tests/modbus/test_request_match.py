@@ -80,3 +80,14 @@ def test_a_response_that_fits_by_its_bytes_belongs_to_its_request(
     answer = parse_pdu(altered, RESPONSE)
     if expected.fits(altered) and answer.problem is None:
         assert mismatch(asked, answer) is None
+
+
+@pytest.mark.parametrize("sub_function", [0x0001, 0x0002, 0x000A, 0x0100])
+def test_only_return_query_data_must_return_its_data(sub_function: int) -> None:
+    request, response = (b"\x08" + sub_function.to_bytes(2) + data for data in (b"\0\0", b"\0\7"))
+    assert is_response_to(parse_pdu(request, REQUEST), response)
+
+
+def test_values_of_another_function_than_08_may_differ() -> None:
+    assert is_response_to(parse_pdu(bytes.fromhex("17 0000 0001 0009 0001 02 0007"), REQUEST),
+                          bytes.fromhex("17 02 0008"))  # fmt: skip

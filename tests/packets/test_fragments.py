@@ -474,3 +474,15 @@ def test_the_bytes_that_came_first_are_kept_whatever_comes(
     assert datagram.payload == bytes(first[place] for place in range(leading))
     assert (datagram.held, datagram.total) == (len(first), end)
     assert (datagram.overlap is Overlap.DIFFERENT) == differs
+
+
+def test_the_fragment_at_0_says_what_its_packet_begins_with() -> None:
+    # RFC 8200, 4.5: the others may say something else.
+    key = (b"\xfd" + bytes(15), b"\xfe" + bytes(15), 0, 7)
+    parts = [
+        Fragment(key, 60, 0, 8, last=False, data=b"12345678"),
+        Fragment(key, 6, 8, 9, last=True, data=b"9"),
+    ]
+    for order in (parts, parts[::-1]):
+        (whole,) = _feed(order)
+        assert whole.packet()[0][6] == 60
