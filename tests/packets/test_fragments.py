@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from itertools import pairwise
+from itertools import pairwise, product
 
 import pytest
 from hypothesis import given
@@ -446,34 +446,28 @@ def test_what_was_wrong_with_a_packet_is_told(
         ]
 
 
-@given(
-    st.lists(
-        st.tuples(st.integers(0, 4), st.integers(1, 3), st.booleans(), st.booleans()), max_size=8
-    )
-)
-def test_the_bytes_that_came_first_are_kept_whatever_comes(
-    sent: list[tuple[int, int, bool, bool]],
-) -> None:
-    datagram = Datagram(_part(0, 8).key, "if0", 0, 6)
-    first: dict[int, int] = {}
-    end: int | None = None
-    differs = False
-    for number, (start, size, is_last, is_other) in enumerate(sent):
-        at = range(8 * start, 8 * (start + size))
-        data = bytes(number + 100 if is_other else 7 for _ in at)
-        datagram.add(_fragment(at.start, data, last=is_last))
-        if is_last and end is None and at.stop > max(first, default=0):
-            end = at.stop
-        elif (end is not None and at.stop > end) or (is_last and at.stop != end):
-            differs = True
-            continue
-        differs |= any(first.get(place, data[0]) != data[0] for place in at)
-        for place in at:
-            first.setdefault(place, data[0])
-    leading = next(place for place in range(999) if place not in first)
-    assert datagram.payload == bytes(first[place] for place in range(leading))
-    assert (datagram.held, datagram.total) == (len(first), end)
-    assert (datagram.overlap is Overlap.DIFFERENT) == differs
+def test_the_bytes_that_came_first_are_kept_whatever_three_fragments_come() -> None:
+    kinds = [*product((0, 8, 16), (8, 16), (False, True), (False, True))]
+    for sent in product(kinds, repeat=3):
+        datagram = Datagram(_part(0, 8).key, "if0", 0, 6)
+        first: dict[int, int] = {}
+        end: int | None = None
+        differs = False
+        for number, (start, size, is_last, is_other) in enumerate(sent):
+            at, byte = range(start, start + size, 4), number + 1 if is_other else 7
+            datagram.add(_fragment(start, bytes([byte]) * size, last=is_last))
+            if is_last and end is None and at.stop > max(first, default=0):
+                end = at.stop
+            elif (end is not None and at.stop > end) or (is_last and at.stop != end):
+                differs = True
+                continue
+            differs |= any(first.get(place, byte) != byte for place in at)
+            for place in at:
+                first.setdefault(place, byte)
+        leading = next(place for place in range(0, 99, 4) if place not in first)
+        assert datagram.payload[::4] == bytes(first[place] for place in range(0, leading, 4)), sent
+        assert (datagram.held, datagram.total) == (4 * len(first), end), sent
+        assert (datagram.overlap is Overlap.DIFFERENT) == differs, sent
 
 
 def test_the_fragment_at_0_says_what_its_packet_begins_with() -> None:
