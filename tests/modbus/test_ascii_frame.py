@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from mbtool.modbus.adu import Checksum
-from mbtool.modbus.ascii_frame import AsciiFrame, read_frame, why_unreadable
+from mbtool.modbus.adu_bytes import ascii_adu
+from mbtool.modbus.ascii_frame import CR, LF, SEVEN_BITS, AsciiFrame, read_frame, why_unreadable
 from tests.modbus.reading import with_parity
 
 FRAME = b":02010064000198\r\n"  # CHINO LT830, INE-350, 6.5.1: unit 2 reads digital parameter 101.
@@ -110,3 +111,8 @@ def test_a_bit_that_is_always_set_is_a_stop_bit_at_any_character(delimiter: int)
     # One character without the bit, and with another parity than others.
     for clear in (0x7F, 0x00):
         assert read_frame(heard[:-1] + bytes([clear])) is None
+
+
+def test_the_characters_of_a_frame_have_the_codes_of_ascii() -> None:
+    assert ascii_adu(1, b"\x07")[-2:] == bytes((CR, LF))
+    assert bytes(range(256)).translate(SEVEN_BITS) == bytes(range(128)) * 2
