@@ -385,6 +385,8 @@ class _Mbpoll:
     """One process for each request."""
 
     most = 125
+    attempts = 3
+    """libmodbus gives up on a response that pauses for 0.5 s, as one does on a busy machine."""
 
     def __init__(self, program: str, place: Place) -> None:
         if place.port:
@@ -399,9 +401,12 @@ class _Mbpoll:
         count = ["-c", str(values[0])] if code in READS else []
         written = [] if code in READS else [str(each) for each in values]
         command = [*self._command, *table, *count, self._to, *written]
-        done = subprocess.run(
-            command, capture_output=True, text=True, timeout=PATIENCE_S, check=False
-        )
+        for _ in range(self.attempts):
+            done = subprocess.run(
+                command, capture_output=True, text=True, timeout=PATIENCE_S, check=False
+            )
+            if "timed out" not in done.stderr:
+                break
         for reason, exception in MBPOLL_REFUSALS.items():
             if reason in done.stderr + done.stdout:
                 return "exception", [exception]
