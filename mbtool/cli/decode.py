@@ -117,7 +117,6 @@ def decode(
     from mbtool.workflows.shared.log_records import followed
     from mbtool.workflows.shared.model_hints import ModelHints
     from mbtool.workflows.shared.reading import Reading
-    from mbtool.workflows.shared.sunspec_devices import SunSpecFolder, with_sunspec
     from mbtool.workflows.shared.time_window import TimeWindow
     from mbtool.workflows.shared.unreadable_lines import UnreadableLines
 
@@ -140,6 +139,8 @@ def decode(
     wanted = fits if window.is_whole else lambda one: one in window and fits(one)
     options = source.read(device, raw=raw, silences=silences)
     if sunspec is not None:
+        from mbtool.workflows.shared.sunspec_devices import SunSpecFolder, with_sunspec
+
         options = with_sunspec(files, options, SunSpecFolder(sunspec), say)
     is_whole = where is None and window.is_whole and limit is None and sort is None and not follow
     columns = _columns(files, options, format_, output, events) if is_whole else None

@@ -1,7 +1,8 @@
 """The command line: mbtool COMMAND."""
 
-# Each command has a file of its own. It imports other modules only when it runs, calls a workflow
-# and prints the result. Only this file turns errors into a line and an exit code.
+# Each command has a file of its own, named by command_table.py. It imports other modules only when
+# it runs, calls a workflow and prints the result. Only this file turns errors into a line and an
+# exit code.
 #
 # The collector of cyclic garbage runs less often than usual: a decoder makes many objects, and few
 # cycles among them. stats of a large file then takes 7 % less time.
@@ -24,33 +25,12 @@ from typer.core import TyperGroup
 from typer.main import get_command
 
 from mbtool.cli import exit_codes
-from mbtool.cli.ask import read, write
-from mbtool.cli.check import check
-from mbtool.cli.command import Command, with_plain_values
+from mbtool.cli.command import with_plain_values
+from mbtool.cli.command_table import CommandTable
 from mbtool.cli.completion import is_asked, join_words
-from mbtool.cli.convert import convert
-from mbtool.cli.decode import decode
-from mbtool.cli.demo import demo
-from mbtool.cli.devices import devices
-from mbtool.cli.diff import diff
-from mbtool.cli.doctor import doctor
 from mbtool.cli.examples import first_steps
-from mbtool.cli.extcap import extcap
-from mbtool.cli.inventory import inventory
 from mbtool.cli.leaving import leave
-from mbtool.cli.line import line
-from mbtool.cli.links import links
-from mbtool.cli.plot import plot
-from mbtool.cli.poll import poll
-from mbtool.cli.recover import recover
-from mbtool.cli.replay import replay
-from mbtool.cli.report import report
-from mbtool.cli.slave import slave
-from mbtool.cli.sniff import sniff
-from mbtool.cli.stats import stats
-from mbtool.cli.status import status
 from mbtool.cli.talk import say
-from mbtool.cli.watch import watch
 from mbtool.core import InputError, LinkError, MbtoolError, OutputError
 from mbtool.version import __version__
 
@@ -58,53 +38,25 @@ _WRITE_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EBADF, errno.EFBIG
 """Why the system refuses to write to a file that is open."""
 
 
-class _InOrder(TyperGroup):
-    """Lists `devices` before `links`; typer puts a command with subcommands last."""
+class _Root(TyperGroup):
+    """The group of all commands, each loaded when it is asked for."""
+
+    def __init__(self, **attributes: Any) -> None:
+        super().__init__(**attributes)
+        commands: Any = CommandTable()
+        self.commands = commands
 
     def get_params(self, ctx: Any) -> list[Any]:
         return with_plain_values(super().get_params(ctx))
 
-    def list_commands(self, ctx: Any) -> list[str]:
-        names = [name for name in self.commands if name != "devices"]
-        return [*names[: names.index("links")], "devices", *names[names.index("links") :]]
-
 
 app = typer.Typer(
-    cls=_InOrder,
+    cls=_Root,
     name="mbtool",
     help="Capture, decode and replay Modbus: serial lines, TCP, and the devices' own words.",
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for command in (
-    sniff,
-    status,
-    decode,
-    inventory,
-    check,
-    stats,
-    watch,
-    report,
-    plot,
-    convert,
-    recover,
-    replay,
-    diff,
-    slave,
-    read,
-    write,
-    poll,
-    links,
-    doctor,
-    line,
-    demo,
-):
-    app.command(cls=Command)(command)
-# Wireshark gives options of its newer versions, too.
-app.command(
-    cls=Command, context_settings={"ignore_unknown_options": True, "allow_extra_args": True}
-)(extcap)
-app.add_typer(devices, name="devices")
 
 
 def _version(wanted: bool) -> None:

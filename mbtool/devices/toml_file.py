@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from typing import TYPE_CHECKING, Any
 
 from mbtool.core.errors import InputError
@@ -43,6 +42,8 @@ def read_toml(path: Path, max_bytes: int, what: str, hint: str = "") -> dict[str
     not TOML. `what` names the kind of file in messages; `hint` is appended to the parser's message
     about a line.
     """
+    import tomllib  # Imported here: most commands read no such file.
+
     file = str(path)
     try:
         with path.open("rb") as stream:

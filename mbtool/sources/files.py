@@ -29,8 +29,6 @@ from typing import TYPE_CHECKING, BinaryIO, Protocol, Self, TypeVar, cast
 from mbtool.core import CutError, InputError, Packet, UsageError
 from mbtool.packets import CAPTURE_MAGICS, PCAP_MAGICS, PCAPNG_MAGIC, read_capture
 from mbtool.sources.byte_files import SerialBytes, read_hex, read_raw
-from mbtool.sources.byte_times import is_byte_times, read_byte_times
-from mbtool.sources.sigrok import is_sigrok, read_sigrok
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -150,8 +148,12 @@ class CaptureFile:
     def _serial(self, line: LineSettings | None) -> SerialBytes:
         of_file = self.stream, self.name, self.link
         if self.kind is CaptureKind.BYTE_TIMES:
+            from mbtool.sources.byte_times import read_byte_times
+
             return read_byte_times(*of_file, line)
         if self.kind is CaptureKind.SIGROK:
+            from mbtool.sources.sigrok import read_sigrok
+
             return read_sigrok(*of_file, line)
         if line is None or self.kind not in (CaptureKind.RAW, CaptureKind.HEX):
             raise InputError(f"{self.name}: {self.kind}, where bytes of a serial line are wanted")
@@ -380,6 +382,10 @@ def _kind(name: str, head: bytes, line: LineSettings | None) -> CaptureKind:
         return CaptureKind.PCAPNG
     if head.startswith(_MCAP):
         return CaptureKind.MCAP
+    # Imported here: few files are of these kinds, and both need many modules.
+    from mbtool.sources.byte_times import is_byte_times
+    from mbtool.sources.sigrok import is_sigrok
+
     if is_sigrok(head):
         return CaptureKind.SIGROK
     text = head.removeprefix(codecs.BOM_UTF8)

@@ -6,15 +6,15 @@ from typing import TYPE_CHECKING
 import pytest
 
 from mbtool.cli.command import with_plain_json
+from mbtool.cli.command_table import CommandTable
 from mbtool.cli.devices import devices
-from mbtool.cli.main import app
 from tests.cli.test_stats import LINE
 
 if TYPE_CHECKING:
     from tests.cli.program import CommandLine
 
 EVERY = [
-    *((command.callback.__name__,) for command in app.registered_commands if command.callback),
+    *((name,) for name in CommandTable() if name != "devices"),
     *(("devices", command.name) for command in devices.registered_commands if not command.hidden),
 ]
 

@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING
 from mbtool.core import WireEvent
 from mbtool.devices import Who, builtin_profiles, load_profile
 from mbtool.devices.identity import answer_word
-from mbtool.devices.profile_match import model_function, models_of
 from mbtool.devices.sunspec_map import MARK
 from mbtool.modbus import FUNCTIONS
 from mbtool.workflows.shared.sunspec_devices import SunSpecDevices, described
@@ -84,6 +83,8 @@ class ModelHints:
 
     def _model(self, function: int, word: int) -> Profile | None:
         if self._models is None:
+            from mbtool.devices.profile_match import models_of
+
             self._models = models_of(map(load_profile, builtin_profiles()))
         return self._models.get((function, word))
 
@@ -104,6 +105,8 @@ def _hint(record: NamedTransaction, model: Profile, named_by: Profile | None) ->
     said += f"as its answer to {record.function:02X}H says"
     if named_by is None:
         return f"{said}; name it with --device {who}={model.name}"
+    from mbtool.devices.profile_match import model_function
+
     is_other = named_by.model_code is not None and named_by.model_code != model.model_code
     if is_other and model_function(named_by) == record.function:
         return f"{said}, but it is named as {named_by.name}: give --device {who}={model.name}"

@@ -17,6 +17,11 @@ if TYPE_CHECKING:
     from mbtool.workflows.shared.reading import ReadingOptions
 
 
+_WORTH_BYTES = 256 * 1024
+"""Bytes of a capture from which its arrays save more time than importing numpy takes, for commands
+that count: measured with 1500, 3000 and 6000 packets."""
+
+
 def part_reading(
     paths: Sequence[str], options: ReadingOptions, *, is_filtered: bool = False
 ) -> PartReading:
@@ -26,7 +31,8 @@ def part_reading(
     """
     if is_filtered or len(paths) != 1:
         return PartReading(paths, options)
-    return column_reading(paths, options) or PartReading(paths, options)
+    columns = column_reading(paths, options, at_least=_WORTH_BYTES)
+    return columns or PartReading(paths, options)
 
 
 def column_reading(

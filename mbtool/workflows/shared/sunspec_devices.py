@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING
 from mbtool.core import InputError, UsageError, WireEvent
 from mbtool.core.link_spec import MODBUS_PORT
 from mbtool.devices import Assignment, Assignments, Who
-from mbtool.devices.importing.sunspec import import_sunspec, import_sunspec_map
 from mbtool.devices.sunspec_map import READ_HOLDING, SunSpecMap, mark_in
 from mbtool.sources.files import place_of
 from mbtool.workflows.shared.reading import Reading
@@ -95,6 +94,8 @@ class SunSpecFolder:
 
     def try_all(self) -> tuple[int, list[str]]:
         """Import each model by itself; return how many can be, and a line for each other one."""
+        from mbtool.devices.importing.sunspec import import_sunspec
+
         wrong = []
         count = 0
         for path in sorted(self._paths()):
@@ -107,6 +108,8 @@ class SunSpecFolder:
 
     def profile(self, found: SunSpecMap, name: str) -> ImportedList:
         """The profile of a device. Raises UsageError if no model of it can be used."""
+        from mbtool.devices.importing.sunspec import import_sunspec_map
+
         return import_sunspec_map(found, [self.file(one.id) for one in found.models], name)
 
     def _paths(self) -> Iterator[Path]:
