@@ -74,7 +74,11 @@ def decode(packets: Iterable[Packet], ports: Sequence[int] = (502,)) -> list[Nam
 
 
 def judge(simulated: Simulated) -> Judgement:
-    records, truth = decode(simulated.packets), simulated.truth
+    return judged(decode(simulated.packets), simulated.truth)
+
+
+def judged(records: Sequence[NamedTransaction], truth: Truth) -> Judgement:
+    """What is wrong with the transactions of a capture."""
     pairs = truth.pairs()
     return Judgement(
         transactions=pairs.total(),

@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 
-from tests.adversary.judgement import judge
+from tests.adversary.judgement import decode, judged
 from tests.adversary.known_failures import BLAMED, WRONG
 from tests.adversary.network import ALL_LOSSES, MASTERS, name_of, simulate
 
+if TYPE_CHECKING:
+    from mbtool.devices import NamedTransaction
+
+TOLD = Path(__file__).with_name("told_of_plants.expected.txt")
 SEEDS = 2
 REQUESTS = 40
 
@@ -21,12 +28,29 @@ Counts = dict[str, int]
 
 
 @cache
-def counted(master: str, losses: tuple[str, ...]) -> Counts:
-    totals: Counts = {}
+def found_in(master: str, losses: tuple[str, ...]) -> tuple[Counts, str]:
+    """What is wrong with the transactions of some captures, and what they tell."""
+    totals: Counter[str] = Counter()
+    told: list[NamedTransaction] = []
     for seed in range(SEEDS):
-        for name, count in judge(simulate(master, losses, seed, REQUESTS)).counts().items():
-            totals[name] = totals.get(name, 0) + count
-    return totals
+        simulated = simulate(master, losses, seed, REQUESTS)
+        records = decode(simulated.packets)
+        totals.update(judged(records, simulated.truth).counts())
+        told += records
+    return totals, summary(told)
+
+
+def counted(master: str, losses: tuple[str, ...]) -> Counts:
+    return found_in(master, losses)[0]
+
+
+def summary(records: list[NamedTransaction]) -> str:
+    """How many transactions have each outcome with its verdicts, their retries and latencies."""
+    kinds = Counter(" ".join([one.outcome, *one.verdicts]) for one in records)
+    retries = sum(one.retries for one in records)
+    latency_us = sum(one.latency_ns or 0 for one in records) // 1000
+    parts = [f"{count} {kind}" for kind, count in sorted(kinds.items())]
+    return ", ".join([*parts, f"{retries} retries", f"{latency_us} us"])
 
 
 def cells(known: dict[str, set[str]]) -> list[object]:
@@ -92,3 +116,13 @@ def test_nearly_everything_can_be_known() -> None:
     assert (
         sum(one["undecidable"] for one in counts) < sum(one["transactions"] for one in counts) / 100
     )
+
+
+def test_what_is_told_of_the_plants_is_as_expected(pytestconfig: pytest.Config) -> None:
+    """A line for each plant: a change of the pairing shows what it is good for, and where not."""
+    lines = [
+        f"{master}, {name_of(losses)}: {found_in(master, losses)[1]}" for master, losses in CELLS
+    ]
+    if pytestconfig.getoption("--update-golden"):
+        TOLD.write_text("".join(f"{line}\n" for line in lines))
+    assert lines == TOLD.read_text().splitlines()

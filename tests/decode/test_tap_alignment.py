@@ -118,6 +118,59 @@ def test_the_request_of_a_late_response_may_be_missing_yet() -> None:
     assert request_of_first([], [answered(110)], 120 * MS) is None
 
 
+SKEW_MS = SKEW_NS / MS
+
+
+@pytest.mark.parametrize(("early_ms", "asker"), [(0, 0), (1, None)])
+def test_a_response_may_be_behind_the_next_request_by_the_skew(
+    early_ms: float, asker: int | None
+) -> None:
+    # It ends so long behind the start of the next request, which is of another unit.
+    requests = [asked(0), asked(200, unit=2)]
+    responses = [answered(200 - LENGTH_MS + SKEW_MS + early_ms)]
+    assert request_of_first(requests, responses, END_NS) == asker
+
+
+@pytest.mark.parametrize(
+    ("pause_ms", "late_ms", "asker"),
+    [(49, 8, 0), (49, 9, 1), (48, 16, 0), (48, 17, 1), (50, 5, 1), (60, 5, 1), (0, SKEW_MS, 0)],
+)
+def test_each_ms_of_too_little_patience_weighs_eight_of_a_response_too_late(
+    pause_ms: float, late_ms: float, asker: int
+) -> None:
+    # The response ends that late behind the start of the second request, which may be its own.
+    second_ms = LENGTH_MS + pause_ms
+    requests = [asked(0), asked(second_ms)]
+    assert request_of_first(requests, [answered(second_ms + late_ms - LENGTH_MS)], END_NS) == asker
+
+
+def test_a_request_that_got_the_skew_of_time_may_have_no_response() -> None:
+    second_ms = LENGTH_MS + SKEW_MS
+    requests = [asked(0), asked(second_ms)]
+    behind = [answered(second_ms + LENGTH_MS + 1)]
+    assert request_of_first(requests, behind, END_NS) == 1
+    assert request_of_first([asked(0, unit=0), asked(5)], [answered(10)], END_NS) == 1
+
+
+@pytest.mark.parametrize(
+    ("behind_ms", "at_start", "asker"),
+    [(SKEW_MS, False, None), (SKEW_MS + 1, False, 0), (SKEW_MS + 1, True, None)],
+)
+def test_a_response_of_another_size_is_rather_alone_at_the_edges_of_what_is_known(
+    behind_ms: float, at_start: bool, asker: int | None
+) -> None:
+    until_ns = int((10 + behind_ms) * MS)
+    found = request_of_first([asked(0)], [answered(10, TOO_LONG)], until_ns, at_start=at_start)
+    assert found == asker
+
+
+def test_more_requests_than_are_aligned_end_what_is_known() -> None:
+    requests = [asked(100 * number) for number in range(MAX_ALIGNED + 1)]
+    late = [answered(100 * MAX_ALIGNED - 5)]
+    assert request_of_first(requests, late, END_NS) == MAX_ALIGNED - 1
+    assert request_of_first(requests[:1], [answered(10)] * (MAX_ALIGNED + 1), END_NS) == 0
+
+
 def test_the_number_of_aligned_requests_is_limited() -> None:
     requests = [asked(number) for number in range(100 * MAX_ALIGNED)]
     responses = [answered(number) for number in range(100 * MAX_ALIGNED)]

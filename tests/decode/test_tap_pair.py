@@ -263,6 +263,66 @@ def test_silence_that_a_clock_set_back_tells_gives_out_what_waits() -> None:
     assert len(transactions(taps.advance(wires.now_ns - 3600 * SECOND))) == 1
 
 
+@pytest.mark.parametrize(("back_ns", "given"), [(0, 0), (1, 1)])
+def test_a_time_a_little_before_what_is_known_is_no_clock_set_back(
+    back_ns: int, given: int
+) -> None:
+    wires = Wires().ask().answer()
+    taps = TapPair("a+b", FORMAT)
+    for read in wires.reads:
+        assert taps.feed(*read) == []
+    request_ns, response_ns = (read[2] for read in wires.reads)
+    told_ns = response_ns - MAX_CLOCK_STEP_NS - back_ns
+    assert len(transactions(taps.feed(RESPONSE, b"\x05", told_ns))) == given
+    silent = TapPair("a+b", FORMAT)
+    for read in wires.reads:
+        silent.feed(*read)
+    # Silence is of both sides: the master's last read is the earlier one.
+    told_ns = request_ns - MAX_CLOCK_STEP_NS - back_ns
+    assert len(transactions(silent.advance(told_ns))) == given
+
+
+def test_skipped_bytes_of_a_side_give_up_a_request_of_the_other() -> None:
+    wires = Wires().ask().say(RESPONSE, b"\xff" * 9, after_ms=2 * BUS_TIMEOUT_NS / MS)
+    decoded = wires.decoded()
+    assert [type(one).__name__ for one in decoded] == ["Adu", "Transaction", "WireEvent"]
+
+
+@pytest.mark.parametrize(("wait_ns", "count"), [(-1, 0), (0, 2)])
+def test_an_event_comes_out_once_both_sides_are_known_long_enough_behind_it(
+    wait_ns: int, count: int
+) -> None:
+    """From the start of the response on, which the request goes before."""
+    wires = Wires().ask().answer()
+    taps = TapPair("a+b", FORMAT)
+    for read in wires.reads:
+        taps.feed(*read)
+    start_ns = wires.now_ns - len(wires.reads[1][1]) * FORMAT.character_ns
+    decoded = taps.advance(start_ns + LOOKAHEAD_NS + wait_ns)
+    assert len(adus(decoded)) == (count or 1)
+
+
+def test_held_bytes_keep_back_what_the_other_side_said_behind_them() -> None:
+    taps = TapPair("a+b", FORMAT)
+    request, response = rtu_adu(5, READ), rtu_adu(5, ANSWER)
+    assert taps.feed(REQUEST, request, START_NS) == []
+    assert taps.feed(RESPONSE, response[:4], START_NS + 20 * MS) == []
+    assert adus(taps.feed(REQUEST, request, START_NS + 400 * MS)) == []
+    last_ns = START_NS + 20 * MS + 3 * FORMAT.character_ns
+    decoded = taps.feed(RESPONSE, response[4:], last_ns) + taps.close()
+    assert [one.outcome for one in transactions(decoded)] == [Outcome.OK, Outcome.NO_ANSWER]
+
+
+def test_ports_are_told_at_the_time_of_the_frame_that_decides() -> None:
+    wires = Wires()
+    for _ in range(MISPLACED_FRAMES):
+        wires.say(REQUEST, rtu_adu(5, ANSWER), after_ms=30)
+    decoded = wires.decoded()
+    (event,) = [one for one in wire_events(decoded) if one.kind is EventKind.MISPLACED]
+    assert event.link == "a+b"
+    assert event.ts_ns == adus(decoded)[-1].start_ns
+
+
 def test_memory_is_bounded_whatever_the_times_say() -> None:
     line = SerialFormat(921600)  # Too fast for the bound by time.
     taps, wires = TapPair("a+b", line), Wires(line)

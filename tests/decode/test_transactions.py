@@ -5,14 +5,18 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from msgspec.structs import replace
 
-from mbtool.core import Direction
+from mbtool.core import Direction, LinkAddresses, Origin
 from mbtool.decode.transactions import (
     MAX_CACHED_REQUESTS,
     Ends,
     _request_facts,
+    add_origins,
     broadcast,
+    capture_ended,
     no_answer,
+    response_not_captured,
     unsolicited,
     with_response,
 )
@@ -202,3 +206,133 @@ def test_requests_remembered_are_bounded() -> None:
     for number in range(2 * MAX_CACHED_REQUESTS):
         assert exchange(f"06 0001 {number:04X}", "83 02").request_values == [number]
     assert _request_facts.cache_info().currsize == MAX_CACHED_REQUESTS
+
+
+def cut(one: Adu, missing: int = 2) -> Adu:
+    """The ADU as a capture has it that lacks its last bytes."""
+    return replace(
+        one,
+        pdu=one.pdu[:-missing],
+        raw=one.raw[:-missing],
+        missing=missing,
+        verdicts=(Verdict.CUT,),
+    )
+
+
+def test_a_transaction_of_which_the_capture_lacks_bytes_tells_the_rest() -> None:
+    read, values = request("03 006B 0002"), response("03 04 022B 0064")
+    done = with_response(ENDS, read, cut(values), 3, (Verdict.AMBIGUOUS,), 0.5)
+    assert (done.outcome, done.verdicts) == (Outcome.NOT_CAPTURED, [Verdict.CUT, Verdict.AMBIGUOUS])
+    assert (done.address, done.quantity, done.response_values) == (0x6B, 2, None)
+    assert (done.request_ns, done.response_ns, done.latency_ns) == (110, 160, 40)
+    assert (done.request_raw, done.response_raw) == (read.raw, cut(values).raw)
+    assert (done.retries, done.confidence, done.exception) == (0, 0.5, None)
+    done = with_response(ENDS, cut(request("06 0001 0003"), 1), response("86 02"), 0, ())
+    assert (done.outcome, done.exception, done.address) == (Outcome.NOT_CAPTURED, 2, 1)
+    assert (done.exception_name, done.request_values) == ("illegal data address", None)
+    done = with_response(ENDS, cut(read), values, 0, ())
+    assert done.response_values == [0x22B, 0x64]
+
+
+def test_cut_adus_without_their_other_half_are_not_malformed() -> None:
+    done = no_answer(ENDS, cut(request("10 0001 0002 04 000A 0102")), 0)
+    assert (done.verdicts, done.request_values, done.quantity) == ([Verdict.CUT], None, 2)
+    alone = unsolicited(ENDS, cut(response("03 04 022B 0064")))
+    assert (alone.outcome, alone.verdicts) == (Outcome.NOT_CAPTURED, [Verdict.CUT])
+    assert (alone.response_values, alone.function) == (None, 3)
+
+
+@pytest.mark.parametrize("share", [0.3, 0.95])
+def test_a_transaction_is_as_sure_as_the_least_sure_of_its_parts(share: float) -> None:
+    asked, answered = request("07"), response("07 00")
+    for one, other in ((asked, answered), (asked, cut(answered, 1))):
+        done = with_response(ENDS, one, other, 0, (), share)
+        assert done.confidence == min(share, 0.9)
+        sure = replace(one, confidence=1.0)
+        assert with_response(ENDS, sure, other, 0, ()).confidence == 0.99
+
+
+@pytest.mark.parametrize(
+    ("start_ns", "end_ns", "latency_ns"),
+    [
+        (110, 120, 0),
+        (111, 120, 1),
+        (105, 115, 0),  # One read brought the end of the one and the start of the other.
+        (100, 110, 0),
+        (99, 109, None),  # The clock was set back.
+    ],
+)
+def test_latency_is_from_the_end_of_the_request_to_the_start_of_the_response(
+    start_ns: int, end_ns: int, latency_ns: int | None
+) -> None:
+    answered = replace(response("07 00"), start_ns=start_ns, end_ns=end_ns)
+    for one in (answered, cut(answered, 1)):
+        assert with_response(ENDS, request("07"), one, 0, ()).latency_ns == latency_ns
+        untimed = Ends("rs485", timed=False)
+        assert with_response(untimed, request("07"), one, 0, ()).latency_ns is None
+
+
+def test_a_request_alone_says_why_it_has_no_response() -> None:
+    asked = request("07", Verdict.GLUED)
+    lost, ended = response_not_captured(ENDS, asked), capture_ended(ENDS, asked)
+    assert (lost.outcome, lost.verdicts) == (Outcome.NOT_CAPTURED, [Verdict.GLUED])
+    assert (ended.outcome, ended.verdicts) == (
+        Outcome.NOT_CAPTURED, [Verdict.GLUED, Verdict.CAPTURE_END],
+    )  # fmt: skip
+    others = broadcast(ENDS, asked), unsolicited(ENDS, response("07 00"))
+    assert [one.retries for one in (lost, ended, *others)] == [0, 0, 0, 0]
+
+
+THERE = LinkAddresses("00:01", "00:02", 7)
+BACK = LinkAddresses("00:02", "00:01", 8)
+MASTERS = {"source_mac": "00:01", "destination_mac": "00:02", "vlan": 7}
+
+
+@pytest.mark.parametrize(
+    ("asked", "answered", "fields"),
+    [
+        (
+            Origin("a", 3, THERE), Origin("a", 4, BACK),
+            {"file": "a", "request_packet": 3, "response_packet": 4, **MASTERS},
+        ),
+        (
+            Origin("a", 3, THERE), Origin("b", 1, BACK),
+            {
+                "file": "a", "request_packet": 3, "response_file": "b", "response_packet": 1,
+                **MASTERS,
+            },
+        ),
+        (Origin("a", 3, THERE), None, {"file": "a", "request_packet": 3, **MASTERS}),
+        (
+            None, Origin("a", 4, BACK),
+            {"file": "a", "response_packet": 4, **MASTERS, "vlan": 8},
+        ),
+        (
+            # Only the response tells the slave's address.
+            Origin("a", 3, LinkAddresses("00:01", None, 7)),
+            Origin("a", 4, LinkAddresses("00:02", None, 8)),
+            {
+                "file": "a", "request_packet": 3, "response_packet": 4,
+                "source_mac": "00:01", "destination_mac": "00:02", "vlan": 8,
+            },
+        ),
+        (
+            Origin("line.bin", 0, None, 0), Origin("line.bin", 0, None, 8),
+            {"file": "line.bin", "request_offset": 0, "response_offset": 8},
+        ),
+        (Origin("", 0), Origin("", 0), {}),
+    ],
+)  # fmt: skip
+def test_a_transaction_says_where_its_parts_stand_and_who_sent_them(
+    asked: Origin | None, answered: Origin | None, fields: dict[str, Any]
+) -> None:
+    found: dict[str, Any] = {}
+    add_origins(found, asked, answered)
+    assert {name: value for name, value in found.items() if value is not None} == fields
+    if asked is not None and answered is not None:
+        one, other = (
+            replace(request("07"), origin=asked),
+            replace(response("07 00"), origin=answered),
+        )
+        done = with_response(ENDS, one, other, 0, ())
+        assert {name: getattr(done, name) for name in fields} == fields
