@@ -382,7 +382,7 @@ class Decoder:
 
     def _foreign_once(self, detector: ProtocolDetector, decoded: list[Decoded]) -> list[Decoded]:
         """Leave out what an endpoint that is not Modbus has had already; not at a named port."""
-        if not decoded or not self._any_port or detector.state is not ProtocolState.FOREIGN:
+        if not decoded or detector.state is not ProtocolState.FOREIGN:
             return decoded
         if self._is_expected(detector.connection):
             return decoded

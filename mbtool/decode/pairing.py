@@ -94,15 +94,11 @@ class Pairing:
 
         The event of kind TWO_MASTERS comes at most once.
         """
-        done: list[Transaction | WireEvent] = []
-        is_waiting = self._open is not None or self._overtaken is not None
-        if is_waiting:
-            done += self.advance(adu.start_ns)
+        done: list[Transaction | WireEvent] = [*self.advance(adu.start_ns)]
         if adu.direction is not Direction.RESPONSE:
             self._requests += 1
-            if is_waiting:
-                self._doubt_silence(adu)
-                done += self._make_way(adu)
+            self._doubt_silence(adu)
+            done += self._make_way(adu)
             if adu.unit == 0:
                 done.append(broadcast(self._ends, adu))
             else:

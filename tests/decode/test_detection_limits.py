@@ -7,9 +7,6 @@ import pytest
 from mbtool.core import Direction, EventKind, WireEvent
 from mbtool.decode import ProtocolDetector, ProtocolState
 from mbtool.decode.protocol_detection import (
-    ENOUGH_ADUS,
-    GAP_BYTES,
-    MAX_MALFORMED,
     MAX_NOISE,
     MAX_UNDECIDED_BYTES,
 )
@@ -82,7 +79,7 @@ def test_elsewhere_a_pair_is_evidence_if_both_have_the_form_of_a_known_function(
 
 
 @pytest.mark.parametrize("way", [REQUEST, RESPONSE])
-@pytest.mark.parametrize(("size", "state"), [(MAX_NOISE - 1, UNDECIDED), (MAX_NOISE, FOREIGN)])
+@pytest.mark.parametrize(("size", "state"), [(255, UNDECIDED), (256, FOREIGN)])
 def test_elsewhere_noise_of_either_direction_speaks_against_rtu(
     way: Direction, size: int, state: ProtocolState
 ) -> None:
@@ -92,9 +89,7 @@ def test_elsewhere_noise_of_either_direction_speaks_against_rtu(
     assert detector.state is state
 
 
-@pytest.mark.parametrize(
-    ("size", "state"), [(MAX_UNDECIDED_BYTES - 1, UNDECIDED), (MAX_UNDECIDED_BYTES, FOREIGN)]
-)
+@pytest.mark.parametrize(("size", "state"), [(2047, UNDECIDED), (2048, FOREIGN)])
 @pytest.mark.parametrize("part", [1, 700, 5000])
 def test_a_connection_is_undecided_for_so_many_bytes(
     size: int, state: ProtocolState, part: int
@@ -105,10 +100,10 @@ def test_a_connection_is_undecided_for_so_many_bytes(
 
 
 @pytest.mark.parametrize(("more", "state"), [(0, UNDECIDED), (1, FOREIGN)])
-def test_a_gap_counts_as_some_bytes(more: int, state: ProtocolState) -> None:
+def test_a_gap_counts_as_64_bytes(more: int, state: ProtocolState) -> None:
     detector = anywhere(joined=True)
     assert detector.gap(REQUEST, 1, 0) == detector.gap(RESPONSE, 1000, 0) == []
-    room = MAX_UNDECIDED_BYTES - 2 * GAP_BYTES - 1
+    room = 2048 - 2 * 64 - 1
     fed(detector, [(REQUEST, NOISE * (room + more))])
     assert detector.state is state
 
@@ -122,15 +117,15 @@ def test_bytes_behind_the_limit_are_decoded_if_the_last_ones_before_it_decide() 
 
 
 @pytest.mark.parametrize("port", [expected, anywhere])
-def test_so_many_malformed_adus_decide(port: Port) -> None:
+def test_three_malformed_adus_decide(port: Port) -> None:
     long: Piece = (REQUEST, mbap_adu(1, 1, LONG_READ))
     detector = port()
-    assert fed(detector, [long] * (MAX_MALFORMED - 1)) == []
+    assert fed(detector, [long] * 2) == []
     assert detector.state is UNDECIDED
     decoded = fed(detector, [long])
     is_foreign = port is anywhere
     assert detector.state is (FOREIGN if is_foreign else MODBUS)
-    assert len(adus(decoded)) == (0 if is_foreign else MAX_MALFORMED)
+    assert len(adus(decoded)) == (0 if is_foreign else 3)
 
 
 @pytest.mark.parametrize(
@@ -141,7 +136,7 @@ def test_so_many_malformed_adus_decide(port: Port) -> None:
 def test_elsewhere_a_malformed_adu_ends_a_row_of_well_formed_ones(between: Piece) -> None:
     good: Piece = (REQUEST, mbap_adu(1, 1, READ))
     detector = anywhere()
-    fed(detector, [good] * (ENOUGH_ADUS - 1) + [between] + [good] * (ENOUGH_ADUS - 1))
+    fed(detector, [good] * 2 + [between] + [good] * 2)
     assert detector.state is UNDECIDED
     fed(detector, [good])
     assert detector.state is MODBUS
@@ -150,12 +145,12 @@ def test_elsewhere_a_malformed_adu_ends_a_row_of_well_formed_ones(between: Piece
 def test_elsewhere_noise_ends_a_row_of_frames_and_a_gap_does_not() -> None:
     frame: Piece = (REQUEST, rtu_adu(1, WRITE_ONE))
     detector = anywhere()
-    fed(detector, [frame] * (ENOUGH_ADUS - 1))
+    fed(detector, [frame] * 2)
     assert detector.gap(REQUEST, 8, 0) == []
-    assert len(adus(fed(detector, [frame]))) == ENOUGH_ADUS
+    assert len(adus(fed(detector, [frame]))) == 3
     detector = anywhere()
     noise: Piece = (REQUEST, NOISE * 300)
-    fed(detector, [frame] * (ENOUGH_ADUS - 1) + [noise, frame])
+    fed(detector, [frame] * 2 + [noise, frame])
     assert detector.state is UNDECIDED
 
 
@@ -257,6 +252,13 @@ def test_only_modbus_tcp_in_the_expected_roles_may_be_decoded_elsewhere(
     assert (detector.plain_decoder() is not None) is is_plain
 
 
+def test_of_a_foreign_connection_so_many_first_bytes_are_kept() -> None:
+    (event,) = wire_events(
+        fed(expected(joined=True), [(REQUEST, NOISE * 9), (RESPONSE, TLS * 200)])
+    )
+    assert event.raw == (NOISE * 9 + TLS * 200)[:257]
+
+
 def opened(raw: bytes = b"") -> WireEvent:
     return WireEvent(
         ts_ns=0,
@@ -304,8 +306,8 @@ def test_the_end_of_a_connection_and_of_a_capture_differ_for_its_open_requests(
     outcome = "no-answer" if end_ns is None else "not-captured"
     decided, undecided = expected(), anywhere()
     fed(decided, [(REQUEST, mbap_adu(1, 1, READ))])
-    fed(undecided, [(REQUEST, mbap_adu(1, 1, READ))] * ENOUGH_ADUS)
-    for detector, count in ((decided, 1), (undecided, ENOUGH_ADUS)):
+    fed(undecided, [(REQUEST, mbap_adu(1, 1, READ))] * 3)
+    for detector, count in ((decided, 1), (undecided, 3)):
         done = transactions(detector.close(end_ns))
         assert [one.outcome for one in done] == [outcome] * count
 

@@ -388,9 +388,9 @@ def test_a_connection_is_at_rest_while_nothing_of_it_is_open() -> None:
             place = resting.place
             assert place.response_position - place.request_position == len(response) - len(request)
             assert decoder.at_rest(ends, talk.ts_ns - 1) is None
-    # A response with another id closes the request; the one that is sent again may be a retry.
     decoder.feed(talk.response(mbap_adu(2, 1, VALUES)))
     assert decoder.at_rest(ends, talk.ts_ns) is not None
+    # A request that nobody answered may be repeated later.
     decoded(decoder, talk.request(mbap_adu(3, 1, READ)), Quiet(talk.ts_ns + TIMEOUT_NS + 1, SLAVE))
     assert decoder.at_rest(ends, talk.ts_ns + TIMEOUT_NS + 1) is None
 

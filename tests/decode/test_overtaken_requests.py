@@ -8,9 +8,7 @@ from msgspec.structs import replace
 from mbtool.core import EventKind, WireEvent
 from mbtool.decode.pairing import (
     BUS_TIMEOUT_NS,
-    ENOUGH_OVERTAKEN,
     EVEN,
-    RECENT_REQUESTS,
     Pairing,
     waits_before_any_retry,
 )
@@ -75,9 +73,9 @@ def test_a_request_that_is_in_doubt_already_is_so_once() -> None:
 
 
 @pytest.mark.parametrize("waits", [True, None])
-def test_two_masters_are_told_once_when_enough_requests_were_overtaken(waits: bool | None) -> None:
+def test_two_masters_are_told_once_when_three_requests_were_overtaken(waits: bool | None) -> None:
     pairing = line(waits)
-    before = [overtake(pairing, 100 * at) for at in range(ENOUGH_OVERTAKEN - 1)]
+    before = [overtake(pairing, 100 * at) for at in range(2)]
     assert not any(isinstance(one, WireEvent) for said in before for one in said)
     said = overtake(pairing, 1000)
     (event,) = [one for one in said if isinstance(one, WireEvent)]
@@ -89,14 +87,14 @@ def test_two_masters_are_told_once_when_enough_requests_were_overtaken(waits: bo
 
 
 @pytest.mark.parametrize(("too_many", "events"), [(0, 1), (1, 0)])
-def test_two_masters_are_told_if_enough_of_the_last_requests_were_overtaken(
+def test_two_masters_are_told_if_three_of_the_last_hundred_requests_were_overtaken(
     too_many: int, events: int
 ) -> None:
     pairing = line(True)
     said = overtake(pairing, 0)
     said += overtake(pairing, 100)
     # From the first response to the last one: two requests overtaken with their overtakers.
-    for at in range(RECENT_REQUESTS - 1 - 4 + too_many):
+    for at in range(100 - 1 - 4 + too_many):
         said += [
             *pairing.feed(asked(READ, 1000 + 100 * at)),
             *pairing.feed(told(ANSWER, 1005 + 100 * at)),
