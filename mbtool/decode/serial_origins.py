@@ -57,9 +57,9 @@ class SerialOrigins:
     def _origin(self, first: int, last: int) -> Origin | None:
         """The origin of an ADU whose first and last byte were fed as byte `first` and `last`."""
         for begin, end, place in self._marks:
-            origin = None if place is None else place.origin
-            if origin is None or place is None:
+            if place is None or place.origin is None:
                 continue
+            origin = place.origin
             if not origin.packet and begin <= first < end:
                 return origin._replace(offset=place.position + first - begin)
             if origin.packet and begin <= last < end:

@@ -141,27 +141,30 @@ def test_a_response_is_too_early_in_less_than_half_the_shortest_latency(
     assert not with_latencies(90, 40, 50).is_too_early(4, latency_ns)
 
 
-def test_a_master_is_sequential_after_eight_requests_and_pipelines_after_three_overlaps() -> None:
+def said_of(habits: MasterHabits) -> tuple[bool, bool]:
+    return habits.is_sequential, habits.pipelines
+
+
+def test_a_master_is_sequential_after_eight_requests_in_a_row() -> None:
     habits = MasterHabits()
-    for _ in range(7):
-        habits.note_request(None, others_wait=False)
-    habits.note_request(None, others_wait=True)
-    for _ in range(7):
-        assert not habits.is_sequential
-        habits.note_request(None, others_wait=False)
-    assert not habits.is_sequential
+    for others_wait in (*[False] * 7, True, *[False] * 7):
+        habits.note_request(None, others_wait=others_wait)
+        assert said_of(habits) == (False, False)
     habits.note_request(None, others_wait=False)
-    assert habits.is_sequential
-    for _ in range(2):  # Overlaps before a row of requests do not count.
-        for _ in range(2):
+    assert said_of(habits) == (True, False)
+
+
+def test_a_master_pipelines_after_three_overlaps_without_such_a_row_between_them() -> None:
+    habits = sequential(MasterHabits())
+    for overlaps in (2, 2):
+        for _ in range(overlaps):
             habits.note_overlap()
-        assert (habits.pipelines, habits.is_sequential) == (False, True)
+        assert said_of(habits) == (True, False)
         sequential(habits)
     for _ in range(3):
         habits.note_overlap()
-    assert (habits.pipelines, habits.is_sequential) == (True, False)
-    sequential(habits)
-    assert (habits.pipelines, habits.is_sequential) == (False, True)
+    assert said_of(habits) == (False, True)
+    assert said_of(sequential(habits)) == (True, False)
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import replace as replace_adu
 
 from mbtool.core import EventKind, Origin, StreamPlace, WireEvent, parse_line
+from mbtool.decode.plain_stretch import plain_request
 from mbtool.decode.serial_origins import SerialOrigins
 from mbtool.modbus.adu import Skipped
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
@@ -93,3 +95,34 @@ def test_marks_are_dropped_with_their_bytes(sizes: list[int], data: st.DataObjec
     assert origins.added_to([skipped]) == [skipped]
     assert origins.held <= len(sizes)
     assert bool(origins.held) is (given_bytes < total)
+
+
+FILE, PACKET = Origin("line.bin", 0), Origin("a.pcap", 7)
+
+
+@pytest.mark.parametrize(
+    ("origins", "expected"),
+    [
+        # In a file of bytes an ADU stands where its first byte does; the first read has 5 bytes.
+        ([FILE, FILE, FILE], FILE._replace(offset=1003)),
+        ([FILE, None, None], FILE._replace(offset=1003)),
+        ([None, FILE, FILE], None),
+        # A packet is that of its last byte.
+        ([PACKET, PACKET._replace(packet=8), PACKET._replace(packet=9)], PACKET._replace(packet=8)),
+        ([PACKET, None, PACKET], None),
+        ([None, PACKET, None], PACKET),
+        ([None, None, None], None),
+    ],
+)
+def test_an_adu_in_two_reads_has_the_origin_of_its_first_or_last_byte(
+    origins: list[Origin | None], expected: Origin | None
+) -> None:
+    reads = SerialOrigins()
+    for at, origin in enumerate(origins):
+        reads.note(5, origin and StreamPlace(1000 + 5 * at, None, origin))
+        reads.note(0, origin and StreamPlace(0, None, origin))
+    assert reads.held == 3
+    before = Skipped(0, EventKind.SKIPPED, "noise", bytes(3))
+    adu = plain_request(bytes(7), 0)
+    assert reads.added_to([before, adu]) == [before, replace_adu(adu, origin=expected)]
+    assert reads.held == 1

@@ -69,6 +69,14 @@ def test_the_first_response_belongs_to(
     assert request_of_first(requests, responses, END_NS) == asker
 
 
+@pytest.mark.parametrize(("pause_ms", "asker"), [(26, 0), (27, 1)])
+def test_a_response_of_another_size_weighs_as_much_as_200_ms(pause_ms: int, asker: int) -> None:
+    """To the second request it is 8 ms early, and 24 ms of too little patience weigh 192 ms."""
+    first = asked(0, bytes.fromhex("03 0000 0002"))
+    second = asked(LENGTH_MS + pause_ms)
+    assert request_of_first([first, second], [answered(pause_ms)], END_NS) == asker
+
+
 def test_only_the_same_unit_and_function_can_be_aligned() -> None:
     request = asked(0).adu
     assert can_answer(request, answered(10))

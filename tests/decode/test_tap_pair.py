@@ -202,6 +202,16 @@ def test_a_request_that_waits_times_out_in_silence() -> None:
     assert transaction.outcome is Outcome.NO_ANSWER
 
 
+def test_a_request_does_not_time_out_while_its_response_is_held() -> None:
+    wires = Wires().ask()
+    wires.answer(after_ms=BUS_TIMEOUT_NS / MS - 10)
+    taps = TapPair("a+b", FORMAT)
+    decoded = [*taps.feed(*wires.reads[0]), *taps.feed(*wires.reads[1])]
+    # The response has ended, and a request may have come before it that is read later.
+    decoded += taps.advance(wires.reads[0][2] + BUS_TIMEOUT_NS + 5 * MS)
+    assert [one.outcome for one in transactions(decoded + taps.close())] == [Outcome.OK]
+
+
 def test_a_side_that_says_nothing_holds_the_other_up_for_a_second() -> None:
     taps = TapPair("a+b", FORMAT)
     wires = Wires()
