@@ -53,7 +53,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption(
         "--update-golden",
         action="store_true",
-        help="Write what captures/ decodes to into its .expected.jsonl files, to be read by eye.",
+        help="Write what captures and simulated plants decode to into their expected files.",
     )
     parser.addoption(
         "--quick",

@@ -62,7 +62,9 @@ ALSO = {
     "decode": (
         "tests/properties/test_conversations.py",
         "tests/golden/test_captures.py",
+        "tests/columns/test_state.py",
         "tests/adversary/test_network_pairing.py",
+        "tests/adversary/test_removal.py",
     ),
     "packets": ("tests/columns/test_state.py", "tests/properties/test_captures.py"),
 }
