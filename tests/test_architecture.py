@@ -139,7 +139,11 @@ def test_a_package_lists_what_it_gives_in_order(package: Path) -> None:
 def commands() -> Iterator[tuple[str, str]]:
     """Each page's command lines of this program, without what a shell makes of their ends."""
     for page in PAGES:
-        for line in re.findall(r"^ {4}(.+)$", page.read_text(), re.MULTILINE):
+        text = page.read_text()
+        lines = re.findall(r"^ {4}(.+)$", text, re.MULTILINE)
+        for block in re.findall(r"^```sh\n(.*?)^```$", text, re.MULTILINE | re.DOTALL):
+            lines += block.splitlines()
+        for line in lines:
             command = re.sub(r"^(?:sudo )?(?:\.venv/bin/)?", "", line)
             if command.startswith("mbtool ") and "COMMAND" not in command:
                 yield page.name, _until_the_shell_takes_over(command)

@@ -6,7 +6,9 @@ With --refresh PAGE... it writes the output of this run into the pages. In a pag
     ```console title="Terminal 2"   another terminal of the same page
     ```toml title="pump.toml"       a block whose title is a file name: the page's reader makes it
     <!-- console: file site.mcap = captures/ft1a-touch-line.mcap -->   a file that the reader has
-    <!-- console: not run: REASON -->                                  the next block stays as it is
+    <!-- console: made site.mcap = trouble -->   one that made_captures.py makes
+    <!-- console: not run: REASON -->   the next block stays as it is; a reason of normalising.py
+    ```sh                           commands without output; a test parses those of mbtool
 
 A line `^C` is Ctrl-C; a block that begins without `$` goes on with what runs in its terminal. A
 line `...` stands for any lines. Ports from 1500 to 1599 are exchanged for free ones. All else that
@@ -27,13 +29,15 @@ from difflib import unified_diff
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from tests.docs.made_captures import CAPTURES
 from tests.docs.normalising import agrees, normalised
-from tests.docs.terminal import Running
+from tests.docs.terminal import Running, preload
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
 ROOT = Path(__file__).resolve().parents[2]
+LANGUAGES = ("console", "sh")
 ATTEMPTS = 3
 """How often a page is run until its output is right: on a busy machine, a virtual line is sometimes
 so late that an answer comes in two parts."""
@@ -91,7 +95,7 @@ class Page:
         for part in _PART.finditer(text):
             if part["order"] is not None:
                 is_left_out = is_left_out or part["order"].startswith("not run")
-            elif part["language"] == "console":
+            elif part["language"] in LANGUAGES:
                 if not is_left_out:
                     yield from ((part["title"] or "", one.command) for one in steps(part["body"]))
                 is_left_out = False
@@ -104,9 +108,9 @@ class Page:
     def _part(self, part: re.Match[str]) -> str:
         if part["order"] is not None:
             self._obey(part["order"])
-        elif part["language"] == "console" and self._is_next_left_out:
+        elif part["language"] in LANGUAGES and self._is_next_left_out:
             self._is_next_left_out = False
-        elif part["language"] == "console":
+        elif part["language"] in LANGUAGES:
             body = self._block(part["title"] or "", part["body"])
             return part[0].replace(part["body"], body) if self.is_refreshed else part[0]
         elif part["title"] and re.fullmatch(r"[\w./-]+\.\w+", part["title"]):
@@ -121,11 +125,19 @@ class Page:
             name, _, source = rest.partition(" = ")
             (self._folder / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(ROOT / source, self._folder / name)
+        elif word == "made":
+            name, _, source = rest.partition(" = ")
+            self._make(name, CAPTURES[source]())
         elif order.startswith("not run: "):
             self._is_next_left_out = True
             self.not_run.append(order)
         else:
             raise ValueError(f"{self.path.name}: {order}: no such order")
+
+    def _make(self, name: str, byte_times: str) -> None:
+        (self._folder / "rs485.csv").write_text(byte_times)
+        Running(f"mbtool convert rs485.csv {name}", self._folder).read_until()
+        (self._folder / "rs485.csv").unlink()
 
     def _block(self, title: str, body: str) -> str:
         written = []
@@ -239,6 +251,7 @@ def main() -> int:
     parser.add_argument("pages", nargs="*", type=Path)
     parser.add_argument("--refresh", action="store_true", help="write the output into the pages")
     chosen = parser.parse_args()
+    preload()
     tools = prepare()
     problems: list[str] = []
     commands = 0

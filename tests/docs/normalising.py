@@ -1,4 +1,4 @@
-"""What may differ between a page and a run of its commands: the written list."""
+"""What may differ between a page and a run of its commands, and which are not run: two lists."""
 
 # Output that does not depend on times (of a capture, of a profile) is equal as it stands; the list
 # counts only where it is not.
@@ -27,6 +27,16 @@ DIFFERENCES = (
     ("space at a line's end", r"(?m) +$", ""),
 )
 """What, how it is found, and what stands for it."""
+
+NOT_RUN = (
+    "installs into the reader's environment",
+    "needs an adapter or a device",
+    "needs other machines",
+    "needs packages from a registry",
+    "needs jq, which is no dependency",
+    "takes minutes",
+)
+"""The reasons for which a block of commands is not run. Those of mbtool in it are parsed."""
 
 
 def normalised(text: str) -> str:

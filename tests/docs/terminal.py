@@ -1,16 +1,20 @@
 """Runs command lines on a terminal of their own, 80 columns wide, each in a forked process."""
 
-# `mbtool ...` without anything for a shell runs in a fork of this process, which has imported all
-# of mbtool once: that costs some tens of milliseconds in place of half a second. Any other line
+# `mbtool ...` and `python FILE` without anything for a shell run in a fork of this process, which
+# has imported all of mbtool once: that costs some tens of milliseconds in place of half a second.
+# A variable may stand before them: `TERM=xterm mbtool ...`. Any other line
 # runs in bash, where `mbtool` is a script. Output is what the terminal gets, standard output and
 # standard error in their order.
 
 from __future__ import annotations
 
 import fcntl
+import importlib
 import os
+import pkgutil
 import pty
 import re
+import runpy
 import select
 import shlex
 import signal
@@ -20,11 +24,14 @@ import termios
 import time
 from typing import TYPE_CHECKING, NoReturn
 
+import mbtool.views
+import mbtool.workflows
 from mbtool.cli.main import main
 
 if TYPE_CHECKING:
     from pathlib import Path
 
+_WITH_NUMPY = {"decode_job", "decode_run"}
 PATIENCE_S = 60.0
 """The longest that a command may take; only ends a hang."""
 IS_RUNNING = "Ctrl-C"
@@ -35,7 +42,17 @@ MOST_S = 3.0
 _COLUMNS, _ROWS = 80, 40
 _ERASED = re.compile(r"[^\n]*\r\x1b\[K")
 """A line that is written anew, as the player's position."""
+_COLOUR = re.compile(r"\x1b\[[\d;]*m")
 _FOR_THE_SHELL = re.compile(r"[|<>;&$*`]")
+
+
+def preload() -> None:
+    """Import what the commands import when they run, so that no fork has to do it again."""
+    # numpy starts threads, which a fork does not have; what needs it imports it in the fork.
+    for package in (mbtool.workflows, mbtool.views):
+        for one in pkgutil.iter_modules(package.__path__):
+            if one.name not in _WITH_NUMPY:
+                importlib.import_module(f"{package.__name__}.{one.name}")
 
 
 class Running:
@@ -91,7 +108,7 @@ class Running:
             piece = b""
         if piece:
             text = self.output + piece.decode(errors="replace").replace("\r\n", "\n")
-            self.output = _ERASED.sub("", text)
+            self.output = _COLOUR.sub("", _ERASED.sub("", text))
             return True
         os.close(self._terminal)
         self.code = os.waitstatus_to_exitcode(os.waitpid(self._process, 0)[1])
@@ -104,15 +121,23 @@ def _become(line: str, folder: Path) -> NoReturn:
     try:
         fcntl.ioctl(1, termios.TIOCSWINSZ, struct.pack("HHHH", _ROWS, _COLUMNS, 0, 0))
         os.chdir(folder)
-        words = shlex.split(line, comments=True)
-        if words[0] != "mbtool" or _FOR_THE_SHELL.search(re.sub(r"'[^']*'|#.*", "", line)):
+        words = shlex.split(line.replace("\\\n", " "), comments=True)
+        while re.match(r"[A-Z]+=", words[0]):
+            name, _, value = words.pop(0).partition("=")
+            os.environ[name] = value
+        is_here = words[0] == "mbtool" or (words[0] == "python" and words[1].endswith(".py"))
+        if not is_here or _FOR_THE_SHELL.search(re.sub(r"'[^']*'|#.*", "", line)):
             os.execvp("bash", ["bash", "-o", "pipefail", "-c", line])
         sys.argv = words
         sys.stdin, sys.stdout, sys.stderr = (
             open(one, "w" if one else "r", encoding="utf-8", closefd=False)  # noqa: SIM115
             for one in range(3)
         )
-        main()
+        if words[0] == "python":
+            sys.argv, sys.path[0] = words[1:], str(folder)
+            runpy.run_path(words[1], run_name="__main__")
+        else:
+            main()
     except SystemExit as end:
         code = end.code if isinstance(end.code, int) else 98
     finally:

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from tests.docs.console import steps
-from tests.docs.normalising import agrees
+from tests.docs.console import PAGES, steps
+from tests.docs.normalising import NOT_RUN, agrees
 
 ROOT = Path(__file__).parents[2]
+LANGUAGES = {"console", "sh", "python", "text", "toml", "csv", "json", "yaml", "ini", "sql"}
+FENCED = re.compile(
+    r"^(?:<!-- console: (?P<words>.*?) -->\n)?"
+    r"```(?P<language>\w*)[^\n]*\n(?P<body>.*?)^```$",
+    re.MULTILINE | re.DOTALL,
+)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no pseudo-terminals")
@@ -52,3 +59,22 @@ def test_a_block_holds_commands_with_their_output_and_what_goes_on() -> None:
         ("one \\\n  two", "out\n"),
         ("three", ""),
     ]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_a_block_of_commands_is_run_or_says_why_not(page: Path) -> None:
+    text = page.read_text()
+    for block in FENCED.finditer(text):
+        language, words = block["language"], block["words"] or ""
+        assert language in LANGUAGES, block[0]
+        if language == "sh" or words.startswith("not run"):
+            assert words.removeprefix("not run: ") in NOT_RUN, block[0]
+        if language == "text":
+            assert not re.search(r"^(\$|mbtool) ", block["body"], re.MULTILINE), block[0]
+    indented = re.findall(r"\n\n {4}\S.*", FENCED.sub("", text))
+    assert indented == [], "a block stands between ```"
+
+
+def test_each_reason_for_not_running_a_block_is_used() -> None:
+    text = "".join(page.read_text() for page in PAGES)
+    assert set(re.findall(r"^<!-- console: not run: (.*) -->$", text, re.MULTILINE)) == set(NOT_RUN)
