@@ -24,6 +24,7 @@ import termios
 import time
 from typing import TYPE_CHECKING, NoReturn
 
+import mbtool.cli
 import mbtool.views
 import mbtool.workflows
 from mbtool.cli.main import main
@@ -49,7 +50,7 @@ _FOR_THE_SHELL = re.compile(r"[|<>;&$*`]")
 def preload() -> None:
     """Import what the commands import when they run, so that no fork has to do it again."""
     # numpy starts threads, which a fork does not have; what needs it imports it in the fork.
-    for package in (mbtool.workflows, mbtool.views):
+    for package in (mbtool.cli, mbtool.workflows, mbtool.views):
         for one in pkgutil.iter_modules(package.__path__):
             if one.name not in _WITH_NUMPY:
                 importlib.import_module(f"{package.__name__}.{one.name}")
