@@ -12,7 +12,6 @@ from mbtool.core import (
     CutError,
     DamageError,
     LineSettings,
-    UsageError,
     WireEvent,
     parse_line,
 )
@@ -97,7 +96,9 @@ class Capture:
         UsageError if numpy or pyarrow are not installed.
         """
         if any(find_spec(name) is None for name in ("numpy", "pyarrow")):
-            raise UsageError("table() needs numpy and pyarrow: pip install 'mbtool[columns]'")
+            from mbtool.core.extras import missing_extra
+
+            raise missing_extra("table()", "columns")
         from mbtool.columns.row_table import row_table, whole_table
 
         parts = []

@@ -85,9 +85,12 @@ def run_job(
         raise UsageError(
             "a folder, an object store, --cluster and --share go with --format parquet -o FOLDER/"
         )
-    if group.cluster is not None and not _SCHEDULER.fullmatch(group.cluster):
+    if group.cluster is None:
+        demand_columns()
+    elif _SCHEDULER.fullmatch(group.cluster):
+        demand_columns("--cluster", "cluster")
+    else:
         raise UsageError(f"--cluster {group.cluster}: tcp://HOST:PORT of a scheduler is wanted")
-    demand_columns()
     from mbtool.workflows.decode_job import DecodeJob, JobOptions, dask_cluster, local_processes
 
     chosen = JobOptions(

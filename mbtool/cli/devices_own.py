@@ -72,6 +72,7 @@ def draft(
     values; each guess has its reason above it.
     """
     from mbtool.cli.talk import say
+    from mbtool.core.wording import counted
     from mbtool.devices import parse_who
     from mbtool.devices.drafting.draft import draft_profile
     from mbtool.devices.profile_template import name_for
@@ -86,8 +87,9 @@ def draft(
     drafted = draft_profile(seen, name, shown(file))
     give(drafted.text, output)
     if is_file(output):
-        areas, points = len(drafted.profile.areas), len(drafted.profile.points)
-        say(f"unit {seen.unit}: {areas} areas, {points} points -> {output}")
+        areas = counted(len(drafted.profile.areas), "area")
+        points = counted(len(drafted.profile.points), "point")
+        say(f"unit {seen.unit}: {areas}, {points} -> {output}")
 
 
 def _draft_sunspec(

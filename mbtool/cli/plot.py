@@ -132,10 +132,10 @@ def _picture(output: str) -> str:
 
 
 def _demand_matplotlib() -> None:
-    from mbtool.core import UsageError
-
     if find_spec("matplotlib") is None:
-        raise UsageError("a picture needs matplotlib: pip install 'mbtool[plot]'")
+        from mbtool.core.extras import missing_extra
+
+        raise missing_extra("a picture", "plot")
 
 
 def _write(values: PlottedValues, path: str, format_: str, *, overwrite: bool) -> None:

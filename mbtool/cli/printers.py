@@ -8,7 +8,8 @@ from importlib.util import find_spec
 from typing import TYPE_CHECKING, TextIO
 
 from mbtool.cli.options import Format
-from mbtool.core import UsageError, WireEvent
+from mbtool.core import WireEvent
+from mbtool.core.extras import missing_extra
 from mbtool.logs import CsvWriter, csv_line, event_to_jsonl, transaction_to_jsonl
 
 if TYPE_CHECKING:
@@ -147,7 +148,10 @@ class ParquetPrinter(Printer):
             self._rows.close()
 
 
-def demand_columns() -> None:
-    """Raise UsageError if the packages that Parquet needs are not installed."""
+def demand_columns(what: str = "--format parquet", extra: str = "columns") -> None:
+    """Raise UsageError if the packages that Parquet needs are not installed.
+
+    The error says that `what` needs `extra`.
+    """
     if any(find_spec(name) is None for name in ("numpy", "pyarrow")):
-        raise UsageError("--format parquet needs numpy and pyarrow: pip install 'mbtool[columns]'")
+        raise missing_extra(what, extra)

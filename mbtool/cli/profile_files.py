@@ -36,12 +36,13 @@ def profile_name(file: str, output: str | None) -> str | None:
 
 def give_imported(imported: ImportedList, output: str | None) -> None:
     from mbtool.cli.talk import say
+    from mbtool.core.wording import counted
 
     for remark in imported.remarks:
         say(remark)
     give(imported.text, output)
     if is_file(output):
-        say(f"{len(imported.profile.points)} points -> {output}")
+        say(f"{counted(len(imported.profile.points), 'point')} -> {output}")
 
 
 def read_input(file: str) -> bytes:

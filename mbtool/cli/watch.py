@@ -100,9 +100,9 @@ def _demand_textual() -> None:
     try:
         import textual  # noqa: F401 - only if it is there
     except ImportError:
-        from mbtool.core import UsageError
+        from mbtool.core.extras import missing_extra
 
-        raise UsageError("watch needs textual: pip install 'mbtool[watch]'") from None
+        raise missing_extra("watch", "watch") from None
 
 
 def _watch_links(

@@ -10,7 +10,8 @@ from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import suppress
 from typing import TYPE_CHECKING, Protocol
 
-from mbtool.core import LinkError, UsageError
+from mbtool.core import LinkError
+from mbtool.core.extras import missing_extra
 
 if TYPE_CHECKING:
     import subprocess
@@ -103,9 +104,7 @@ class DaskCluster:
         try:
             from distributed import Client
         except ImportError:
-            raise UsageError(
-                "--cluster needs dask and distributed: pip install 'mbtool[cluster]'"
-            ) from None
+            raise missing_extra("--cluster", "cluster") from None
         try:
             self._client = Client(address, timeout=CONNECT_S, set_as_default=False)
         except (OSError, ValueError) as error:

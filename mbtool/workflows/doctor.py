@@ -11,17 +11,15 @@ from __future__ import annotations
 
 import os
 import platform
-import re
 import shutil
 import sys
 from dataclasses import dataclass
 from enum import StrEnum
-from importlib import metadata
 from importlib.util import find_spec
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mbtool.core import UsageError
+from mbtool.core.extras import installer, requirements
 from mbtool.workflows.extcap_install import scripts
 
 if TYPE_CHECKING:
@@ -124,29 +122,6 @@ def _packages() -> Iterator[MachineCheck]:
 
 def _is_there(module: str) -> bool:
     return find_spec(module) is not None
-
-
-def requirements(extra: str) -> list[str]:
-    """The requirements of an extra, without the marks that name it."""
-    try:
-        lines = metadata.requires("mbtool") or []
-    except metadata.PackageNotFoundError:
-        lines = []
-    mark = re.compile(rf";.*\bextra\s*==\s*['\"]{extra}['\"]")
-    found = [line.partition(";")[0].strip() for line in lines if mark.search(line)]
-    return found or [f"mbtool[{extra}]"]
-
-
-def installer(*packages: str, prefix: str = sys.prefix) -> str:
-    """The command that installs packages where this mbtool is installed."""
-    parts = Path(prefix).parts
-    quoted = " ".join(f"'{one}'" if re.search(r"[<>\[\]~! ]", one) else one for one in packages)
-    if "pipx" in parts:
-        return f"pipx inject mbtool {quoted}"
-    if "uv" in parts and "tools" in parts:
-        given = " ".join(f"--with {one}" for one in quoted.split())
-        return f"uv tool install mbtool {given}"
-    return f"{sys.executable} -m pip install {quoted}"
 
 
 def port_checks(ports: list[LocalSerialPort]) -> Iterator[MachineCheck]:

@@ -116,9 +116,12 @@ def test_without_the_extra_one_line_says_how_to_install_it(
     monkeypatch.setattr(printers, "find_spec", lambda _: None)
     said = mbtool("decode", SETUP, "-o", tmp_path / "a.parquet")
     assert said.code == 2
-    assert "pip install 'mbtool[columns]'" in said.err
+    assert "--format parquet needs the extra mbtool[columns]: " in said.err
     assert len(said.err.splitlines()) == 1
     assert not (tmp_path / "a.parquet").exists()
+    cluster = "--cluster", "tcp://127.0.0.1:1"
+    said = mbtool("decode", SETUP, "--format", "parquet", "-o", f"{tmp_path}/a/", *cluster)
+    assert "--cluster needs the extra mbtool[cluster]: " in said.err
 
 
 def test_numpy_and_pyarrow_are_loaded_for_parquet_only() -> None:

@@ -131,7 +131,7 @@ def test_import_guesses_nothing_that_is_said(mbtool: CommandLine) -> None:
     )
     assert told.err.splitlines() == [
         "word order: low word first, as --word-order says",
-        "1 points -> pump.toml",
+        "1 point -> pump.toml",
     ]
     (point,) = load_profile("pump.toml").points
     assert (point.name, point.table, point.address) == ("Speed", "input_registers", 40001)
@@ -275,7 +275,7 @@ def test_sunspec_models_and_configurations_are_imported(mbtool: CommandLine) -> 
     hub = {"modbus": [{"sensors": [{"name": "A", "slave": 5, "address": 7}]}]}
     Path("ha.yaml").write_text(json.dumps(hub), encoding="utf-8")
     told = mbtool("devices", "import", "--home-assistant", "ha.yaml", "-o", "ha.toml")
-    assert told.err == "1 points -> ha.toml\n"
+    assert told.err == "1 point -> ha.toml\n"
 
 
 def test_all_models_of_a_folder_are_tried(mbtool: CommandLine, tmp_path: Path) -> None:

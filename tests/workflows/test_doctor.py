@@ -51,18 +51,6 @@ def test_a_missing_package_is_broken(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize(
-    ("prefix", "start"),
-    [
-        ("/users/a/.local/share/pipx/venvs/mbtool", "pipx inject mbtool 'textual>=8.2,<9'"),
-        ("/users/a/.local/share/uv/tools/mbtool", "uv tool install mbtool --with 'textual"),
-        ("/users/a/venv", f"{sys.executable} -m pip install 'textual>=8.2,<9'"),
-    ],
-)
-def test_the_command_is_that_of_the_installer(prefix: str, start: str) -> None:
-    assert doctor.installer("textual>=8.2,<9", prefix=prefix).startswith(start)
-
-
-@pytest.mark.parametrize(
     ("usb_id", "state"), [("0403:6001", CheckState.BROKEN), (None, CheckState.MISSING)]
 )
 def test_an_obstacle_of_a_port_has_its_command(usb_id: str | None, state: CheckState) -> None:

@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any
 from msgspec.structs import replace
 
 from mbtool.core.errors import UsageError
+from mbtool.core.extras import missing_extra
 from mbtool.devices.importing.assembling import ImportedDevice, PlacedPoint, assemble
 from mbtool.devices.model import Access, Point
 from mbtool.devices.point_types import ByteOrder, PointType, WordOrder
@@ -98,7 +99,7 @@ def _parsed(data: bytes, file: str) -> Any:
     try:
         import yaml
     except ImportError:
-        raise UsageError("--home-assistant needs PyYAML: pip install 'mbtool[yaml]'") from None
+        raise missing_extra("--home-assistant", "yaml") from None
 
     loader: Any = new_class("LoaderWithTags", (yaml.SafeLoader,))
     loader.add_multi_constructor("!", lambda _loader, tag, node: f"!{tag} {node.value}")
