@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from typer.main import get_command
 
+from mbtool.cli.examples import examples_of
 from mbtool.cli.main import app
 from mbtool.version import __version__
 
@@ -58,6 +59,11 @@ def _command(names: tuple[str, ...], command: Any) -> Iterator[str]:
         if record is not None and "--help" not in record[0]:
             shown = re.sub(r" <.*>$", "", record[0]) if record[0][0] != "-" else record[0]
             yield f".TP\n.B {_text(shown)}\n{_text(record[1])}"
+    examples = examples_of(" ".join(names))
+    if examples is not None:
+        yield ".PP\nExamples:\n.PP\n.nf"
+        yield from (f"    {_text(line)}" for line in examples[1:] if line)
+        yield ".fi"
 
 
 def _text(text: str) -> str:
