@@ -37,12 +37,15 @@ def _interrupted(signal_name: str, module: str) -> subprocess.CompletedProcess[s
 
 
 @pytest.mark.parametrize("signal_name", ["SIGINT", "SIGTERM"])
-@pytest.mark.parametrize("module", ["mbtool.cli.main", "typer", "mbtool.views.profile"])
-def test_a_signal_while_modules_are_loaded_ends_it_without_a_word(
-    signal_name: str, module: str
+@pytest.mark.parametrize(
+    ("module", "told"),
+    [("mbtool.cli.main", ""), ("typer", ""), ("mbtool.views.profile", "interrupted\n")],
+)
+def test_a_signal_while_modules_are_loaded_ends_it_and_a_command_that_has_begun_says_so(
+    signal_name: str, module: str, told: str
 ) -> None:
     ran = _interrupted(signal_name, module)
-    assert (ran.returncode, ran.stdout, ran.stderr) == (exit_codes.INTERRUPTED, "", "")
+    assert (ran.returncode, ran.stdout, ran.stderr) == (exit_codes.INTERRUPTED, "", told)
 
 
 def test_without_a_signal_it_runs_the_command() -> None:

@@ -66,7 +66,8 @@ def write(
     requests = [asked.wording.write(each) for each in values]
     if not yes and sys.stdin is not None and sys.stdin.isatty():
         _demand_consent(asked, values)
-    _ask_all(asked, requests, format_, options)
+    if_interrupted = "interrupted; the slave may have taken what was sent, or may take it yet"
+    _ask_all(asked, requests, format_, options, if_interrupted)
 
 
 def _demand_consent(asked: AskedSlave, values: Sequence[str]) -> None:
@@ -80,13 +81,17 @@ def _demand_consent(asked: AskedSlave, values: Sequence[str]) -> None:
 
 
 def _ask_all(
-    asked: AskedSlave, requests: Sequence[bytes], format_: Format, options: TableOptions
+    asked: AskedSlave,
+    requests: Sequence[bytes],
+    format_: Format,
+    options: TableOptions,
+    if_interrupted: str = "interrupted",
 ) -> None:
     """Send the requests, and print what came of them. Exits with 1 if one fails."""
     from mbtool.cli.ask_options import print_asked
     from mbtool.workflows.ask import ANSWERED_OUTCOMES
 
-    with asked.open(format_, options) as (asker, out):
+    with asked.open(format_, options, if_interrupted=if_interrupted) as (asker, out):
         done = [print_asked(asker, out, pdu) for pdu in requests]
     if any(one.outcome not in ANSWERED_OUTCOMES for one in done):
         raise typer.Exit(exit_codes.NO)

@@ -122,9 +122,17 @@ class AskedSlave:
 
     @contextmanager
     def open(
-        self, format_: Format, table: TableOptions, *, is_summed: bool = True
+        self,
+        format_: Format,
+        table: TableOptions,
+        *,
+        is_summed: bool = True,
+        if_interrupted: str = "interrupted",
     ) -> Iterator[tuple[Asker, RecordOutput]]:
-        """Open the link and standard output. Raises LinkError if the slave cannot be reached."""
+        """Open the link and standard output; `if_interrupted` is said if Ctrl-C ends the asking.
+
+        Raises LinkError if the slave cannot be reached.
+        """
         from mbtool.cli.options import condition
         from mbtool.cli.output import open_output
         from mbtool.cli.talk import say
@@ -141,6 +149,7 @@ class AskedSlave:
                 condition(None),
                 table=table,
                 is_summed=is_summed,
+                if_interrupted=if_interrupted,
             ) as out:
                 yield asker, out
 

@@ -149,7 +149,7 @@ def _finished(
     When the context ends, even by an error, the output is completed, and the user gets remarks and
     the number of findings, unless there was nothing to look at.
     """
-    from mbtool.cli.talk import say
+    from mbtool.cli.talk import Interrupted, say
 
     has_failed = True
     was_interrupted = False
@@ -158,7 +158,7 @@ def _finished(
         has_failed = False
     except KeyboardInterrupt:
         was_interrupted = True
-        raise
+        raise Interrupted from None
     finally:
         printer.end(run)
         file.flush()

@@ -12,7 +12,7 @@ import typer
 from mbtool.cli.column_output import cores
 from mbtool.cli.option_groups import OptionGroup
 from mbtool.cli.options import Format
-from mbtool.cli.talk import say
+from mbtool.cli.talk import interruption_told, say
 from mbtool.core import InputError, UsageError
 from mbtool.core.wording import counted
 
@@ -106,11 +106,13 @@ def run_job(
     )
     decoded = transactions = 0
     failed = []
-    for outcome in job.run(executor):
-        decoded += 1
-        transactions += outcome.transactions
-        if outcome.error:
-            failed.append(outcome)
+    kept = f"interrupted; what is decoded is in {output}, and the same command does the rest"
+    with interruption_told(kept):
+        for outcome in job.run(executor):
+            decoded += 1
+            transactions += outcome.transactions
+            if outcome.error:
+                failed.append(outcome)
     failed += job.failed_before
     for outcome in sorted(failed, key=lambda one: one.path):
         why = outcome.error.removeprefix(f"{outcome.path}: ")

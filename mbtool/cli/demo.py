@@ -2,9 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+import os
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+from mbtool.cli.talk import say
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 
 def demo(
@@ -24,10 +31,9 @@ def demo(
     from mbtool.cli import exit_codes
     from mbtool.cli.options import EventChoice, Format
     from mbtool.cli.output import open_output
-    from mbtool.cli.talk import say
     from mbtool.workflows.demo import Demo
 
-    with TemporaryDirectory(prefix="mbtool-demo-") as folder:
+    with TemporaryDirectory(prefix="mbtool-demo-") as folder, _log_told(write):
         run = Demo(write or str(Path(folder) / "demo.mcap"))
         say("1. An FT1A Touch (RTU, 19200 baud) and an FA3-AT1M8X (Modbus/TCP) answer two masters;")
         say("   mbtool hears both and logs them:\n")
@@ -52,3 +58,14 @@ def demo(
             say(f"\nThe log is {write}: try mbtool decode {write}")
     if agreement.differences or not agreement.asked:
         raise typer.Exit(exit_codes.NO)
+
+
+@contextmanager
+def _log_told(write: str | None) -> Iterator[None]:
+    """Name the log to the user if Ctrl-C ends what runs in the context."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        if write is not None and os.path.exists(write):
+            say(f"log: {write}")
+        raise

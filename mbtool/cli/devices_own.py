@@ -181,12 +181,12 @@ def survey(
 
 def _survey(file: str, options: ReadingOptions, take: Callable[[Iterator[Record]], None]) -> None:
     """Give all records of a capture or log to `take`, and print remarks about it."""
-    from mbtool.cli.talk import interruptible, say
+    from mbtool.cli.talk import interruptible, interruption_told, say
     from mbtool.workflows.shared.reading import Reading
 
     reading = Reading([file], options)
     try:
-        with interruptible() as interrupt:
+        with interruption_told(), interruptible() as interrupt:
             take(interrupt.breakable(reading.records()))
     finally:
         for remark in reading.remarks:

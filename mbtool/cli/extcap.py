@@ -165,7 +165,7 @@ def _capture(fifo: str, options: LineOptions) -> None:
     """Listen, and write packets to the pipe, until Wireshark stops. Raises LinkError."""
     from mbtool.cli.listening import sniffer_of
     from mbtool.cli.options import TcpPorts
-    from mbtool.cli.talk import interruptible, say
+    from mbtool.cli.talk import Interrupted, interruptible, say
     from mbtool.core import OutputError, SerialLink, UsageError
     from mbtool.core.errors import reason_of
     from mbtool.decode.line_timing import LineTiming
@@ -181,7 +181,10 @@ def _capture(fifo: str, options: LineOptions) -> None:
     timing = LineTiming(devices)
     with pipe:
         # This may take minutes. Wireshark ends it by SIGTERM, so it is not within interruptible().
-        (line,) = timing.given(with_settings([link], say))
+        try:
+            (line,) = timing.given(with_settings([link], say))
+        except KeyboardInterrupt:
+            raise Interrupted from None  # Wireshark would show a message as an error.
         if not isinstance(line, SerialLink):
             raise UsageError(f"link {line}: is no serial line")
         sniffer = sniffer_of([line], timing, TcpPorts([], [], False), THIS_MACHINE)

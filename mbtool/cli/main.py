@@ -30,7 +30,7 @@ from mbtool.cli.command_table import CommandTable
 from mbtool.cli.completion import is_asked, join_words
 from mbtool.cli.examples import first_steps
 from mbtool.cli.leaving import leave
-from mbtool.cli.talk import say
+from mbtool.cli.talk import Interrupted, say
 from mbtool.core import InputError, LinkError, MbtoolError, OutputError
 from mbtool.version import __version__
 
@@ -151,7 +151,10 @@ def _told(arguments: list[str]) -> int:
         return _fail(str(error), exit_codes.UNREADABLE)
     except MbtoolError as error:
         return _fail(str(error), exit_codes.USAGE)
+    except Interrupted:
+        return exit_codes.INTERRUPTED
     except (KeyboardInterrupt, typer.Abort):
+        say("interrupted")
         return exit_codes.INTERRUPTED
     except BrokenPipeError:
         return exit_codes.DONE  # The reader of the output, such as head, has closed it.

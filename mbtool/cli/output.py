@@ -14,7 +14,7 @@ from mbtool.cli import exit_codes
 from mbtool.cli.options import EventChoice, Format, SortKey
 from mbtool.cli.printers import LinesPrinter, ParquetPrinter, demand_columns, printer_for
 from mbtool.cli.record_order import SORTED
-from mbtool.cli.talk import NOTHING_WRITTEN, say
+from mbtool.cli.talk import NOTHING_WRITTEN, Interrupted, say
 from mbtool.cli.tally import CONNECTION_EVENTS, Tally
 from mbtool.core import MbtoolError, OutputError, UsageError, WireEvent
 from mbtool.views.table_options import TableOptions
@@ -222,6 +222,7 @@ def open_output(
     overwrite: bool = False,
     make_output: MakeOutput | None = None,
     is_summed: bool = True,
+    if_interrupted: str = NOTHING_WRITTEN,
 ) -> Iterator[RecordOutput]:
     """Open an output. When its context ends, it is flushed and, if `is_summed`, a summary printed.
 
@@ -229,11 +230,13 @@ def open_output(
     overwrite an older output. `is_kept` is True if a log keeps the records. With `order`, all
     records are held, and printed in that order when the context ends. A file that exists is
     replaced only with `overwrite`. `make_output` makes another output than RecordOutput does, such
-    as one that waits for no reader (live_output.py). Raises UsageError if the file cannot be
+    as one that waits for no reader (live_output.py). `if_interrupted` is said if Ctrl-C comes
+    before the first record. Raises UsageError if the file cannot be
     written or options contradict each other, and OutputError if standard output is closed and no
     log keeps the records.
     """
     path = named_file(path)
+    place = "" if path is None else f" -> {path}"
     chosen = format_ or format_by_name(path, OUTPUT_FORMATS, Format.TABLE)
     shown = events or (EventChoice.TROUBLE if chosen is Format.TABLE else EventChoice.NONE)
     if table not in (None, TableOptions()) and chosen is not Format.TABLE:
@@ -256,16 +259,21 @@ def open_output(
             yield output
         except OutputError:
             raise
-        except (MbtoolError, KeyboardInterrupt) as error:
+        except KeyboardInterrupt:
+            output.finish()
+            if not is_summed:
+                raise
+            sum_ = f"interrupted; so far {output.sentence()}{place}"
+            say(if_interrupted if output.is_empty else sum_)
+            raise Interrupted from None
+        except MbtoolError:
             output.finish()
             if is_summed and not output.is_empty:
                 say(output.sentence())
-            elif is_summed and isinstance(error, KeyboardInterrupt):
-                say(NOTHING_WRITTEN)
             raise
         output.finish()
         if is_summed:
-            say(output.sentence() if path is None else f"{output.sentence()} -> {path}")
+            say(f"{output.sentence()}{place}")
 
 
 def named_file(path: str | None) -> str | None:

@@ -24,11 +24,12 @@ def recover(
     Exit 1 when something is lost.
     """
     from mbtool.cli import exit_codes
-    from mbtool.cli.talk import say
+    from mbtool.cli.talk import interruption_told, say
     from mbtool.core.wording import counted
     from mbtool.workflows.recover import loss_text, recover
 
-    result = recover(broken, good, lambda loss: typer.echo(loss_text(loss)), replace=overwrite)
+    with interruption_told(f"interrupted; {good} is not there, or ends early"):
+        result = recover(broken, good, lambda loss: typer.echo(loss_text(loss)), replace=overwrite)
     if result.remark:
         say(f"mbtool: {result.remark}")
     lost = "nothing is lost"

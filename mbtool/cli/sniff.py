@@ -134,7 +134,7 @@ def sniff(
     from mbtool.cli.options import assignments, condition
     from mbtool.cli.output import open_output
     from mbtool.cli.service import ServiceRun
-    from mbtool.cli.talk import interruptible, never_suspended, never_waiting, say
+    from mbtool.cli.talk import Interrupted, interruptible, never_suspended, never_waiting, say
     from mbtool.core import UsageError, parse_link
     from mbtool.core.link_spec import HEARD
     from mbtool.decode.line_timing import LineTiming
@@ -237,7 +237,7 @@ def sniff(
             first = next(iter(parts_of(Path(write))), write)
             say(f"log: {write if rotation is None else f'{first} and those behind it'}")
     if interrupt.asked:
-        raise KeyboardInterrupt
+        raise Interrupted
 
 
 def _end(

@@ -192,7 +192,7 @@ def _listen(
     """Compute the statistics of links; show them each second on a terminal, and at the end."""
     from mbtool.cli.listening import allowed_networks, heard_ports, sniffer_of
     from mbtool.cli.options import assignments, condition
-    from mbtool.cli.talk import interruptible, say
+    from mbtool.cli.talk import Interrupted, interruptible, say
     from mbtool.core import parse_link
     from mbtool.core.link_spec import HEARD
     from mbtool.decode.line_timing import LineTiming
@@ -220,7 +220,7 @@ def _listen(
     live.statistics.settle()
     shown.print(live.statistics)
     if interrupt.asked:
-        raise KeyboardInterrupt
+        raise Interrupted
 
 
 def _end(

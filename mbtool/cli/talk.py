@@ -145,14 +145,20 @@ class Interrupt:
 NOTHING_WRITTEN = "interrupted; nothing was written"
 
 
+class Interrupted(KeyboardInterrupt):
+    """Ctrl-C ended the command, and the user knows what was kept; main.py says so otherwise."""
+
+
 @contextmanager
 def interruption_told(text: str = NOTHING_WRITTEN) -> Iterator[None]:
     """If Ctrl-C ends what runs in the context, say so, and what was kept."""
     try:
         yield
+    except Interrupted:
+        raise
     except KeyboardInterrupt:
         say(text)
-        raise
+        raise Interrupted from None
 
 
 @contextmanager

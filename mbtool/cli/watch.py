@@ -171,9 +171,11 @@ def _watch_links(
             notes=(hints.note, unreadable.note),
             remarks=remarks,
         )
-        _show(feed, place, saver, write, where, _end(interrupt, duration), interrupt)
-    if write is not None:
-        say(f"log: {write}")
+        try:
+            _show(feed, place, saver, write, where, _end(interrupt, duration), interrupt)
+        finally:
+            if write is not None:
+                say(f"log: {write}")
 
 
 def _watch_files(
@@ -224,6 +226,7 @@ def _show(
     """
     from mbtool.cli import exit_codes
     from mbtool.cli.options import condition
+    from mbtool.cli.talk import Interrupted
     from mbtool.cli.watching.app import WatchApp
 
     if where is not None:
@@ -241,7 +244,7 @@ def _show(
     if app.return_code:  # The screen itself failed, and has told why.
         raise typer.Exit(app.return_code)
     if interrupt.asked:
-        raise KeyboardInterrupt
+        raise Interrupted
     raise typer.Exit(code or exit_codes.DONE)
 
 

@@ -306,7 +306,8 @@ def test_a_signal_while_it_waits_for_input_ends_it_with_what_came(number: int) -
     assert told.code == exit_codes.INTERRUPTED
     lines = _jsonl(first + told.out)
     assert lines
-    assert re.match(rf"{len(lines)} transactions?: {len(lines)} ok\n", told.err)
+    sum_ = rf"interrupted; so far {len(lines)} transactions?: {len(lines)} ok\n"
+    assert re.match(sum_, told.err)
 
 
 @pytest.mark.parametrize(("format_", "heading"), [("jsonl", 0), ("csv", 1), ("table", 2)], ids=str)
@@ -360,7 +361,7 @@ def test_following_ends_with_ctrl_c(tmp_path: Path) -> None:
                 program.process.stdout.readline()
             told = program.end(signal.SIGINT)
     assert told.code == exit_codes.INTERRUPTED
-    assert told.err == "1 transaction: 1 ok\n"
+    assert told.err == "interrupted; so far 1 transaction: 1 ok\n"
 
 
 def test_a_capture_is_not_followed(mbtool: CommandLine, capture: Path) -> None:

@@ -164,16 +164,30 @@ def _print_and_fail(path: Path, error: BaseException) -> None:
         raise error
 
 
-@pytest.mark.parametrize("error", [InputError("cut"), KeyboardInterrupt()])
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (InputError("cut"), "1 transaction: 1 ok; 1 event: 1 gap\n"),
+        (
+            KeyboardInterrupt(),
+            "interrupted; so far 1 transaction: 1 ok; 1 event: 1 gap -> a.jsonl\n",
+        ),
+    ],
+)
 def test_what_was_printed_before_an_error_is_kept_and_counted(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], error: BaseException
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    error: BaseException,
+    said: str,
 ) -> None:
-    path = tmp_path / "a.jsonl"
+    monkeypatch.chdir(tmp_path)
+    path = Path("a.jsonl")
     with pytest.raises(type(error)):
         _print_and_fail(path, error)
     first, second = map(json.loads, path.read_text().splitlines())
     assert (first["outcome"], second["kind"]) == ("ok", "gap")
-    assert capsys.readouterr().err == "1 transaction: 1 ok; 1 event: 1 gap\n"
+    assert capsys.readouterr().err == said
 
 
 def test_is_full_at_its_limit_and_events_do_not_count(tmp_path: Path) -> None:

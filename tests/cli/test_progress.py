@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import socket
 from io import StringIO
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
@@ -8,6 +9,7 @@ import pytest
 
 from mbtool.cli import exit_codes
 from mbtool.cli.progress import with_progress
+from tests.logs.samples import chunk, transaction, write_log
 from tests.packets.building import pcap
 from tests.workflows.evidence import captured
 
@@ -149,3 +151,55 @@ def test_ctrl_c_says_what_was_kept_of_a_file(
     assert told.code == exit_codes.INTERRUPTED
     assert "interrupted; " in told.err
     assert not list(tmp_path.glob("x.*"))
+
+
+def _stop(*_: object, **__: object) -> Any:
+    raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize(
+    ("command", "stopped", "told"),
+    [
+        (["recover", "{}", "-o", "y.mcap"], "mbtool.logs.recovery.Recovery._finish",
+         "interrupted; y.mcap is not there, or ends early"),
+        (["devices", "--match", "{}"], "mbtool.workflows.shared.reading.Reading.records",
+         "interrupted; nothing was written"),
+        (["devices", "draft", "{}"], "mbtool.workflows.shared.reading.Reading.records",
+         "interrupted; nothing was written"),
+        (["decode", "{}", "--format", "parquet", "-o", "out/"],
+         "mbtool.workflows.decode_job.DecodeJob.run",
+         "interrupted; what is decoded is in out/, and the same command does the rest"),
+        (["decode", "{}", "--raw", "--where", "unit == 9"], "mbtool.cli.output.RecordOutput.add",
+         "interrupted; nothing was written"),
+        (["demo"], "mbtool.workflows.demo.Demo.record", "interrupted; nothing was written"),
+        (["links"], "mbtool.cli.links._print_tables", "interrupted"),
+        (["doctor"], "mbtool.workflows.doctor.machine_checks", "interrupted"),
+        (["status", "{}"], "mbtool.workflows.status.recording_of", "interrupted"),
+    ],
+)  # fmt: skip
+def test_ctrl_c_is_told_once_by_each_command(
+    mbtool: CommandLine,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    command: list[str],
+    stopped: str,
+    told: str,
+) -> None:
+    monkeypatch.setattr(stopped, _stop)
+    monkeypatch.chdir(tmp_path)
+    path = write_log(tmp_path / "x.mcap", [chunk(1), transaction(1)])
+    ended = mbtool(*(one.replace("{}", str(path)) for one in command))
+    assert ended.code == exit_codes.INTERRUPTED
+    assert [line for line in ended.err.splitlines() if line.startswith("interrupted")] == [told]
+
+
+def test_ctrl_c_while_a_slave_is_asked_says_what_it_may_have_taken(
+    mbtool: CommandLine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("mbtool.cli.ask_options.print_asked", _stop)
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        link = f"tcp:127.0.0.1:{silent.getsockname()[1]}"
+        assert mbtool("read", link, "holding 0").err == "interrupted\n"
+        told = mbtool("write", link, "holding 0=5", "--yes")
+    assert told.code == exit_codes.INTERRUPTED
+    assert told.err == "interrupted; the slave may have taken what was sent, or may take it yet\n"
