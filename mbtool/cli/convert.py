@@ -55,7 +55,7 @@ def convert(
     from pathlib import PurePath
 
     from mbtool.cli.options import condition
-    from mbtool.cli.output import demand_other_file
+    from mbtool.cli.output import OUTPUT_FORMATS, demand_other_file
     from mbtool.cli.progress import with_progress
     from mbtool.cli.talk import interruption_told, say
     from mbtool.core import UsageError
@@ -68,6 +68,9 @@ def convert(
     *paths, out = files
     if topic_per_point and PurePath(out).suffix.lower() != ".mcap":
         raise UsageError("--topic-per-point goes with a log: name the last FILE .mcap")
+    suffixes = (*sorted(CAPTURE_SUFFIXES), *OUTPUT_FORMATS)
+    if out != "-" and PurePath(out).suffix.lower() not in suffixes:
+        raise UsageError(f"{out}: its suffix names no format; let it end in {', '.join(suffixes)}")
     demand_other_file(paths, out)
     fits = None if where is None else condition(where)
     options = source.read(device, silences=silences)

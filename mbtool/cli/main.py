@@ -146,7 +146,9 @@ def _told(arguments: list[str]) -> int:
     except typer.Exit as end:
         return end.exit_code
     except typer.TyperException as error:
-        return _fail(_usage(error), exit_codes.USAGE)
+        commands = root.commands if isinstance(root, TyperGroup) else {}
+        path = ["mbtool", *(name for name in arguments[:1] if name in commands)]
+        return _fail(_usage(error, " ".join(path)), exit_codes.USAGE)
     except (InputError, LinkError, OutputError) as error:
         return _fail(str(error), exit_codes.UNREADABLE)
     except MbtoolError as error:
@@ -163,11 +165,11 @@ def _told(arguments: list[str]) -> int:
     return exit_codes.DONE
 
 
-def _usage(error: typer.TyperException) -> str:
+def _usage(error: typer.TyperException, command: str) -> str:
     """The message for a wrong command line; it names the --help that shows the right usage."""
     message = error.format_message().replace("Value error, ", "").rstrip(".")
     context = getattr(error, "ctx", None)
-    where = context.command_path if context is not None else "mbtool"
+    where = context.command_path if context is not None else command
     return f"{message}; see {where} --help"
 
 

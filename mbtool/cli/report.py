@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -16,6 +17,9 @@ from mbtool.cli.options import (
     SourceOptions,
     StartOption,
 )
+
+_OTHER_SUFFIXES = (".pdf", ".docx", ".odt", ".md", ".txt", ".csv", ".json", ".xml")
+"""Suffixes with which other programs would take the page for something else."""
 
 
 @takes_groups
@@ -86,6 +90,9 @@ def report(
         raise UsageError("--against compares whole captures; cut a part with mbtool convert first")
     demand_other_file([*files, *([] if against is None else [against])], output)
     path = named_file(output)
+    if path is not None and Path(path).suffix.lower() in _OTHER_SUFFIXES:
+        page = Path(path).with_suffix(".html")
+        raise UsageError(f"{path}: the page is HTML: write -o {page}; a browser makes a PDF of it")
     run = ReportRun(
         files,
         source.read(device, raw=raw, silences=silences),

@@ -99,6 +99,16 @@ def redrawn_line(wipe: Callable[[], None]) -> Iterator[None]:
         _wipes.remove(wipe)
 
 
+def _end_line_of_echo() -> None:
+    """Let what follows begin in a new line of the terminal, not behind the `^C` it has echoed.
+
+    Where a line is redrawn in place, its erasing removes the `^C` as well.
+    """
+    with suppress(OSError, ValueError, AttributeError):
+        if sys.stderr.isatty() and not _wipes and _has_room(0.0):
+            os.write(sys.stderr.fileno(), b"\n")
+
+
 class Interrupt:
     """The user's wish to stop the command, given by a signal (Ctrl-C, SIGTERM or SIGHUP)."""
 
@@ -116,8 +126,10 @@ class Interrupt:
         """Wait for a signal, at most `timeout_s` seconds. True if a signal has come."""
         return self.asked or self._woken.acquire(timeout=timeout_s)
 
-    def ask(self, _signal: int, _frame: FrameType | None) -> None:
+    def ask(self, number: int, _frame: FrameType | None) -> None:
         """Signal handler: note the first signal; on the second one, end the program at once."""
+        if number == signal.SIGINT and not self.asked:
+            _end_line_of_echo()
         if self.asked or self._at_once:
             raise KeyboardInterrupt
         self.asked = True

@@ -98,7 +98,7 @@ def explain(port: str, format_: SerialFormat, error: Exception) -> LinkError:
     if isinstance(error, ValueError | OverflowError) or number == errno.EINVAL:
         problem = f"its driver does not do {format_}; are baud rate and character format right?"
     elif number in (errno.ENOENT, errno.ENXIO, errno.ENODEV) or "FileNotFoundError" in text:
-        problem = f"is not there; {_ports_here()}"
+        problem = f"is not there; {_line_hint(port)}{_ports_here()}"
     elif number in (errno.ENOTTY, errno.EISDIR):
         problem = f"is not a serial port; {_ports_here()}"
     elif number == errno.EIO:
@@ -121,6 +121,13 @@ def _error_number(error: Exception) -> int | None:
         if one is not None and one.args and isinstance(one.args[0], int):
             return one.args[0]
     return None
+
+
+def _line_hint(port: str) -> str:
+    """For the path of a port outside /dev: which command makes one."""
+    if sys.platform == "win32" or port.startswith("/dev/"):
+        return ""
+    return f"an end of a virtual line is there while mbtool line {port} runs; "
 
 
 def _ports_here() -> str:

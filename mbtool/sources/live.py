@@ -48,9 +48,10 @@ def live_source(
         case AutoLink():
             raise UsageError(f"link {link}: its settings are to be found first (guess_line)")
         case TcpLink():
+            free = 1503 if link.endpoint.port == 1502 else 1502
             raise UsageError(
                 f"link {link}: an endpoint cannot be listened to; put a tap before it "
-                f"(tap:127.0.0.1:1502={link.endpoint}) or capture its interface (net:eth0)"
+                f"(tap:127.0.0.1:{free}={link.endpoint}) or capture its interface (net:eth0)"
             )
 
 

@@ -47,7 +47,7 @@ _FOR = {
     "cluster": "decode --cluster",
     "plot": "pictures of mbtool plot",
     "pytest": "fixtures for tests",
-    "tls": "the role in TLS certificates",
+    "tls": "role from TLS certificates",
     "yaml": "devices import --home-assistant",
 }
 

@@ -219,7 +219,7 @@ def junit(report: Report) -> str:
     cases = [
         Case(
             f"unit {one.unit}",
-            f"{one.what} {one.reference}",
+            _case_name(one),
             [*_counted(one), *one.problems],
             time_ns=one.time_ns,
         )
@@ -233,6 +233,13 @@ def junit(report: Report) -> str:
     if report.problem is not None:
         cases.append(Case("link", report.link, error=report.problem))
     return junit_xml(report.recording, cases)
+
+
+def _case_name(request: RequestReport) -> str:
+    """Function and addresses, such as `03 read holding 0..1`; the table is named once."""
+    action, _, table = request.what.rpartition(" ")
+    is_named_twice = request.reference.startswith(f"{table} ")
+    return f"{action if is_named_twice else request.what} {request.reference}"
 
 
 def _counted(request: RequestReport) -> list[str]:

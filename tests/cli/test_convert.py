@@ -70,7 +70,10 @@ def test_what_is_left_of_a_cut_log_is_converted_and_the_exit_code_is_3(
         (["-", "x.pcapng"], "reads a file twice"),
         ([LINE, LINE, "x.pcapng"], "named twice"),
         ([LINE, LINE], "is an input"),
-        ([LINE, "x.docx"], "its suffix names no format"),
+        (
+            [LINE, "x.docx"],
+            "its suffix names no format; let it end in .mcap, .pcap, .pcapng, .jsonl",
+        ),
         ([LINE, "x.pcap"], "name it x.pcapng"),
         ([LINE, "x.pcapng", "--events", "all"], "--events goes with .jsonl"),
         ([LINE, "x.pcapng", "--link", "rtu@19200-8E1"], "--link is not for a log"),

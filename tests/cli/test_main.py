@@ -108,6 +108,10 @@ def test_help_has_every_option_of_the_readme(mbtool: CommandLine) -> None:
         (["nonsense"], "No such command 'nonsense'; see mbtool --help"),
         (["--nonsense"], "No such option: --nonsense; see mbtool --help"),
         (["decode"], "Missing argument 'FILE'; see mbtool decode --help"),
+        (
+            ["devices", "--match"],
+            "Option '--match' requires an argument; see mbtool devices --help",
+        ),
         (["slave", "fa3-at1m8x"], "Missing option '--on'; see mbtool slave --help"),
         (["decode", "a", "--format", "xml"], "'xml' is not one of 'table', 'jsonl', 'csv'"),
         (["decode", "a", "--limit", "0"], "'0' is not at least 1; see mbtool decode"),
@@ -128,6 +132,7 @@ def test_help_has_every_option_of_the_readme(mbtool: CommandLine) -> None:
         (["decode", "a", "--follow", "--raw"], "--follow goes with one log, and not with --raw"),
         (["decode", "-", "--follow"], "--follow reads a log on disk, not standard input"),
         (["sniff", "usb0"], "link 'usb0': write rtu:PORT@19200-8E1, "),
+        (["sniff", "tcp:[::1]:1502"], "before it (tap:127.0.0.1:1503=[::1]:1502) or capture"),
         (["sniff", "usb0"], "net:INTERFACE or tap:LISTEN=TARGET\n"),
         (
             ["slave", "fa3-at1m8x", "--on", "usb0"],

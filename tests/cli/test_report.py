@@ -22,6 +22,13 @@ def test_the_page_is_written_and_said(mbtool: CommandLine, tmp_path: Path) -> No
     assert Page(out.read_text()).document["stats"]["transactions"] == 11
 
 
+def test_a_page_is_not_written_as_if_it_were_a_pdf(mbtool: CommandLine, tmp_path: Path) -> None:
+    told = mbtool("report", LINE, "-o", tmp_path / "r.pdf")
+    assert told.code == exit_codes.USAGE
+    assert f"the page is HTML: write -o {tmp_path / 'r.html'}; a browser" in told.err
+    assert not list(tmp_path.iterdir())
+
+
 def test_the_page_can_go_to_standard_output(mbtool: CommandLine) -> None:
     told = mbtool("report", LINE, "-o", "-")
     assert (told.code, told.err) == (exit_codes.DONE, "")

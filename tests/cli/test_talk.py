@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 import threading
@@ -23,6 +24,25 @@ if TYPE_CHECKING:
     from types import FrameType
 
     from _typeshed import TraceFunction
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no pseudo-terminals on Windows")
+@pytest.mark.parametrize(
+    ("number", "shown"), [(signal.SIGINT, b"\r\nend"), (signal.SIGTERM, b"end")]
+)
+def test_what_is_said_after_ctrl_c_begins_in_a_new_line_of_the_terminal(
+    monkeypatch: pytest.MonkeyPatch, number: int, shown: bytes
+) -> None:
+    ours, theirs = os.openpty()
+    with open(theirs, "w", encoding="utf-8") as terminal:
+        monkeypatch.setattr(sys, "stderr", terminal)
+        Interrupt().ask(number, None)
+        say("end")
+        got = b""
+        while not got.endswith(b"end\r\n"):
+            got += os.read(ours, 100)
+    os.close(ours)
+    assert got == shown + b"\r\n"
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

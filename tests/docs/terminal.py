@@ -92,9 +92,11 @@ class Running:
             pass
 
     def interrupt(self) -> None:
-        """Send what Ctrl-C sends, and read to the end."""
+        """Send what Ctrl-C sends, and read to the end; the `^C` of the page ends its own line."""
+        begun = len(self.output)
         self._send(signal.SIGINT)
         self.read_until()
+        self.output = self.output[:begun] + self.output[begun:].removeprefix("\n")
 
     def _send(self, number: int) -> None:
         os.killpg(self._process, number)

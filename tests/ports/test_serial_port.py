@@ -55,6 +55,12 @@ def test_an_absent_port_is_named_with_those_that_are_there(open_: Opening) -> No
         open_("/dev/tty-no", EVEN)
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="no virtual lines on Windows")
+def test_an_absent_port_outside_dev_names_the_command_that_lays_a_line() -> None:
+    with pytest.raises(LinkError, match=r"is not there; .* while mbtool line \./usb runs; .*here"):
+        open_listening("./usb", EVEN)
+
+
 @each_way
 def test_a_file_is_no_serial_port(tmp_path: Path, open_: Opening) -> None:
     file = tmp_path / "notes.txt"

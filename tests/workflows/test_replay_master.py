@@ -84,7 +84,7 @@ def test_wrong_answers_are_told_in_json_and_as_junit(capture: Path) -> None:
     assert (root.get("tests"), root.get("failures")) == ("2", "2")
     failures = {case.get("name"): case.findtext("failure") for case in root}
     assert failures == {
-        f"03 read holding {SAME}": "3 of 3 answers not as recorded; other values in holding 1",
+        f"03 read {SAME}": "3 of 3 answers not as recorded; other values in holding 1",
         "value of holding 1": "recorded 22136, answered 1",
     }
 
@@ -127,7 +127,7 @@ def test_junit_has_what_ci_servers_need_of_every_case(tmp_path: Path) -> None:
     suite = ElementTree.fromstring(junit(report))
     demand_junit(suite)
     assert sorted((case.get("classname"), case.get("name")) for case in suite) == [
-        ("unit 1", "03 read holding holding 0..1"),
+        ("unit 1", "03 read holding 0..1"),
         ("unit 1", "06 write register holding 16"),
         ("unit 1", "07 read exc status 07"),
         ("unit 1", "08 diagnostics 08 00 00 00 01"),
