@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, TextIO
 
 from mbtool.cli.options import Format
 from mbtool.core import WireEvent
-from mbtool.core.extras import missing_extra
 from mbtool.logs import CsvWriter, csv_line, event_to_jsonl, transaction_to_jsonl
 
 if TYPE_CHECKING:
@@ -154,4 +153,6 @@ def demand_columns(what: str = "--format parquet", extra: str = "columns") -> No
     The error says that `what` needs `extra`.
     """
     if any(find_spec(name) is None for name in ("numpy", "pyarrow")):
+        from mbtool.core.extras import missing_extra
+
         raise missing_extra(what, extra)
