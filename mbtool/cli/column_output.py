@@ -11,7 +11,7 @@ from mbtool.cli.options import Format
 from mbtool.core import LinkError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Sequence
 
     from mbtool.cli.output import RecordOutput
     from mbtool.cli.talk import Interrupt
@@ -45,20 +45,33 @@ def cores() -> int:
 def print_columns(
     columns: ColumnReading, out: RecordOutput, note: Note, interrupt: Interrupt, jobs: int
 ) -> None:
-    """Print all transactions, those of many packets at once."""
+    """Print all transactions, those of many packets at once.
+
+    `note` gets all that may be worth a remark: events, transactions that are decoded one by one or
+    have an unusual form, and those that may tell SunSpec models.
+    """
+    from mbtool.columns.sunspec_rows import SunSpecReads
+
+    sunspec = SunSpecReads()
+
+    def note_block(block: DecodedBlock) -> None:
+        for record in sunspec.records(block):
+            note(record)
+
+    columns.on_block = note_block
     with out.told_as_lost(), ExitStack() as ended:
         processes = _processes(out, jobs)
         if processes is not None:
             _print_apart(columns, out, note, interrupt, ended.enter_context(processes))
         elif out.takes_tables:
             for batch in interrupt.breakable(columns.batches()):
-                for record in batch.records:
+                for record in batch.made:
                     note(record)
                 out.add_table(batch.table)
         else:
             printer = out.lines
             for lines in interrupt.breakable(columns.lines(printer.line_of, printer.separator)):
-                for record in lines.records:
+                for record in lines.made:
                     note(record)
                 out.add_lines(lines)
 
@@ -86,16 +99,9 @@ def _print_apart(
     processes: BlockProcesses,
 ) -> None:
     """Let other processes print what this one decodes."""
-
-    def blocks() -> Iterator[DecodedBlock]:
-        for block in columns.decoded():
-            for _, record in block.sorted_records():
-                note(record)
-            yield block
-
     is_table = out.takes_tables
     try:
-        for printed in interrupt.breakable(processes.printed(blocks())):
+        for printed in interrupt.breakable(processes.printed(columns.decoded())):
             for record in printed.made:
                 note(record)
             if not is_table:

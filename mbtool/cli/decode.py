@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import stat
 import sys
@@ -116,7 +117,6 @@ def decode(
     from mbtool.core import UsageError, WireEvent
     from mbtool.workflows.shared.log_records import followed
     from mbtool.workflows.shared.model_hints import ModelHints
-    from mbtool.workflows.shared.reading import Reading
     from mbtool.workflows.shared.time_window import TimeWindow
     from mbtool.workflows.shared.unreadable_lines import UnreadableLines
 
@@ -144,7 +144,7 @@ def decode(
         options = with_sunspec(files, options, SunSpecFolder(sunspec), say)
     is_whole = where is None and window.is_whole and limit is None and sort is None and not follow
     columns = _columns(files, options, format_, output, events) if is_whole else None
-    reading = columns or Reading(files, options)
+    reading = columns or _reading(files, options, output, is_cut=limit is not None or follow)
     hints = ModelHints(reading.profile_for)
     with (
         _with_remarks(reading, hints, window),
@@ -221,9 +221,28 @@ def _columns(
             demand_columns()
             return column_reading(files, options)
         case Format.JSONL | Format.CSV if events in (None, EventChoice.NONE):
-            is_shown = output is None and sys.stdout is not None and sys.stdout.isatty()
-            return None if is_shown else column_reading(files, options, at_least=_WORTH_BYTES)
+            return column_reading(files, options, at_least=_worth_bytes(output))
     return None
+
+
+def _reading(
+    files: list[str], options: ReadingOptions, output: str | None, *, is_cut: bool
+) -> Reading:
+    """A pass over the files that gives the records one by one, decoded as arrays where possible.
+
+    `is_cut` is True if files may not be read to their end.
+    """
+    from mbtool.workflows.shared.reading import Reading
+    from mbtool.workflows.shared.reading_choice import column_reading
+
+    columns = None if is_cut else column_reading(files, options, at_least=_worth_bytes(output))
+    return columns or Reading(files, options)
+
+
+def _worth_bytes(output: str | None) -> float:
+    """The size from which files are read as arrays: none for rows that someone waits for."""
+    is_shown = output is None and sys.stdout is not None and sys.stdout.isatty()
+    return math.inf if is_shown else _WORTH_BYTES
 
 
 @contextmanager

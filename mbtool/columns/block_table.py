@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,6 +13,7 @@ from mbtool.columns.plain_table import PlainTables
 from mbtool.columns.row_table import row_table
 from mbtool.core import WireEvent
 from mbtool.decode.decoder import Record
+from mbtool.devices import NamedTransaction
 
 if TYPE_CHECKING:
     from mbtool.columns.column_decoder import DecodedBlock
@@ -27,6 +28,8 @@ class TransactionBatch:
     records: list[Record]
     """The events, in order, without the begins and ends of connections that were passed; and the
     transactions decoded one by one, which the table has too."""
+    made: list[NamedTransaction] = field(default_factory=list)
+    """The transactions of unusual form, of those read as arrays; `records` has them, too."""
 
 
 class BlockTables:
@@ -46,4 +49,4 @@ class BlockTables:
             order = np.concatenate([order_of(decoded.plain.response), places])
             both = pa.concat_tables([plain, row_table(rows)])
             plain = both.take(pa.array(np.argsort(order, kind="stable")))
-        return TransactionBatch(plain, [*(one for _, one in records), *made])
+        return TransactionBatch(plain, [*(one for _, one in records), *made], made)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import secrets
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -23,7 +23,7 @@ from mbtool.columns.plain_transactions import plain_transaction
 from mbtool.columns.usual_values import UsualValues
 from mbtool.core import WireEvent
 from mbtool.decode.decoder import Record
-from mbtool.devices import Namer
+from mbtool.devices import NamedTransaction, Namer
 from mbtool.modbus.transaction import Outcome
 
 if TYPE_CHECKING:
@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from mbtool.columns.column_decoder import DecodedBlock
     from mbtool.columns.plain_rows import PlainRows
     from mbtool.columns.usual_values import ValueLists
-    from mbtool.devices import NamedTransaction
 
 MAX_LINES = 65_536
 
@@ -62,6 +61,8 @@ class LineBatch:
     records: list[Record]
     """The events, in order, without the begins and ends of connections that were passed; and the
     transactions decoded one by one."""
+    made: list[NamedTransaction] = field(default_factory=list)
+    """The transactions of unusual form, of those read as arrays; `records` has them, too."""
 
 
 class BlockLines:
@@ -103,7 +104,7 @@ class BlockLines:
         lines += [self._line_of(one) for one in unusual] + usual_lines
         places = np.concatenate([np.array(order, np.int64), places[others], places[chosen]])
         ordered = [lines[one] for one in np.argsort(places, kind="stable").tolist()]
-        return LineBatch("".join(ordered), outcomes, [*made, *unusual])
+        return LineBatch("".join(ordered), outcomes, [*made, *unusual], unusual)
 
     def _named(self, rows: PlainRows, index: int) -> NamedTransaction:
         return self._namer.name(plain_transaction(rows, index))

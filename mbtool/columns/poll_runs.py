@@ -48,6 +48,7 @@ class PollRuns:
     def parts(self, decoded: DecodedBlock) -> Iterator[Record | AnsweredRun]:
         """The transactions and events of a block in order; those of usual form in runs."""
         records = decoded.sorted_records(with_passed=True)
+        self._sunspec.note(records)
         rows = decoded.plain
         if rows is None:
             yield from (record for _, record in records)

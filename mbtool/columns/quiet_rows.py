@@ -44,6 +44,7 @@ class QuietParts:
     def parts(self, decoded: DecodedBlock) -> Iterator[Record | QuietRows]:
         """The transactions and events of a block in order; many quiet ones together."""
         records = decoded.sorted_records(with_passed=True)
+        self._sunspec.note(records)
         rows = decoded.plain
         if rows is None:
             yield from (record for _, record in records)

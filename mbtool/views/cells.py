@@ -230,6 +230,9 @@ def values_text(values: Sequence[int], *, bits: bool = False, in_hex: bool = Fal
 
 
 def _folded(texts: Iterable[str]) -> list[str]:
+    texts = [*texts]
+    if len(set(texts)) > len(texts) - FOLDED + 1:  # Too few are equal.
+        return texts
     folded = []
     for text, run in groupby(texts):
         count = len(list(run))

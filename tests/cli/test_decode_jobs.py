@@ -16,6 +16,7 @@ from mbtool.core import LinkError
 from mbtool.sources.child import start_child
 from mbtool.workflows.shared import block_processes
 from tests.columns.disturbed_captures import disturbed
+from tests.columns.sunspec_capture import sunspec_capture
 
 if TYPE_CHECKING:
     import subprocess
@@ -63,7 +64,9 @@ def three_captures(folder: Path) -> list[Path]:
 def test_several_processes_print_what_one_prints(
     format_: str, mbtool: CommandLine, tmp_path: Path, started: list[subprocess.Popen[bytes]]
 ) -> None:
-    files = [*CAPTURES, *three_captures(tmp_path)]
+    meter = tmp_path / "meter.pcap"
+    meter.write_bytes(sunspec_capture(20))
+    files = [meter, *CAPTURES, *three_captures(tmp_path)]
 
     def printed(jobs: int) -> tuple[Said, object]:
         out = tmp_path / f"out.{format_}"
@@ -73,6 +76,7 @@ def test_several_processes_print_what_one_prints(
     alone, whole = printed(1)
     assert started == []
     assert printed(3) == (alone, whole)
+    assert "SunSpec models 1, 64900" in alone.err
     assert alone.code == 3
     assert len(started) == (1 if format_ == "parquet" else 2)
     assert all(one.returncode is not None for one in started)

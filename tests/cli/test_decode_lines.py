@@ -1,4 +1,4 @@
-"""decode --format jsonl and csv of large captures: read as arrays, and printed as without them."""
+"""decode of large captures: read as arrays, and printed as without them."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ from mbtool.cli import decode
 from mbtool.workflows.shared import reading_choice
 from mbtool.workflows.shared.column_reading import ColumnReading
 from tests.columns.disturbed_captures import disturbed
+from tests.columns.sunspec_capture import sunspec_capture
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from mbtool.columns.plain_lines import LineBatch
+    from mbtool.columns.column_decoder import DecodedBlock
     from tests.cli.program import CommandLine, Said
 
 OWN = Path(__file__).resolve().parents[2] / "captures"
@@ -26,14 +27,14 @@ CAPTURES = sorted(path for kind in ("pcap", "pcapng") for path in OWN.glob(f"*.{
 def in_arrays(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """Reads small files as arrays, too; a list with one entry for each block read so."""
     blocks: list[int] = []
-    lines = ColumnReading.lines
+    of_file = ColumnReading._file_blocks
 
-    def counted(self: ColumnReading, *arguments: object) -> Iterator[LineBatch]:
-        for batch in lines(self, *arguments):  # type: ignore[arg-type]
+    def counted(self: ColumnReading, path: str) -> Iterator[DecodedBlock]:
+        for block in of_file(self, path):
             blocks.append(1)
-            yield batch
+            yield block
 
-    monkeypatch.setattr(ColumnReading, "lines", counted)
+    monkeypatch.setattr(ColumnReading, "_file_blocks", counted)
     monkeypatch.setattr(decode, "_WORTH_BYTES", 0)
     return blocks
 
@@ -45,7 +46,7 @@ def row_by_row(mbtool: CommandLine, monkeypatch: pytest.MonkeyPatch, *arguments:
 
 
 @pytest.mark.parametrize("path", CAPTURES, ids=lambda one: one.name)
-@pytest.mark.parametrize("format_", ["jsonl", "csv"])
+@pytest.mark.parametrize("format_", ["jsonl", "csv", "table"])
 def test_the_captures_of_the_repository_are_printed_as_row_by_row(
     path: Path,
     format_: str,
@@ -57,7 +58,7 @@ def test_the_captures_of_the_repository_are_printed_as_row_by_row(
     assert mbtool(*arguments) == row_by_row(mbtool, monkeypatch, *arguments)
 
 
-@pytest.mark.parametrize("name", ["a.jsonl", "a.csv"])
+@pytest.mark.parametrize("name", ["a.jsonl", "a.csv", "a.txt"])
 @pytest.mark.parametrize("cut", [0, 5])
 def test_a_file_is_written_as_row_by_row(
     name: str,
@@ -81,8 +82,26 @@ def test_a_file_is_written_as_row_by_row(
 
 @pytest.mark.parametrize(
     "arguments",
-    [("--events", "all"), ("--limit", "3"), ("--where", "unit == 1"), ("--sort", "time")],
+    [("--events", "all"), ("--where", "unit == 1"), ("--sort", "time"), ("--start", "1970-01-02")],
 )
+@pytest.mark.parametrize("format_", ["jsonl", "table"])
+def test_rows_that_are_chosen_or_sorted_come_from_arrays_too(
+    arguments: tuple[str, ...],
+    format_: str,
+    mbtool: CommandLine,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    in_arrays: list[int],
+) -> None:
+    (tmp_path / "a.pcap").write_bytes(disturbed(5))
+    line = ("decode", tmp_path / "a.pcap", "--format", format_, *arguments)
+    rows = row_by_row(mbtool, monkeypatch, *line)
+    assert not in_arrays
+    assert mbtool(*line) == rows
+    assert in_arrays
+
+
+@pytest.mark.parametrize("arguments", [("--limit", "3"), ("--device", "all=fa3-at1m8x")])
 def test_what_arrays_cannot_give_is_read_row_by_row(
     arguments: tuple[str, ...], mbtool: CommandLine, tmp_path: Path, in_arrays: list[int]
 ) -> None:
@@ -140,3 +159,27 @@ def test_several_files_are_printed_as_row_by_row(
         assert mbtool(*arguments) == rows
         assert bool(in_arrays) is (len({*order}) == len(order))
         in_arrays.clear()
+
+
+@pytest.mark.parametrize("format_", ["jsonl", "csv", "parquet", "table"])
+@pytest.mark.parametrize("before", [0, 1, 20])
+def test_a_sunspec_device_is_told_as_row_by_row(
+    format_: str,
+    before: int,
+    mbtool: CommandLine,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    in_arrays: list[int],
+) -> None:
+    path = tmp_path / "meter.pcap"
+    path.write_bytes(sunspec_capture(before))
+    line = ("decode", path, "--format", "jsonl")
+    rows = row_by_row(mbtool, monkeypatch, *line)
+    assert "SunSpec models 1, 64900" in rows.err
+    in_arrays.clear()
+    output = tmp_path / f"out.{'txt' if format_ == 'table' else format_}"
+    remarks = [
+        one for one in mbtool("decode", path, "-o", output).err.splitlines() if "unit" in one
+    ]
+    assert in_arrays
+    assert remarks == [one for one in rows.err.splitlines() if "unit" in one]

@@ -8,10 +8,9 @@ from unittest.mock import patch
 import pytest
 
 from mbtool.columns import packet_block, quiet_rows
-from mbtool.core import Direction, InputError
+from mbtool.core import InputError
 from mbtool.devices.checking import checker
 from mbtool.devices.checking.checker import Checker
-from mbtool.modbus import encode_pdu
 from mbtool.workflows import check
 from mbtool.workflows.check import CheckRun, FileFinding
 from mbtool.workflows.shared.column_reading import ColumnReading
@@ -21,9 +20,7 @@ from mbtool.workflows.stats import FileStatistics
 from tests.benchmarks.file_workloads import clean, dirty, make_capture
 from tests.captures import public_folder
 from tests.columns.both_ways import generated
-from tests.columns.test_equality import poll
-from tests.devices.sunspec import BASE, registers
-from tests.packets.building import Talk, pcap
+from tests.columns.sunspec_capture import sunspec_capture
 
 if TYPE_CHECKING:
     import random
@@ -98,17 +95,10 @@ def test_the_findings_of_steady_polling_are_the_same_both_ways(
     assert sum(len(rows) for (_, rows), _ in taken.call_args_list) > 600
 
 
-def test_a_sunspec_device_is_told_both_ways(tmp_path: Path) -> None:
-    talk = Talk()
-    packets = talk.handshake()
-    words = [word for block in registers().values() for word in block] + [0] * 20
-    for turn in range(120):
-        at = turn % 3 * 20
-        request = encode_pdu(0x03, Direction.REQUEST, address=BASE + at, quantity=20)
-        response = encode_pdu(0x03, Direction.RESPONSE, values=tuple(words[at : at + 20]))
-        packets += poll(talk, 1, request, response)
+@pytest.mark.parametrize("before", [0, 1, 20])
+def test_a_sunspec_device_is_told_both_ways(tmp_path: Path, before: int) -> None:
     path = tmp_path / "meter.pcap"
-    path.write_bytes(pcap(packets))
+    path.write_bytes(sunspec_capture(before))
     assert demand_equal(path)
     ways = []
     for reading in (PartReading, ColumnReading):

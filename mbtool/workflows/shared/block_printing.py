@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from mbtool.columns.column_decoder import DecodedBlock
-    from mbtool.decode.decoder import Record
     from mbtool.devices import NamedTransaction
 
 PARQUET = "parquet"
@@ -87,7 +86,7 @@ class _ParquetBlocks:
     def print(self, block: DecodedBlock) -> PrintedBlock:
         batch = self._tables.batch(block)
         self._rows.write_table(batch.table)
-        return PrintedBlock(table_counts(batch.table), _made(batch.records, block))
+        return PrintedBlock(table_counts(batch.table), batch.made)
 
     def close(self) -> None:
         self._rows.close()
@@ -108,7 +107,7 @@ class _LineBlocks:
         outcomes: Counter[Outcome] = Counter(one.outcome for one in rows) + batch.outcomes
         ambiguous = sum(Verdict.AMBIGUOUS in one.verdicts for one in rows)
         counts = TransactionCounts(outcomes, ambiguous)
-        return PrintedBlock(counts, _made(batch.records, block), batch.text)
+        return PrintedBlock(counts, batch.made, batch.text)
 
     def close(self) -> None:
         pass
@@ -119,12 +118,6 @@ _LINES: dict[str, tuple[Callable[[NamedTransaction], str], str]] = {
     "csv": (csv_line, " "),
 }
 """By format, the line of a transaction, and the text between two values of a list."""
-
-
-def _made(records: list[Record], block: DecodedBlock) -> list[NamedTransaction]:
-    """The transactions that follow those of the block itself in the records of its batch."""
-    more = records[len(block.records) :]
-    return [one for one in more if not isinstance(one, WireEvent)]
 
 
 if __name__ == "__main__":

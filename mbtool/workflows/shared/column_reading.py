@@ -62,6 +62,8 @@ class ColumnReading(PartReading):
 
     def __init__(self, paths: Sequence[str], options: ReadingOptions) -> None:
         super().__init__(paths, options)
+        self.on_block: Callable[[DecodedBlock], None] | None = None
+        """Called with each block before its transactions are given, if not None."""
         self._heard_here: HeardLine | None = None
         """The check of the baud rate of the current file, if it has bytes of a serial line."""
 
@@ -189,6 +191,8 @@ class ColumnReading(PartReading):
                     self._heard_here.note(piece)
 
     def _noted(self, block: DecodedBlock) -> DecodedBlock:
+        if self.on_block is not None:
+            self.on_block(block)
         events = sum(isinstance(record, WireEvent) for _, record in block.records)
         transactions = len(block.records) - events
         # Transactions that were read as arrays are in connections whose OPENED event came before.

@@ -36,7 +36,7 @@ def part_reading(
 
 
 def column_reading(
-    paths: Sequence[str], options: ReadingOptions, *, at_least: int = 0
+    paths: Sequence[str], options: ReadingOptions, *, at_least: float = 0
 ) -> ColumnReading | None:
     """A pass over files as arrays; None if they cannot be read so.
 
