@@ -36,6 +36,7 @@ OTHERS = {
 _LINK = re.compile(r"(?<=\]\()(?P<path>[^)#\s:]+)(?=[)#])")
 _LOADS = {"script": "src", "img": "src", "iframe": "src", "source": "src"}
 _BOX = re.compile(r"<pre(?=[^>]*>(?:<span></span>)?<code)")
+_NAME = re.compile(r"<code>(?=[^<\s]{1,24}</code>)")
 _ORDER = re.compile(r"^<!-- console: .*? -->\n", re.MULTILINE | re.DOTALL)
 
 
@@ -71,8 +72,10 @@ def build() -> None:
     command = [str(Path(sys.executable).with_name("zensical")), "build", "--strict", "--clean"]
     subprocess.run(command, cwd=ROOT, check=True, env={**os.environ, "NO_COLOR": "1"})
     for page in SITE.rglob("*.html"):
-        # Boxes wider than the page scroll, so the keyboard must reach them.
-        page.write_text(_BOX.sub(r'<pre tabindex="0"', page.read_text()))
+        # Boxes and tables wider than the page scroll, so the keyboard must reach them.
+        text = _BOX.sub(r'<pre tabindex="0"', page.read_text())
+        text = text.replace("<table>", '<table tabindex="0">')
+        page.write_text(_NAME.sub('<code class="name">', text))
 
 
 class _Document(HTMLParser):
