@@ -131,8 +131,8 @@ class Datagram:
     def add(self, fragment: Fragment) -> int:
         """Keep the new bytes of a fragment; return the number of pieces added."""
         start, end = fragment.start, fragment.end
-        known = self.pieces[-1][1] if self.pieces else 0
-        if self.total is None and fragment.last and end >= known:
+        is_behind = not self.pieces or end >= self.pieces[-1][1]
+        if self.total is None and fragment.last and is_behind:
             self.total = end
         elif (self.total is not None and end > self.total) or (fragment.last and end != self.total):
             self.overlap = Overlap.DIFFERENT  # Contradictory ends: the first one stays.
@@ -255,11 +255,10 @@ class Fragments:
 
 def find_fragment(data: bytes, at: int, original_length: int) -> Fragment | None:
     """Read the IP packet at an offset as a fragment; None if it is no fragment of TCP."""
-    found = None
-    if len(data) >= at + 20 and data[at] >> 4 == 4:
-        found = _read_ipv4(data, at, original_length)
-    elif len(data) >= at + 40 and data[at] >> 4 == 6:
-        found = _read_ipv6(data, at, original_length)
+    if len(data) < at + 20:
+        return None
+    reader = _READERS.get(data[at] >> 4)
+    found = None if reader is None else reader(data, at, original_length)
     if found is None:
         return None
     key, following, start, is_last, begin, end = found
@@ -293,6 +292,10 @@ def _read_ipv6(data: bytes, at: int, original_length: int) -> _Header | None:
     identification = int.from_bytes(data[begin + 4 : begin + 8], "big")
     key = (data[at + 8 : at + 24], data[at + 24 : at + 40], 0, identification)
     return key, following, offset & 0xFFF8, not offset & 1, begin + 8, end
+
+
+_READERS = {4: _read_ipv4, 6: _read_ipv6}
+"""The functions that read the headers of a fragment, by the version of IP."""
 
 
 def fragment_events(

@@ -151,8 +151,8 @@ def test_foreign_protocol_is_one_event_and_the_splitter_stays_in_step() -> None:
 def test_adu_that_never_ends_comes_out_as_skipped() -> None:
     events = every_way(requests, READ_HOLDING_REQUEST + WRITE_COIL_REQUEST[:-1])
     assert pdus(events) == [READ]
-    assert [(one.reason, one.raw) for one in skipped(events)] == [
-        ("an ADU that never ends", WRITE_COIL_REQUEST[:-1])
+    assert [(one.kind, one.reason, one.raw) for one in skipped(events)] == [
+        (EventKind.SKIPPED, "an ADU that never ends", WRITE_COIL_REQUEST[:-1])
     ]
 
 

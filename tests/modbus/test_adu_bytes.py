@@ -17,6 +17,13 @@ def test_check_values_are_the_published_ones() -> None:
     assert lrc(bytes.fromhex("02 01 0064 0001")) == 0x98
 
 
+def test_the_lrc_makes_the_sum_of_all_bytes_0() -> None:
+    for byte in range(256):
+        for data in (bytes([byte]), bytes([byte, 0xFF, 0x80]), b"\xff" * byte):
+            assert 0 <= lrc(data) <= 0xFF
+            assert (sum(data) + lrc(data)) % 256 == 0
+
+
 def test_each_transport_makes_its_own_adu() -> None:
     assert rtu_adu(0x11, READ) == bytes.fromhex("11 03 006B 0003 7687")
     assert ascii_adu(0x11, READ) == b":1103006B00037E\r\n"

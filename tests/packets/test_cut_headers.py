@@ -51,6 +51,13 @@ def test_a_packet_cut_at_any_byte_gives_a_prefix_of_its_bytes(whole: Packet) -> 
             assert expected.startswith(f">{kept}"), length
 
 
+@pytest.mark.parametrize("whole", _PACKETS.values(), ids=_PACKETS)
+def test_a_packet_that_was_short_on_the_wire_is_not_told_as_cut(whole: Packet) -> None:
+    for length in range(len(whole.data) + 1):
+        events = wire_events(run_packets([packet(whole.data[:length])]))
+        assert EventKind.CUT not in {one.kind for one in events}, length
+
+
 @pytest.mark.parametrize(("kept", "is_read"), [(13, False), (14, True)])
 def test_fourteen_bytes_of_the_tcp_header_are_enough_to_know_what_is_missing(
     kept: int, is_read: bool

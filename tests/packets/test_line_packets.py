@@ -79,6 +79,12 @@ def test_the_checksum_of_the_ip_header_holds(number: int, size: int) -> None:
     assert struct.unpack(">H", packet[4:6]) == (number & 0xFFFF,)
 
 
+def test_the_checksum_holds_for_every_number_of_a_packet() -> None:
+    for number in range(0x10000):
+        header = line_datagram(LineEnds.of(1, 1), number, b"", is_request=True)[:20]
+        assert int.from_bytes(header) % 0xFFFF == 0, number  # A sum of words with its carries.
+
+
 def test_packets_in_pcap_come_back_as_they_were() -> None:
     packets = [_packet(number, link="if0") for number in range(5)]
     stream = io.BytesIO()
