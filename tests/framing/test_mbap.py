@@ -385,6 +385,7 @@ def _in_step(*segments: bytes) -> list[str]:
 
 
 _LONG_START = bytes.fromhex("0001 0000 012C 11 5A")  # claims 306 bytes, of an unknown function
+_IDENTIFYING_START = bytes.fromhex("0001 0000 012C 11 2B 0D")
 _KNOWN_START = bytes.fromhex("0001 0000 012C 11 03")
 
 
@@ -404,6 +405,7 @@ _KNOWN_START = bytes.fromhex("0001 0000 012C 11 03")
         ([_KNOWN_START + READ_HOLDING_REQUEST[:11]], []),
         ([_KNOWN_START + UNKNOWN], []),
         ([_KNOWN_START, UNKNOWN], ["skipped", "adu"]),
+        ([_IDENTIFYING_START + READ_HOLDING_REQUEST], ["skipped", "adu"]),
         # Its PDU has not the form of its function, so it refutes nothing.
         ([_KNOWN_START, mbap_adu(2, 0x11, bytes.fromhex("03 006B"))], []),
         ([_LONG_START, mbap_adu(2, 0x11, bytes.fromhex("03 006B"))], []),
@@ -416,6 +418,12 @@ def test_a_long_adu_is_awaited_until_another_refutes_it(
     if not events:  # It is whole when all its bytes have come.
         rest = 306 - len(b"".join(segments))
         assert _in_step(*segments, b"\xff" * rest) == ["adu"]
+
+
+def test_a_header_one_byte_behind_a_false_one_refutes_a_long_adu() -> None:
+    # From its byte -1 on, the second ADU looks like one of length 2.
+    start = bytes.fromhex("0001 0000 05AE 11 5A")
+    assert _in_step(start, mbap_adu(0x0100, 0, b"\x5a" + b"\xff" * 0x203)) == ["skipped", "adu"]
 
 
 @pytest.mark.parametrize("length", [0, 1, 2, 3, 254, 255, 256, 1453, 1454, 1455, 0xFFFF])

@@ -48,6 +48,8 @@ def test_file_groups_are_kept_and_their_faults_named(
     [
         ("00", (), None),
         ("01 00 02 4142", ((0, b"AB"),), None),
+        ("01 00", (), "its objects do not fill it"),
+        ("01 00 00", ((0, b""),), None),
         ("01 00 02 41", (), "its objects do not fill it"),
         ("02 00 02 4142", ((0, b"AB"),), "its objects do not fill it"),
         ("01 00 02 4142 00", ((0, b"AB"),), "its objects do not fill it"),

@@ -52,12 +52,12 @@ def test_a_pcap_file_has_a_header_and_a_record_for_each_packet() -> None:
     stream = io.BytesIO()
     writer = PcapWriter(stream, 228)
     writer.write(_packet(b"abc", 3_000_000_007))
-    writer.write(_packet(b"", (2**32 + 5) * 1_000_000_000))
+    writer.write(_packet(b"", 0x1_FEDC_BA98 * 1_000_000_000))
     # Times in ns, version 2.4, zone, accuracy, snaplen 256 KiB, link type 228.
     assert stream.getvalue() == bytes.fromhex(
         "4d3cb2a1 0200 0400 00000000 00000000 00000400 e4000000"
         "03000000 07000000 03000000 dc050000 616263"
-        "05000000 00000000 00000000 dc050000"
+        "98badcfe 00000000 00000000 dc050000"
     )
 
 

@@ -217,8 +217,8 @@ def test_bytes_of_a_line_get_the_header_of_rtac_serial() -> None:
     assert rtac_packet(7_000_008_999, b"abc", by_master=True) == (
         bytes.fromhex("00000007 00000008 01 00 0000") + b"abc"
     )
-    late = (2**32 + 5) * 1_000_000_000 + 999_999_999
-    assert rtac_packet(late, b"", by_master=False) == bytes.fromhex("00000005 000f423f 02 00 0000")
+    late = 0x1_FEDC_BA98 * 1_000_000_000 + 999_999_999
+    assert rtac_packet(late, b"", by_master=False) == bytes.fromhex("fedcba98 000f423f 02 00 0000")
 
 
 def _take(*takes: tuple[bytes, list[tuple[int, int]], bool]) -> list[list[tuple[int, bytes]]]:
@@ -308,3 +308,30 @@ def test_a_packet_without_a_mark_is_given_as_it_is() -> None:
     writer.write_block(LOCAL_BLOCK, msgspec.json.encode(CaptureHead()))
     writer.write(_packet(3))
     assert [*reads_of(_read(stream.getvalue()))] == [_packet(3)]
+
+
+def test_each_head_is_given_and_the_reads_stay_open_over_it() -> None:
+    stream = io.BytesIO()
+    writer = PcapngWriter(stream)
+    given = [
+        CaptureHead(links={"a": {"link": "rtu@19200-8E1"}}, devices={"a:1": "fa3"}),
+        CaptureHead(capture={"tool": "x"}, profiles={"fa3": b"{}"}),
+    ]
+    marks = [WireReads(reads=[(2, 5)], is_open=True), WireReads(reads=[(1, 5)])]
+    for head, mark in zip(given, marks, strict=True):
+        writer.write_block(LOCAL_BLOCK, msgspec.json.encode(head))
+        packet = Packet(
+            ts_ns=0, link="a", link_type=250, data=bytes(12) + b"ab", original_length=14
+        )
+        writer.write(packet, local={LOCAL_OPTION: msgspec.json.encode(mark)})
+    stream.seek(0)
+    heads: list[CaptureHead] = []
+    packets = [*read_capture(stream, "x", heads.append)]
+    assert heads == given
+    assert [one.data for one in reads_of(packets) if isinstance(one, Chunk)] == [b"aba"]
+
+
+def test_reads_of_a_section_do_not_need_a_head_of_their_own() -> None:
+    mark = WireReads(reads=[(1, 5)])
+    file = _line_file((250, bytes(12) + b"a", mark))
+    assert [one.data for one in _chunks(file + file)] == [b"a", b"a"]

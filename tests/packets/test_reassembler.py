@@ -346,6 +346,17 @@ def test_a_packet_that_lacks_a_fragment_is_one_event() -> None:
     assert event.message == "a packet of which fragments are missing"
 
 
+def test_a_packet_that_lacks_a_fragment_is_told_when_its_time_is_over() -> None:
+    reassembler = TcpReassembler()
+    first = in_fragments(Talk().request(b"never whole"), 24)[0]  # At 1 ms.
+    run_packets([first], reassembler, close=False)
+    assert reassembler.advance(1 * _MS + 9_999_999_999) == []
+    (event,) = wire_events(reassembler.advance(1 * _MS + 10_000_000_000))
+    assert (event.message, event.ts_ns) == (
+        "a packet of which fragments are missing", 1 * _MS + 10_000_000_000,
+    )  # fmt: skip
+
+
 def test_fragments_without_the_first_one_are_one_event_for_each_interface() -> None:
     talk = Talk()
     packets = [
