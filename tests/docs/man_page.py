@@ -22,6 +22,8 @@ _CODES = (
     ("3", "an input could not be read, a link not opened, or an output takes no more"),
     ("130", "interrupted"),
 )
+_UNWRAPPED = 10_000
+"""Columns of a usage line, which roff wraps by itself."""
 
 
 def man_page() -> str:
@@ -44,22 +46,29 @@ def man_page() -> str:
 def _commands(group: Any, names: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], Any]]:
     for name in group.commands:
         command = group.commands[name]
+        if command.hidden:
+            continue
         yield (*names, name), command
         if hasattr(command, "commands"):
             yield from _commands(command, (*names, name))
 
 
 def _command(names: tuple[str, ...], command: Any) -> Iterator[str]:
-    context = command.context_class(command, info_name=" ".join(names))
-    pieces = " ".join(command.collect_usage_pieces(context))
-    yield f".SS {_text(' '.join(names))}"
-    yield f".B {_text(' '.join(names))}\n{_text(pieces)}\n.PP\n{_text(command.help or '')}"
+    name = " ".join(names)
+    context = command.context_class(
+        command, info_name=name, terminal_width=_UNWRAPPED, max_content_width=_UNWRAPPED
+    )
+    yield f".SS {_text(name)}"
+    for line in command.get_usage(context).splitlines():
+        arguments = line.removeprefix("Usage: ").removeprefix(name)
+        yield f".B {_text(name)}\n{_text(arguments)}\n.br"
+    yield f".PP\n{_text(command.help or '')}"
     for param in command.get_params(context):
         record = param.get_help_record(context)
         if record is not None and "--help" not in record[0]:
             shown = re.sub(r" <.*>$", "", record[0]) if record[0][0] != "-" else record[0]
             yield f".TP\n.B {_text(shown)}\n{_text(record[1])}"
-    examples = examples_of(" ".join(names))
+    examples = examples_of(name)
     if examples is not None:
         yield ".PP\nExamples:\n.PP\n.nf"
         yield from (f"    {_text(line)}" for line in examples[1:] if line)

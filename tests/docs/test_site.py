@@ -12,6 +12,7 @@ import pytest
 
 from mbtool.version import __version__
 from tests.docs import pictures
+from tests.docs.man_page import man_page
 from tests.docs.site import OTHERS
 
 ROOT = Path(__file__).parents[2]
@@ -58,3 +59,11 @@ def test_no_picture_loads_anything() -> None:
     for path in pictures.FOLDER.glob("*.svg"):
         text = path.read_text().replace("http://www.w3.org/2000/svg", "")
         assert "http" not in text, path
+
+
+def test_the_manual_page_has_each_command_that_help_lists_as_it_is_typed() -> None:
+    page = man_page()
+    assert "\n.SS mbtool devices import\n" in page
+    assert "devices show" not in page
+    assert "\n.B mbtool devices\n[NAME]\n" in page
+    assert "\n    mbtool decode " in page
