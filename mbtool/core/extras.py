@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import sys
-from importlib import metadata
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -18,6 +17,8 @@ def missing_extra(what: str, extra: str) -> UsageError:
 
 def requirements(extra: str) -> list[str]:
     """The requirements of an extra, without the marks that name it."""
+    from importlib import metadata  # Loads the package email; no command needs it to run.
+
     try:
         lines = metadata.requires("mbtool") or []
     except metadata.PackageNotFoundError:

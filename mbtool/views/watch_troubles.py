@@ -17,10 +17,15 @@ if TYPE_CHECKING:
 FEW = 0.01
 """Failures of a smaller share of the requests, 1 %, and fewer than ENOUGH are not told."""
 ENOUGH = 3
+_MORE = " more: key 5"
+"""Follows the number of the slaves in trouble that the line has no room for."""
 
 
-def slave_trouble(row: WatchedSlaveRow) -> str:
-    """What is wrong with a slave, the worst first; empty for a slave that is well."""
+def slave_trouble(row: WatchedSlaveRow, *, is_short: bool = False) -> str:
+    """What is wrong with a slave, the worst first; empty for a slave that is well.
+
+    With `is_short`, a slow slave is not compared with the others.
+    """
     if row.answered_ns is None and row.missing:
         is_damaged = row.damaged * 2 > row.missing
         return "every answer has a wrong CRC" if is_damaged else "never answers"
@@ -36,7 +41,8 @@ def slave_trouble(row: WatchedSlaveRow) -> str:
         share = f"{percent(refused / row.asked)} {word}"
         parts.append("refuses every request" if row.exceptions == row.asked else share)
     if row.usual_ns is not None:
-        parts.append(f"slow, {in_ms(row.median_ns)} ms (others {in_ms(row.usual_ns)})")
+        others = "" if is_short else f" (others {in_ms(row.usual_ns)})"
+        parts.append(f"slow, {in_ms(row.median_ns)} ms{others}")
     return ", ".join(parts)
 
 
@@ -50,14 +56,24 @@ def trouble_line(rows: Sequence[WatchedSlaveRow], width: int) -> str:
     slow = sum(row.usual_ns is not None for row in rows)
     told = not are_many(slow, len(rows))
     sick = sorted((row for row in rows if _fails(row) or (told and row.usual_ns)), key=_weight)
+    line = _line(sick, network if len(links) > 1 else None, width, is_short=False)
+    if _MORE in line:
+        line = _line(sick, network if len(links) > 1 else None, width, is_short=True)
+    return line
+
+
+def _line(
+    sick: Sequence[WatchedSlaveRow], network: str | None, width: int, *, is_short: bool
+) -> str:
+    """As many as fit; `network` is left out of the names of links, None leaves out the links."""
     text = ""
     for at, row in enumerate(sick):
-        place = f" at {row.link.removeprefix(network)}" if len(links) > 1 else ""
-        trouble = slave_trouble(row)
+        place = "" if network is None else f" at {row.link.removeprefix(network)}"
+        trouble = slave_trouble(row, is_short=is_short)
         colon = ":" if trouble[:1].isdigit() else ""  # "unit 4 17 %" would be hard to read.
         part = f"{'; ' if text else ''}unit {row.unit}{place}{colon} {trouble}"
         left = len(sick) - at
-        more = f"; {left} more: key 5"
+        more = f"; {left}{_MORE}"
         room = width - len(text) - (len(more) if left > 1 else 0)
         if text and len(part) > room:
             return f"{text}{more}"

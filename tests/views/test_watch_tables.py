@@ -192,6 +192,7 @@ SICK = (
 def test_the_line_of_troubles_has_the_worst_first_and_what_fits() -> None:
     rows = slave_rows(board_of(*SICK))
     assert trouble_line(rows, 78) == "unit 2 never answers; unit 3 slow, 90.0 ms (others 5.0)"
+    assert trouble_line(rows, 45) == "unit 2 never answers; unit 3 slow, 90.0 ms"
     assert trouble_line(rows, 40) == "unit 2 never answers; 1 more: key 5"
     assert trouble_line(rows, 10) == "unit 2 never answers; 1 more: key 5"
 

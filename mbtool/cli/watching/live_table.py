@@ -24,8 +24,9 @@ if TYPE_CHECKING:
 
     from mbtool.views.watch_columns import FittedColumn
 
-_CURSOR = Style(bgcolor="grey30")
-"""The row of the cursor, with colours. It is not reversed, as values that changed are."""
+_CURSOR = Style(bgcolor="#0b2a55")
+"""The row of the cursor, with colours: dark, as errors are red, and not reversed, as values that
+changed are."""
 _REVERSED, _UPRIGHT = Style(reverse=True), Style(reverse=False)
 _WHEEL_ROWS = 3
 
