@@ -225,13 +225,18 @@ class Sniffer:
             self._tell_undecoded(self._recorder.dropped if self._recorder is not None else 0)
 
     def _leave(self, items: Sequence[Item]) -> None:
-        """Leave items undecoded. The log has the bytes and packets, and gets the events."""
+        """Leave items undecoded. The log has the bytes and packets, and gets the events.
+
+        The user is told of losses among them.
+        """
         self._is_complete = True
         left = 0
         for item in items:
             left += isinstance(item, Chunk | Packet)
-            if isinstance(item, WireEvent) and self._recorder is not None:
-                self._recorder.write(item)
+            if isinstance(item, WireEvent):
+                self._tell_event(item)
+                if self._recorder is not None:
+                    self._recorder.write(item)
         if self._recorder is not None:
             left += self._recorder.dropped
         self._tell_undecoded(left)

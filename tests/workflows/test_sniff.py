@@ -302,6 +302,26 @@ def test_a_caller_in_a_hurry_leaves_the_decoding_to_whoever_reads_the_log(
         assert log.capture["undecoded_pieces"] == "40"
 
 
+def test_a_loss_is_told_though_nothing_is_decoded_any_more(
+    bench: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("mbtool.workflows.sniff.HURRY_NS", -1)
+    told: list[str] = []
+    path = tmp_path / "a.mcap"
+    with _sniffer(bench.tap(), log=path, on_remark=told.append) as sniffer:
+        ask(sniffer, WRITE, count=20)
+        sniffer._inbox.put(
+            WireEvent(
+                ts_ns=1, link="net:a", kind=EventKind.DISCARDED, message="7 packets lost", packets=7
+            )
+        )
+        assert not list(sniffer.records(lambda _: True, lambda: True))
+    assert told[0] == "net:a: 7 packets lost"
+    with LogReader.open(path) as log:
+        assert [one.packets for one in log.items() if isinstance(one, WireEvent) and one.packets]
+        assert log.capture["discarded_packets"] == "7"
+
+
 def test_a_link_is_recorded_though_nobody_asks_for_records(bench: Bench, tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     with _sniffer(bench.tap(), log=path) as sniffer:
