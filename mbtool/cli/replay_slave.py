@@ -118,8 +118,8 @@ def _progress(each: Sequence[Progress], played: PlayedSite) -> Progress:
         return farthest
     counts = [slave.counts() for _, slave in played.played]
     asked = sum(one.total() for one in counts)
-    lacking = asked - sum(one[AnsweredFrom.RECORDED] for one in counts)
-    done = f"{asked:,} asked" + (f", {lacking:,} not recorded" if lacking else "")
+    recorded = sum(one[AnsweredFrom.RECORDED] for one in counts)
+    done = f"{asked:,} asked" + (f", {recorded:,} as recorded" if recorded < asked else "")
     return replace(farthest, done=done)
 
 

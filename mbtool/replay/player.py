@@ -190,7 +190,7 @@ class RecordedSlave:
             position_ns = self._clock.position(now_ns)
         done = f"{self.asked:,} asked"
         if self.missed:
-            done = f"{done}, {self.missed:,} not recorded"
+            done = f"{done}, {self.asked - self.missed:,} as recorded"
         return self._steering.progress(position_ns, done)
 
     def _moment(self, now_ns: int) -> Moment:

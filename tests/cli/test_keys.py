@@ -153,7 +153,7 @@ def test_the_line_says_where_it_is(changes: dict[str, object], begins: str) -> N
 def test_the_line_fits_80_columns() -> None:
     usual = progress_line(_progress(), 79)
     assert usual == "playing  0:12.3 of 1:01:40.0  x1  7 asked   keys: space s + - q"
-    done = "12,345 asked, 1,234 not recorded"
+    done = "12,345 asked, 11,111 as recorded"
     long = progress_line(_progress(position_ns=3_700 * 10**9, rate=Fraction(1, 64), done=done), 79)
     assert long == f"playing  1:01:40.0 of 1:01:40.0  x0.0156  {done}"
     assert len(long) <= 79

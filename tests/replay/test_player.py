@@ -563,7 +563,7 @@ def test_requests_that_are_not_in_the_recording_are_counted() -> None:
     for request in ("03 0000 0002", READ, READ):
         _ask(slave, request)
     assert (slave.asked, slave.missed) == (3, 2)
-    assert slave.progress(0).done == "3 asked, 2 not recorded"
+    assert slave.progress(0).done == "3 asked, 1 as recorded"
 
 
 # Properties ------------------------------------------------------------------------------------
