@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import io
 import json
-import re
-import shlex
 import sys
-import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -161,16 +158,6 @@ def test_import_tells_what_is_wrong_with_a_column_that_is_named(
     assert (told.code, told.out) == (exit_codes.USAGE, "")
     assert why in told.err
     assert len(told.err.splitlines()) == 1
-
-
-def test_the_example_of_the_page_prints_what_the_page_says(mbtool: CommandLine) -> None:
-    page = (CAPTURES.parent / "docs" / "devices.md").read_text(encoding="utf-8")
-    blocks = [textwrap.dedent(one) for one in re.findall(r"(?:^    .+\n)+", page, re.MULTILINE)]
-    at = next(at for at, one in enumerate(blocks) if one.startswith("Modbus-Adresse;"))
-    listed, command, told, refused = (one.rstrip("\n") for one in blocks[at : at + 4])
-    Path("list.csv").write_text(f"{listed}\n", encoding="utf-8")
-    assert mbtool("devices", "import", "list.csv").err.rstrip("\n") == refused
-    assert mbtool(*shlex.split(command)[1:]).err.rstrip("\n") == told
 
 
 def test_import_of_nothing_is_told(mbtool: CommandLine) -> None:

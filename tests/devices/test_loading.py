@@ -224,7 +224,7 @@ def test_texts_of_exceptions_are_inherited(tmp_path: Path) -> None:
 def test_example_of_the_documentation_reads_as_it_says_there(tmp_path: Path) -> None:
     page = (Path(__file__).resolve().parents[2] / "docs" / "devices.md").read_text(encoding="utf-8")
     part = page.partition("## A profile of your own")[2]
-    profile = _load(tmp_path, part.partition("```toml\n")[2].partition("```")[0])
+    profile = _load(tmp_path, part.partition('"pump.toml"\n')[2].partition("```")[0])
     namer = Namer(Assignments([Assignment(Who(), profile)]))
     floats = [word for value in (20.5, 21.25) for word in reversed(_words(">f", value))]
     told = [
@@ -236,8 +236,13 @@ def test_example_of_the_documentation_reads_as_it_says_there(tmp_path: Path) -> 
         )
     ]
     told.append(describe(namer.name(transaction(6, 10, quantity=1, request_values=[16000]))))
-    for line in told:
-        assert f"    {line}\n" in part
+    assert told == [
+        "D10..13 Speed: 1200.0 rpm; Oil temperature: 41.5 degC; State: running; "
+        "Alarms: pressure low, filter",
+        "D20..23 temperature: CH1 20.5 degC, CH2 21.25 degC",
+        "1000H..1007H Model: FP-7/2",
+        "D10 Speed: 1600.0 rpm",
+    ]
     assert profile.exception_name(0x11) == "value out of setting range"
 
 

@@ -324,10 +324,8 @@ def test_documentation_names_every_profile_and_key() -> None:
 
 def test_example_of_the_documentation_is_a_profile(tmp_path: Path) -> None:
     text = DOCUMENTATION.read_text(encoding="utf-8")
-    (tmp_path / "pump.toml").write_text(
-        text.partition("## A profile of your own")[2].partition("```toml\n")[2].partition("```")[0],
-        encoding="utf-8",
-    )
+    example = text.partition("## A profile of your own")[2].partition('"pump.toml"\n')[2]
+    (tmp_path / "pump.toml").write_text(example.partition("```")[0], encoding="utf-8")
     profile = load_profile(str(tmp_path / "pump.toml"))
     documented = [point.name for point in profile.points]
     assert documented[:4] == ["Speed", "Oil temperature", "State", "Alarms"]
