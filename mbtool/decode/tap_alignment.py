@@ -20,6 +20,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING
@@ -49,7 +50,7 @@ _UNSOLICITED_NS = MAX_ALIGNED * SKEW_NS
 _FIRST_UNSOLICITED_NS = SKEW_NS
 """Cost of a response without a request if it is the first of a capture: its request may have been
 sent before the capture."""
-_IMPOSSIBLE_NS = 1 << 60
+_IMPOSSIBLE_NS = sys.maxsize
 
 
 @dataclass(frozen=True, slots=True, eq=False)

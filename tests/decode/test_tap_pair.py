@@ -361,12 +361,15 @@ def test_ports_that_are_not_exchanged_are_left_alone_whatever_the_noise() -> Non
 
 
 @pytest.mark.parametrize(("misplaced", "events"), [(3, 0), (4, 1)])
+@pytest.mark.parametrize(
+    ("side", "pdu"), [(REQUEST, ANSWER), (RESPONSE, READ), (RESPONSE, b"\x07")]
+)
 def test_the_fourth_frame_of_the_other_side_tells_that_ports_are_exchanged(
-    misplaced: int, events: int
+    side: Direction, pdu: bytes, misplaced: int, events: int
 ) -> None:
     wires = Wires()
     for _ in range(misplaced):
-        wires.say(REQUEST, rtu_adu(5, ANSWER))
+        wires.say(side, rtu_adu(5, pdu))
     kinds = [event.kind for event in wire_events(wires.decoded())]
     assert kinds.count(EventKind.MISPLACED) == events
 
