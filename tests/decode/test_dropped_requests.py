@@ -7,11 +7,14 @@ from collections import Counter
 from typing import TYPE_CHECKING
 
 import pytest
+from msgspec.structs import replace
 
 from mbtool.core import Connection, Direction, Endpoint
 from mbtool.core.limits import MAX_OPEN_REQUESTS
 from mbtool.decode import ConnectionDecoder
+from mbtool.decode.dropped_requests import DroppedRequests
 from mbtool.modbus import Outcome, Transaction, Verdict, mbap_adu
+from tests.decode.test_pairing import asked, told
 from tests.modbus.reading import transactions
 
 if TYPE_CHECKING:
@@ -84,6 +87,42 @@ def test_a_slave_that_is_silent_for_long_is_told_as_silent_and_then_answers(sile
     demand_no_wrong_pair(done)
     assert Counter(one.outcome for one in done) == {Outcome.OK: 20, Outcome.NO_ANSWER: silent}
     assert not any(one.verdicts for one in done)
+
+
+def dropped(*keys: tuple[int, int], at_ns: int = 0) -> DroppedRequests:
+    """Requests that were dropped, by transaction id and unit."""
+    found = DroppedRequests()
+    for id_, unit in keys:
+        found.note(asked("03 0000 0001", 0, id_, unit), at_ns)
+    return found
+
+
+@pytest.mark.parametrize(("late_ns", "is_known"), [(0, True), (1, False)])
+def test_a_dropped_request_is_remembered_for_a_minute(late_ns: int, is_known: bool) -> None:
+    requests = dropped((3, 1), (3, 1), at_ns=5 * MS)
+    response = told("03 02 0001", 5 + 60_000, 3)
+    response = replace(response, start_ns=response.start_ns + late_ns)
+    assert requests.take_response(response) is is_known
+    assert requests.is_empty is not is_known
+
+
+def test_each_dropped_request_gets_one_response() -> None:
+    requests = dropped((3, 1), (3, 1), (4, 1))
+    for id_, unit, is_known in ((3, 2, False), (3, 1, True), (4, 1, True), (3, 1, True)):
+        assert not requests.is_empty
+        assert requests.take_response(told("03 02 0001", 5, id_, unit)) is is_known
+    assert requests.is_empty
+    assert not requests.take_response(told("03 02 0001", 5, 3))
+
+
+def test_dropped_requests_are_bounded_by_their_ids_and_units() -> None:
+    requests = dropped(*((id_, 1) for id_ in range(1 << 16)), (5, 1))
+    assert requests.take_response(told("03 02 0001", 5, 0))
+    requests = dropped(*((id_, 1) for id_ in range(1 << 16)), (0, 2))
+    # The oldest one made room.
+    assert not requests.take_response(told("03 02 0001", 5, 0))
+    assert requests.take_response(told("03 02 0001", 5, 1))
+    assert requests.take_response(told("03 02 0001", 5, 0, 2))
 
 
 def test_dropped_requests_are_forgotten_after_a_minute() -> None:

@@ -265,6 +265,22 @@ def test_behind_a_clock_that_is_set_back_each_side_still_waits_for_the_other() -
     assert [one.outcome for one in transactions(taps.close())] == ["ok"]
 
 
+def test_a_clock_that_is_set_back_makes_the_sides_as_new() -> None:
+    """What was learned of the delays of the adapters is forgotten, as the times are others."""
+    wires = Wires()
+    for _ in range(2):
+        wires.ask(after_ms=3).answer(after_ms=5, late_ms=45)
+    for value in range(6):
+        pause_ms = 3 if value else 1000
+        wires.ask(after_ms=pause_ms)
+        wires.answer(bytes([3, 2, 0, value]), after_ms=60, late_ms=45)
+    in_order = sorted(wires.reads, key=lambda read: read[2])
+    reads = stepped(replace(wires, reads=in_order), 4)
+    anew = told(feed(TapPair("a+b", FORMAT), reads[4:]))
+    assert told(feed(TapPair("a+b", FORMAT), reads))[2:] == anew
+    assert told(wires.decoded())[2:] != anew
+
+
 def test_silence_that_a_clock_set_back_tells_gives_out_what_waits() -> None:
     wires = Wires().ask().answer()
     taps = TapPair("a+b", FORMAT)
