@@ -104,17 +104,17 @@ FILE, PACKET = Origin("line.bin", 0), Origin("a.pcap", 7)
     ("origins", "expected"),
     [
         # In a file of bytes an ADU stands where its first byte does; the first read has 5 bytes.
-        ([FILE, FILE, FILE], FILE._replace(offset=1003)),
-        ([FILE, None, None], FILE._replace(offset=1003)),
+        ([FILE, FILE, FILE], FILE._replace(offset=1004)),
+        ([FILE, None, None], FILE._replace(offset=1004)),
         ([None, FILE, FILE], None),
-        # A packet is that of its last byte.
-        ([PACKET, PACKET._replace(packet=8), PACKET._replace(packet=9)], PACKET._replace(packet=8)),
-        ([PACKET, None, PACKET], None),
-        ([None, PACKET, None], PACKET),
+        # A packet is that of its last byte, which is the first byte of the third read.
+        ([PACKET, PACKET._replace(packet=8), PACKET._replace(packet=9)], PACKET._replace(packet=9)),
+        ([None, None, PACKET], PACKET),
+        ([PACKET, PACKET, None], None),
         ([None, None, None], None),
     ],
 )
-def test_an_adu_in_two_reads_has_the_origin_of_its_first_or_last_byte(
+def test_an_adu_in_three_reads_has_the_origin_of_its_first_or_last_byte(
     origins: list[Origin | None], expected: Origin | None
 ) -> None:
     reads = SerialOrigins()
@@ -122,7 +122,7 @@ def test_an_adu_in_two_reads_has_the_origin_of_its_first_or_last_byte(
         reads.note(5, origin and StreamPlace(1000 + 5 * at, None, origin))
         reads.note(0, origin and StreamPlace(0, None, origin))
     assert reads.held == 3
-    before = Skipped(0, EventKind.SKIPPED, "noise", bytes(3))
+    before = Skipped(0, EventKind.SKIPPED, "noise", bytes(4))
     adu = plain_request(bytes(7), 0)
     assert reads.added_to([before, adu]) == [before, replace_adu(adu, origin=expected)]
     assert reads.held == 1
