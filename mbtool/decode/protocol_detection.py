@@ -40,7 +40,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
-from enum import Enum
+from enum import Enum, auto
 from typing import TYPE_CHECKING
 
 from mbtool.core import Direction, EventKind, WireEvent
@@ -77,9 +77,9 @@ _PROTOCOL_ID = re.compile(rb"(?s)..\x00\x00|.{0,2}\x00?\Z")
 class ProtocolState(Enum):
     """What is known of a connection's protocol."""
 
-    UNDECIDED = 0
-    MODBUS = 1
-    FOREIGN = 2
+    UNDECIDED = auto()
+    MODBUS = auto()
+    FOREIGN = auto()
 
 
 class ProtocolDetector:

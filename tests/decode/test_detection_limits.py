@@ -129,6 +129,15 @@ def test_three_malformed_adus_decide(port: Port) -> None:
     assert len(adus(decoded)) == (0 if is_foreign else 3)
 
 
+def test_what_decided_first_counts_though_more_of_the_segment_speaks_against_it() -> None:
+    long = mbap_adu(1, 1, LONG_READ)
+    detector = anywhere()
+    fed(detector, [TCP_PAIR[0], (RESPONSE, TCP_PAIR[1][1] + long * 4)])
+    assert detector.state is MODBUS
+    detector = anywhere()
+    assert is_one_event(fed(detector, [(REQUEST, long * 3 + TCP_PAIR[0][1] * 4)]))
+
+
 @pytest.mark.parametrize(
     "between",
     [(REQUEST, mbap_adu(9, 1, LONG_READ)), (RESPONSE, mbap_adu(9, 1, LONG_READ))],
