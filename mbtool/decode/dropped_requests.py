@@ -25,7 +25,8 @@ class DroppedRequests:
 
     def __init__(self) -> None:
         self._counts: dict[_Key, int] = {}
-        self._last_ns = 0
+        self._last_ns: int
+        """When the last request was dropped."""
 
     @property
     def is_empty(self) -> bool:

@@ -77,8 +77,8 @@ class Pairing:
         self._open: Adu | None = None
         self._overtaken: Adu | None = None
         """The request before the open one, if its response may still come."""
-        self._is_surely_overtaken = False
-        """True if the master of the overtaken request was certainly still waiting."""
+        self._is_surely_overtaken: bool
+        """True if the master of the overtaken request was certainly still waiting; set with it."""
         self._requests = 0
         self._slowest_ns = 0
         """The longest time from a request to its response, in ns."""

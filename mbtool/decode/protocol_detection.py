@@ -114,7 +114,7 @@ class ProtocolDetector:
         """The first captured bytes of the connection, in either direction."""
         self._heads = dict.fromkeys((Direction.REQUEST, Direction.RESPONSE), b"")
         """The first captured bytes of each direction, even if earlier ones are missing."""
-        self._first_ns = 0
+        self._first_ns: int  # Set with the first bytes or the first gap.
         self._seen = 0
         """The number of bytes examined; a gap counts as GAP_BYTES."""
         self._held: list[WireEvent] = []
