@@ -42,7 +42,7 @@ def write_examples(context: Any, formatter: Any) -> None:
     if examples is None:
         return
     with formatter.section("Examples"):
-        for line in filter(None, examples[1:]):
+        for line in examples[1:]:
             formatter.write(f"  {line}\n")
     formatter.write(f"\nMore: docs/{examples.page}.md\n")
 

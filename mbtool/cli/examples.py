@@ -10,7 +10,7 @@ class HelpExamples(NamedTuple):
 
     page: str
     first: str
-    second: str = ""
+    second: str
 
 
 MOST_USED = (
@@ -29,7 +29,9 @@ EXAMPLES = {
         f"mbtool sniff {_PORT} -w site.mcap --device 5=idec-ft1a-touch",
         "mbtool sniff tap:127.0.0.1:1502=192.168.3.250:502 -w net.mcap",
     ),
-    "status": HelpExamples("service", "mbtool status site.mcap"),
+    "status": HelpExamples(
+        "service", "mbtool status site.mcap", "mbtool status /var/log/mbtool/site.mcap --json"
+    ),
     "decode": HelpExamples(
         "table",
         "mbtool decode plant.pcapng --where 'outcome != \"ok\"'",
@@ -62,7 +64,11 @@ EXAMPLES = {
         "mbtool convert site.mcap site.pcapng",
         "mbtool convert plant.pcap part.pcap --start 1h --end 1h30m",
     ),
-    "recover": HelpExamples("log-format", "mbtool recover broken.mcap -o good.mcap"),
+    "recover": HelpExamples(
+        "log-format",
+        "mbtool recover broken.mcap -o good.mcap",
+        "mbtool recover broken.mcap.zst -o good.mcap --overwrite",
+    ),
     "replay": HelpExamples(
         "replay",
         "mbtool replay site.mcap --as-slave --on tcp:127.0.0.1:1502",
@@ -95,29 +101,39 @@ EXAMPLES = {
     ),
     "links": HelpExamples("links", "mbtool links", "mbtool links --format jsonl"),
     "doctor": HelpExamples("install", "mbtool doctor", "mbtool doctor --json"),
-    "line": HelpExamples("start/integrator", "mbtool line ./plc ./panel ./usb"),
+    "line": HelpExamples(
+        "start/integrator",
+        "mbtool line ./plc ./panel ./usb",
+        "mbtool line ./plc ./panel --settings 9600-7E1",
+    ),
     "demo": HelpExamples("start/scada", "mbtool demo", "mbtool demo -w first.mcap"),
     "extcap": HelpExamples("wireshark", "mbtool extcap --install", "mbtool extcap --uninstall"),
     "devices": HelpExamples(
         "devices", "mbtool devices fa3-at1m8x", "mbtool devices --match site.mcap"
     ),
-    "devices new": HelpExamples("adding-a-device", "mbtool devices new pump.toml"),
+    "devices new": HelpExamples(
+        "adding-a-device", "mbtool devices new pump.toml", "mbtool devices new profiles/oven.toml"
+    ),
     "devices import": HelpExamples(
         "adding-a-device",
         "mbtool devices import list.csv -o pump.toml",
         "mbtool devices import --sunspec model_1.json model_103.json -o inverter.toml",
     ),
     "devices draft": HelpExamples(
-        "adding-a-device", "mbtool devices draft site.mcap --unit 5 -o pump.toml"
+        "adding-a-device",
+        "mbtool devices draft site.mcap --unit 5 -o pump.toml",
+        "mbtool devices draft plant.pcap --unit 192.168.3.250/5",
     ),
     "devices export": HelpExamples(
         "devices",
         "mbtool devices export pump.toml --csv",
         "mbtool devices export fa3-at1m8x --telegraf -o fa3.conf",
     ),
-    "devices schema": HelpExamples("devices", "mbtool devices schema"),
+    "devices schema": HelpExamples(
+        "devices", "mbtool devices schema", "mbtool devices schema > mbtool-profile.json"
+    ),
 }
-"""Each command's page of docs/, without its ending, and one or two command lines."""
+"""Each command's page of docs/, without its ending, and two command lines."""
 
 
 def examples_of(command_path: str) -> HelpExamples | None:

@@ -28,7 +28,7 @@ from mbtool.cli import exit_codes
 from mbtool.cli.command import with_plain_values
 from mbtool.cli.command_table import CommandTable
 from mbtool.cli.completion import is_asked, join_words
-from mbtool.cli.examples import first_steps
+from mbtool.cli.examples import examples_of, first_steps
 from mbtool.cli.leaving import leave
 from mbtool.cli.talk import Interrupted, say
 from mbtool.core import InputError, LinkError, MbtoolError, OutputError
@@ -165,11 +165,30 @@ def _told(arguments: list[str]) -> int:
     return exit_codes.DONE
 
 
+_ELSEWHERE = {
+    "--unit": "choose a unit with --where 'unit == 5'",
+    "--function": "choose functions with --where 'function in (3, 4)'",
+    "--filter": "choose transactions with --where 'unit == 5'",
+    "--baud": "the baud rate is part of the LINK: rtu:/dev/ttyUSB0@19200-8E1",
+    "--baudrate": "the baud rate is part of the LINK: rtu:/dev/ttyUSB0@19200-8E1",
+    "--parity": "the parity is part of the LINK: rtu:/dev/ttyUSB0@19200-8E1",
+    "--since": "choose a time with --start",
+    "--until": "choose a time with --end",
+}
+"""By an option that other programs have and the command does not: what does the same here."""
+
+
 def _usage(error: typer.TyperException, command: str) -> str:
     """The message for a wrong command line; it names the --help that shows the right usage."""
     message = error.format_message().replace("Value error, ", "").rstrip(".")
     context = getattr(error, "ctx", None)
     where = context.command_path if context is not None else command
+    wanted = getattr(error, "option_name", None)
+    if wanted in _ELSEWHERE:
+        message = f"{message.partition(' (')[0]}; {_ELSEWHERE[wanted]}"
+    examples = examples_of(where)
+    if message.startswith("Missing ") and examples is not None:
+        message = f"{message}; for example: {examples.first}"
     return f"{message}; see {where} --help"
 
 

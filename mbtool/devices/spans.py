@@ -29,6 +29,7 @@ _SHORT = {
 """Short words for the tables. Behind one there is a space or a colon, because `HR1` may be a
 reference of a vendor."""
 _NUMBER = r"(\d{1,5}|0x[0-9a-f]{1,4})"
+_FIVE_DIGITS = re.compile(r"[0134]\d{4}(?:\.\.[0134]?\d{1,4})?")
 _NEUTRAL_SPAN = re.compile(
     rf"(?:({'|'.join(_NEUTRAL)})[ :]?|({'|'.join(_SHORT)})[ :]){_NUMBER}(?:\.\.{_NUMBER})?",
     re.ASCII,
@@ -62,6 +63,11 @@ def parse_span(text: str, profiles: Iterable[Profile] = ()) -> Span:
         span = _in_notation(text, profile)
         if span is not None:
             return span
+    if _FIVE_DIGITS.fullmatch(text.strip()):
+        raise UsageError(
+            f"{text!r}: vendors mean different registers by five digits; write 'holding 0' (from "
+            "0, as on the wire), or six digits: 400001"
+        )
     raise UsageError(
         f"{text!r} is no range of registers; write 'holding 10..20' (or coil, discrete, input), or "
         f"HR400010..400020 as the device's manual does, with --device"

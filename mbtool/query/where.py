@@ -23,6 +23,7 @@
 from __future__ import annotations
 
 import ast
+import difflib
 import operator
 import re
 import warnings
@@ -239,7 +240,11 @@ class _Compiler:
         match node:
             case ast.Name(id=name):
                 if name not in NAMES:
-                    raise self._wrong(f"there is no {_short(name)!r}; there are {', '.join(NAMES)}")
+                    near = difflib.get_close_matches(name, NAMES, n=1)
+                    meant = f", did you mean {near[0]!r}?" if near else ";"
+                    raise self._wrong(
+                        f"there is no {_short(name)!r}{meant} there are {', '.join(NAMES)}"
+                    )
                 return NAMES[name]
             case ast.Constant(value=str() as text):
                 return Term(

@@ -107,12 +107,22 @@ def test_help_has_every_option_of_the_readme(mbtool: CommandLine) -> None:
     [
         (["nonsense"], "No such command 'nonsense'; see mbtool --help"),
         (["--nonsense"], "No such option: --nonsense; see mbtool --help"),
-        (["decode"], "Missing argument 'FILE'; see mbtool decode --help"),
+        (
+            ["decode"],
+            "Missing argument 'FILE'; for example: mbtool decode plant.pcapng --where 'outcome != "
+            '"ok"\'; see mbtool decode --help',
+        ),
+        (
+            ["slave", "fa3-at1m8x"],
+            "Missing option '--on'; for example: mbtool slave fa3-at1m8x --on tcp:127.0.0.1:1502; "
+            "see mbtool slave --help",
+        ),
+        (["decode", "a", "--unit", "5"], "No such option: --unit; choose a unit with --where"),
+        (["sniff", "a", "--baud", "9600"], "the baud rate is part of the LINK: rtu:"),
         (
             ["devices", "--match"],
             "Option '--match' requires an argument; see mbtool devices --help",
         ),
-        (["slave", "fa3-at1m8x"], "Missing option '--on'; see mbtool slave --help"),
         (["decode", "a", "--format", "xml"], "'xml' is not one of 'table', 'jsonl', 'csv'"),
         (["decode", "a", "--limit", "0"], "'0' is not at least 1; see mbtool decode"),
         (["decode", "a", "--port", "70000"], "Invalid value for '--port'"),

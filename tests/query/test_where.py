@@ -196,7 +196,7 @@ def test_a_comparison_that_can_be_true_is_accepted(expression: str) -> None:
         ("unit == -unit", "'-unit' is neither"),
         ('unit == f"{unit}"', "is neither"),
         ("unit is 5", "compare with == and !=, not with is"),
-        ("unti == 5", "there is no 'unti'; there are link, transport, "),
+        ("unti == 5", "there is no 'unti', did you mean 'unit'? there are link, transport, "),
         ("__import__ == 5", "there is no '__import__'"),
     ],
 )
