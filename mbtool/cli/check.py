@@ -110,8 +110,10 @@ def check(
         told_as_lost,
         verdict_kept,
     )
+    from mbtool.cli.output_file import is_old
     from mbtool.cli.progress import with_progress
     from mbtool.cli.talk import interruptible
+    from mbtool.core import InputError
     from mbtool.devices.checking.security_limits import SecurityLimits
     from mbtool.workflows.check import CheckRun, CodeFilter
     from mbtool.workflows.shared.time_window import TimeWindow
@@ -124,17 +126,30 @@ def check(
     demand_other_file(files, output)
     path = named_file(output)
     chosen = format_ or format_by_name(path, _SUFFIXES, CheckFormat.TABLE)
+    broken: InputError | None = None
+    stays = is_old(path)
     with (
         verdict_kept(lambda: bool(run.counts)),
         opened(path, run.reading.demand_files, overwrite=overwrite) as (file, name),
         told_as_lost(name),
         interruptible() as interrupt,
         _finished(
-            file, _printer(chosen, file, each=each, names_files=len(files) > 1), run, path
+            file,
+            _printer(chosen, file, each=each, names_files=len(files) > 1),
+            run,
+            path,
+            stays=stays,
         ) as printer,
     ):
-        for found in interrupt.breakable(run.findings(with_progress)):
-            printer.add(found)
+        try:
+            for found in interrupt.breakable(run.findings(with_progress)):
+                printer.add(found)
+        except InputError as error:
+            if not (run.transactions or run.counts):
+                raise
+            broken = error  # The rest of the files cannot be read; what could be is written.
+    if broken is not None:
+        raise broken
     say_if_empty(run.reading)
     if run.counts:
         raise typer.Exit(exit_codes.NO)
@@ -142,12 +157,13 @@ def check(
 
 @contextmanager
 def _finished(
-    file: TextIO, printer: _Printer, run: CheckRun, path: str | None
+    file: TextIO, printer: _Printer, run: CheckRun, path: str | None, *, stays: bool
 ) -> Iterator[_Printer]:
     """Yield the printer while the context is open.
 
     When the context ends, even by an error, the output is completed, and the user gets remarks and
-    the number of findings, unless there was nothing to look at.
+    the number of findings, unless there was nothing to look at. With `stays`, an error leaves an
+    older file of that path as it was.
     """
     from mbtool.cli.talk import Interrupted, say
 
@@ -166,8 +182,11 @@ def _finished(
             say(remark)
         if was_interrupted:
             say("interrupted; what follows from the rest of the files is not there")
+        keeps_old = stays and has_failed
+        if keeps_old:
+            say(f"{path} stays as it was")
         if run.transactions or run.counts or not (has_failed or run.is_outside):
-            say(_sentence(run) + ("" if path is None else f" -> {path}"))
+            say(_sentence(run) + ("" if path is None or keeps_old else f" -> {path}"))
 
 
 class _Printer(ABC):

@@ -56,6 +56,7 @@ def convert(
 
     from mbtool.cli.options import condition
     from mbtool.cli.output import OUTPUT_FORMATS, demand_other_file
+    from mbtool.cli.output_file import is_old, kept_told
     from mbtool.cli.progress import with_progress
     from mbtool.cli.talk import interruption_told, say
     from mbtool.core import UsageError
@@ -81,7 +82,8 @@ def convert(
     elif events is not None:
         raise UsageError("--events goes with .jsonl")
     else:
-        with interruption_told(f"interrupted; {out} is not there, or ends early"):
+        left = "stays as it was" if is_old(out) else "is not there, or ends early"
+        with interruption_told(f"interrupted; {out} {left}"), kept_told(out):
             done = conversion.write(out, overwrite=overwrite, topic_per_point=topic_per_point)
         parts = (
             (done.packets, "packet"),
@@ -105,3 +107,5 @@ def _write_records(
     ) as output:
         for record in conversion.records():
             output.add(record)
+        if output.is_empty:
+            conversion.demand_whole()

@@ -159,6 +159,7 @@ def decode(
             table=table.read(),
             order=sort,
             overwrite=overwrite,
+            in_place=follow or (STANDARD_INPUT in files and _is_piped()),
         ) as out,
         interruptible() as interrupt,
     ):

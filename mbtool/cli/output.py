@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO, TypeVar
 
@@ -12,11 +12,12 @@ import typer
 
 from mbtool.cli import exit_codes
 from mbtool.cli.options import EventChoice, Format, SortKey
+from mbtool.cli.output_file import is_old, open_file
 from mbtool.cli.printers import LinesPrinter, ParquetPrinter, demand_columns, printer_for
 from mbtool.cli.record_order import SORTED
 from mbtool.cli.talk import NOTHING_WRITTEN, Interrupted, say
 from mbtool.cli.tally import CONNECTION_EVENTS, Tally
-from mbtool.core import MbtoolError, OutputError, UsageError, WireEvent
+from mbtool.core import InputError, MbtoolError, OutputError, UsageError, WireEvent
 from mbtool.views.table_options import TableOptions
 
 if TYPE_CHECKING:
@@ -220,6 +221,7 @@ def open_output(
     table: TableOptions | None = None,
     order: SortKey | None = None,
     overwrite: bool = False,
+    in_place: bool = False,
     make_output: MakeOutput | None = None,
     is_summed: bool = True,
     if_interrupted: str = NOTHING_WRITTEN,
@@ -229,11 +231,12 @@ def open_output(
     `demand_inputs` is called before the file is opened, so that an error in an input does not
     overwrite an older output. `is_kept` is True if a log keeps the records. With `order`, all
     records are held, and printed in that order when the context ends. A file that exists is
-    replaced only with `overwrite`. `make_output` makes another output than RecordOutput does, such
-    as one that waits for no reader (live_output.py). `if_interrupted` is said if Ctrl-C comes
-    before the first record. Raises UsageError if the file cannot be
-    written or options contradict each other, and OutputError if standard output is closed and no
-    log keeps the records.
+    replaced only with `overwrite`, and only when the new one holds all that could be read; with
+    `in_place` at once, for what is ended by Ctrl-C. `make_output` makes another output than
+    RecordOutput does, such as one that waits for no reader (live_output.py).
+    `if_interrupted` is said if Ctrl-C comes before the first record. Raises UsageError if the file
+    cannot be written or options contradict each other, and OutputError if standard output is closed
+    and no log keeps the records.
     """
     path = named_file(path)
     place = "" if path is None else f" -> {path}"
@@ -247,7 +250,12 @@ def open_output(
         if path is None:
             raise UsageError("--format parquet writes a file: decode FILE -o OUT.parquet")
         demand_columns()
-    with opened(path, demand_inputs, is_kept=is_kept, overwrite=overwrite) as (file, name):
+    stays = not in_place and is_old(path)
+    broken: InputError | None = None
+    with opened(path, demand_inputs, is_kept=is_kept, overwrite=overwrite, in_place=in_place) as (
+        file,
+        name,
+    ):
 
         def make_printer(to: TextIO) -> Printer:
             return printer_for(chosen, to, profile_for, table)
@@ -263,17 +271,34 @@ def open_output(
             output.finish()
             if not is_summed:
                 raise
-            sum_ = f"interrupted; so far {output.sentence()}{place}"
-            say(if_interrupted if output.is_empty else sum_)
+            say(_interrupted(output, path, if_interrupted, stays=stays))
             raise Interrupted from None
-        except MbtoolError:
+        except MbtoolError as error:
             output.finish()
-            if is_summed and not output.is_empty:
-                say(output.sentence())
-            raise
-        output.finish()
+            if not isinstance(error, InputError):
+                raise
+            if output.is_empty:
+                if stays:
+                    say(f"{path} stays as it was")
+                raise
+            broken = error  # The rest of the inputs cannot be read; what could be is written.
+        else:
+            output.finish()
         if is_summed:
             say(f"{output.sentence()}{place}")
+    if broken is not None:
+        raise broken
+
+
+def _interrupted(output: RecordOutput, path: str | None, if_empty: str, *, stays: bool) -> str:
+    """What Ctrl-C left of an output."""
+    if stays:
+        return f"interrupted; {path} stays as it was"
+    if output.is_empty:
+        return if_empty
+    if path is None:
+        return f"interrupted; so far {output.sentence()}"
+    return f"interrupted; {path} holds only what was read so far: {output.sentence()}"
 
 
 def named_file(path: str | None) -> str | None:
@@ -308,6 +333,7 @@ def opened(
     *,
     is_kept: bool = False,
     overwrite: bool = False,
+    in_place: bool = False,
 ) -> Iterator[tuple[TextIO, str]]:
     """Open a file or standard output; yield it with its name for messages.
 
@@ -318,7 +344,7 @@ def opened(
         demand_standard_output()
     demand_inputs()
     demand_new(path, overwrite=overwrite)
-    with _open_file(path) as file:
+    with open_file(path, in_place=in_place) as file:
         yield file, path or _STANDARD_OUTPUT_NAME
 
 
@@ -364,39 +390,6 @@ def _is_same(file: str, output: str) -> bool:
         return os.path.samefile(file, output)
     except OSError:  # One of the two files does not exist.
         return os.path.abspath(file) == os.path.abspath(output)
-
-
-@contextmanager
-def _open_file(path: str | None) -> Iterator[TextIO]:
-    """Open a file to write text to; standard output if `path` is None.
-
-    Raises UsageError if the file cannot be opened.
-    """
-    if path is None:
-        yield sys.stdout
-        return
-    is_new = not os.path.lexists(path)
-    try:
-        file = Path(path).open("w", encoding="utf-8", newline="")  # noqa: SIM115 - closed below
-    except OSError as error:
-        raise UsageError(f"{path}: cannot be written: {error.strerror or error}") from error
-    try:
-        yield file
-    except BaseException as error:
-        _close(file)
-        size = os.path.getsize(path) if os.path.isfile(path) else 0
-        if is_new and not size:  # Delete a new file that stayed empty.
-            with suppress(OSError):
-                os.unlink(path)
-        if size and isinstance(error, OutputError):
-            raise OutputError(f"{error}; it ends early, after {size} bytes") from error
-        raise
-    _close(file)
-
-
-def _close(file: TextIO) -> None:
-    with suppress(OSError):  # Flushing has already raised the error.
-        file.close()
 
 
 @contextmanager

@@ -24,11 +24,13 @@ def recover(
     Exit 1 when something is lost.
     """
     from mbtool.cli import exit_codes
+    from mbtool.cli.output_file import is_old
     from mbtool.cli.talk import interruption_told, say
     from mbtool.core.wording import counted
     from mbtool.workflows.recover import loss_text, recover
 
-    with interruption_told(f"interrupted; {good} is not there, or ends early"):
+    left = "stays as it was" if is_old(good) else "is not there, or ends early"
+    with interruption_told(f"interrupted; {good} {left}"):
         result = recover(broken, good, lambda loss: typer.echo(loss_text(loss)), replace=overwrite)
     if result.remark:
         say(f"mbtool: {result.remark}")

@@ -28,8 +28,9 @@ from mbtool.core import (
     WireEvent,
 )
 from mbtool.core.errors import reason_of
+from mbtool.core.replacing import replacing
 from mbtool.devices import profile_to_json
-from mbtool.logs.creating import check_path
+from mbtool.logs.creating import check_path, demand_unlocked
 from mbtool.logs.links import ACROSS, ANY_PORT, PORTS, RTU_PORTS, SPEC
 from mbtool.logs.writer import LogWriter
 from mbtool.packets import CaptureHead
@@ -114,24 +115,39 @@ class Conversion:
         Raises UsageError if it cannot be created or cannot hold what was read, OutputError if
         writing fails.
         """
-        suffix = PurePath(out).suffix.lower()
         check_path(Path(out), replace=overwrite)
         self._read_marks()
-        if suffix == ".mcap":
-            return self._write_log(out, overwrite=overwrite, topic_per_point=topic_per_point)
-        is_new = not os.path.lexists(out)
+        if not os.path.exists(out):
+            return self._write_new(out, Path(out), topic_per_point=topic_per_point)
+        demand_unlocked(Path(out))
+        with replacing(out) as beside:
+            done = self._write_to(out, beside, topic_per_point=topic_per_point)
+            if not (done.packets or done.reads or done.transactions):
+                self.demand_whole()
+        return done
+
+    def _write_new(self, out: str, place: Path, *, topic_per_point: bool) -> Converted:
+        """Write a new file; one that cannot hold what was read is deleted again."""
         try:
-            with open(out, "wb") as stream:
+            return self._write_to(out, place, topic_per_point=topic_per_point)
+        except UsageError:
+            with suppress(OSError):
+                place.unlink()
+            raise
+
+    def _write_to(self, out: str, place: Path, *, topic_per_point: bool) -> Converted:
+        """Write to `place`; messages call it `out`, whose suffix says the format."""
+        suffix = PurePath(out).suffix.lower()
+        if suffix == ".mcap":
+            return self._write_log(place, topic_per_point=topic_per_point)
+        try:
+            with place.open("wb") as stream:
                 if suffix == ".pcap":
                     return self._write_pcap(stream, out)
                 return PcapngOutput(stream, self._groups, self._head()).write(self._shown())
         except OSError as error:
-            raise OutputError(f"{out}: cannot be written: {reason_of(error)}") from error
-        except UsageError:
-            if is_new:
-                with suppress(OSError):
-                    os.unlink(out)
-            raise
+            ends = "; it ends early" if place.exists() else ""
+            raise OutputError(f"{out}: cannot be written: {reason_of(error)}{ends}") from error
 
     def _all_records(self) -> Iterator[Record]:
         return _merged([group.records() for group in self._groups], _record_ns)
@@ -211,7 +227,7 @@ class Conversion:
             PcapWriter(stream, 1)
         return done
 
-    def _write_log(self, out: str, *, overwrite: bool, topic_per_point: bool) -> Converted:
+    def _write_log(self, place: Path, *, topic_per_point: bool) -> Converted:
         done = Converted()
         head = self._head()
         capture = {
@@ -221,7 +237,7 @@ class Conversion:
             "clock": "that of the captures that it was made from",
             "made_from": shlex.join(path for group in self._groups for path in group.paths),
         }
-        with LogWriter(out, capture=capture, replace=overwrite) as log:
+        with LogWriter(place, capture=capture) as log:
             if topic_per_point:
                 log.give_points_topics()
             for name, settings in head.links.items():

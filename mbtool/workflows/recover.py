@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import InputError, UsageError
 from mbtool.core.errors import reason_of
+from mbtool.core.replacing import replacing
+from mbtool.logs.creating import demand_unlocked
 from mbtool.logs.opening import check_log_path
 from mbtool.logs.recovery import LogLoss, Recovered, Recovery
 from mbtool.sources.files import STANDARD_INPUT, CaptureFile, CaptureKind, open_capture
@@ -38,7 +40,12 @@ def recover(
     with _opened(broken) as capture:
         if capture.kind is not CaptureKind.MCAP:
             raise InputError(f"{capture.name}: a capture, not a log (.mcap)")
-        return Recovery(capture.stream, capture.name, report).run(Path(good), replace=replace)
+        recovery = Recovery(capture.stream, capture.name, report)
+        if not Path(good).exists():
+            return recovery.run(Path(good))
+        demand_unlocked(Path(good))
+        with replacing(good) as beside:
+            return recovery.run(beside)
 
 
 def loss_text(loss: LogLoss) -> str:

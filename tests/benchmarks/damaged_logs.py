@@ -171,8 +171,9 @@ def read_items(data: bytes) -> list[LogItem]:
 def recovered(data: bytes, folder: Path) -> list[StockMessage]:
     """What `mbtool recover` gives, read by the stock reader, without the GAP events of damage."""
     good = folder / "good.mcap"
+    good.unlink(missing_ok=True)
     try:
-        Recovery(io.BytesIO(data), "x.mcap", lambda _: None).run(good, replace=True)
+        Recovery(io.BytesIO(data), "x.mcap", lambda _: None).run(good)
     except InputError:
         return []
     with good.open("rb") as stream:

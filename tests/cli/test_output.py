@@ -17,6 +17,8 @@ from mbtool.core import InputError
 from tests.logs.samples import EVENT, transaction
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from tests.cli.program import CommandLine
 
 
@@ -86,12 +88,88 @@ def test_a_disk_that_runs_full_leaves_what_there_was_room_for(capture: Path) -> 
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a limit of the system")
-def test_a_file_that_was_there_stays_there_when_the_disk_is_full(capture: Path) -> None:
+@pytest.mark.parametrize(
+    "command",
+    [("decode", "-o", "a.csv"), ("report", "-o", "a.html"), ("convert", "a.pcapng"),
+     ("convert", "a.mcap")],
+)  # fmt: skip
+def test_a_file_that_was_there_stays_as_it_was_when_the_disk_is_full(
+    capture: Path, command: tuple[str, ...]
+) -> None:
+    path = capture.with_name(command[-1])
+    path.write_text("older")
+    ran = _on_a_disk_with_room_for(100, command[0], capture, *command[1:-1], path, "--overwrite")
+    assert ran.returncode == exit_codes.UNREADABLE
+    assert ran.stderr == (
+        f"mbtool: {path}: cannot be written: File too large; {path} stays as it was\n"
+    )
+    assert path.read_text() == "older"
+    assert sorted(one.name for one in path.parent.iterdir()) == sorted([capture.name, path.name])
+
+
+@pytest.mark.parametrize(
+    "command",
+    [("decode", "-o", "a.csv"), ("decode", "-o", "a.parquet"), ("check", "-o", "a.json"),
+     ("convert", "a.pcapng"), ("convert", "a.mcap"), ("convert", "a.csv")],
+)  # fmt: skip
+def test_an_input_that_brings_nothing_leaves_a_file_that_was_there(
+    mbtool: CommandLine, capture: Path, command: tuple[str, ...]
+) -> None:
+    capture.write_bytes(capture.read_bytes()[:30])
+    path = capture.with_name(command[-1])
+    path.write_text("older")
+    told = mbtool(command[0], capture, *command[1:-1], path, "--overwrite")
+    assert told.code == exit_codes.UNREADABLE
+    assert f"{path} stays as it was\n" in told.err
+    assert "->" not in told.err
+    assert path.read_text() == "older"
+
+
+@pytest.mark.parametrize("name", ["a.csv", "a.mcap"])
+def test_an_input_that_is_cut_replaces_a_file_by_what_it_holds(
+    mbtool: CommandLine, capture: Path, name: str
+) -> None:
+    capture.write_bytes(capture.read_bytes()[:-1])
+    path = capture.with_name(name)
+    path.write_text("older")
+    path.chmod(0o640)
+    told = mbtool("convert", capture, path, "--overwrite")
+    assert told.code == exit_codes.UNREADABLE
+    assert f"-> {path}\n" in told.err
+    assert not path.read_bytes().startswith(b"older")
+    assert path.stat().st_mode & 0o777 == 0o640
+
+
+def test_a_link_to_a_file_stays_a_link(mbtool: CommandLine, capture: Path) -> None:
+    path, link = capture.with_name("a.csv"), capture.with_name("link.csv")
+    path.write_text("older")
+    link.symlink_to(path)
+    assert mbtool("decode", capture, "-o", link, "--overwrite").code == exit_codes.DONE
+    assert link.is_symlink()
+    assert path.read_text().startswith("request_ns,")
+
+
+@pytest.mark.parametrize("is_old", [True, False])
+def test_ctrl_c_leaves_an_old_file_and_says_what_a_new_one_holds(
+    monkeypatch: pytest.MonkeyPatch, mbtool: CommandLine, capture: Path, *, is_old: bool
+) -> None:
+    def interrupted(_: object, records: Iterator[object]) -> Iterator[object]:
+        yield from records
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("mbtool.cli.decode.with_progress", interrupted)
     path = capture.with_name("a.csv")
-    path.touch()
-    ran = _on_a_disk_with_room_for(0, "decode", capture, "-o", path, "--overwrite")
-    assert ran.returncode == 3
-    assert path.exists()
+    if is_old:
+        path.write_text("older")
+    told = mbtool("decode", capture, "-o", path, "--overwrite")
+    assert told.code == exit_codes.INTERRUPTED
+    if is_old:
+        assert told.err == f"interrupted; {path} stays as it was\n"
+        assert path.read_text() == "older"
+    else:
+        assert told.err == (
+            f"interrupted; {path} holds only what was read so far: 3 transactions: 3 ok\n"
+        )
 
 
 def test_a_file_that_was_there_is_replaced_only_with_overwrite(
@@ -167,10 +245,11 @@ def _print_and_fail(path: Path, error: BaseException) -> None:
 @pytest.mark.parametrize(
     ("error", "said"),
     [
-        (InputError("cut"), "1 transaction: 1 ok; 1 event: 1 gap\n"),
+        (InputError("cut"), "1 transaction: 1 ok; 1 event: 1 gap -> a.jsonl\n"),
         (
             KeyboardInterrupt(),
-            "interrupted; so far 1 transaction: 1 ok; 1 event: 1 gap -> a.jsonl\n",
+            "interrupted; a.jsonl holds only what was read so far: 1 transaction: 1 ok; "
+            "1 event: 1 gap\n",
         ),
     ],
 )

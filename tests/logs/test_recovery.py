@@ -211,4 +211,6 @@ def test_a_recovered_log_recovers_to_the_same_messages(tmp_path: Path) -> None:
 def recover(data: bytes, folder: Path) -> tuple[Recovered, list[LogLoss]]:
     losses: list[LogLoss] = []
     recovery = Recovery(io.BytesIO(data), "x.mcap", losses.append)
-    return recovery.run(folder / "good.mcap", replace=True), losses
+    good = folder / "good.mcap"
+    good.unlink(missing_ok=True)
+    return recovery.run(good), losses

@@ -1,0 +1,80 @@
+"""Opens the file of --output, and tells what an error leaves of it."""
+
+from __future__ import annotations
+
+import os
+import sys
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, TextIO
+
+from mbtool.cli.talk import say
+from mbtool.core import InputError, OutputError, UsageError
+from mbtool.core.replacing import replacing
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+
+def is_old(path: str | None) -> bool:
+    """True if there is a file of that name, which is replaced when the new one is whole."""
+    return path is not None and os.path.isfile(path)
+
+
+@contextmanager
+def kept_told(path: str | None) -> Iterator[None]:
+    """If an input gives nothing that could replace an old file, say that it stays."""
+    has_old = is_old(path)
+    try:
+        yield
+    except InputError:
+        if has_old:
+            say(f"{path} stays as it was")
+        raise
+
+
+@contextmanager
+def open_file(path: str | None, *, in_place: bool) -> Iterator[TextIO]:
+    """Open a file to write text to; standard output if `path` is None.
+
+    A file of that name is replaced when the context ends, and stays if it ends by an error; with
+    `in_place` it is written over at once. Raises UsageError if the file cannot be opened.
+    """
+    if path is None:
+        yield sys.stdout
+    elif is_old(path) and not in_place:
+        with replacing(path) as beside, _open_for(path, beside) as file:
+            yield file
+    else:
+        with _left_if_begun(path), _open_for(path, Path(path)) as file:
+            yield file
+
+
+@contextmanager
+def _open_for(path: str, place: Path) -> Iterator[TextIO]:
+    """Open a file; messages call it `path`."""
+    try:
+        file = place.open("w", encoding="utf-8", newline="")
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be written: {error.strerror or error}") from error
+    try:
+        yield file
+    finally:
+        with suppress(OSError):  # Flushing has already raised the error.
+            file.close()
+
+
+@contextmanager
+def _left_if_begun(path: str) -> Iterator[None]:
+    """If an error ends the context, delete a new file that stayed empty; say if it ends early."""
+    is_new = not os.path.lexists(path)
+    try:
+        yield
+    except BaseException as error:
+        size = os.path.getsize(path) if os.path.isfile(path) else 0
+        if is_new and not size:
+            with suppress(OSError):
+                os.unlink(path)
+        if size and isinstance(error, OutputError):
+            raise OutputError(f"{error}; it ends early, after {size} bytes") from error
+        raise

@@ -1,0 +1,61 @@
+"""Replaces a file in one step, so that a run that fails leaves the old one as it was."""
+
+# What is written goes into a second file in the same folder, .NAME.PID.part, which gets the name of
+# the old one when it is whole. If the process is killed, the second file stays under its own name.
+
+from __future__ import annotations
+
+import os
+import stat
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from mbtool.core.errors import OutputError, UsageError, reason_of
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+
+@contextmanager
+def replacing(path: str | Path) -> Iterator[Path]:
+    """Yield a path to write to; when the context ends, that file replaces the one at `path`.
+
+    It gets the old file's permissions; a symbolic link is followed and stays. If the context ends
+    by an error, the old file stays and the new one is deleted; an OutputError then says so. Raises
+    UsageError for a file that must not be written.
+    """
+    target = Path(os.path.realpath(path))
+    if not os.access(target, os.W_OK):
+        raise UsageError(f"{path}: cannot be written: Permission denied")
+    beside = target.with_name(f".{target.name}.{os.getpid()}.part")
+    try:
+        yield beside
+        try:
+            _copy_rights(target, beside)
+            os.replace(beside, target)
+        except OSError as error:
+            raise OutputError(str(error)) from error
+    except OutputError as error:
+        refusal = _refusal(error)
+        # The error may name the second file, or say that what was written so far can be read.
+        why = error if refusal is None else f"{path}: cannot be written: {reason_of(refusal)}"
+        raise OutputError(f"{why}; {path} stays as it was") from error
+    finally:
+        with suppress(OSError):
+            beside.unlink()
+
+
+def _copy_rights(old: Path, new: Path) -> None:
+    status = old.stat()
+    if hasattr(os, "chown"):
+        with suppress(OSError):  # Only root may give a file to another user.
+            os.chown(new, status.st_uid, status.st_gid)
+    new.chmod(stat.S_IMODE(status.st_mode))
+
+
+def _refusal(error: BaseException | None) -> OSError | None:
+    """The error of the system that led to this one."""
+    while error is not None and not isinstance(error, OSError):
+        error = error.__cause__
+    return error
