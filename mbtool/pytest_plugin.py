@@ -12,6 +12,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar, cast
@@ -71,6 +72,7 @@ def mbtool_slave(
 
         def make(profile: Any, /, on: str = LOOPBACK, **options: Any) -> mbtool.Slave:
             __tracebackhide__ = True
+            _demand_known("mbtool_slave", Slave, options)
             for name in ("image", "faults"):
                 if isinstance(options.get(name), str | Path):
                     options[name] = _beside(request, options[name])
@@ -95,6 +97,7 @@ def mbtool_replay(
 
         def make(path: Any, /, on: str = LOOPBACK, **options: Any) -> mbtool.Replay:
             __tracebackhide__ = True
+            _demand_known("mbtool_replay", Replay, options)
             if isinstance(options.get("faults"), str | Path):
                 options["faults"] = _beside(request, options["faults"])
             recording = _beside(request, path)
@@ -162,12 +165,11 @@ def _kept(item: pytest.Item, number: int, slave: mbtool.ObservedShell) -> str:
     lines = slave.lines()
     if not lines:
         return f"{slave.link}: no request came"
-    name = re.sub(r"[^\w.-]+", "-", item.nodeid)[-_NAME_LENGTH:].strip("-")
-    path = item.stash[_FOLDER] / f"{name}-{number}.mcap"
+    path = item.stash[_FOLDER] / log_name(item.nodeid, number)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         slave.save_log(path)
-        where = f"mbtool decode {path}"
+        where = f"mbtool decode {shlex.quote(str(path))}"
     except (OSError, mbtool.MbtoolError) as error:
         where = f"no log was kept: {error}"
     shown = lines[-_LAST_LINES:]
@@ -175,6 +177,32 @@ def _kept(item: pytest.Item, number: int, slave: mbtool.ObservedShell) -> str:
     count = len(slave.asked)
     heading = f"{slave.link}: {count} request{'s' * (count != 1)}{more}; {where}"
     return "\n".join((heading, *(f"  {one}" for one in shown)))
+
+
+def log_name(test: str, number: int) -> str:
+    """The file name of a log, unique for each test: `test_a.py-test_b-x-1-5b1f03d2-1.mcap`.
+
+    Characters that a file name should not have are replaced, so that two tests may look the same.
+    The eight hexadecimal digits, made of the test's full name, tell them apart.
+    """
+    from hashlib import sha256
+
+    readable = re.sub(r"[^\w.-]+", "-", test)[-_NAME_LENGTH:].strip("-")
+    return f"{readable}-{sha256(test.encode()).hexdigest()[:8]}-{number}.mcap"
+
+
+def _demand_known(fixture: str, made: type, options: dict[str, Any]) -> None:
+    """Raise TypeError for an argument that the class has not, with the name that is meant."""
+    __tracebackhide__ = True
+    from difflib import get_close_matches
+    from inspect import signature
+
+    known = list(signature(made).parameters)[1:]
+    for name in options:
+        if name not in known:
+            near = get_close_matches(name, known, n=1)
+            hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(known)}"
+            raise TypeError(f"{fixture}() has no argument {name!r}; {hint}")
 
 
 def _beside(request: pytest.FixtureRequest, path: Any) -> Path:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
 import mbtool
+from mbtool.pytest_plugin import log_name
 from tests.api.masters import READ_TWO, master_of
 
 if TYPE_CHECKING:
@@ -18,6 +20,7 @@ pytest_plugins = ["pytester", "mbtool.pytest_plugin"]
 CAPTURES = Path(__file__).parents[1] / "captures"
 
 HEAD = """
+from mbtool.pytest_plugin import log_name
 from pymodbus.client import ModbusTcpClient
 import pytest
 
@@ -38,7 +41,7 @@ def test_asks_nobody(mbtool_slave):
     assert False
 
 def test_without_room_for_its_log(mbtool_slave, request):
-    name = "test_poll.py-test_without_room_for_its_log-1.mcap"
+    name = log_name(request.node.nodeid, 1)
     (request.config.getoption("--mbtool-logs") / name).mkdir(parents=True)
     read(mbtool_slave("idec-ft1a-touch"))
     assert False
@@ -83,26 +86,79 @@ def test_files_are_looked_for_beside_the_test(
     assert mbtool_slave("idec-ft1a-touch", image=image.name)["HR400001"] == 3
 
 
+def test_each_test_has_a_log_of_its_own() -> None:
+    tests = [
+        "a.py::t[x=1]",
+        "a.py::t[x 1]",
+        "a.py::t[x-1]",
+        "a/py::t[x-1]",
+        f"{'b' * 200}a.py::t[x]",
+    ]
+    names = {log_name(test, number) for test in tests for number in (1, 2)}
+    assert len(names) == 10
+    assert all(re.fullmatch(r"[\w.-]{1,120}", name) for name in names)
+    assert log_name("a.py::t[x 1]", 1).startswith("a.py-t-x-1-")
+
+
+@pytest.mark.parametrize(
+    ("keys", "problem"),
+    [
+        ({"kind": "timeout"}, "'timeout' is none; write one of .*no-answer"),
+        ({"kind": "exception", "code": 300}, "code: 300: write a number from 1 to 255"),
+        ({"kind": "exception", "kode": 3}, "kode: .*did you mean code"),
+        ({"kind": "delay"}, "ms: "),
+    ],
+)
+def test_a_wrong_fault_is_told_without_the_calls_inside_mbtool(
+    mbtool_slave: MakesSlave, keys: dict[str, Any], problem: str
+) -> None:
+    slave = mbtool_slave("idec-ft1a-touch")
+    with pytest.raises(mbtool.UsageError, match=problem) as raised:
+        slave.fault(**keys)
+    assert [one.name for one in raised.traceback[1:]] == ["fault"]
+    assert raised.value.__cause__ is None
+    assert raised.value.__suppress_context__
+
+
+def test_a_range_that_runs_backwards_is_told_so(mbtool_slave: MakesSlave) -> None:
+    with pytest.raises(mbtool.UsageError, match="from the lower to the higher"):
+        mbtool_slave("idec-ft1a-touch").assert_asked("holding 5..2")
+
+
+def test_a_misspelt_argument_names_the_right_one(
+    mbtool_slave: MakesSlave, mbtool_replay: MakesReplay
+) -> None:
+    with pytest.raises(TypeError, match=r"mbtool_replay\(\) .*'matches'; did you mean 'match'"):
+        mbtool_replay(CAPTURES / "ft1a-touch-line.mcap", matches="image")
+    with pytest.raises(TypeError, match=r"mbtool_slave\(\) .*'zzz'; there are .*image"):
+        mbtool_slave("idec-ft1a-touch", zzz=1)
+
+
+def test_a_condition_that_nothing_fits_is_named(mbtool_replay: MakesReplay) -> None:
+    with pytest.raises(mbtool.InputError, match=r"none of its \d+ transactions fits .*where"):
+        mbtool_replay(CAPTURES / "ft1a-touch-line.mcap", where="link == '9.9.9.9'")
+
+
 def test_failing_tests_in_two_processes_keep_their_traffic_and_say_where(
     pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
     pytester.makepyfile(test_poll=HEAD + BODY)
     done = pytester.runpytest_subprocess(
-        "-p", "mbtool.pytest_plugin", "-p", "xdist", "-n2", f"--mbtool-logs={pytester.path}/kept"
+        "-p", "mbtool.pytest_plugin", "-p", "xdist", "-n2", f"--mbtool-logs={pytester.path}/kept 2"
     )
     done.assert_outcomes(passed=3, failed=3)
     for lines in (
         ["E*AssertionError: HR400001: asked once, not 2 times. What was asked:"],
         [
             "*- Modbus traffic -*",
-            "tcp:127.0.0.1:*: 1 request; mbtool decode *test_polls_twice-1.mcap",
+            "tcp:127.0.0.1:*: 1 request; mbtool decode '*/kept 2/*test_polls_twice-*-1.mcap'",
             "  *  unit 1  03 read HR400001..400002 -> 1, 2",
         ],
         ["tcp:127.0.0.1:*: no request came"],
         ["tcp:127.0.0.1:*: 1 request; no log was kept: *a directory*"],
     ):
         done.stdout.fnmatch_lines(lines)
-    (log,) = (path for path in (pytester.path / "kept").iterdir() if path.is_file())
+    (log,) = (path for path in (pytester.path / "kept 2").iterdir() if path.is_file())
     (one,) = mbtool.open(log)
     assert (one.reference, one.response_values) == ("HR400001..400002", [1, 2])

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 from mbtool.core import LinkError, TcpLink, UsageError, WireEvent, parse_link
 from mbtool.core.link_spec import ANSWERED
-from mbtool.devices import Span, parse_span
+from mbtool.devices import Span, find_span
 from mbtool.modbus import FUNCTIONS, Outcome
 from mbtool.slave.shells import TcpSlave, slave_link
 from mbtool.views.cells import clock_time, event_text, transaction_text
@@ -165,14 +165,17 @@ class ObservedShell:
     def _span(self, what: str) -> Span:
         __tracebackhide__ = True
         try:
-            return parse_span(what, self._profiles)
-        except UsageError:
-            names = " or ".join(one.name for one in self._profiles)
-            of_device = f" of {names}; write it as the manual does, or" if names else "; write"
-            raise UsageError(
-                f"{what!r} is no register or bit{of_device} 'holding 10..20', or with coil, "
-                "discrete or input"
-            ) from None
+            span = find_span(what, self._profiles)
+        except UsageError as error:
+            raise error.with_traceback(None) from None  # Without the calls inside mbtool.
+        if span is not None:
+            return span
+        names = " or ".join(one.name for one in self._profiles)
+        of_device = f" of {names}; write it as the manual does, or" if names else "; write"
+        raise UsageError(
+            f"{what!r} is no register or bit{of_device} 'holding 10..20', or with coil, "
+            "discrete or input"
+        )
 
     def forget(self) -> None:
         """Forget what was asked so far, to assert on what comes next."""
@@ -208,7 +211,11 @@ class ObservedShell:
         close and others; `registers`, `units`, `functions`, `nth`, `every` and `times` say which
         requests. Several faults act one after the other. Raises UsageError for one that is wrong.
         """
-        self._add_faults([{"kind": kind, **keys}])
+        __tracebackhide__ = True
+        try:
+            self._add_faults([{"kind": kind, **keys}])
+        except UsageError as error:
+            raise error.with_traceback(None) from None  # Without the calls inside mbtool.
 
     def clear_faults(self) -> None:
         """Take all faults away."""

@@ -16,7 +16,7 @@ from mbtool.devices.point_types import ByteOrder, PointType, WordOrder
 from mbtool.devices.profile_checks import finding_text
 from mbtool.devices.references import parse_reference, write_reference
 from mbtool.devices.schema import profile_schema
-from mbtool.devices.spans import Span, parse_span
+from mbtool.devices.spans import Span, find_span, parse_span
 from mbtool.devices.values import PointInstance, registers_of
 from mbtool.devices.wording import describe, describe_points, describe_written
 
@@ -47,6 +47,7 @@ __all__ = [
     "describe_points",
     "describe_written",
     "dump_profile",
+    "find_span",
     "finding_text",
     "load_profile",
     "parse_assignment",

@@ -54,6 +54,21 @@ def parse_span(text: str, profiles: Iterable[Profile] = ()) -> Span:
 
     Raises UsageError if the text is neither, or a range ends before it begins or behind 65535.
     """
+    span = find_span(text, profiles)
+    if span is not None:
+        return span
+    raise UsageError(
+        f"{text!r} is no range of registers; write 'holding 10..20' (or coil, discrete, input), or "
+        f"HR400010..400020 as the device's manual does, with --device"
+    )
+
+
+def find_span(text: str, profiles: Iterable[Profile] = ()) -> Span | None:
+    """Parse as `parse_span` does; None if the text is neither a reference nor a range.
+
+    Raises UsageError for a range that ends before it begins or behind 65535, and for a number of
+    five digits.
+    """
     neutral = _NEUTRAL_SPAN.fullmatch(text.strip().lower())
     if neutral is not None:
         word, short, first, last = neutral.groups()
@@ -68,10 +83,7 @@ def parse_span(text: str, profiles: Iterable[Profile] = ()) -> Span:
             f"{text!r}: vendors mean different registers by five digits; write 'holding 0' (from "
             "0, as on the wire), or six digits: 400001"
         )
-    raise UsageError(
-        f"{text!r} is no range of registers; write 'holding 10..20' (or coil, discrete, input), or "
-        f"HR400010..400020 as the device's manual does, with --device"
-    )
+    return None
 
 
 def _in_notation(text: str, profile: Profile) -> Span | None:

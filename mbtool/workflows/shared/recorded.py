@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import TYPE_CHECKING, NamedTuple
 
-from mbtool.core import UsageError, WireEvent
+from mbtool.core import InputError, UsageError, WireEvent
 from mbtool.devices import NamedTransaction
 from mbtool.modbus import Outcome
 from mbtool.replay import TimeRange
@@ -52,18 +52,26 @@ def read_recorded(
     """Read the transactions of a capture or a log, in the order in which they ended.
 
     If the file is cut or damaged, `on_remark` gets a line, and the readable part is returned.
-    Raises InputError if the file cannot be read at all, and UsageError for a unit that is on
-    several links, unless `may_repeat_units`.
+    Raises InputError if the file cannot be read at all or `wanted` lets no transaction through, and
+    UsageError for a unit that is on several links, unless `may_repeat_units`.
     """
     transactions: list[NamedTransaction] = []
     damage: list[WireEvent] = []
     reading = Reading([path], options.reading)
+    count = 0
     for record in read_all(reading, on_remark, "mbtool: {error}; playing what is there", watch):
         if isinstance(record, WireEvent):
             if record.kind in DAMAGED_KINDS:
                 damage.append(record)
-        elif options.wanted(record):
-            transactions.append(record)
+        else:
+            count += 1
+            if options.wanted(record):
+                transactions.append(record)
+    if count and not transactions:
+        raise InputError(
+            f"{path}: none of its {count:,} transactions fits the condition (where); "
+            "see their fields with decode"
+        )
     if not may_repeat_units:
         demand_one_slave_each(path, transactions)
     return Recorded(transactions, reading.assignments, damage)
