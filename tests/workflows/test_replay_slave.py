@@ -108,13 +108,19 @@ def test_a_unit_on_several_links_is_refused_with_what_would_be_right(tmp_path: P
     assert set(recording.answers) == {(1, WRITE), (2, READ)}
 
 
-@pytest.mark.parametrize(("exchanges", "where"), [(0, "unit >= 0"), (2, "unit == 9")])
+@pytest.mark.parametrize(
+    ("exchanges", "where", "problem"),
+    [
+        (0, "unit >= 0", "no request to play an answer for"),
+        (2, "unit == 9", r"none of its 2 transactions fits the condition \(where\)"),
+    ],
+)
 def test_a_recording_without_a_request_is_refused(
-    tmp_path: Path, exchanges: int, where: str
+    tmp_path: Path, exchanges: int, where: str, problem: str
 ) -> None:
     path = tmp_path / "a.pcap"
     path.write_bytes(capture_file(exchanges))
-    with pytest.raises(InputError, match=r"a\.pcap: no request to play an answer for"):
+    with pytest.raises(InputError, match=rf"a\.pcap: {problem}"):
         _recording(path, where)
 
 
