@@ -17,7 +17,8 @@ from mbtool.cli.leaving import leave
 
 def main() -> None:
     """Run the command line and exit with its code."""
-    for number in (signal.SIGINT, signal.SIGTERM):
+    hangup = getattr(signal, "SIGHUP", signal.SIGTERM)  # Windows has none.
+    for number in (signal.SIGINT, signal.SIGTERM, hangup):
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, leave)
     from mbtool.cli.main import main as run_command_line

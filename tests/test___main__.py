@@ -36,7 +36,7 @@ def _interrupted(signal_name: str, module: str) -> subprocess.CompletedProcess[s
     )
 
 
-@pytest.mark.parametrize("signal_name", ["SIGINT", "SIGTERM"])
+@pytest.mark.parametrize("signal_name", ["SIGINT", "SIGTERM", "SIGHUP"])
 @pytest.mark.parametrize(
     ("module", "told"),
     [("mbtool.cli.main", ""), ("typer", ""), ("mbtool.views.profile", "interrupted\n")],

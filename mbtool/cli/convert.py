@@ -31,7 +31,7 @@ def convert(
             metavar="FILE",
             help="Captures, logs (.mcap), bytes of a serial line, or .jsonl. The last FILE is "
             "the one to write: .pcapng (for Wireshark, serial lines, too), .pcap, .mcap, .jsonl, "
-            ".csv or .parquet. Several become one, in the order of time.",
+            ".csv, .parquet or .txt. Several become one, in the order of time.",
         ),
     ],
     *,

@@ -19,6 +19,9 @@ def demo(
         str | None,
         typer.Option("--write", "-w", metavar="FILE.mcap", help="Keep the log under this name."),
     ] = None,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace the log if there is one of that name.")
+    ] = False,
 ) -> None:
     """Show the whole loop on this machine, without hardware.
 
@@ -31,10 +34,13 @@ def demo(
     from mbtool.cli import exit_codes
     from mbtool.cli.options import EventChoice, Format
     from mbtool.cli.output import open_output
+    from mbtool.logs.opening import check_log_path
     from mbtool.workflows.demo import Demo
 
+    if write is not None:
+        check_log_path(write, overwrite=overwrite)
     with TemporaryDirectory(prefix="mbtool-demo-") as folder, _log_told(write):
-        run = Demo(write or str(Path(folder) / "demo.mcap"))
+        run = Demo(write or str(Path(folder) / "demo.mcap"), overwrite=overwrite)
         say("1. An FT1A Touch (RTU, 19200 baud) and an FA3-AT1M8X (Modbus/TCP) answer two masters;")
         say("   mbtool hears both and logs them:\n")
         with open_output(

@@ -95,17 +95,22 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
-    # During the command, SIGTERM interrupts like Ctrl-C, so the command completes its open files.
-    # After the command no file is open. SIGTERM then ends the process at once. Ctrl-C is ignored,
-    # since it could interrupt the interpreter's exit and replace the command's exit code.
+    # During the command, SIGTERM and SIGHUP (the terminal is gone) interrupt like Ctrl-C, so the
+    # command completes its open files. After the command no file is open. They then end the process
+    # at once. Ctrl-C is ignored, since it could interrupt the interpreter's exit and replace the
+    # command's exit code. SIGHUP stays ignored under nohup.
+    hangup = getattr(signal, "SIGHUP", signal.SIGINT)  # Windows has none.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+    for number in (signal.SIGINT, hangup):
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, signal.default_int_handler)
     try:
         code = run(sys.argv[1:])
     except KeyboardInterrupt:
         code = exit_codes.INTERRUPTED
     signal.signal(signal.SIGTERM, leave)
+    if signal.getsignal(hangup) is not signal.SIG_IGN:
+        signal.signal(hangup, leave)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     sys.exit(code)
 

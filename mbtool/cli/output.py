@@ -378,9 +378,7 @@ def demand_other_file(files: Sequence[str], output: str | None) -> None:
     """Raise UsageError if the output is one of the inputs."""
     for file in files:
         if output is not None and _is_same(file, output):
-            raise UsageError(
-                f"{output}: is an input and would be overwritten; name another --output"
-            )
+            raise UsageError(f"{output}: is an input and would be overwritten; name another file")
 
 
 def _is_same(file: str, output: str) -> bool:

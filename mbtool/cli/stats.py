@@ -178,7 +178,11 @@ def _read(shown: _Shown, options: ReadingOptions) -> None:
         raise broken
     say_if_empty(reading)
     if not run.statistics.transactions and reading.why_empty is None:
-        say("no transactions" if shown.where is None else "no transactions pass --where")
+        say(_none(shown))
+
+
+def _none(shown: _Shown) -> str:
+    return "no transactions" if shown.where is None else "no transactions pass --where"
 
 
 def _listen(
@@ -219,6 +223,8 @@ def _listen(
                 live.add(record)
     live.statistics.settle()
     shown.print(live.statistics)
+    if not live.statistics.transactions:
+        say(_none(shown))
     if interrupt.asked:
         raise Interrupted
 

@@ -98,12 +98,12 @@ def _lock(file: BinaryIO, path: Path, *, is_shared: bool = False) -> None:
 def _exists(path: Path) -> UsageError:
     return UsageError(
         f"{path}: the file exists, and a recording is not overwritten; "
-        "name another, remove it, or let sniff replace it with --overwrite"
+        "name another, remove it, or replace it with --overwrite"
     )
 
 
 def _uncreated(path: Path, error: OSError | ValueError) -> UsageError:
-    return UsageError(f"{path}: the log cannot be created: {reason_of(error)}")
+    return UsageError(f"{path}: cannot be created: {reason_of(error)}")
 
 
 def _sync_folder(folder: Path) -> None:

@@ -74,8 +74,9 @@ class Agreement:
 class Demo:
     """One run of the demo. `assignments` says which profile each device has."""
 
-    def __init__(self, log_path: str) -> None:
+    def __init__(self, log_path: str, *, overwrite: bool = False) -> None:
         self._log_path = log_path
+        self._overwrite = overwrite
         self._exchanges: list[Exchange] = []
         self._failure: BaseException | None = None
         self.assignments = Assignments()
@@ -99,7 +100,9 @@ class Demo:
                 ]
             )
             decoder = Decoder(Namer(self.assignments), lines=serial_lines(links))
-            begin = partial(create_log, self._log_path, links, self.assignments)
+            begin = partial(
+                create_log, self._log_path, links, self.assignments, overwrite=self._overwrite
+            )
             sniffer = stack.enter_context(Sniffer(links, decoder, begin_log=begin))
             (tap,) = (source for source in sniffer.sources if isinstance(source, TapSource))
             masters = threading.Thread(

@@ -23,7 +23,7 @@ class RecordingState(StrEnum):
     LATE = "no heartbeat"
     LOST = "a link is lost"
     ENDED = "ended in order"
-    KILLED = "ended without closing the log: killed, or the power failed"
+    KILLED = "ended without closing the log: killed, the disk was full, or the power failed"
     OPEN = "not closed; this system does not tell if it is being written"
 
 

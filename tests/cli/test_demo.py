@@ -26,3 +26,17 @@ def test_shows_the_loop_and_keeps_the_log_that_is_asked_for(
     assert told.lines[-1] == "22 of 22 answers agree with the devices' own."
     again = mbtool("decode", path)
     assert again.lines == told.lines[:-1]
+
+
+def test_a_log_that_is_there_is_told_before_anything_begins(
+    mbtool: CommandLine, tmp_path: Path
+) -> None:
+    path = tmp_path / "first.mcap"
+    path.write_text("older")
+    told = mbtool("demo", "-w", path)
+    assert (told.code, told.out) == (exit_codes.USAGE, "")
+    assert told.err == (
+        f"mbtool: {path}: the file exists, and a recording is not overwritten; name another, "
+        "remove it, or replace it with --overwrite\n"
+    )
+    assert path.read_text() == "older"

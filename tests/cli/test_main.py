@@ -160,7 +160,7 @@ def test_help_has_every_option_of_the_readme(mbtool: CommandLine) -> None:
         (["sniff", "tap:127.0.0.1:0=127.0.0.1:9", "--rotate", "1h"], "name one with -w FILE"),
         (
             ["sniff", "tap:127.0.0.1:0=127.0.0.1:9", "-w", "absent/a.mcap"],
-            "absent/a.mcap: the log cannot be created",
+            "absent/a.mcap: cannot be created",
         ),
         (
             ["sniff", "tap:127.0.0.1:0=127.0.0.1:9", "-w", "a.pcap"],

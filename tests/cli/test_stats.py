@@ -121,3 +121,9 @@ def test_a_link_that_cannot_be_opened_is_one_line(mbtool: CommandLine, tmp_path:
     told = mbtool("stats", f"rtu:{tmp_path / 'absent'}@9600-8E1")
     assert told.code == exit_codes.UNREADABLE
     assert told.err.count("\n") == 1
+
+
+def test_a_link_on_which_nothing_comes_is_told(mbtool: CommandLine) -> None:
+    told = mbtool("stats", "tap:127.0.0.1:0=127.0.0.1:9", "--duration", "0")
+    assert (told.code, told.out) == (exit_codes.DONE, "")
+    assert told.err.endswith("; Ctrl-C ends\nno transactions\n")

@@ -53,7 +53,7 @@ def test_a_path_can_be_checked_before(tmp_path: Path) -> None:
     check_path(tmp_path / "b.mcap", replace=True)
     with pytest.raises(UsageError, match="the file exists"):
         check_path(tmp_path / "b.mcap")
-    with pytest.raises(UsageError, match="the log cannot be created: No such file"):
+    with pytest.raises(UsageError, match="cannot be created: No such file"):
         check_path(tmp_path / "absent" / "a.mcap")
     assert [path.name for path in tmp_path.iterdir()] == ["b.mcap"]
 
