@@ -120,7 +120,7 @@ def test_a_log_of_evidence_only_is_decoded_when_it_is_read(
     assert live.out.count("06 write") == 3
     with LogReader.open(path) as log:
         found = [getattr(item, "kind", "bytes") for item in log.items()]
-    assert found == ["bytes"] * 6 + ["opened", "closed"]
+    assert sorted(found) == ["bytes"] * 6 + ["closed", "opened"]
     again = mbtool("decode", path)
     assert again.out == live.out
     assert again.err == "3 transactions: 3 ok\n"
