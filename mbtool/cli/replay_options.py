@@ -305,7 +305,8 @@ class AsMasterOptions(OptionGroup):
         typer.Option(
             "--report",
             metavar="FILE",
-            help="As the master: write what differs, .json or JUnit .xml.",
+            help="As the master: write what differs, .json or JUnit .xml. A "
+            "file of that name is replaced.",
         ),
     ] = None
 

@@ -80,6 +80,7 @@ def report(
     from mbtool.cli.progress import with_progress
     from mbtool.cli.talk import interruption_told, say
     from mbtool.core import UsageError
+    from mbtool.core.wording import counted
     from mbtool.workflows.check import CodeFilter
     from mbtool.workflows.report import ReportRun
     from mbtool.workflows.shared.time_window import TimeWindow
@@ -115,6 +116,7 @@ def report(
         say(remark)
     say_if_empty(run.reading)
     if path is not None:
-        say(f"{run.statistics.transactions:,} transactions -> {path} ({len(text) / 1e6:.1f} MB)")
+        done = counted(run.statistics.transactions, "transaction", ",")
+        say(f"{done} -> {path} ({len(text) / 1e6:.1f} MB)")
     if run.error is not None:
         raise run.error

@@ -312,7 +312,9 @@ def _parse_interfaces(text: str, rest: str) -> InterfaceLink:
 def _parse_endpoint(text: str, part: str) -> Endpoint:
     match = _ENDPOINT.fullmatch(part)
     port = int(match["port"] or MODBUS_PORT) if match is not None else 0
-    if match is None or port > 65535:
+    if port > 65535:
+        raise UsageError(f"link {text!r}: port {port} is above 65535, the highest there is")
+    if match is None:
         raise UsageError(
             f"link {text!r}: {part!r} is no address; write HOST:PORT, "
             "for example 127.0.0.1:1502 or [::1]:1502"

@@ -346,9 +346,9 @@ class TcpMaster(MasterLink):
             connected = socket.create_connection((endpoint.host, endpoint.port), timeout_s)
         except OSError as error:
             why = "no answer" if isinstance(error, TimeoutError) else error.strerror or error
-            raise LinkError(
-                f"{self._link}: cannot be reached: {why}; does a slave listen there?"
-            ) from error
+            is_unknown = isinstance(error, socket.gaierror)
+            hint = "is the name right?" if is_unknown else "does a slave listen there?"
+            raise LinkError(f"{self._link}: cannot be reached: {why}; {hint}") from error
         connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         if self._tls is not None:
             connected = self._secured(connected, *self._tls)

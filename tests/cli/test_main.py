@@ -202,6 +202,7 @@ def test_help_has_every_option_of_the_readme(mbtool: CommandLine) -> None:
             "--unit: '256' is no unit",
         ),
         (["replay", "a", "--on", "tcp:127.0.0.1:0"], "say which side to play: --as-slave"),
+        (["replay", "a", "--as-slave", "--on", "tcp:x:80000"], "port 80000 is above 65535"),
         (["replay", "a", "--as-slave", "--on", "tcp:x:y:z"], "is no address; write HOST:PORT"),
         (
             ["replay", "a", "--as-slave", "--on", "tcp:127.0.0.1:0", "--speed", "0"],

@@ -168,7 +168,7 @@ def test_link_has_a_name_without_a_slash(text: str, name: str) -> None:
         ("tcp:[::1", "is no address"),
         ("tcp:[]:502", "is no address"),
         ("tcp://10.0.0.9:502", "is no address"),
-        ("tcp:10.0.0.9:65536", "is no address"),
+        ("tcp:10.0.0.9:65536", "is above 65535"),
         ("tcp:10.0.0.9:-1", "is no address"),
         ("tcp:10.0.0.9:٥٠٢", "is no address"),
         ("tcp:10.0.0.9:" + "9" * 5000, "is no address"),

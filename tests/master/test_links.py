@@ -222,3 +222,13 @@ def test_a_master_cannot_use_an_interface() -> None:
         open_master(parse_link("net:eth0"), SECOND_NS)
     with pytest.raises(UsageError, match="name one"):
         open_master(parse_link("rtu:/dev/a,/dev/b@19200-8N1"), SECOND_NS)
+
+
+def test_a_name_that_is_not_known_is_told_as_such(monkeypatch: pytest.MonkeyPatch) -> None:
+    def unknown(*_: object) -> None:
+        raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
+
+    monkeypatch.setattr(socket, "create_connection", unknown)
+    link = TcpLink(Endpoint("absent", 502))
+    with pytest.raises(LinkError, match="not known; is the name right"):
+        open_master(link, SECOND_NS)

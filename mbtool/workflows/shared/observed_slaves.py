@@ -76,7 +76,7 @@ class ObservedSlaves:
 
 def _which(slaves: Sequence[ObservedSlave], choices: Sequence[ObservedSlave], option: str) -> str:
     if not slaves:
-        return f"{option}: no transaction of such a slave is there"
+        return f"no transaction of such a slave is there; {option} chooses another"
     plain = Counter(one.who.at_any_port for one in choices)
     names = [
         f"{one.who} on {one.link}"

@@ -78,7 +78,9 @@ def test_slaves_at_two_ports_of_an_address_are_named_with_them() -> None:
 
 
 def test_where_there_is_none_that_is_said() -> None:
-    with pytest.raises(UsageError, match="--unit: no transaction of such a slave is there"):
+    with pytest.raises(
+        UsageError, match="no transaction of such a slave is there; --unit chooses another"
+    ):
         survey((None, 1), who="7").only("--unit")
 
 
