@@ -261,7 +261,8 @@ def _count(
     slave.seen.note(start_ns, end_ns, transaction.destination_mac)
     slave.outcomes[transaction.outcome] += number
     if transaction.exception is not None:
-        slave.exceptions[transaction.exception] += number
+        if transaction.outcome is Outcome.EXCEPTION:
+            slave.exceptions[transaction.exception] += number
     elif transaction.response_ns is not None and end_ns > slave.answered_ns:
         slave.answered_ns = end_ns
     if transaction.request_ns is None:

@@ -28,14 +28,21 @@ class RequestTally:
         "latency",
         "outcomes",
         "request_bytes",
+        "requests",
         "response_bytes",
         "retries",
+        "unsolicited_exceptions",
     )
 
     def __init__(self) -> None:
         self.outcomes: dict[Outcome, int] = {}
+        self.requests = 0
+        """The number of transactions whose request is in the capture."""
         self.exceptions: dict[int, int] = {}
+        """The number of requests answered with an exception, by its code."""
         self.exception_names: dict[int, str] = {}
+        self.unsolicited_exceptions = 0
+        """The number of exceptions that nobody asked for; they are not in `exceptions`."""
         self.damaged = 0
         """The number of unanswered requests whose answer came with a wrong CRC or LRC."""
         self.retries = 0
@@ -55,16 +62,24 @@ class RequestTally:
         """Count a number of transactions that are like this one, without their latencies."""
         outcome = transaction.outcome
         self.outcomes[outcome] = self.outcomes.get(outcome, 0) + number
+        if transaction.request_ns is not None:
+            self.requests += number
         code = transaction.exception
-        if code is not None and (code in self.exceptions or len(self.exceptions) < MAX_EXCEPTIONS):
-            self.exceptions[code] = self.exceptions.get(code, 0) + number
-            self.exception_names.setdefault(code, transaction.exception_name or "")
+        if code is not None and outcome is Outcome.UNSOLICITED:
+            self.unsolicited_exceptions += number
+        elif code is not None and outcome is Outcome.EXCEPTION:
+            self._count_exception(code, transaction.exception_name or "", number)
         if transaction.retries > 0:
             self.retries += number
         if transaction.request_raw is not None:
             self.request_bytes += number * len(transaction.request_raw)
         if transaction.response_raw is not None:
             self.response_bytes += number * len(transaction.response_raw)
+
+    def _count_exception(self, code: int, name: str, number: int) -> None:
+        if code in self.exceptions or len(self.exceptions) < MAX_EXCEPTIONS:
+            self.exceptions[code] = self.exceptions.get(code, 0) + number
+            self.exception_names.setdefault(code, name)
 
     def merge(self, other: RequestTally) -> None:
         """Add all that another tally has counted."""
@@ -73,6 +88,8 @@ class RequestTally:
         for code, count in other.exceptions.items():
             self.exceptions[code] = self.exceptions.get(code, 0) + count
             self.exception_names.setdefault(code, other.exception_names[code])
+        self.requests += other.requests
+        self.unsolicited_exceptions += other.unsolicited_exceptions
         self.damaged += other.damaged
         self.retries += other.retries
         self.latency.merge(other.latency)

@@ -25,7 +25,7 @@ class ConnectionTally:
     """The connections of one master to one slave."""
 
     opened: int = 0
-    """The number of connections whose beginning is in the capture."""
+    """The number of connections whose beginning is in the capture and that were not refused."""
     joined: int = 0
     """The number of connections that were open before the capture."""
     refused_by_tap: int = 0
@@ -59,6 +59,8 @@ class ConnectionTally:
         match = _REASON.match(message)
         reason = match[1] if match is not None and match[1] in _REASONS else _OTHER
         self.closed[reason] = self.closed.get(reason, 0) + 1
+        if reason == "refused" and self.opened:  # Its first packet came as OPENED.
+            self.opened -= 1
         self.keep_alives += _number(_PROBES, message)
         self.unanswered_keep_alives += _number(_UNANSWERED, message)
 

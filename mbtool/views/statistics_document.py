@@ -95,12 +95,14 @@ def _link(link: LinkReport) -> dict[str, Any]:
 def _tally(tally: RequestTally, link: LinkReport) -> dict[str, Any]:
     return {
         "transactions": tally.transactions,
-        "rate_per_s": link.rate(tally.transactions),
+        "requests": tally.requests,
+        "rate_per_s": link.rate(tally.requests),
         **{name: tally.count(outcome) for outcome, name in _COUNTED},
         "exceptions": [
             {"code": code, "name": tally.exception_names[code], "count": count}
             for code, count in sorted(tally.exceptions.items())
         ],
+        "unsolicited_exceptions": tally.unsolicited_exceptions,
         "wrong_crc": tally.damaged,
         "retries": tally.retries,
         "request_bytes": tally.request_bytes,

@@ -204,7 +204,7 @@ def _poll_cells(one: PollReport, link: LinkReport) -> list[str]:
     if link.load is not None and one.line_time is not None:
         share = percent(link.load.share(one.line_time.total_ns))
     return [
-        f"{poll.tally.transactions:,}",
+        f"{poll.tally.requests:,}",
         in_s(poll.period.percentile(50)) if poll.period.count else "-",
         "-" if jitter_ns is None else in_ms(jitter_ns),
         *_latency_cells(poll.tally),
@@ -216,8 +216,8 @@ def _poll_cells(one: PollReport, link: LinkReport) -> list[str]:
 
 def _tally_cells(tally: RequestTally, link: LinkReport) -> list[str]:
     return [
-        f"{tally.transactions:,}",
-        per_second(link.rate(tally.transactions)),
+        f"{tally.requests:,}",
+        per_second(link.rate(tally.requests)),
         counted(tally.count(Outcome.EXCEPTION)),
         counted(tally.unanswered),
         counted(tally.count(Outcome.NOT_CAPTURED)),

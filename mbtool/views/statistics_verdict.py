@@ -44,7 +44,7 @@ def verdict(links: Sequence[LinkReport]) -> list[StyledLine]:
 def _sum(links: Sequence[LinkReport], total: RequestTally) -> str:
     watched_ns = max((link.watched_ns for link in links), default=0)
     units = {(link.name, one.unit): one.device for link in links for one in link.functions}
-    rate = per_second(total.transactions * 1e9 / watched_ns if watched_ns else None)
+    rate = per_second(total.requests * 1e9 / watched_ns if watched_ns else None)
     time = f" in {duration(watched_ns)} ({rate}/s)" if watched_ns else ""
     where = f"{counted(len(links), 'link', ',')}, {counted(len(units), 'unit', ',')}"
     if len(links) == 1:
@@ -55,7 +55,7 @@ def _sum(links: Sequence[LinkReport], total: RequestTally) -> str:
             ((_, unit), device) = next(iter(units.items()))
             of = f"unit {unit} {device or ''}".rstrip()
         where = f"{one.transport} {one.name}{settings}, {of}"
-    return f"{where}: {counted(total.transactions, 'request', ',')}{time}, {_answered(total)}"
+    return f"{where}: {counted(total.requests, 'request', ',')}{time}, {_answered(total)}"
 
 
 def _answered(total: RequestTally) -> str:
@@ -131,6 +131,8 @@ def _odd(total: RequestTally) -> list[StyledLine]:
         lines.append(StyledLine(f"! {counted(malformed, 'answer', ',')} malformed", _BAD))
     if unsolicited:
         text = f"! {counted(unsolicited, 'answer', ',')} that nobody asked for"
+        if total.unsolicited_exceptions:
+            text = f"{text}, {total.unsolicited_exceptions:,} of them with an exception"
         lines.append(StyledLine(text, _DOUBT))
     if lacking:
         text = f"! {lacking:,} not captured whole: the capture's loss, not a device's fault"

@@ -31,6 +31,14 @@ def test_the_reason_of_an_end_is_counted(reason: str, resets: int, refused: int)
     assert (tally.closed, tally.resets, tally.refused) == ({reason: 1}, resets, refused)
 
 
+def test_a_refused_connection_does_not_count_as_opened() -> None:
+    opened = EventKind.OPENED, CONNECTION_OPENED
+    refused = EventKind.CLOSED, "connection closed: refused"
+    tally = tally_of(opened, refused, opened, refused, opened)
+    assert (tally.opened, tally.refused) == (1, 2)
+    assert tally_of(refused).opened == 0
+
+
 def test_keep_alives_are_summed_up() -> None:
     tally = tally_of(
         (EventKind.CLOSED, "connection closed: finished, 12 keep-alive probes"),

@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -193,3 +193,30 @@ def test_damaged_answers_are_told_and_cost_no_waiting() -> None:
     assert "! 20 answers missing: 10 of unit 2, 10 of unit 3 with a wrong CRC" in lines[2]
     text = statistics_document(statistics, [link], sources=["x"], where=None)
     assert json.loads(text)["links"][0]["wrong_crc"] == 10
+
+
+def test_answers_that_nobody_asked_for_are_neither_requests_nor_exceptions_of_the_table() -> None:
+    alone: dict[str, Any] = {
+        "outcome": Outcome.UNSOLICITED,
+        "exception": 1,
+        "exception_name": "illegal function",
+        "request_ns": None,
+        "request_raw": None,
+        "latency_ns": None,
+    }
+    refused: dict[str, Any] = {
+        "outcome": Outcome.EXCEPTION,
+        "exception": 2,
+        "exception_name": "illegal address",
+    }
+    links = counted(request(0), request(100, **refused), request(200, **alone))
+    text = "\n".join(line.text for line in statistics_lines(links, width=80))
+    assert ": 2 requests in " in text
+    assert "! 1 exception: 1 x 02 illegal address\n" in text
+    assert "! 1 answer that nobody asked for, 1 of them with an exception\n" in text
+    statistics = Statistics(lambda _: LINE)
+    document = json.loads(statistics_document(statistics, links, sources=["a"], where=None))
+    (link,) = document["links"]
+    assert (link["transactions"], link["requests"]) == (3, 2)
+    assert link["exception"] == sum(one["count"] for one in link["exceptions"]) == 1
+    assert (link["unsolicited"], link["unsolicited_exceptions"]) == (1, 1)

@@ -106,10 +106,15 @@ def demand_tally(figures: Row, rows: list[Row], seconds: float) -> None:
         one: outcomes[one] for one in OUTCOMES
     }
     assert figures["transactions"] == len(rows)
-    rate = len(rows) / seconds if seconds else None
+    requests = sum("request_ns" in row for row in rows)
+    assert figures["requests"] == requests
+    rate = requests / seconds if seconds else None
     assert figures["rate_per_s"] == (rate if rate is None else pytest.approx(rate))
     assert {one["code"]: one["count"] for one in figures["exceptions"]} == Counter(
-        row["exception"] for row in rows if "exception" in row
+        row["exception"] for row in rows if row["outcome"] == "exception"
+    )
+    assert figures["unsolicited_exceptions"] == sum(
+        row["outcome"] == "unsolicited" and "exception" in row for row in rows
     )
     assert figures["retries"] == sum(row["retries"] > 0 for row in rows)
     for side in ("request", "response"):
