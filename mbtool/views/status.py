@@ -30,7 +30,7 @@ def status_lines(
     rows += [("host", capture.get("host", "")), ("command", capture.get("command", ""))]
     rows += [("link", f"{name}  {spec}".rstrip()) for name, spec in links.items()]
     if not heartbeat:
-        rows.append(("counters", "none: only sniff --service writes them"))
+        rows.append(("counters", "none yet: only sniff --service writes them"))
     else:
         rows += _counters(heartbeat, numbers, now_ns)
     return [f"{name:<13}{text}" for name, text in rows if text]

@@ -143,6 +143,7 @@ class Recorder:
 
     def _run(self) -> None:
         try:
+            self._tick()  # So `mbtool status` finds the links and a heartbeat from the start.
             while True:
                 # Read before the inbox: what was heard before the order to stop is then written.
                 is_stopping = self._is_stopping
