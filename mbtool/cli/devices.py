@@ -148,7 +148,7 @@ def _match(file: str, names: Sequence[str], options: ReadingOptions, format_: Li
     from mbtool.views.matches import match_record, print_match_results
 
     profiles = [load_profile(one) for one in dict.fromkeys((*builtin_profiles(), *names))]
-    found = survey(file, options)
+    found, broken = survey(file, options)
     results = [match_profiles(slave, profiles) for slave in found.slaves]
     if format_ == "jsonl":
         for result in results:
@@ -159,3 +159,5 @@ def _match(file: str, names: Sequence[str], options: ReadingOptions, format_: Li
         say(f"{file}: no transaction in it, so nothing to match")
     if found.forgotten:
         say(f"{found.forgotten} transactions of further slaves were not looked at")
+    if broken is not None:
+        raise broken

@@ -22,6 +22,7 @@ from mbtool.cli.profile_files import (
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+    from mbtool.core import InputError
     from mbtool.decode.decoder import Record
     from mbtool.devices import Who
     from mbtool.workflows.shared.observed_slaves import ObservedSlaves
@@ -82,7 +83,8 @@ def draft(
     if sunspec is not None:
         _draft_sunspec(file, source.read(), who, sunspec, output)
         return
-    seen = survey(file, source.read(), who, with_values=True).only("--unit")
+    found, broken = survey(file, source.read(), who, with_values=True)
+    seen = found.only("--unit")
     name = name_for(output) if output is not None and is_file(output) else f"unit-{seen.unit}"
     drafted = draft_profile(seen, name, shown(file))
     give(drafted.text, output)
@@ -90,6 +92,8 @@ def draft(
         areas = counted(len(drafted.profile.areas), "area")
         points = counted(len(drafted.profile.points), "point")
         say(f"unit {seen.unit}: {areas}, {points} -> {output}")
+    if broken is not None:
+        raise broken
 
 
 def _draft_sunspec(
@@ -99,9 +103,13 @@ def _draft_sunspec(
     from mbtool.workflows.shared.sunspec_devices import SunSpecDevices, SunSpecFolder, only_map
 
     models, devices = SunSpecFolder(folder), SunSpecDevices()
-    _survey(file, options, devices.note_all)
+    broken = _survey(file, options, devices.note_all)
+    if broken is not None and not devices.maps:
+        raise broken
     found = only_map(devices, who, "--unit")
     give_imported(models.profile(found, profile_name(file, output) or "sunspec"), output)
+    if broken is not None:
+        raise broken
 
 
 def export(
@@ -170,28 +178,45 @@ def schema() -> None:
 
 def survey(
     file: str, options: ReadingOptions, who: Who | None = None, *, with_values: bool = False
-) -> ObservedSlaves:
-    """Read a capture or log to its end, print remarks about it, and return its slaves."""
+) -> tuple[ObservedSlaves, InputError | None]:
+    """Read a capture or log to its end, print remarks about it, and return its slaves.
+
+    If the file is cut or damaged, those of the part that can be read, and the error, which the
+    caller raises when these slaves are printed. Raises InputError if there is none.
+    """
     from mbtool.workflows.shared.observed_slaves import ObservedSlaves
 
     found = ObservedSlaves(who, with_values=with_values)
-    _survey(file, options, found.add)
-    return found
+    broken = _survey(file, options, found.add)
+    if broken is not None and not found.slaves:
+        raise broken
+    return found, broken
 
 
-def _survey(file: str, options: ReadingOptions, take: Callable[[Iterator[Record]], None]) -> None:
-    """Give all records of a capture or log to `take`, and print remarks about it."""
+def _survey(
+    file: str, options: ReadingOptions, take: Callable[[Iterator[Record]], None]
+) -> InputError | None:
+    """Give all records of a capture or log to `take`, and print remarks about it.
+
+    Returns the error of a file that is cut or damaged, None for a whole one.
+    """
     from mbtool.cli.talk import interruptible, interruption_told, say
+    from mbtool.core import CutError, DamageError
     from mbtool.workflows.shared.reading import Reading
 
     reading = Reading([file], options)
+    broken: InputError | None = None
     try:
         with interruption_told(), interruptible() as interrupt:
             take(interrupt.breakable(reading.records()))
+    except (CutError, DamageError) as error:
+        broken = error
     finally:
         for remark in reading.remarks:
             say(remark)
-    reading.demand_readable()
+    if broken is None:
+        reading.demand_readable()
+    return broken
 
 
 def _as_argument(file: str) -> str:

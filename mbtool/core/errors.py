@@ -6,7 +6,7 @@
 #   ProfileError   a profile whose area ends before it begins (file, key, what would be right)
 #   InputError     a capture that is absent, unreadable or of another kind
 #   CutError       a capture that ends in the middle of a record; raised after the last whole record
-#   DamageError    a log in which a byte has changed; raised after all whole records
+#   DamageError    a log or capture in which a byte has changed; raised after all whole records
 #   LinkError      a port that is absent, busy or forbidden; an address in use
 #   OutputError    a disk that is full while a log is written
 #
@@ -43,7 +43,7 @@ class CutError(InputError):
 
 
 class DamageError(InputError):
-    """A log is damaged. Raised after all its undamaged records were returned."""
+    """A file is damaged. Raised after all records that can be read were returned."""
 
 
 class LinkError(MbtoolError):

@@ -64,7 +64,9 @@ class Damage:
     def error(self) -> DamageError:
         """Return the error to raise when a damaged log was read to its end."""
         rest = ", all else was read" if self._skipped else ""
-        return DamageError(f"{self._name}: {self._summary()}{rest}")
+        error = DamageError(f"{self._name}: {self._summary()}{rest}")
+        error.add_note("mbtool recover FILE -o GOOD.mcap makes a whole log of what can be read")
+        return error
 
     def added_to(self, end: InputError) -> InputError:
         """Return the error `end`, with which reading ended early, with the damage added to it."""

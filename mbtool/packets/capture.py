@@ -3,7 +3,7 @@
 # A reader takes an open binary stream and gives packets one at a time, so memory does not grow
 # with the file. The stream is buffered: `read(n)` gives fewer than n bytes only at its end.
 #
-# A reader raises InputError where the file is damaged, and CutError where the file ends in the
+# A reader raises DamageError where the file is damaged, and CutError where the file ends in the
 # middle of a record. It gives all packets before that place first. `name` is the file's name in the
 # text of these errors.
 
@@ -31,7 +31,8 @@ def read_capture(
     """Give the packets of a pcap or pcapng file.
 
     `on_head` is called if `convert` has described the links of the packets in the file. Raises
-    InputError if the file is of another kind or damaged, CutError if it ends too early.
+    InputError if the file is of another kind, DamageError or CutError if it is damaged or ends too
+    early.
     """
     magic = stream.read(4)
     if magic in PCAP_MAGICS:

@@ -21,7 +21,7 @@ from __future__ import annotations
 import struct
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple
 
-from mbtool.core import CutError, InputError, Packet
+from mbtool.core import CutError, DamageError, InputError, Packet
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -61,8 +61,8 @@ class PcapForm(NamedTuple):
 def read_pcap(stream: BinaryIO, magic: bytes, name: str) -> Iterator[Packet]:
     """Give the packets of a pcap file from which `magic`, its first 4 bytes, is read already.
 
-    Raises InputError if the file is damaged or of an unknown version, CutError if it ends too
-    early.
+    Raises InputError for an unknown version, DamageError if the file is damaged, CutError if it
+    ends too early; the last two after all earlier packets.
     """
     form = read_pcap_form(magic, stream.read(PCAP_HEADER - len(magic)), name)
     unit_ns, link_type = form.unit_ns, form.link_type
@@ -107,9 +107,9 @@ def read_pcap_form(magic: bytes, header: bytes, name: str) -> PcapForm:
     return PcapForm(order, unit_ns, extra, link_field & 0xFFFF)
 
 
-def too_long_error(name: str, number: int, captured: int) -> InputError:
+def too_long_error(name: str, number: int, captured: int) -> DamageError:
     """The error for a record behind packet `number` that claims too many bytes."""
-    return InputError(
+    return DamageError(
         f"{name}: damaged after packet {number}: the next claims {captured} bytes, "
         f"more than {MAX_CAPTURED}"
     )

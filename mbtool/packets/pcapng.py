@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, BinaryIO
 
 import msgspec
 
-from mbtool.core import InputError, Packet
+from mbtool.core import DamageError, InputError, Packet
 from mbtool.packets.line_packets import (
     LOCAL_BLOCK,
     LOCAL_OPTION,
@@ -94,7 +94,8 @@ def read_pcapng(
     """Give the packets of a pcapng file whose first 4 bytes are read already.
 
     `on_head` is called if the file describes the links of packets that follow. Raises InputError
-    if the file is damaged or of an unknown version, CutError if it ends too early.
+    for an unknown version, DamageError if the file is damaged, CutError if it ends too early; the
+    last two after all earlier packets.
     """
     return _Reader(stream, name, on_head).packets()
 
@@ -155,7 +156,7 @@ class _Reader:
         """Read and return the rest of a block, without its second length.
 
         `header` is the block's type and length; `done` bytes of the block are read already. Raises
-        InputError if a length is impossible or the two differ, CutError if the file ends before.
+        DamageError if a length is impossible or the two differ, CutError if the file ends before.
         """
         if length < done + 4 or length % 4 or length > MAX_BLOCK:
             raise self._damaged(f"a block claims {length} bytes")
@@ -244,8 +245,8 @@ class _Reader:
             raise self._damaged("a block is too short for its type")
         return structure.unpack_from(body)
 
-    def _damaged(self, problem: str) -> InputError:
-        return InputError(f"{self._name}: damaged after packet {self._number}: {problem}")
+    def _damaged(self, problem: str) -> DamageError:
+        return DamageError(f"{self._name}: damaged after packet {self._number}: {problem}")
 
 
 def _options(header: Struct, data: bytes) -> dict[int, bytes]:
