@@ -114,7 +114,8 @@ def _exceptions(total: RequestTally) -> list[StyledLine]:
         f"{count:,} x {exception_text(code, total.exception_names[code])}"
         for code, count in by_count[:_MOST_UNITS]
     )
-    more = f" and {len(by_count) - _MOST_UNITS} more codes" if len(by_count) > _MOST_UNITS else ""
+    rest = len(by_count) - _MOST_UNITS
+    more = f" and {counted(rest, 'more code')}" if rest > 0 else ""
     return [StyledLine(f"! {counted(number, 'exception', ',')}: {codes}{more}", _BAD)]
 
 

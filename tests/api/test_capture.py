@@ -60,7 +60,7 @@ def test_the_table_has_the_columns_also_if_nothing_is_chosen() -> None:
 
 def test_a_table_without_its_packages_is_one_clear_error(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(capture_module, "find_spec", lambda _: None)
-    with pytest.raises(mbtool.UsageError, match=r"pip install 'mbtool\[columns\]'"):
+    with pytest.raises(mbtool.UsageError, match=r"needs the extra mbtool\[columns\]: "):
         mbtool.open(LINE).table()
 
 
