@@ -57,7 +57,7 @@ def test_a_row_of_a_tcp_transaction_takes_few_calls(tmp_path: Path) -> None:
     few, many = _capture(tmp_path, FEW), _capture(tmp_path, MANY)
     jsonl = _calls_per_transaction(few, many, "jsonl")
     assert 50 < jsonl <= 130
-    assert _calls_per_transaction(few, many, "csv") <= jsonl
+    assert _calls_per_transaction(few, many, "csv") <= 1.01 * jsonl
     assert _calls_per_transaction(few, many, "table") <= 1.3 * jsonl
 
 

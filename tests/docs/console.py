@@ -237,6 +237,9 @@ def prepare() -> Path:
     python = tools / "python"
     python.write_text(f'#!/bin/sh\nexec {sys.executable} "$@"\n')
     python.chmod(0o755)
+    pytest = tools / "pytest"
+    pytest.write_text(f'#!/bin/sh\nexec {sys.executable} -m pytest "$@"\n')
+    pytest.chmod(0o755)
     os.environ.update(
         PATH=f"{tools}:{os.environ['PATH']}", HOME=str(tools), NO_COLOR="1", TERM="dumb",
         LANG="C.UTF-8",        PYTHONPATH=str(ROOT), XDG_CONFIG_HOME=str(tools),

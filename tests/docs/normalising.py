@@ -33,6 +33,7 @@ NOT_RUN = (
     "needs an adapter or a device",
     "needs other machines",
     "needs packages from a registry",
+    "needs the extra mbtool[plot]",
     "needs jq, which is no dependency",
     "takes minutes",
 )

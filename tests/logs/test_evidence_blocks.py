@@ -34,7 +34,7 @@ def test_the_layout_is_as_documented() -> None:
         "2a 03 00 39 3a"  # waits: 0, 57, 58
         "32 03 02 01 01"  # sizes
     )
-    shown = re.search(r"^    (09 .*(?:\n    .*)*)", PAGE.read_text(), re.MULTILINE)
+    shown = re.search(r"^(09 .*(?:\n[0-9a-f]{2} .*)*)", PAGE.read_text(), re.MULTILINE)
     assert shown is not None
     in_the_page = [line.strip().partition("  ")[0] for line in shown[1].splitlines()]
     assert bytes.fromhex("".join(in_the_page)) == message
