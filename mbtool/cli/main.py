@@ -173,17 +173,32 @@ def _told(arguments: list[str]) -> int:
     return exit_codes.DONE
 
 
-_ELSEWHERE = {
-    "--unit": "choose a unit with --where 'unit == 5'",
-    "--function": "choose functions with --where 'function in (3, 4)'",
-    "--filter": "choose transactions with --where 'unit == 5'",
-    "--baud": "the baud rate is part of the LINK: rtu:/dev/ttyUSB0@19200-8E1",
-    "--baudrate": "the baud rate is part of the LINK: rtu:/dev/ttyUSB0@19200-8E1",
-    "--parity": "the parity is part of the LINK: rtu:/dev/ttyUSB0@19200-8E1",
-    "--since": "choose a time with --start",
-    "--until": "choose a time with --end",
+_SETTINGS = {
+    "--link": "recorded bytes have them in --link rtu@19200-8E1",
+    "--settings": "they are part of --settings 19200-8E1",
+    "": "they are part of the LINK: rtu:/dev/ttyUSB0@19200-8E1",
 }
-"""By an option that other programs have and the command does not: what does the same here."""
+_ELSEWHERE = {
+    "--unit": {"--where": "choose a unit with --where 'unit == 5'"},
+    "--function": {"--where": "choose functions with --where 'function in (3, 4)'"},
+    "--filter": {"--where": "choose transactions with --where 'unit == 5'"},
+    "--since": {"--start": "choose a time with --start"},
+    "--until": {"--end": "choose a time with --end"},
+    "--baud": _SETTINGS,
+    "--baudrate": _SETTINGS,
+    "--parity": _SETTINGS,
+}
+"""By an option that other programs have and the command does not: what does the same here, by the
+option of the command that does it; "" where it is no option."""
+
+
+def _elsewhere(option: str | None, context: typer.Context | None) -> str | None:
+    """What does the same as an option that the command does not have."""
+    parameters = context.command.params if context is not None else []
+    own = {name for one in parameters for name in one.opts} | {""}
+    return next(
+        (text for name, text in _ELSEWHERE.get(option or "", {}).items() if name in own), None
+    )
 
 
 def _usage(error: typer.TyperException, command: str) -> str:
@@ -192,8 +207,8 @@ def _usage(error: typer.TyperException, command: str) -> str:
     context = getattr(error, "ctx", None)
     where = context.command_path if context is not None else command
     wanted = getattr(error, "option_name", None)
-    if wanted in _ELSEWHERE:
-        message = f"{message.partition(' (')[0]}; {_ELSEWHERE[wanted]}"
+    if (instead := _elsewhere(wanted, context)) is not None:
+        message = f"{message.partition(' (')[0]}; {instead}"
     examples = examples_of(where)
     if message.startswith("Missing ") and examples is not None:
         message = f"{message}; for example: {examples.first}"

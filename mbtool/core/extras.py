@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 import sys
 from importlib.util import find_spec
 from pathlib import Path
@@ -35,11 +36,12 @@ def installer(*packages: str, prefix: str = sys.prefix) -> str:
     added to the environment of a tool of uv. The venv that `make` creates has no pip of its own.
     """
     parts = Path(prefix).parts
-    quoted = " ".join(f"'{one}'" if re.search(r"[<>\[\]~! ]", one) else one for one in packages)
+    quoted = shlex.join(packages)
+    python = shlex.quote(sys.executable)
     if "pipx" in parts:
         return f"pipx inject mbtool {quoted}"
     if "uv" in parts and "tools" in parts:
-        return f"uv pip install --python {prefix} {quoted}"
+        return f"uv pip install --python {shlex.quote(prefix)} {quoted}"
     if find_spec("pip") is None:
-        return f"python3 -m pip --python {sys.executable} install {quoted}"
-    return f"{sys.executable} -m pip install {quoted}"
+        return f"python3 -m pip --python {python} install {quoted}"
+    return f"{python} -m pip install {quoted}"

@@ -118,7 +118,10 @@ def test_help_has_every_option_of_the_readme(mbtool: CommandLine) -> None:
             "see mbtool slave --help",
         ),
         (["decode", "a", "--unit", "5"], "No such option: --unit; choose a unit with --where"),
-        (["sniff", "a", "--baud", "9600"], "the baud rate is part of the LINK: rtu:"),
+        (["sniff", "a", "--baud", "9600"], "they are part of the LINK: rtu:"),
+        (["line", "--baud", "9600"], "they are part of --settings 19200-8E1; see"),
+        (["decode", "a", "--parity", "E"], "have them in --link rtu@19200-8E1; see"),
+        (["check", "a", "--unit", "5"], "(Possible options: --limit); see mbtool check --help"),
         (
             ["devices", "--match"],
             "Option '--match' requires an argument; see mbtool devices --help",

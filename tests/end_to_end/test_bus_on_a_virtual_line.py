@@ -48,8 +48,9 @@ def _told(records: list[Record]) -> list[Told]:
     ]
 
 
-def _skipped(records: list[Record]) -> list[bytes]:
-    return [one.raw for one in records if isinstance(one, WireEvent) and one.raw]
+def _skipped(records: list[Record]) -> bytes:
+    """All of it in one, as a read that comes late parts what belongs together."""
+    return b"".join(one.raw for one in records if isinstance(one, WireEvent) and one.raw)
 
 
 class _CountingDecoder(Decoder):
@@ -172,5 +173,5 @@ def test_a_damaged_answer_is_heard_again_on_a_line() -> None:
             for record in sniffer.records(stop):
                 heard.append(record)
     assert report.different == 0  # A wrong CRC is no answer, as it was then.
-    assert [raw for raw in _skipped(heard) if raw == wrong] == [wrong]
+    assert _skipped(heard).count(wrong) == 1
     assert [one[3] for one in _told(heard)].count(Outcome.NO_ANSWER) == 1

@@ -38,6 +38,16 @@ def _received(master: MasterLink, count: int = 1) -> list[ReceivedResponse]:
     return answers
 
 
+def _answered(master: MasterLink, number: int, pdu: bytes) -> ReceivedResponse:
+    """Ask until an answer comes, as masters do: a busy machine may part a frame on its line."""
+    until = time.monotonic() + PATIENCE_S
+    while True:
+        assert time.monotonic() < until
+        master.send(number, 1, pdu)
+        for answer in master.receive(SECOND_NS):
+            return answer
+
+
 @pytest.fixture
 def listening() -> Iterator[socket.socket]:
     with socket.create_server(("127.0.0.1", 0)) as server:
@@ -74,8 +84,7 @@ def test_a_response_on_a_serial_line_has_the_number_of_its_request(scheme: str, 
         with SerialSlave(slaves, Scripted(_answers)), open_master(ours, SECOND_NS) as master:
             assert master.limits.one_at_a_time
             for number in (5, 9):
-                master.send(number, 1, pdu)
-                (answer,) = _received(master)
+                answer = _answered(master, number, pdu)
                 assert (answer.number, answer.pdu) == (number, VALUES if pdu == READ else VENDOR)
 
 
@@ -87,9 +96,7 @@ def test_different_timeouts_do_not_change_the_settings_of_the_port() -> None:
         with SerialSlave(slaves, Scripted(_answers)), open_master(ours, SECOND_NS) as master:
             for wait_ns in (0, 1_000, 1_000_000, 9_000_000):
                 assert list(master.receive(wait_ns)) == []
-            master.send(1, 1, READ)
-            (answer,) = _received(master)
-            assert answer.pdu == VALUES
+            assert _answered(master, 1, READ).pdu == VALUES
 
 
 def test_responses_in_another_order_are_matched_by_transaction_id(listening: socket.socket) -> None:

@@ -21,9 +21,11 @@ def terminal_abilities() -> TerminalAbilities:
     """The abilities of the terminal that TERM names."""
     try:
         import curses
-
+    except ImportError:  # As on Windows.
+        return TerminalAbilities()
+    try:
         curses.setupterm(fd=sys.stdout.fileno())
-    except (ImportError, OSError, ValueError, curses.error):  # No terminfo, or not of this one.
+    except (OSError, ValueError, curses.error):  # No terminfo, or not of this terminal.
         return TerminalAbilities()
     return TerminalAbilities(curses.tigetstr("cup") is not None, curses.tigetnum("colors") > 0)
 
