@@ -1,7 +1,8 @@
 """Replaces a file in one step, so that a run that fails leaves the old one as it was."""
 
 # What is written goes into a second file in the same folder, .NAME.PID.part, which gets the name of
-# the old one when it is whole. If the process is killed, the second file stays under its own name.
+# the old one when it is whole. If the process is killed, the second file stays under its own name,
+# until a process of the same id (in a container always 1) replaces the same file.
 
 from __future__ import annotations
 
@@ -19,16 +20,17 @@ if TYPE_CHECKING:
 
 @contextmanager
 def replacing(path: str | Path) -> Iterator[Path]:
-    """Yield a path to write to; when the context ends, that file replaces the one at `path`.
+    """Yield the path of an empty file; when the context ends, it replaces the one at `path`.
 
-    It gets the old file's permissions; a symbolic link is followed and stays. If the context ends
-    by an error, the old file stays and the new one is deleted; an OutputError then says so. Raises
-    UsageError for a file that must not be written.
+    Only its owner can read it until then; it gets the old file's permissions. A symbolic link is
+    followed and stays. If the context ends by an error, the old file stays and the new one is
+    deleted; an OutputError then says so. Raises UsageError for a file that cannot be replaced.
     """
     target = Path(os.path.realpath(path))
     if not os.access(target, os.W_OK):
         raise UsageError(f"{path}: cannot be written: Permission denied")
     beside = target.with_name(f".{target.name}.{os.getpid()}.part")
+    _create(beside, path)
     try:
         yield beside
         try:
@@ -44,6 +46,17 @@ def replacing(path: str | Path) -> Iterator[Path]:
     finally:
         with suppress(OSError):
             beside.unlink()
+
+
+def _create(beside: Path, path: str | Path) -> None:
+    """Create the second file, empty; remove one that a killed process left."""
+    try:
+        beside.unlink(missing_ok=True)
+        os.close(os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600))
+    except PermissionError as error:
+        raise UsageError(f"{path}: cannot be replaced: its folder cannot be written") from error
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be replaced: {reason_of(error)}") from error
 
 
 def _copy_rights(old: Path, new: Path) -> None:

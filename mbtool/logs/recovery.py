@@ -119,14 +119,14 @@ class Recovery:
         self._ends = False
         self.result = Recovered()
 
-    def run(self, path: Path) -> Recovered:
-        """Write what is whole to a new log.
+    def run(self, path: Path, *, replace: bool = False) -> Recovered:
+        """Write what is whole to a new log; with `replace`, in place of a file that exists.
 
         Raises InputError if the input is no log, UsageError or OutputError if the new log cannot be
         created or written.
         """
         head = self._head()
-        file = create_file(path)
+        file = create_file(path, replace=replace)
         header = Header(profile=PROFILE, library=f"{LIBRARY}{__version__}")
         target = CompleteFile(file, str(path), MAGIC + packed(header))
         try:

@@ -139,7 +139,8 @@ class Conversion:
         """Write to `place`; messages call it `out`, whose suffix says the format."""
         suffix = PurePath(out).suffix.lower()
         if suffix == ".mcap":
-            return self._write_log(place, topic_per_point=topic_per_point)
+            is_begun = place != Path(out)  # By `replacing`.
+            return self._write_log(place, replace=is_begun, topic_per_point=topic_per_point)
         try:
             with place.open("wb") as stream:
                 if suffix == ".pcap":
@@ -227,7 +228,7 @@ class Conversion:
             PcapWriter(stream, 1)
         return done
 
-    def _write_log(self, place: Path, *, topic_per_point: bool) -> Converted:
+    def _write_log(self, place: Path, *, replace: bool, topic_per_point: bool) -> Converted:
         done = Converted()
         head = self._head()
         capture = {
@@ -237,7 +238,7 @@ class Conversion:
             "clock": "that of the captures that it was made from",
             "made_from": shlex.join(path for group in self._groups for path in group.paths),
         }
-        with LogWriter(place, capture=capture) as log:
+        with LogWriter(place, capture=capture, replace=replace) as log:
             if topic_per_point:
                 log.give_points_topics()
             for name, settings in head.links.items():

@@ -45,7 +45,7 @@ def recover(
             return recovery.run(Path(good))
         demand_unlocked(Path(good))
         with replacing(good) as beside:
-            return recovery.run(beside)
+            return recovery.run(beside, replace=True)
 
 
 def loss_text(loss: LogLoss) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -14,7 +15,7 @@ from mbtool.cli import exit_codes
 from mbtool.cli.options import EventChoice
 from mbtool.cli.output import open_output
 from mbtool.core import InputError
-from tests.logs.samples import EVENT, transaction
+from tests.logs.samples import EVENT, transaction, write_log
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -138,6 +139,25 @@ def test_an_input_that_is_cut_replaces_a_file_by_what_it_holds(
     assert f"-> {path}\n" in told.err
     assert not path.read_bytes().startswith(b"older")
     assert path.stat().st_mode & 0o777 == 0o640
+
+
+@pytest.mark.parametrize(
+    "command", [("decode", "-o", "a.csv"), ("convert", "a.mcap"), ("recover", "-o", "a.mcap")]
+)
+def test_what_a_killed_run_left_beside_a_file_does_not_keep_the_next_one_from_replacing_it(
+    mbtool: CommandLine, capture: Path, command: tuple[str, ...]
+) -> None:
+    path = capture.with_name(command[-1])
+    path.write_text("older")
+    left = path.with_name(f".{path.name}.{os.getpid()}.part")
+    left.write_text("left")
+    if command[0] == "recover":
+        capture = capture.with_name("log.mcap")
+        write_log(capture, [transaction()])
+    told = mbtool(command[0], capture, *command[1:-1], path, "--overwrite")
+    assert told.code == exit_codes.DONE
+    assert not path.read_bytes().startswith(b"older")
+    assert not left.exists()
 
 
 def test_a_link_to_a_file_stays_a_link(mbtool: CommandLine, capture: Path) -> None:
