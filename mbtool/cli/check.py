@@ -144,6 +144,7 @@ def check(
         try:
             for found in interrupt.breakable(run.findings(with_progress)):
                 printer.add(found)
+            run.reading.demand_readable()
         except InputError as error:
             if not (run.transactions or run.counts):
                 raise

@@ -200,6 +200,8 @@ def decode(
                 say(f"mbtool: {doubt}")
         if interrupt.asked:
             raise KeyboardInterrupt
+        if not follow:
+            reading.demand_readable()
     if not follow:
         say_if_empty(reading)
 

@@ -102,6 +102,7 @@ def inventory(
         say_if_empty,
         told_as_lost,
     )
+    from mbtool.cli.output_file import kept_told
     from mbtool.cli.progress import with_progress
     from mbtool.cli.talk import interruption_told, say
     from mbtool.core import UsageError
@@ -122,8 +123,9 @@ def inventory(
     # older output.
     run.reading.demand_files()
     demand_new(path, overwrite=overwrite)
-    with interruption_told():
+    with interruption_told(), kept_told(path):
         document = run.take(say, with_progress)
+        run.reading.demand_readable()
         new = changes_since(baseline, document, options, say) if baseline else None
     with opened(path, lambda: None, overwrite=overwrite) as (file, name), told_as_lost(name):
         _write(file, chosen, document, new, __version__, everything=each)

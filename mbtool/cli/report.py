@@ -77,6 +77,7 @@ def report(
         say_if_empty,
         told_as_lost,
     )
+    from mbtool.cli.output_file import kept_told
     from mbtool.cli.progress import with_progress
     from mbtool.cli.talk import interruption_told, say
     from mbtool.core import UsageError
@@ -106,8 +107,9 @@ def report(
     demand_new(path, overwrite=overwrite)
     # The output is opened only when everything is read, so that an error does not overwrite an
     # older page.
-    with interruption_told():
+    with interruption_told(), kept_told(path):
         run.read(with_progress)
+        run.reading.demand_readable()
         text = run.page(against, say)
     with opened(path, lambda: None, overwrite=overwrite) as (file, name), told_as_lost(name):
         file.write(text)

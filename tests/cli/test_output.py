@@ -16,6 +16,7 @@ from mbtool.cli.options import EventChoice
 from mbtool.cli.output import open_output
 from mbtool.core import InputError
 from tests.logs.samples import EVENT, transaction, write_log
+from tests.packets.building import packet, pcap
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -123,6 +124,25 @@ def test_an_input_that_brings_nothing_leaves_a_file_that_was_there(
     assert told.code == exit_codes.UNREADABLE
     assert f"{path} stays as it was\n" in told.err
     assert "->" not in told.err
+    assert path.read_text() == "older"
+
+
+@pytest.mark.parametrize(
+    "command",
+    [("decode", "a.csv"), ("decode", "a.parquet"), ("check", "a.json"), ("report", "a.html"),
+     ("inventory", "a.json")],
+)  # fmt: skip
+def test_an_input_of_which_nothing_can_be_read_leaves_a_file_that_was_there(
+    mbtool: CommandLine, capture: Path, command: tuple[str, str]
+) -> None:
+    capture.write_bytes(pcap([packet(b"unknown", 1_000_000_000, link_type=9999)]))
+    path = capture.with_name(command[1])
+    path.write_text("older")
+    told = mbtool(command[0], capture, "-o", path, "--overwrite")
+    assert told.code == exit_codes.UNREADABLE
+    stays, why = told.err.splitlines()
+    assert stays == f"{path} stays as it was"
+    assert "nothing in it could be read" in why
     assert path.read_text() == "older"
 
 
