@@ -155,10 +155,7 @@ def _told(arguments: list[str]) -> int:
         path = ["mbtool", *(name for name in arguments[:1] if name in commands)]
         return _fail(_usage(error, " ".join(path)), exit_codes.USAGE)
     except (InputError, LinkError, OutputError) as error:
-        code = _fail(str(error), exit_codes.UNREADABLE)
-        for note in getattr(error, "__notes__", ()):
-            say(f"mbtool: {note}")
-        return code
+        return _fail(str(error), exit_codes.UNREADABLE)
     except MbtoolError as error:
         return _fail(str(error), exit_codes.USAGE)
     except Interrupted:

@@ -16,6 +16,8 @@ from mbtool.core.wording import counted
 if TYPE_CHECKING:
     from mbtool.core import InputError
 
+_MENDED = "mbtool recover makes a whole log of it"
+
 
 class Damage:
     """The damaged places of one log; false if there are none."""
@@ -64,9 +66,7 @@ class Damage:
     def error(self) -> DamageError:
         """Return the error to raise when a damaged log was read to its end."""
         rest = ", all else was read" if self._skipped else ""
-        error = DamageError(f"{self._name}: {self._summary()}{rest}")
-        error.add_note("mbtool recover FILE -o GOOD.mcap makes a whole log of what can be read")
-        return error
+        return DamageError(f"{self._name}: {self._summary()}{rest}; {_MENDED}")
 
     def added_to(self, end: InputError) -> InputError:
         """Return the error `end`, with which reading ended early, with the damage added to it."""
