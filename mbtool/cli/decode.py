@@ -243,7 +243,10 @@ def _reading(
 
 
 def _worth_bytes(output: str | None) -> float:
-    """The size from which files are read as arrays: none for rows that someone waits for."""
+    """The size in bytes from which files are read as arrays.
+
+    Infinite on a terminal, where the first rows should come at once.
+    """
     is_shown = output is None and sys.stdout is not None and sys.stdout.isatty()
     return math.inf if is_shown else _WORTH_BYTES
 

@@ -22,6 +22,7 @@ import struct
 import sys
 import termios
 import time
+import traceback
 from typing import TYPE_CHECKING, NoReturn
 
 import mbtool.cli
@@ -143,6 +144,10 @@ def _become(line: str, folder: Path) -> NoReturn:
             main()
     except SystemExit as end:
         code = end.code if isinstance(end.code, int) else 98
+    except BaseException:
+        # The page has no traceback, so it differs.
+        traceback.print_exc()
+        code = 97
     finally:
         for stream in (sys.stdout, sys.stderr):
             stream.flush()
