@@ -234,9 +234,9 @@ def open_output(
     replaced only with `overwrite`, and only when the new one holds all that could be read; with
     `in_place` at once, for what is ended by Ctrl-C. `make_output` makes another output than
     RecordOutput does, such as one that waits for no reader (live_output.py).
-    `if_interrupted` is said if Ctrl-C comes before the first record. Raises UsageError if the file
-    cannot be written or options contradict each other, and OutputError if standard output is closed
-    and no log keeps the records.
+    `if_interrupted` is said if Ctrl-C comes before the first record, except where an old file was
+    emptied. Raises UsageError if the file cannot be written or options contradict each other, and
+    OutputError if standard output is closed and no log keeps the records.
     """
     path = named_file(path)
     place = "" if path is None else f" -> {path}"
@@ -251,6 +251,8 @@ def open_output(
             raise UsageError("--format parquet writes a file: decode FILE -o OUT.parquet")
         demand_columns()
     stays = not in_place and is_old(path)
+    if in_place and is_old(path):
+        if_interrupted = f"interrupted; {path} is empty now"
     broken: InputError | None = None
     with opened(path, demand_inputs, is_kept=is_kept, overwrite=overwrite, in_place=in_place) as (
         file,

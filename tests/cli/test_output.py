@@ -14,6 +14,7 @@ import pytest
 from mbtool.cli import exit_codes
 from mbtool.cli.options import EventChoice
 from mbtool.cli.output import open_output
+from mbtool.cli.talk import Interrupted
 from mbtool.core import InputError
 from tests.logs.samples import EVENT, transaction, write_log
 from tests.packets.building import packet, pcap
@@ -280,6 +281,34 @@ def _print_and_fail(path: Path, error: BaseException) -> None:
         out.add(transaction())
         out.add(EVENT)
         raise error
+
+
+@pytest.mark.parametrize(
+    ("is_old", "said"),
+    [(True, "interrupted; a.jsonl is empty now\n"), (False, "interrupted; nothing was written\n")],
+)
+def test_ctrl_c_before_the_first_record_of_what_is_followed_says_what_became_of_an_old_file(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    *,
+    is_old: bool,
+    said: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    path = Path("a.jsonl")
+    if is_old:
+        path.write_text("older")
+    with (
+        pytest.raises(Interrupted),
+        open_output(
+            str(path), None, None, lambda _: None, lambda _: True, overwrite=True, in_place=True
+        ),
+    ):
+        raise KeyboardInterrupt
+    assert capsys.readouterr().err == said
+    assert path.exists() == is_old
+    assert not is_old or path.read_text() == ""
 
 
 @pytest.mark.parametrize(
