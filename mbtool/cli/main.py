@@ -190,7 +190,7 @@ option of the command that does it; "" where it is no option."""
 
 
 def _elsewhere(option: str | None, context: typer.Context | None) -> str | None:
-    """What does the same as an option that the command does not have."""
+    """The advice for an option that the command does not have; None if there is none."""
     parameters = context.command.params if context is not None else []
     own = {name for one in parameters for name in one.opts} | {""}
     return next(

@@ -293,7 +293,7 @@ def open_output(
 
 
 def _interrupted(output: RecordOutput, path: str | None, if_empty: str, *, stays: bool) -> str:
-    """What Ctrl-C left of an output."""
+    """The line for the user: Ctrl-C ended the command, and how much of the output is there."""
     if stays:
         return f"interrupted; {path} stays as it was"
     if output.is_empty:

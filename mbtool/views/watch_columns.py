@@ -167,7 +167,7 @@ def cut_spans(spans: Spans, width: int) -> Spans:
 
 
 def _cut_at(text: str, width: int) -> int:
-    """How many characters of a text stay if it is cut to a width, with `..` behind them.
+    """The number of characters of a text that stay when it is cut to a width and gets `..` behind.
 
     The cut is behind a space, so that no number looks like a shorter one, and no word is halved.
     """

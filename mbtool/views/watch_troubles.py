@@ -22,7 +22,7 @@ _MORE = " more: key 5"
 
 
 def slave_trouble(row: WatchedSlaveRow, *, is_short: bool = False) -> str:
-    """What is wrong with a slave, the worst first; empty for a slave that is well.
+    """The troubles of a slave, the worst first; empty for a slave without any.
 
     With `is_short`, a slow slave is not compared with the others.
     """
@@ -65,7 +65,10 @@ def trouble_line(rows: Sequence[WatchedSlaveRow], width: int) -> str:
 def _line(
     sick: Sequence[WatchedSlaveRow], network: str | None, width: int, *, is_short: bool
 ) -> str:
-    """As many as fit; `network` is left out of the names of links, None leaves out the links."""
+    """The troubles that fit into the width.
+
+    `network` is left out of the names of links; None leaves out the links.
+    """
     text = ""
     for at, row in enumerate(sick):
         place = "" if network is None else f" at {row.link.removeprefix(network)}"

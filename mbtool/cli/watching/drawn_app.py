@@ -197,7 +197,7 @@ class DrawnApp(App[int]):
         self.call_after_refresh(self._drawn, began_s)
 
     def _why_empty(self) -> str:
-        """What stands in the view while it has no rows."""
+        """The text of a view that has no rows, with the reason."""
         if self.filter_is_on:
             return f"no {self.view.what} pass the filter; \\ switches it off"
         if isinstance(self.feed, FileFeed) and not self.feed.is_read:

@@ -1,4 +1,4 @@
-"""What the terminal can do, as terminfo says: place its cursor, and show colours."""
+"""Asks terminfo whether the terminal can place its cursor and show colours."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from mbtool.core import UsageError
 
 
 class TerminalAbilities(NamedTuple):
-    """What is known of a terminal; a terminal that terminfo does not know can do all."""
+    """Two abilities of a terminal; both are assumed where terminfo does not know the terminal."""
 
     has_cursor: bool = True
     """True if a program can say where the next text goes."""

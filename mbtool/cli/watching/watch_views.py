@@ -39,7 +39,7 @@ class WatchView:
 
     name: str
     what: str
-    """What its rows are about, in the plural."""
+    """The plural noun for its rows, such as `slaves`."""
     columns: Sequence[WatchColumn]
     rows: Callable[[Board, int], Sequence[Any]]
     """Makes the rows of a board; the number is the width of the screen."""
