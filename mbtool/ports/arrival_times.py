@@ -22,24 +22,33 @@ MOST_LATE_NS = 10_000_000_000
 
 
 class SerialArrivals:
-    """Times of arrival of the bytes of a serial port, not later than they can be."""
+    """Times of arrival of the bytes of a serial port, not later than they can be.
+
+    A process that is kept from running between a look at the port and the next one does not see a
+    silence that was not on the line.
+    """
 
     def __init__(self, character_ns: int) -> None:
         self._character_ns = character_ns
-        self._looked_ns: int | None = None
-        """When the last read ended; None before the first one."""
+        self._empty_ns: int | None = None
+        """When the port was last known to have no unread byte; None before the first read."""
 
     def arrived_ns(self, size: int, begin_ns: int, wait_ns: int, now_ns: int) -> int:
-        """When the last of `size` bytes arrived that a read from `begin_ns` to `now_ns` gave.
+        """Return when the last of the `size` bytes arrived that one read of the port returned.
 
-        `wait_ns` is how long the read would have waited; 0 if there were bytes at its beginning.
+        For a read without bytes (`size` 0), return until when the line is known to have been
+        silent. The read began at `begin_ns` and ended at `now_ns`. `wait_ns` is how long it would
+        have waited for a byte; 0 if bytes were there when it began. All times are in ns.
         """
-        last_ns, self._looked_ns = self._looked_ns, now_ns
-        if not size:
-            return now_ns
-        if wait_ns:
-            return min(now_ns, begin_ns + wait_ns)
-        return now_ns if last_ns is None else min(now_ns, last_ns + size * self._character_ns)
+        if wait_ns or not size:
+            arrived_ns = begin_ns + wait_ns
+        elif self._empty_ns is None:
+            arrived_ns = now_ns
+        else:
+            arrived_ns = self._empty_ns + size * self._character_ns
+        arrived_ns = min(arrived_ns, now_ns)
+        self._empty_ns = max(arrived_ns, begin_ns)
+        return arrived_ns
 
 
 def note_arrivals(connected: socket.socket) -> None:

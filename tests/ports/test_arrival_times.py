@@ -72,3 +72,17 @@ def test_bytes_that_are_there_at_once_may_have_come_right_after_the_last_look() 
     assert arrivals.arrived_ns(0, begin_ns=1100, wait_ns=500, now_ns=1600) == 1600
     assert arrivals.arrived_ns(3, begin_ns=9000, wait_ns=0, now_ns=9010) == 1900
     assert arrivals.arrived_ns(3, begin_ns=9020, wait_ns=0, now_ns=9030) == 9030
+
+
+def test_a_process_that_did_not_run_heard_silence_only_until_its_read_was_over() -> None:
+    arrivals = SerialArrivals(character_ns=100)
+    assert arrivals.arrived_ns(0, begin_ns=1000, wait_ns=500, now_ns=9000) == 1500
+    assert arrivals.arrived_ns(3, begin_ns=9010, wait_ns=0, now_ns=9020) == 1800
+
+
+def test_bytes_may_have_come_right_after_a_read_that_was_late_to_return() -> None:
+    arrivals = SerialArrivals(character_ns=100)
+    assert arrivals.arrived_ns(0, begin_ns=1000, wait_ns=500, now_ns=1500) == 1500
+    assert arrivals.arrived_ns(1, begin_ns=1600, wait_ns=500, now_ns=1900) == 1900
+    assert arrivals.arrived_ns(2, begin_ns=1910, wait_ns=0, now_ns=9000) == 2100
+    assert arrivals.arrived_ns(4, begin_ns=9010, wait_ns=0, now_ns=9020) == 2500
