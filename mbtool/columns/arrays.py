@@ -1,4 +1,4 @@
-"""Types of arrays, and functions that read structures at many offsets at once."""
+"""Types of numpy arrays, and functions that read structures or byte ranges at many offsets."""
 
 from __future__ import annotations
 
@@ -15,14 +15,15 @@ Numbers = Int64s | npt.NDArray[np.uint16]
 
 
 def narrow(numbers: Int64s) -> Numbers:
-    """The same numbers in 16 bits if they have room, as those are sorted several times as fast."""
+    """Return the numbers as uint16 if all fit: numpy sorts those several times as fast as int64."""
     has_room = len(numbers) and numbers.min() >= 0 and numbers.max() < 1 << 16
     return numbers.astype(np.uint16) if has_room else numbers
 
 
 def gather(octets: Octets, places: Int64s, dtype: np.dtype[Any]) -> npt.NDArray[Any]:
-    """Read a structure at each offset of `places`; all structures lie inside `octets`."""
-    # Copying whole items of plain bytes is several times as fast as copying fields.
+    """Return the structure at each offset of `places`, all of which must lie inside `octets`."""
+    # Select opaque items of `size` bytes first, then view them as the structure: numpy copies these
+    # several times as fast as structures with fields.
     size = dtype.itemsize
     count = max(len(octets) - size + 1, 0)
     items = np.ndarray((count,), np.dtype(f"V{size}"), octets.data, strides=(1,))
@@ -30,12 +31,16 @@ def gather(octets: Octets, places: Int64s, dtype: np.dtype[Any]) -> npt.NDArray[
 
 
 def pieces(octets: Octets, starts: Int64s, sizes: Int64s) -> Octets:
-    """The bytes of many pieces in one array: `sizes[i]` bytes from `starts[i]` on, for each i."""
+    """Return many byte ranges joined in one array: `sizes[i]` bytes from `starts[i]` on, for each
+    i.
+    """
     return octets[ranges(starts, sizes)]
 
 
 def ranges(starts: Int64s, sizes: Int64s) -> Int64s:
-    """The numbers of many ranges in one array: `sizes[i]` numbers from `starts[i]` on."""
+    """Return many integer ranges joined in one array: `sizes[i]` numbers from `starts[i]` on, for
+    each i.
+    """
     ends = np.cumsum(sizes)
     total = int(ends[-1]) if len(ends) else 0
     return np.repeat(starts - ends + sizes, sizes) + np.arange(total)

@@ -1,4 +1,4 @@
-"""Makes one table of the transactions that a block's packets completed, in order."""
+"""Makes a pyarrow table of the transactions in a block of packets, in order."""
 
 from __future__ import annotations
 
@@ -21,19 +21,21 @@ if TYPE_CHECKING:
 
 @dataclass(slots=True)
 class TransactionBatch:
-    """The transactions and events that some packets completed."""
+    """The transactions and events that were completed by the packets of a block."""
 
     table: pa.Table
     """All transactions, in order, with the columns of schema.py."""
     records: list[Record]
-    """The events, in order, without the begins and ends of connections that were passed; and the
-    transactions decoded one by one, which the table has too."""
+    """In order: the events, and the transactions that the Decoder read packet by packet, which
+    `table` has too. Opening and closing events of connections that were read from arrays from SYN
+    to FIN are missing."""
     made: list[NamedTransaction] = field(default_factory=list)
-    """The transactions of unusual form, of those read as arrays; `records` has them, too."""
+    """Transactions found in the arrays whose PDUs are not the common reads and writes, so that each
+    was made as an object; `records` and `table` have them too."""
 
 
 class BlockTables:
-    """Makes the tables of the blocks of a capture that has no device profiles."""
+    """Makes a pyarrow table of each block of a capture that is decoded without device profiles."""
 
     def __init__(self) -> None:
         self._plain = PlainTables()

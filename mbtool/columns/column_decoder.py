@@ -1,21 +1,24 @@
-"""Decodes blocks of packets: plain stretches of connections as arrays, all else by the Decoder."""
+"""Decodes a capture in blocks of packets: undisturbed polling as arrays, all else by the
+Decoder.
+"""
 
-# Every packet that is in no plain stretch is fed to the Decoder, in its place in the file. Where a
-# stretch begins, the Decoder tells if the connection is at rest (nothing of it is open or held). If
-# it is, the stretch's transactions are read from the arrays, and the Decoder is told of them
-# (plain_stretch.py). If it is not, the packets up to the stretch's next request are fed, and it is
-# asked again.
+# A plain stretch is a series of request and response pairs of one connection, in order and without
+# a gap (stretches.py). Where one begins, the Decoder is asked if the connection is at rest: no
+# request pending, no byte out of order. If so, the transactions are read from the arrays, and the
+# Decoder is told what it would have learned from them (decode/plain_stretch.py). If not, the
+# packets up to the stretch's next request are fed, and the question is asked again there. Every
+# packet outside of stretches is fed to the Decoder, in the order of the file.
 #
-# So the Decoder owns what is known of connections, and its results are the same as if it had been
-# fed every packet. The results of a block are sorted by the packet that completed them.
+# So the Decoder alone keeps the state of connections, and the results are the same as if it had
+# been fed every packet. The results of a block are sorted by the packet that completed them.
 #
-# A connection that is in the block from its SYN to its FINs, and plain, is read from the arrays
-# without the Decoder (whole_connections.py), which is told that it has ended.
+# A connection that lies in one block from its SYN to its FINs, undisturbed, is read from the arrays
+# without the Decoder (whole_connections.py), which is only told that it has ended.
 #
-# A block is fed to the Decoder packet by packet if times go back in it, or if a limit of the
-# reassembler (idle connections, their number) may end an open connection, since the order of all
-# packets of all connections counts there. A block with many connections is read in parts, so that
-# none of them has ended another one of its part.
+# All packets of a block are fed to the Decoder if its times go back, or if a limit of the
+# reassembler (idle time, number of connections) may drop an open connection: then the order of all
+# packets of all connections counts. A block with very many connections is decoded in several parts,
+# each with so few that none of them can make the reassembler drop another.
 
 from __future__ import annotations
 
@@ -48,7 +51,8 @@ if TYPE_CHECKING:
     from mbtool.packets.connection import TcpConnection
 
 _FLOWS_AT_ONCE = MAX_CONNECTIONS // 2
-"""So many flows may be opened one after the other without dropping one that is in use."""
+"""A part of a block may have this many flows (pairs of TCP ends): opening all of them makes the
+reassembler drop no connection that is in use."""
 
 
 @dataclass(slots=True)
@@ -57,13 +61,14 @@ class DecodedBlock:
 
     plain: PlainRows | None = None
     records: list[tuple[int, Record]] = field(default_factory=list)
-    """The Decoder's records in order, each with a number that sorts it among the plain rows. A
-    plain row has the number that `order_of` gives for its response's packet."""
+    """The transactions and events from the Decoder, each with a number that orders it among the
+    rows of `plain`. A row has the number that `order_of` gives for its response's packet."""
     passed: PassedConnections | None = None
-    """Connections that were read without the Decoder; `records` lacks their begins and ends."""
+    """Connections that were read from arrays from SYN to FIN; `records` lacks the events of their
+    opening and closing."""
 
     def sorted_records(self, *, with_passed: bool = False) -> list[tuple[int, Record]]:
-        """The records in order, if wanted with the begins and ends of `passed`."""
+        """Return `records` in order; with the opening and closing events of `passed` if wanted."""
         passed = self.passed.events() if with_passed and self.passed is not None else []
         return sorted([*passed, *self.records], key=lambda one: one[0])
 
@@ -71,7 +76,7 @@ class DecodedBlock:
         """The time of the last transaction or event in UTC ns; None if there is none."""
         found: list[tuple[int, int]] = []
         if self.records:
-            # Of several with one number the last one: `max` would give the first.
+            # `max` returns the first of several records with the same number; reversed, the last.
             number, last = max(reversed(self.records), key=lambda one: one[0])
             found.append((number, last.ts_ns if isinstance(last, WireEvent) else last.start_ns))
         if self.plain is not None:
@@ -84,24 +89,29 @@ class DecodedBlock:
 
 
 def order_of(packets: Int64s) -> Int64s:
-    """The sort numbers of results that packets themselves completed, by the packets' indices."""
-    # Odd numbers: results that a packet's bytes complete. Even: those that only its time completes.
+    """Return the sort numbers of results that are completed by the bytes of the packets with these
+    indices.
+    """
+    # A packet's bytes complete results with odd numbers. Even numbers, just before them, are for
+    # results that only the packet's time completes, such as timeouts.
     return 2 * packets + 1
 
 
 class ColumnDecoder:
-    """Takes the blocks of one capture in order."""
+    """Decodes the blocks of one capture, fed in order."""
 
     def __init__(self, decoder: Decoder, ports: Iterable[int]) -> None:
-        """`decoder` follows only the TCP ports `ports`, and joins packets of all interfaces."""
+        """Decode with `decoder`, which must follow exactly the TCP ports `ports`, and must treat
+        the packets of all interfaces as one network's (`across`).
+        """
         self._decoder = decoder
         self._ports = frozenset(ports)
         self._flows = FlowNumbers()
         self.plain_rows = 0
-        """The number of transactions read from arrays so far."""
+        """The number of transactions that were read from arrays so far, without the Decoder."""
 
     def feed(self, block: PacketBlock) -> Iterator[DecodedBlock]:
-        """Give the results of a block, in one or more parts."""
+        """Decode a block; yield its results, in several parts if it has very many connections."""
         headers = read_headers(block, self._ports)
         segments = headers.segments
         numbers = self._flows.numbers(segments.lower, segments.upper)
@@ -128,7 +138,9 @@ class ColumnDecoder:
         return DecodedBlock(records=[(0, one) for one in self._decoder.close()])
 
     def _may_skip(self, block: PacketBlock, headers: Headers, numbers: Int64s) -> bool:
-        """True if the results do not depend on the order of packets of different connections."""
+        """True if it makes no difference to the results in which order packets of different
+        connections are decoded, so that stretches may be read from arrays.
+        """
         segments = headers.segments
         if not len(segments.index):
             return True
@@ -150,7 +162,10 @@ class ColumnDecoder:
 
 
 def _cuts(segments: Segments, numbers: Int64s) -> list[int]:
-    """The indices of the packets before which a block with many flows is cut."""
+    """Return the indices of the packets at which a block with too many flows is cut into parts.
+
+    `numbers` has the flow number (pair of TCP ends) of each segment.
+    """
     _, firsts = np.unique(numbers, return_index=True)
     if len(firsts) <= _FLOWS_AT_ONCE:
         return []
@@ -159,7 +174,7 @@ def _cuts(segments: Segments, numbers: Int64s) -> list[int]:
 
 
 class _BlockPass:
-    """One pass over a block: feeds packets, and takes the stretches of connections at rest."""
+    """Decodes one block: reads polls of connections at rest from arrays, feeds other packets."""
 
     def __init__(
         self,
@@ -180,14 +195,17 @@ class _BlockPass:
         self._times: list[int] = self._segments.ts_ns.tolist()
         self._rows = TransactionArrays(stretches, self._segments)
         self._passed = 0
-        """The segments before this index were fed, or the Decoder was told of their times."""
+        """The Decoder knows the times of the segments before this index: it was fed them or told of
+        them."""
         self._used = 0
-        """The segments before this index are counted in the order of the connections' last use."""
+        """The connections of the segments before this index were marked as used in the reassembler,
+        which drops the one unused for longest."""
         self._decoded = DecodedBlock()
         self._taken: list[tuple[int, int, Connection]] = []
-        """By stretch taken: its first transaction, the one behind its last, its connection."""
+        """For each stretch read from arrays: the index of its first transaction, the index behind
+        its last one, and its connection."""
         self._ends_ns: dict[TcpConnection, int] = {}
-        """By connection, when its last stretch ended, in ns."""
+        """By connection, the time of the last response that was read from arrays, in UTC ns."""
 
     def run(self) -> DecodedBlock:
         index = self._segments.index
@@ -222,14 +240,17 @@ class _BlockPass:
         self._decoder.reassembler.forget_excess()
         self._decoder.note_time(int(self._block.ts_ns.max()))
         for connection, end_ns in self._ends_ns.items():
-            # Since the stretch was taken, the connection may have been told earlier times, of
-            # packets of other connections.
+            # Packets of other connections, earlier than the end of this stretch, were fed after it,
+            # and may have set the connection's time back.
             connection.note_time(end_ns)
         self._decoded.plain = self._rows.rows(self._block, self._taken) if self._taken else None
         return self._decoded
 
     def _pass_whole(self) -> Bools:
-        """Take the connections that are whole and plain; return True for each of their flows."""
+        """Read the connections from arrays that are in the block from SYN to FIN, undisturbed.
+
+        Returns for each flow number True if all connections of the flow were read so.
+        """
         is_whole = np.zeros(len(self._flows.ends), np.bool_)
         passed = pass_whole(self._decoder, self._flows, self._headers, self._stretches)
         if passed is not None:
@@ -241,15 +262,16 @@ class _BlockPass:
         return is_whole
 
     def _stretch_flows(self) -> Int64s:
-        """The number of the flow of each stretch."""
+        """For each stretch, the number of its flow (pair of TCP ends)."""
         firsts = self._rows.first_place[self._stretches.bounds[:-1]]
         flows: Int64s = self._stretches.flows[firsts]
         return flows
 
     def _fed_segments(self, is_whole: Bools) -> list[tuple[int, int]]:
-        """The packet index and the segment index of each segment that is in no stretch.
+        """The packet index and the segment index of each segment outside of all stretches, which is
+        to be fed to the Decoder.
 
-        The flows are left out for which `is_whole` is True.
+        Flows are left out for which `is_whole` is True: they were read from arrays.
         """
         order, bounds = self._stretches.order, self._stretches.bounds
         change = np.zeros(len(order) + 1, np.int64)
@@ -260,7 +282,9 @@ class _BlockPass:
         return list(zip(packets.tolist(), places.tolist(), strict=True))
 
     def _feed(self, packet: int, place: int) -> None:
-        """Feed a packet; `place` is its index among the segments, or -1 if it is no segment."""
+        """Feed a packet to the Decoder; `place` is its index among the segments, or -1 if it is
+        none.
+        """
         if place < 0:
             behind = int(np.searchsorted(self._segments.index, packet))
             self._pass_times(behind)
@@ -272,7 +296,9 @@ class _BlockPass:
             self._decoded.records.append((2 * packet + 1, record))
 
     def _pass_times(self, until: int) -> None:
-        """Tell the Decoder of the times of segments that are not fed."""
+        """Tell the Decoder the times of the segments before `until` that it is not fed, so that its
+        timeouts expire as if it had been.
+        """
         if self._passed >= until:
             return
         found = self._decoder.pass_times(self._times, self._passed, until)
@@ -282,13 +308,19 @@ class _BlockPass:
             self._decoded.records += [(2 * packet, record) for record in records]
 
     def _note_used(self, until: int) -> None:
-        """Mark the connections of the segments before `until` as used, in the segments' order."""
+        """Mark the connections of the segments before `until` as used in the reassembler, in order;
+        it drops the one unused for longest.
+        """
         newest_first = dict.fromkeys(self._numbers[self._used : until][::-1].tolist())
         self._used = max(self._used, until)
         self._decoder.reassembler.note_used(self._flows.ends[one] for one in reversed(newest_first))
 
     def _take(self, at: int, end: int) -> bool:
-        """Take the transactions from `at` to `end` if their connection is at rest at the first."""
+        """Read the transactions from `at` to `end` (exclusive) from arrays if their connection is
+        at rest.
+
+        Returns False if it is not: a request is pending, or bytes are missing or out of order.
+        """
         rows = self._rows
         place = int(self._stretches.order[rows.first_place[at]])
         ends = self._flows.ends[int(self._numbers[place])]

@@ -1,4 +1,4 @@
-"""Changes tables by the files that their transactions come from."""
+"""Renames the capture files in tables of transactions, and splits tables by file."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _COLUMNS = ("file", "response_file")
 
 
 def with_file_names(table: Table, names: Mapping[str, str]) -> Table:
-    """The table with other names of its files; a name that is not in `names` stays."""
+    """Return the table with its files renamed: `names` gives new names by old ones, others stay."""
     for column in _COLUMNS:
         place = table.schema.get_field_index(column)
         chunks = [
@@ -39,7 +39,9 @@ def _renamed(column: pa.DictionaryArray, names: Mapping[str, str]) -> pa.Diction
 
 
 def tables_by_file(table: Table) -> dict[str, Table]:
-    """The transactions of each file: those of which the first packet is in it."""
+    """Return a table for each file, by file name, with the transactions whose request's packet is
+    in that file.
+    """
     names = table["file"].cast(pa.string())
     found = [one for one in pc.unique(names).to_pylist() if one is not None]
     if len(found) == 1 and not names.null_count:

@@ -1,9 +1,9 @@
-"""Numbers the flows of a capture: the pairs of ends between which segments were sent."""
+"""Numbers the flows of a capture. A flow is all segments between two ends (address and port)."""
 
-# A flow is found by a hash of its two ends, and the ends are compared. Of two flows with one hash
-# only the first has a number; the segments of the other are not read as arrays.
+# Flows are looked up by a hash of their two ends, then the ends are compared. If two flows have the
+# same hash, only the first gets a number; segments of the second are decoded packet by packet.
 #
-# Memory: at most MAX_FLOWS flows are known; beyond that all are forgotten, and numbered anew.
+# Memory: about MAX_FLOWS flows are kept; with more, all are forgotten and numbers begin at 0 again.
 
 from __future__ import annotations
 
@@ -29,7 +29,9 @@ class FlowNumbers:
         self._forget()
 
     def numbers(self, lower: Uint64s, upper: Uint64s) -> Int64s:
-        """The number of each segment's flow, from its ends; UNKNOWN where two flows collide."""
+        """Return the number of each segment's flow, given its two ends as numbers
+        (`Segments.lower`, `upper`); UNKNOWN where two flows have the same hash.
+        """
         if len(self.ends) > MAX_FLOWS:
             self._forget()
         hashes = _hash(lower, upper)
@@ -42,9 +44,11 @@ class FlowNumbers:
 
     def _forget(self) -> None:
         self.ends: list[FlowEnds] = []
-        """The ends of each flow, by its number, as the reassembler knows them."""
+        """By flow number, the two ends of the flow: address and port of the lower, then of the
+        upper."""
         self._hashes = np.zeros(0, np.uint64)
-        """The hashes of the flows, sorted; the next three arrays are in the same order."""
+        """The hashes of the flows, sorted; `_numbers`, `_lower` and `_upper` are in the same
+        order."""
         self._numbers = np.zeros(0, np.int64)
         self._lower = np.zeros(0, np.uint64)
         self._upper = np.zeros(0, np.uint64)

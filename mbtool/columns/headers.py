@@ -1,6 +1,6 @@
-"""Reads the headers of all packets of a block at once: link layer, IPv4 and TCP."""
+"""Reads the link layer, IPv4 and TCP headers of all packets of a block at once, as arrays."""
 
-# Each packet is one of these:
+# Each packet is of one of these kinds (a followed port is one of the TCP ports of Modbus):
 #
 #     plain      a whole TCP segment in IPv4 between a port that is followed and one that is not
 #     odd        a segment of a followed connection that is not plain: cut, or malformed
@@ -9,9 +9,9 @@
 #     apart      a segment in IPv6: never of a connection in IPv4, and not plain
 #     other      everything else, of which the decoder takes no notice
 #
-# The rules are those of packets/link_layer.py, segment.py and tunnels.py; in doubt a packet is
-# hidden. Only plain packets may be read as arrays. The decoder is fed all packets but those of the
-# kind "other".
+# The rules are those by which the Decoder reads single packets (packets/link_layer.py, segment.py
+# and tunnels.py). A packet whose kind is in doubt counts as hidden. Only plain packets may be read
+# as arrays. The Decoder is fed all packets but those of the kind "other".
 
 from __future__ import annotations
 
@@ -29,13 +29,15 @@ if TYPE_CHECKING:
     from mbtool.columns.packet_block import PacketBlock
 
 _IP_PLACES = {1: (12, 14), 113: (14, 16), 276: (0, 20)}
-"""By link type, the offsets of the EtherType and of the IP header."""
+"""By link type (113 is Linux cooked capture), the offsets of the EtherType and of the IP header in
+a packet, in bytes."""
 _RAW_TYPES = frozenset((12, 14, 101, 228, 229))
 """Link types of packets that begin with the IP header."""
 _VLAN = (0x8100, 0x88A8, 0x9100)
 _IPV4, _IPV6 = 0x0800, 0x86DD
 _BEFORE_IP = (0x892F, 0x8864, 0x8847, 0x8848, *_VLAN)
-"""EtherTypes after which this module does not look for IP: HSR, PPPoE, MPLS, a third VLAN tag."""
+"""EtherTypes in front of a further header that this module does not read: HSR, PPPoE, MPLS, a third
+VLAN tag. An IP packet may follow them, so packets with them go to the Decoder."""
 _TUNNELS = (4, 41, 47)
 _UDP, _ICMPV6 = 17, 58
 _VXLAN_PORT = 4789
@@ -59,7 +61,8 @@ _PAIR = np.dtype(">u2")
 
 @dataclass(slots=True)
 class Segments:
-    """The TCP segments of followed connections, of 64 k packets or fewer (a block).
+    """The TCP segments of one block (at most 65,536 packets) that have a Modbus port as source or
+    destination.
 
     Each array has one element per segment.
     """
@@ -68,11 +71,12 @@ class Segments:
     """For each segment, the index of its packet in the block."""
     is_plain: Bools
     lower: Uint64s
-    """The lower end of the connection: its port, then its address (port << 32 | address)."""
+    """The smaller of the connection's two ends as a number: port << 32 | IPv4 address."""
     upper: Uint64s
     from_lower: Bools
     from_master: Bools
-    """True if the destination's port is followed. Where both ports are, a segment is not plain."""
+    """True if the destination port is a Modbus port. If both ports are, the master is unknown and
+    `is_plain` is False."""
     sequence: Int64s
     acknowledged: Int64s
     flags: Int64s
@@ -87,16 +91,19 @@ class Segments:
 
 @dataclass(slots=True)
 class Headers:
-    """The packets of a block, sorted by what their headers say."""
+    """The packets of a block by kind: TCP segments that were read, and packets for the Decoder."""
 
     segments: Segments
     hidden: Int64s
-    """The indices of hidden packets."""
+    """The indices of packets that may carry a Modbus segment where this module cannot read it: IP
+    fragments, tunnels, unknown headers before IP."""
     apart: Int64s
-    """The indices of packets in IPv6 that may be of followed connections."""
+    """The indices of IPv6 packets that may carry Modbus; they are never read as arrays."""
 
     def part(self, begin: int, end: int) -> Headers:
-        """The headers of the packets from one index to another, counted from the first of them."""
+        """The headers of the packets `begin` to `end` (exclusive); indices then count from
+        `begin`.
+        """
         index = self.segments.index
         first, last = np.searchsorted(index, (begin, end)).tolist()
         segments = Segments(
@@ -110,7 +117,7 @@ class Headers:
 
 
 def read_headers(block: PacketBlock, ports: Iterable[int]) -> Headers:
-    """Sort the packets of a block by their kind; `ports` are the TCP ports that are followed."""
+    """Read the headers of all packets of a block; `ports` are the TCP ports that carry Modbus."""
     is_followed = np.zeros(1 << 16, np.bool_)
     is_followed[list(ports)] = True
     kinds, at, hidden = _network(block)
@@ -128,7 +135,11 @@ def read_headers(block: PacketBlock, ports: Iterable[int]) -> Headers:
 
 
 def _network(block: PacketBlock) -> tuple[Int64s, Int64s, Bools]:
-    """For each packet: its EtherType, the offset of its IP header, and True if it is hidden."""
+    """Read the link layer headers.
+
+    Returns for each packet its EtherType, the offset of its IP header in the block's data, and True
+    if its headers cannot be read here (a hidden packet).
+    """
     hidden = np.zeros(len(block), np.bool_)
     kind_at, at = np.zeros(len(block), np.int64), np.zeros(len(block), np.int64)
     is_raw = np.zeros(len(block), np.bool_)
@@ -142,7 +153,7 @@ def _network(block: PacketBlock) -> tuple[Int64s, Int64s, Bools]:
             hidden[chosen] = True
     too_short = ~is_raw & (block.captured < np.maximum(kind_at + 2, at))
     hidden |= too_short
-    # A header behind the end of the data is not read: such a packet is hidden.
+    # A packet too short for its EtherType is hidden, so that nothing is read behind its end.
     kinds = _pairs(block, kind_at, hidden)
     for _ in range(_MAX_TAGS):
         tagged = np.flatnonzero(_is_one_of(kinds, _VLAN) & ~is_raw & ~hidden)
@@ -158,7 +169,9 @@ def _network(block: PacketBlock) -> tuple[Int64s, Int64s, Bools]:
 
 
 def _pairs(block: PacketBlock, at: Int64s, hidden: Bools) -> Int64s:
-    """The two bytes at an offset of each packet; those of a hidden packet have no meaning."""
+    """Return the 16-bit number at the offset `at` of each packet; of hidden packets, some other
+    number that must not be used.
+    """
     places = block.starts + np.where(hidden, 0, at)
     return gather(block.data, places, _PAIR).astype(np.int64)
 
@@ -168,7 +181,11 @@ def _is_one_of(values: Int64s, known: tuple[int, ...]) -> Bools:
 
 
 def _ipv6(block: PacketBlock, at: Int64s, six: Bools, hidden: Bools, is_followed: Bools) -> Bools:
-    """Find the IPv6 packets with TCP; mark those hidden that are neither TCP, UDP nor ICMPv6."""
+    """Return True for the IPv6 packets with TCP on a Modbus port.
+
+    `six` is True for the IPv6 packets. Sets `hidden` for those that may carry TCP behind further
+    headers or in a tunnel.
+    """
     apart = np.zeros(len(block), np.bool_)
     some = np.flatnonzero(six)
     if not len(some):
@@ -188,7 +205,12 @@ def _ipv6(block: PacketBlock, at: Int64s, six: Bools, hidden: Bools, is_followed
 def _ipv4(
     block: PacketBlock, some: Int64s, at: Int64s, hidden: Bools, is_followed: Bools
 ) -> Segments:
-    """Read the IPv4 headers at the offsets `at`; mark packets hidden that may carry others."""
+    """Return the TCP segments in the IPv4 packets with the indices `some`, whose headers are at
+    `at`.
+
+    Sets `hidden` for packets that may carry a segment where it is not read: fragments, tunnels, cut
+    headers.
+    """
     headers = gather(block.data, at, _IPV4_HEADER)
     header = (headers["first"] & 0x0F).astype(np.int64) * 4
     total = headers["total"].astype(np.int64)
@@ -198,7 +220,7 @@ def _ipv4(
     is_odd = (header < 20) | ((headers["fragment"] & 0x3FFF) != 0)
     is_tcp = protocol == TCP
     start = at + header
-    # A TCP header captured only in part does not tell the ports or the kind of packet.
+    # If the TCP header is cut off by the snaplen, its ports and flags are unknown: hidden.
     is_odd |= is_tcp & ((captured < relative + header + 20) | (total < header))
     is_odd |= _is_one_of(protocol.astype(np.int64), _TUNNELS)
     is_udp = np.flatnonzero((protocol == _UDP) & ~is_odd & (captured >= relative + header + 4))

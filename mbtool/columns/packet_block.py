@@ -1,9 +1,9 @@
 """Reads capture files in blocks of many packets, as arrays. Opens no file."""
 
-# A block holds at most BLOCK_PACKETS packets, and about BLOCK_BYTES bytes of the file, so memory
-# does not grow with the file. The records of a pcap file are walked once: each tells where the next
-# one begins. Then the headers of all records are read at once. Files of other kinds are read packet
-# by packet, by the reader of packets/.
+# A block holds at most BLOCK_PACKETS packets and about BLOCK_BYTES bytes of the file, so memory
+# does not grow with the file. In a pcap file, each record tells where the next one begins: one loop
+# in Python collects these offsets, then numpy reads all record headers at once. Files of other
+# kinds (pcapng) are read packet by packet with the readers of packets/.
 #
 # Errors are raised as in packets/: after all packets before the damage.
 
@@ -35,12 +35,14 @@ if TYPE_CHECKING:
 
 BLOCK_PACKETS = 65_536
 BLOCK_BYTES = 8 * 1024 * 1024
-"""More than the longest record has."""
+"""At least this much of the file is looked at for a block; longer than the longest possible
+record."""
 LEAST_READ = 1024 * 1024
-"""The fewest bytes that are read at once."""
+"""Each read of the file asks for at least this many bytes."""
 
 SPARE = 64
-"""Bytes behind the data of a block, so that a header may be read where a packet is short."""
+"""This many bytes follow the last packet in a block's data, so that a fixed-size header can be read
+even where a packet is shorter; such values are not used."""
 
 _MAGIC = 4
 _NS_PER_SECOND = 1_000_000_000
@@ -48,7 +50,7 @@ _NS_PER_SECOND = 1_000_000_000
 
 @dataclass(slots=True)
 class PacketBlock:
-    """Packets of a capture file. Each array has one element for each packet."""
+    """Consecutive packets of a capture file. Each array has one element per packet."""
 
     data: Octets
     """The bytes of all packets, with other bytes between them; SPARE bytes follow the last one."""
@@ -81,7 +83,7 @@ class PacketBlock:
         return places
 
     def part(self, begin: int, end: int) -> PacketBlock:
-        """The packets from one index to another."""
+        """The packets from index `begin` to `end` (exclusive), as a block that shares the data."""
         some = slice(begin, end)
         return PacketBlock(
             data=self.data,
@@ -96,7 +98,7 @@ class PacketBlock:
         )
 
     def packet(self, index: int) -> Packet:
-        """One packet, as the readers of packets/ give it."""
+        """Return one packet as a `Packet`, equal to what the packet-by-packet readers give."""
         start, captured = int(self.starts[index]), int(self.captured[index])
         link, link_type = self.links[0 if self.interfaces is None else self.interfaces[index]]
         return Packet(
@@ -111,10 +113,10 @@ class PacketBlock:
 
 
 def read_blocks(stream: BinaryIO, name: str) -> Iterator[PacketBlock]:
-    """Give the packets of a pcap or pcapng file, in order.
+    """Yield the packets of a pcap or pcapng file in order, many at a time.
 
-    Raises InputError if the file is of another kind or damaged, CutError if it ends too early,
-    after the packets before that place.
+    Raises InputError if the file is of another kind or damaged, CutError if it ends within a
+    record; all packets before the damage are yielded first.
     """
     source = _Source(stream)
     magic = source.peek(_MAGIC)
@@ -125,24 +127,33 @@ def read_blocks(stream: BinaryIO, name: str) -> Iterator[PacketBlock]:
 
 
 class _Source:
-    """A stream read in large pieces. An error is raised once all bytes before it are taken."""
+    """Reads a file in large pieces, of which callers take small ones.
+
+    If reading fails, the error is raised only after all bytes before it were taken.
+    """
 
     def __init__(self, stream: BinaryIO) -> None:
         self._stream = stream
         self._held = b""
         self._at = 0
-        """The number of bytes of `_held` that were taken. To cut them off each time would copy the
-        rest of a large piece for each small one."""
+        """How many bytes of `_held` were already taken. They are cut off only at the next read, so
+        that taking a few bytes does not copy the whole piece."""
         self._error: Exception | None = None
         self._is_ended = False
 
     def peek(self, size: int) -> bytes:
-        """The next bytes; fewer than `size` at the end, or in front of an error."""
+        """Return the next bytes without taking them; fewer than `size` at the end of the file or
+        before a read error.
+        """
         self._fill(size)
         return self._held[self._at : self._at + size]
 
     def held(self, size: int) -> tuple[bytes, int, int]:
-        """Bytes that hold the next ones, and where these begin and end; `size`, or fewer."""
+        """Return the buffer and the offsets in it where the next bytes begin and end.
+
+        These are `size` bytes, or fewer at the end of the file or before a read error. Nothing is
+        copied or taken.
+        """
         self._fill(size)
         return self._held, self._at, min(self._at + size, len(self._held))
 
@@ -157,7 +168,10 @@ class _Source:
             self._held, self._at = b"".join(pieces), 0
 
     def take(self, size: int) -> bytes:
-        """Remove and return the next bytes, fewer at the end. Raises a held error of reading."""
+        """Take and return the next bytes; fewer than `size` at the end of the file.
+
+        If a read error prevented more bytes, it is raised here.
+        """
         taken = self.peek(size)
         if len(taken) < size and self._error is not None:
             raise self._error
@@ -167,11 +181,11 @@ class _Source:
     read = take
 
     def drop(self, size: int) -> None:
-        """Remove bytes that were seen with `peek`."""
+        """Take bytes that `peek` or `held` has shown, without returning them."""
         self._at += size
 
     def raise_error(self) -> None:
-        """Raise the held error of reading, if there is one."""
+        """Raise the read error that came after the last bytes, if there was one."""
         if self._error is not None:
             raise self._error
 
@@ -186,7 +200,7 @@ class _Source:
 
 
 class _PcapBlocks:
-    """Walks over the records of a pcap file."""
+    """Reads the records of a pcap file as blocks of packets."""
 
     def __init__(self, source: _Source, form: PcapForm, name: str) -> None:
         self._source = source
@@ -195,7 +209,7 @@ class _PcapBlocks:
         self._header = 16 + form.extra
         self._record = np.dtype([(each, form.order + "u4") for each in ("s", "f", "cap", "len")])
         self._number = 0
-        """The number of packets so far."""
+        """The number of packets in the blocks so far."""
 
     def blocks(self) -> Iterator[PacketBlock]:
         while True:
@@ -217,8 +231,10 @@ class _PcapBlocks:
         self._source.raise_error()
 
     def _walk(self, data: bytes, begin: int, end: int) -> tuple[list[int], int, int]:
-        """The offsets of whole records from `begin` on, counted from there; the end of the last
-        one; and an impossible length or 0.
+        """Find the complete records in `data` from `begin` to `end`.
+
+        Returns the offset of each record, counted from `begin`; the offset in `data` behind the
+        last one; and the record length that is impossible and stopped the search, or 0.
         """
         length_of = struct.Struct(self._form.order + "I").unpack_from
         header = self._header
@@ -240,7 +256,9 @@ class _PcapBlocks:
         return places, at, 0
 
     def _has_zeros(self, data: bytes, at: int) -> bool:
-        """True if the four fields of the record header at an offset are zero."""
+        """True if the record header at offset `at` is all zeros, as in a file whose end was
+        preallocated.
+        """
         return data.startswith(bytes(16), at)
 
     def _block(self, octets: Octets, heads: list[int]) -> PacketBlock:
@@ -261,14 +279,19 @@ class _PcapBlocks:
 
 
 def _octets(data: bytes, begin: int, end: int) -> Octets:
-    """The bytes from one offset to another, and SPARE bytes behind them."""
+    """Return the bytes from `begin` to `end` and SPARE bytes behind them, copied only if `data` is
+    too short.
+    """
     if end + SPARE > len(data):
         data, begin, end = data[begin:end] + bytes(SPARE), 0, end - begin
     return np.frombuffer(data, np.uint8, end + SPARE - begin, begin)
 
 
 def _packed(packets: Iterator[Packet]) -> Iterator[PacketBlock]:
-    """Put packets into blocks; an error comes after the packets before it."""
+    """Collect packets into blocks.
+
+    A read error is raised after the packets before it were yielded.
+    """
     error: Exception | None = None
 
     def guarded() -> Iterator[Packet]:

@@ -1,4 +1,4 @@
-"""Tells the Decoder of connections that were read from arrays, from their SYN to their FINs."""
+"""Tells the Decoder of connections that were read from arrays, so that it was not fed them."""
 
 from __future__ import annotations
 
@@ -28,22 +28,27 @@ if TYPE_CHECKING:
 
 @dataclass(slots=True)
 class PassedConnections:
-    """Connections that the Decoder was not fed. Each array and list has an element for each."""
+    """Connections that were read from arrays, from SYN to FIN, without the Decoder.
+
+    Each array and list has one element per connection.
+    """
 
     connections: list[Connection]
     flow: Int64s
-    """The number of the connection's flow."""
+    """The number of the connection's flow: its pair of IP addresses and TCP ports."""
     stretch: Int64s
-    """The index of its stretch in `Stretches`."""
+    """The index in `Stretches` of the series of its transactions."""
     opened: Int64s
-    """The index of the packet that opened it."""
+    """The index in the block of the packet with its SYN."""
     opened_ns: Int64s
     closed: Int64s
-    """The index of the packet that closed it."""
+    """The index in the block of the packet with its second FIN."""
     closed_ns: Int64s
 
     def events(self) -> list[tuple[int, Record]]:
-        """Their begins and ends, each with its sort number as in `DecodedBlock.records`."""
+        """The events of their opening and closing, each with a number that sorts it among the
+        results of the block (see `DecodedBlock.records`).
+        """
         found: list[tuple[int, Record]] = []
         for event, packets, times in (
             (opening_event, self.opened, self.opened_ns),
@@ -59,10 +64,15 @@ class PassedConnections:
 def pass_whole(
     decoder: Decoder, flows: FlowNumbers, headers: Headers, stretches: Stretches
 ) -> PassedConnections | None:
-    """Find the connections that are whole and plain, and tell the Decoder of them."""
+    """Find connections that lie in the block from SYN to FIN, and tell the Decoder that they have
+    ended.
+
+    Returns None if there are none, or if the block may hold more of their packets (hidden ones), or
+    lasts so long that a connection may become idle.
+    """
     segments = headers.segments
     times = segments.ts_ns
-    # A hidden packet may belong to any connection.
+    # A hidden packet, one whose headers cannot be read here, may belong to any connection.
     if len(headers.hidden) or not len(times) or times[-1] - times[0] >= IDLE_NS:
         return None
     whole = find_whole(segments, stretches)
@@ -97,7 +107,11 @@ def _ended(
     connections: list[Connection],
     is_lower: list[bool],
 ) -> Iterator[EndedConnection]:
-    """The connections as the reassembler knows them; `is_lower` is True of a lower master."""
+    """Make what the reassembler keeps of ended connections.
+
+    `is_lower` is True for a connection whose master is the lower of the two ends (by port, then
+    address).
+    """
     for connection, last_ns, asked, answered, requests, responses, lower in zip(
         connections,
         segments.ts_ns[whole.last].tolist(),
@@ -113,7 +127,7 @@ def _ended(
 
 
 def _connection(ends: FlowEnds, *, is_lower: bool, number: int) -> Connection:
-    """The connection between two ends; `is_lower` is True if the lower one is the master."""
+    """Return the connection between two ends; `is_lower` is True if the first one is the master."""
     low, low_port, high, high_port = ends
     if is_lower:
         return Connection(Endpoint(_host(low), low_port), _endpoint(high, high_port), number)

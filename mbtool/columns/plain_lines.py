@@ -1,11 +1,13 @@
-"""Makes lines of text, such as jsonl or CSV, from the transactions of blocks."""
+"""Makes lines of JSON or CSV from the transactions of blocks."""
 
-# The caller's function makes the line of one transaction. Of usual rows (usual_rows.py) that differ
-# only in time, ends, transaction id, values, bytes and packet numbers, it makes one line, with a
-# mark in the place of each of these fields. The line of each row has the row's own text there. So
-# the lines are those that the function would make of each transaction.
+# The caller gives a function that makes the line of one transaction. To call it seldom, rows of
+# common reads and writes (usual_rows.py) are grouped that differ only in time, ends, transaction
+# id, values, raw bytes and packet numbers. For each group the function makes one line, with a
+# random mark in each of these fields. The line of each row is this template with its own texts in
+# place of the marks. So it is the same line that the function would make of the row.
 #
-# Memory: at most MAX_LINES lines with marks; beyond that all are forgotten, and made anew.
+# Memory: about MAX_LINES templates are kept; with more, all are forgotten and made again when
+# needed.
 
 from __future__ import annotations
 
@@ -41,47 +43,52 @@ _NUMBERS = ("transaction_id", "response_ns", "latency_ns", "request_packet", "re
 _LISTS = ("request_values", "response_values")
 _RAW = ("request_raw", "response_raw")
 _TIMES = ("request_ns", "time")
-# Random, so that no name of a file holds a mark.
+# Marks are random, so that no text of a capture, such as a file name, contains one by chance.
 _MARKS = {name: f"<{secrets.token_hex(8)}:{name}>" for name in (*_TEXTS, *_NUMBERS, *_LISTS, *_RAW)}
-"""A text for each field that stands nowhere else in a line."""
+"""For each field that varies, the text that marks its place in a template; it occurs nowhere else
+in a line."""
 _MARK_NS = 10**18 + secrets.randbelow(10**18)
 _MARK_TIME = str(np.datetime_as_string(np.datetime64(_MARK_NS, "ns"), unit="ns"))
 _WIDTHS = np.array([len(str(number)) + 1 for number in range(1 << 16)])
-"""The length of each number with a separator behind it."""
+"""The length of each number from 0 to 65535 as text, plus 1 for the separator behind it."""
 
 
 @dataclass(slots=True)
 class LineBatch:
-    """The lines of the transactions that some packets completed."""
+    """The lines of the transactions of a block of packets."""
 
     text: str
-    """All lines, in order."""
+    """All lines of the block joined, in order."""
     outcomes: Counter[Outcome]
-    """How many transactions ended how, of those that are not in `records`."""
+    """The number of transactions by outcome, without those in `records`."""
     records: list[Record]
-    """The events, in order, without the begins and ends of connections that were passed; and the
-    transactions decoded one by one."""
+    """In order: the events, and the transactions that the Decoder read packet by packet; behind
+    them those of `made`. Opening and closing events of connections that were read from arrays from
+    SYN to FIN are missing."""
     made: list[NamedTransaction] = field(default_factory=list)
-    """The transactions of unusual form, of those read as arrays; `records` has them, too."""
+    """Transactions found in the arrays whose PDUs are not the common reads and writes, so that each
+    was made as an object; `records` has them too."""
 
 
 class BlockLines:
-    """Makes the lines of the blocks of a capture that has no device profiles."""
+    """Makes the lines of each block of a capture that is decoded without device profiles."""
 
     def __init__(self, line_of: Callable[[NamedTransaction], str], separator: str) -> None:
-        """Prepare the lines.
+        """Take the format of the lines.
 
-        `line_of` gives the line of a transaction. `separator`, one ASCII character, stands between
-        its values.
+        `line_of` makes the line of one transaction. `separator`, one ASCII character, stands
+        between the numbers of a list of values.
         """
         self._line_of = line_of
         self._words = np.array([f"{number}{separator}".encode() for number in range(1 << 16)])
-        """Each number with a separator behind it, filled up with zeros."""
+        """Each number from 0 to 65535 as text with the separator behind it, padded with zero bytes
+        to equal length."""
         self._namer = Namer()
         self._forms: dict[tuple[object, ...], str] = {}
-        """A line with the place of each field that varies, by all other fields."""
+        """The templates: lines with %s in place of the fields that vary, by the values of all other
+        fields."""
         self._order: list[str] = []
-        """The fields that vary in the order of the line."""
+        """The names of the fields that vary, in the order in which a line has them."""
 
     def batch(self, decoded: DecodedBlock) -> LineBatch:
         records = decoded.sorted_records()
@@ -120,7 +127,7 @@ class BlockLines:
     def _forms_of(
         self, rows: PlainRows, usual: UsualValues, chosen: Int64s
     ) -> tuple[list[str], list[int]]:
-        """The forms of the lines, and the index of each row's form."""
+        """Return the templates of the rows' lines, and for each row the index of its template."""
         numbers: dict[object, int] = {}
         place_of = np.array([numbers.setdefault(one, len(numbers)) for one in rows.addresses])
         places = [*numbers]
@@ -142,14 +149,16 @@ class BlockLines:
         return forms, kinds.tolist()
 
     def _form(self, like: NamedTransaction) -> str:
-        """The line of transactions like one, with %s in the place of each field that varies."""
+        """Return the line of a transaction as a template, with %s in place of each field that
+        varies between rows.
+        """
         if not self._order:
             line = self._line_of(_marked(like, is_full=True))
             places = {name: line.index(_mark_of(name)) for name in (*_MARKS, *_TIMES)}
             self._order = sorted(places, key=places.__getitem__)
         line = self._line_of(_marked(like, is_full=False)).replace("%", "%%")
         for name in (*_NUMBERS, *_LISTS):
-            # Numbers stand in no quotes, where texts do.
+            # JSON puts the mark in quotes, as a text; the numbers that take its place have none.
             line = line.replace(f'"{_MARKS[name]}"', _MARKS[name])
         form = ""
         for name in self._order:
@@ -161,7 +170,7 @@ class BlockLines:
     def _fields(
         self, rows: PlainRows, usual: UsualValues, chosen: Int64s
     ) -> dict[str, Sequence[object]]:
-        """The texts or numbers of the fields that vary, each in a list with one for each row."""
+        """For each field that varies, return a list with its text or number for each row."""
         ends = rows.connection[chosen].tolist()
         request_ns, response_ns = rows.request_ns[chosen], rows.response_ns[chosen]
         first = rows.block.first_number
@@ -191,11 +200,13 @@ class BlockLines:
         }
 
     def _texts(self, lists: ValueLists) -> list[str]:
-        """The numbers of each row with separators between them; none for a missing list."""
+        """Return for each row its list of numbers as text, with separators between them; empty for
+        a missing list.
+        """
         padded = self._words[lists.numbers].view(np.uint8)
         text = padded[padded != 0].tobytes().decode()
         ends = np.concatenate([[0], np.cumsum(_WIDTHS[lists.numbers])])[lists.offsets]
-        # Without the separator behind the last number of a row.
+        # Cut off the separator behind the last number of each row.
         stops = np.maximum(ends[1:] - 1, ends[:-1])
         return [
             text[begin:end] for begin, end in zip(ends[:-1].tolist(), stops.tolist(), strict=True)
@@ -203,7 +214,7 @@ class BlockLines:
 
 
 class _HexMark:
-    """Stands for bytes, and gives a mark as their hexadecimal text."""
+    """Takes the place of a transaction's raw bytes; its hexadecimal text is a mark."""
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -219,7 +230,10 @@ def _mark_of(name: str) -> str:
 
 
 def _marked(like: NamedTransaction, *, is_full: bool) -> NamedTransaction:
-    """A transaction with marks; `is_full` is True to mark also the lists that it lacks."""
+    """Return a transaction whose varying fields are marks.
+
+    `is_full` is True to put a mark also into value lists that are None.
+    """
     fields: dict[str, Any] = {name: _MARKS[name] for name in (*_TEXTS, *_NUMBERS)}
     fields |= {name: _HexMark(name) for name in _RAW}
     for name in _LISTS:
@@ -229,7 +243,9 @@ def _marked(like: NamedTransaction, *, is_full: bool) -> NamedTransaction:
 
 
 def _hex(rows: PlainRows, begins: Int64s, sizes: Int64s) -> list[str]:
-    """The bytes of pieces of a block's data as hexadecimal text."""
+    """Return hexadecimal text for each byte range of a block's data; `begins` and `sizes` are in
+    bytes.
+    """
     text = pieces(rows.data, begins, sizes).tobytes().hex()
     return [*_cut(text, 2 * sizes)]
 

@@ -1,4 +1,4 @@
-"""Holds the transactions in the plain stretches of a block as arrays."""
+"""Holds, as arrays, the transactions of a block that were read without the Decoder."""
 
 from __future__ import annotations
 
@@ -20,29 +20,35 @@ if TYPE_CHECKING:
     from mbtool.columns.stretches import Stretches
 
 _LINK_HEADER = np.dtype("V32")
-"""The first 32 bytes of a packet: more than the link layer headers that headers.py reads."""
+"""The first 32 bytes of a packet: longer than each link layer header that headers.py reads (at most
+28)."""
 
 
 @dataclass(slots=True)
 class PlainRows:
-    """Transactions that were read from arrays. Each array has one element per transaction."""
+    """Transactions of a block that were read from arrays, in the order of their responses.
+
+    Each array has one element per transaction.
+    """
 
     block: PacketBlock
     data: Octets
-    """The data of the block, and behind it the ADUs that came in pieces."""
+    """The bytes of all packets of the block, followed by the request ADUs that came in two
+    segments."""
     connections: list[Connection]
-    """The connection of each stretch."""
+    """For each stretch (series of polls of one connection without a gap), its connection."""
     addresses: list[tuple[LinkAddresses | None, LinkAddresses | None]]
-    """The addresses on the link layer of the first request and response of each stretch."""
+    """For each stretch, the MAC addresses in the packets of its first request and of its first
+    response; None if unknown."""
     connection: Int64s
-    """The index of the transaction's stretch in `connections` and `addresses`."""
+    """The index of the transaction's stretch in `connections` and in `addresses`."""
     has_addresses: Bools
-    """True if request and response have the same addresses as the first ones of their stretch."""
+    """True if the transaction's packets have the same MAC addresses as those in `addresses`."""
     request_ip_at: Int64s
-    """The length, in bytes, of the link layer header of the request's packet."""
+    """The length, in bytes, of the link layer header of the packet that completed the request."""
     response_ip_at: Int64s
     request: Int64s
-    """The index of the request's packet in the block."""
+    """The index in the block of the packet that completed the request."""
     response: Int64s
     request_begin: Int64s
     """The offset of the request's ADU in `data`."""
@@ -58,7 +64,10 @@ class PlainRows:
 
 
 class _Lists(NamedTuple):
-    """The same as the arrays of these names: of a few elements lists are read faster."""
+    """The fields of TransactionArrays as lists of int, one element per transaction.
+
+    Reading single elements from a list is faster than from a numpy array.
+    """
 
     first_place: list[int]
     request_place: list[int]
@@ -75,16 +84,20 @@ class _Lists(NamedTuple):
 
 
 class TransactionArrays:
-    """The arrays of the transactions in all stretches of a block."""
+    """Arrays and lists of the fields of all transactions in the plain stretches of a block.
+
+    A plain stretch is a series of polls of one connection in order and without a gap.
+    """
 
     def __init__(self, stretches: Stretches, segments: Segments) -> None:
         found, order = stretches.transactions, stretches.order
         self._found = found
         self._order = order
         self._data = stretches.data
-        self._octets = stretches.data.data  # Few bytes of it are read faster than of arrays.
+        self._octets = stretches.data.data  # Small slices are faster on a memoryview.
         self.first_place, self._request_place = found.request_first, found.request
-        """For each transaction, the index in `order` of its request's first and last segment."""
+        """For each transaction, the index in `Stretches.order` of the first and of the last segment
+        of its request."""
         self.response_place = found.response
         requests, responses = order[found.request], order[found.response]
         self.first_packet = segments.index[order[found.request_first]]
@@ -110,12 +123,19 @@ class TransactionArrays:
         )
 
     def packets(self, at: int, until: int, end: int) -> Int64s:
-        """The segments of transaction `at`, with those before `until` unless that is `end`."""
+        """Return the indices in `Segments` of the segments of the transactions `at` to `until`
+        (exclusive).
+
+        Segments between the last one and the next transaction count too, unless `until` is `end`,
+        the end of the stretch.
+        """
         stop = self.response_place[at] + 1 if until == end else self.first_place[until]
         return self._order[self.first_place[at] : stop]
 
     def stretch(self, at: int, end: int) -> PlainStretch:
-        """The transactions from `at` to `end` in the form in which the Decoder takes them."""
+        """Return the transactions `at` to `end` (exclusive) in the form in which the Decoder is
+        told of them.
+        """
         some, last, lists = slice(at, end), end - 1, self._lists
         first_place = lists.first_place[at]
         codes, latencies_ns = lists.code[some], lists.latency_ns[some]
@@ -150,7 +170,11 @@ class TransactionArrays:
         return self._octets[begin : begin + size].tobytes()
 
     def _tail(self, begins: list[int], sizes: list[int], at: int, end: int) -> bytes:
-        """The last bytes of the ADUs from `at` to `end`: RECENT_BYTES, or all if they are fewer."""
+        """Return the last RECENT_BYTES bytes of the ADUs `at` to `end` (exclusive), or all if
+        fewer.
+
+        The reassembler compares retransmissions with them.
+        """
         adus: list[bytes] = []
         room = RECENT_BYTES
         while end > at and room > 0:
@@ -161,7 +185,9 @@ class TransactionArrays:
 
     @staticmethod
     def _link_headers(block: PacketBlock, packets: Int64s, ip_at: Int64s) -> Octets:
-        """One row per packet: its link layer header, padded with zeros, and the header's length."""
+        """Return a row of 32 bytes per packet: its link layer header, padded with zeros, and in the
+        last byte the header's length. Equal rows mean equal headers.
+        """
         headers = gather(block.data, block.starts[packets], _LINK_HEADER).view(np.uint8)
         headers = headers.reshape(len(packets), _LINK_HEADER.itemsize)
         least = int(ip_at.min(initial=_LINK_HEADER.itemsize))
@@ -173,7 +199,12 @@ class TransactionArrays:
         return headers
 
     def rows(self, block: PacketBlock, taken: list[tuple[int, int, Connection]]) -> PlainRows:
-        """The rows of the transactions that were taken, in the order of their responses."""
+        """Return the rows of the stretches that the Decoder was told of, in the order of their
+        responses.
+
+        Each item of `taken` has the index of a stretch's first transaction, the index behind its
+        last one, and its connection.
+        """
         firsts = np.array([first for first, _, _ in taken])
         sizes = np.array([end - first for first, end, _ in taken])
         chosen = ranges(firsts, sizes)
@@ -211,7 +242,10 @@ class TransactionArrays:
     def _addresses(
         self, block: PacketBlock, firsts: Int64s, requests: Octets, responses: Octets
     ) -> list[tuple[LinkAddresses | None, LinkAddresses | None]]:
-        """The addresses of some transactions; `requests` and `responses` are their headers."""
+        """Return the MAC addresses of request and response of the transactions `firsts`.
+
+        `requests` and `responses` are the rows of `_link_headers` of the same transactions.
+        """
         both = np.ascontiguousarray(np.concatenate([requests, responses], axis=1))
         _, some, like = np.unique(
             both.view(f"S{both.shape[1]}")[:, 0], return_index=True, return_inverse=True
@@ -227,14 +261,16 @@ class TransactionArrays:
 
 
 def _are_equal(headers: Octets, first: Int64s, second: Int64s) -> Bools:
-    """True where two rows of headers are equal."""
-    words = headers.view(np.uint64)  # Comparing words takes a fraction of the time of bytes.
+    """True where the rows `first` and `second` of `headers` are equal."""
+    words = headers.view(np.uint64)  # Compared as 8-byte words: much faster.
     is_equal: Bools = (words[first] == words[second]).all(axis=1)
     return is_equal
 
 
 def link_addresses_of(block: PacketBlock, packet: int, ip_at: int) -> LinkAddresses | None:
-    """The addresses in the header of the link layer of a packet, which has `ip_at` bytes."""
+    """Return the MAC addresses and VLAN of a packet of the block, whose link layer header has
+    `ip_at` bytes; None if it has none.
+    """
     start = int(block.starts[packet])
     _, link_type = block.links[0 if block.interfaces is None else block.interfaces[packet]]
     return link_addresses(link_type, block.data[start : start + ip_at].tobytes())

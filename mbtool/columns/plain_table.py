@@ -1,10 +1,11 @@
-"""Makes a table of columns from plain rows: transactions that are read from arrays."""
+"""Makes a pyarrow table from transactions that were read from arrays."""
 
-# Rows of usual form (usual_rows.py) are made from the arrays. The row of every other PDU is made as
-# the decoder makes it (plain_transactions.py).
+# The columns of common reads and writes (usual_rows.py) are computed from the arrays. Every other
+# row is made a transaction object first, as the decoder makes it (plain_transactions.py).
 #
-# The name of the function, the reference and the findings of a usual row depend on its function,
-# address and quantity alone. The first row of each of these is named as the decoder names it.
+# The function's name, the reference and the findings of a common read or write depend only on its
+# function, address and quantity. So one transaction object is made for each combination of these
+# three, and all its rows take these fields from it.
 
 from __future__ import annotations
 
@@ -30,15 +31,18 @@ if TYPE_CHECKING:
 
 
 class PlainTables:
-    """Makes the tables of plain rows, which have no device profile."""
+    """Makes a table of the transactions in arrays of each block; no device profiles are used."""
 
     def __init__(self) -> None:
         self._namer = Namer()
         self._names: dict[int, NamedTransaction] = {}
-        """The first row of each function, address and quantity, with its names."""
+        """For each combination of function, address and quantity (as one number), a transaction
+        with its names and findings."""
 
     def table(self, rows: PlainRows) -> tuple[pa.Table, list[NamedTransaction]]:
-        """The table of all rows, and again the transactions among them that are of unusual form."""
+        """Return a table of all rows, and separately those that are not common reads and writes as
+        objects.
+        """
         usual = UsualValues(rows)
         chosen = np.flatnonzero(usual.is_usual)
         others = np.flatnonzero(~usual.is_usual).tolist()
@@ -110,7 +114,9 @@ class PlainTables:
     def _names_of(
         self, rows: PlainRows, usual: UsualValues, chosen: Int64s
     ) -> tuple[list[NamedTransaction], Int64s]:
-        """A named row for each function, address and quantity; by row, the index of its name."""
+        """Return an example transaction for each combination of function, address and quantity, and
+        for each row the index of its example.
+        """
         keys = rows.code[chosen] << 32 | usual.address[chosen] << 16 | usual.quantity[chosen]
         kinds, first, like = np.unique(keys, return_index=True, return_inverse=True)
         for key, index in zip(kinds.tolist(), chosen[first].tolist(), strict=True):
@@ -130,7 +136,9 @@ def _column(field: pa.Field, values: Any, count: int) -> pa.Array:
 
 
 def _words(texts: list[str], indices: Int64s, missing: Bools | None = None) -> pa.Array:
-    """A column of texts: each row has the text at its index in `texts`, or null if missing."""
+    """Return a column of texts: each row has the text `texts[index]`, or null where `missing` is
+    True.
+    """
     index = pa.array(
         np.where(missing, 0, indices) if missing is not None else indices, mask=missing
     )
@@ -138,7 +146,7 @@ def _words(texts: list[str], indices: Int64s, missing: Bools | None = None) -> p
 
 
 def _words_or_none(texts: Sequence[str | None], indices: Int64s) -> pa.Array:
-    """A column of texts: each row has the text at its index in `texts`; null if that is None."""
+    """Return a column of texts: each row has the text `texts[index]`, null if that is None."""
     missing = np.array([text is None for text in texts], np.bool_)
     return _words([text or "" for text in texts], indices, missing[indices])
 

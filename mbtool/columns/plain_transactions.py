@@ -1,4 +1,6 @@
-"""Makes the transaction of one plain row as the decoder makes it, for PDUs of unusual form."""
+"""Makes a transaction object from one row of the arrays, equal to the one that the Decoder would
+make.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def plain_transaction(rows: PlainRows, index: int) -> Transaction:
-    """The transaction of the row at an index."""
+    """Return the transaction of the row at an index."""
     identity = rows.connections[rows.connection[index]]
     ends = Ends(identity.link, str(identity.master), str(identity.slave))
     request = _adu(
@@ -50,14 +52,20 @@ def plain_transaction(rows: PlainRows, index: int) -> Transaction:
 def origin_fields(
     request: LinkAddresses | None, response: LinkAddresses | None
 ) -> tuple[str | None, str | None, int | None]:
-    """The MAC addresses of master and slave, and the VLAN, as a transaction has them."""
+    """The MAC addresses of master and slave, and the VLAN number (None if there is none), from the
+    link layer addresses of request and response.
+    """
     fields: dict[str, Any] = {}
     add_origins(fields, Origin("", 0, request), Origin("", 0, response))
     return fields.get("source_mac"), fields.get("destination_mac"), fields.get("vlan")
 
 
 class _Half(NamedTuple):
-    """The arrays of the requests, or of the responses."""
+    """Arrays with an element per transaction: of the requests, or of the responses.
+
+    Packet index in the block, length of the link layer header, offset and size of the ADU in the
+    data, time in UTC ns.
+    """
 
     packet: Int64s
     ip_at: Int64s

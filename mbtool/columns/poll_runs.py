@@ -1,10 +1,14 @@
-"""Counts plain rows by what they ask, without making a row of each, for the overview."""
+"""Groups transactions in arrays by poll, for the statistics and the inventory, without making an
+object of each.
+"""
 
-# Rows of usual form (usual_rows.py) are alike if they have the same link, master's host, slave and
-# MAC addresses, and their PDUs the same unit, function, address, quantity and exception code. The
-# first row of each kind is named as the decoder names it.
+# Only the common reads and writes (usual_rows.py) are grouped. Rows are of one kind if they have
+# the same link, master address (without port), slave and MAC addresses, and PDUs with the same
+# unit, function, address, quantity and exception code. Only the first row of each kind is made a
+# transaction object with names, as the decoder makes it; it stands for all of its kind.
 #
-# Memory: at most MAX_KINDS named rows; beyond that all are forgotten, and named anew.
+# Memory: about MAX_KINDS such objects are kept between blocks; with more, all are forgotten and
+# made again when needed.
 
 from __future__ import annotations
 
@@ -31,14 +35,18 @@ if TYPE_CHECKING:
 
 MAX_KINDS = 65_536
 _SHORT = 24
-"""A run of fewer rows costs more than the rows one by one."""
+"""Fewer rows than this in a row are given as single transactions: that is faster than a group."""
 
 _Place = tuple[str, str, str, str | None, str | None]
-"""Link, master's host, slave's address, and the MAC addresses of both."""
+"""Link name, IP address of the master, address and port of the slave, MAC address of the master,
+MAC address of the slave (None if unknown)."""
 
 
 class PollRuns:
-    """Makes runs of the plain rows of the blocks of a capture that has no device profiles."""
+    """Groups the common reads and writes of each block by poll (an AnsweredRun for rows in a row).
+
+    For a capture that is decoded without device profiles.
+    """
 
     def __init__(self) -> None:
         self._namer = Namer()
@@ -46,7 +54,10 @@ class PollRuns:
         self._kinds: dict[tuple[_Place, int], NamedTransaction] = {}
 
     def parts(self, decoded: DecodedBlock) -> Iterator[Record | AnsweredRun]:
-        """The transactions and events of a block in order; those of usual form in runs."""
+        """Yield the transactions and events of a block in order.
+
+        Common reads and writes that follow one another come as one AnsweredRun.
+        """
         records = decoded.sorted_records(with_passed=True)
         self._sunspec.note(records)
         rows = decoded.plain
@@ -71,9 +82,10 @@ class PollRuns:
         return self._namer.name(plain_transaction(rows, index))
 
     def _kinds_of(self, rows: PlainRows, usual: UsualRows) -> tuple[list[NamedTransaction], Int64s]:
-        """A transaction of each kind in the block, and the index of its kind for each row.
+        """Return an example transaction of each kind of poll in the block, and for each row the
+        index of its kind.
 
-        The index of a row that is not of usual form has no meaning.
+        The index is meaningless for rows that are not common reads or writes.
         """
         if len(self._kinds) > MAX_KINDS:
             self._kinds.clear()
@@ -105,7 +117,9 @@ class PollRuns:
         begin: int,
         end: int,
     ) -> Iterator[AnsweredRun | NamedTransaction]:
-        """The rows from one to another, as a run, or one by one if they are few."""
+        """Yield the rows `begin` to `end` (exclusive) as one AnsweredRun, or as single transactions
+        if they are few.
+        """
         if begin == end:
             return
         some = slice(begin, end)
@@ -127,8 +141,10 @@ def _places(rows: PlainRows) -> list[_Place]:
 def between(
     rows: PlainRows, is_usual: Bools, records: list[tuple[int, Record]]
 ) -> list[tuple[int, Record | None]]:
-    """What stands between the usual rows: records with the index of the next row, and the indices
-    of other rows.
+    """Return what interrupts the rows for which `is_usual` is True, in order.
+
+    These are the Decoder's records, each with the index of the row behind it, and the other rows,
+    each with its index and None.
     """
     places = np.searchsorted(order_of(rows.response), [place for place, _ in records]).tolist()
     found: list[tuple[int, Record | None]] = [

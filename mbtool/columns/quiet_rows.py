@@ -1,8 +1,10 @@
-"""Finds the plain rows that break no rule by themselves, for `check`, without making them."""
+"""Finds, for `check`, transactions in arrays that break no rule, without making an object
+of each.
+"""
 
-# Quiet is a read of usual form (usual_rows.py) with the outcome OK whose function, address and
-# quantity give no finding, and that tells no SunSpec models. A row of every other kind is made as
-# the decoder makes it.
+# A row of the arrays is quiet if it is one of the common reads (usual_rows.py), has the outcome OK,
+# has a function, address and quantity that give no finding, and shows no SunSpec models. Every
+# other row is made a transaction object, as the decoder makes it.
 
 from __future__ import annotations
 
@@ -31,18 +33,26 @@ if TYPE_CHECKING:
 
 _READS = [*READ_BITS, *READ_REGISTERS - {0x17}]
 FEWEST = 64
-"""Fewer rows together are made one by one."""
+"""If fewer quiet rows than this follow one another, they are given as transaction objects: that is
+faster."""
 
 
 class QuietParts:
-    """Makes quiet rows of the blocks of a capture that has no device profiles."""
+    """Splits the results of each block into groups of rows without findings and single
+    transactions.
+
+    For a capture that is decoded without device profiles.
+    """
 
     def __init__(self) -> None:
         self._namer = Namer()
         self._sunspec = SunSpecRows()
 
     def parts(self, decoded: DecodedBlock) -> Iterator[Record | QuietRows]:
-        """The transactions and events of a block in order; many quiet ones together."""
+        """Yield the transactions and events of a block in order.
+
+        Many reads without findings in a row come as one QuietRows.
+        """
         records = decoded.sorted_records(with_passed=True)
         self._sunspec.note(records)
         rows = decoded.plain
@@ -63,7 +73,9 @@ class QuietParts:
 
 
 class _QuietBlock:
-    """The plain rows of a block, with what makes two of them alike for the rules."""
+    """The transactions of a block as arrays, grouped by poll and by connection for the rules of
+    `check`.
+    """
 
     def __init__(self, rows: PlainRows, namer: Namer, sunspec: SunSpecRows) -> None:
         self._rows = rows
@@ -85,7 +97,9 @@ class _QuietBlock:
         return self._namer.name(plain_transaction(self._rows, index))
 
     def some(self, begin: int, end: int) -> Iterator[QuietRows | NamedTransaction]:
-        """The rows from one to another, all of them quiet."""
+        """The rows `begin` to `end` (exclusive), all of them reads without findings: as one
+        QuietRows, or as single transactions if they are few.
+        """
         if end - begin < FEWEST:
             yield from map(self.transaction, range(begin, end))
         else:
@@ -137,7 +151,7 @@ class _QuietBlock:
 
 
 class _BlockRows:
-    """Rows of a block one behind the other, all of them quiet."""
+    """Consecutive rows of a block, all of them reads without findings; a QuietRows."""
 
     def __init__(self, block: _QuietBlock, begin: int, end: int) -> None:
         self._block = block
@@ -149,7 +163,7 @@ class _BlockRows:
 
     @property
     def row_count(self) -> int:
-        """The number of its rows, for a progress bar."""
+        """The number of rows, which a progress bar adds up."""
         return len(self)
 
     def run(self, begin: int) -> QuietRun:
@@ -161,14 +175,17 @@ class _BlockRows:
 
 
 def _numbers(values: Sequence[Hashable]) -> Int64s:
-    """A number for each value, by the order in which different ones first appear."""
+    """Return a number for each value; equal values have equal numbers, counted from 0 in the order
+    of first appearance.
+    """
     known = {value: number for number, value in enumerate(dict.fromkeys(values))}
     return np.array([known[value] for value in values], np.int64)
 
 
 def _alike(group: Numbers, begin: int, end: int) -> list[Int64s]:
-    """The rows of each group, from one row to another; the group whose last row is first comes
-    first.
+    """Split the rows `begin` to `end` (exclusive) into groups by their number in `group`.
+
+    Returns the row indices of each group; the groups are sorted by their last row.
     """
     some = group[begin:end]
     order = np.argsort(some, kind="stable")

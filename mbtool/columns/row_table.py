@@ -1,4 +1,4 @@
-"""Makes a table of columns from transactions that were decoded one by one."""
+"""Makes a pyarrow table from transaction objects, such as those that were not read from arrays."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ if TYPE_CHECKING:
 
 
 def row_table(transactions: Sequence[NamedTransaction]) -> pa.Table:
-    """The table of some transactions.
+    """Return a table with a row per transaction and the columns of schema.py.
 
-    Raises InputError for a number that its column cannot hold: another program may have written it
-    to a log.
+    Raises InputError for a number that its column cannot hold. The decoder gives no such number,
+    but a log written by another program may.
     """
     rows = [_row(one) for one in transactions]
     columns = [_column(field, [row[field.name] for row in rows]) for field in SCHEMA]
@@ -44,5 +44,5 @@ def _column(field: pa.Field, values: list[Any]) -> pa.Array:
 
 
 def whole_table(parts: Sequence[pa.Table]) -> pa.Table:
-    """One table of some tables with the columns of schema.py, in order."""
+    """Join tables with the columns of schema.py, in order; an empty table if there are none."""
     return pa.concat_tables(parts) if parts else SCHEMA.empty_table()

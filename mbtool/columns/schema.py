@@ -1,4 +1,6 @@
-"""The columns of a table of transactions: names and types, as in docs/log-format.md."""
+"""The columns of a table of transactions: their names and pyarrow types. docs/log-format.md
+explains each.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +9,7 @@ import pyarrow as pa
 Table = pa.Table
 
 _WORD = pa.dictionary(pa.int32(), pa.string())
-"""The type of columns with few different texts."""
+"""A dictionary type, for columns of text with few different values."""
 _NUMBERS = pa.list_(pa.uint16())
 _POINT = pa.struct(
     [
@@ -65,4 +67,5 @@ SCHEMA = pa.schema(
         ("vlan", pa.uint16()),
     ]
 )
-"""The columns in order. A column never changes its name, type or meaning; new columns come last."""
+"""The columns in order. Other programs rely on them: a column never changes its name, type or
+meaning, and new columns come last."""

@@ -1,10 +1,12 @@
-"""Finds segments that repeat the bytes of a segment before them, and so change nothing."""
+"""Finds TCP retransmissions that repeat delivered bytes, and so change nothing."""
 
-# Such a segment has the numbers and bytes of its first copy. Between the two no other segment of
-# its connection has bytes, or only one of the other end. So a plain stretch that has the second
-# copy has the first one too: all its bytes were delivered, and are the same.
+# Such a segment has the sequence number, acknowledgement number and bytes of an earlier one.
+# Between the two, no other segment of the connection has bytes, except one response if the repeated
+# segment is a request. So the first copy is in the same plain stretch (stretches.py), and the
+# second adds nothing.
 #
-# A segment of one byte may be a keep-alive probe, which is counted, and is not found here.
+# A segment of one byte may be a keep-alive probe. The Decoder counts those, so they are not treated
+# as retransmissions here.
 
 from __future__ import annotations
 
@@ -19,13 +21,13 @@ if TYPE_CHECKING:
     from mbtool.columns.headers import Segments
 
 _LONGEST = 512
-"""The longest payload, in bytes, that is compared."""
+"""Longer payloads, in bytes, are not compared: the Decoder reads them."""
 
 
 def is_sent_again(segments: Segments, order: Int64s, flows: Int64s, data: Octets) -> Bools:
-    """True for each segment in `order` that repeats the one before it, or a request answered.
+    """True for each segment in `order` that repeats the previous one, or a request just answered.
 
-    `flows` are the numbers of the segments' flows; the segments of a flow stand together.
+    `flows` has the segments' flow numbers; all segments of a flow stand together.
     """
     found = np.zeros(len(order), np.bool_)
     places = np.flatnonzero(segments.size[order] > 1)

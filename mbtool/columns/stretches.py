@@ -1,16 +1,21 @@
-"""Finds in the segments of a block the plain stretches of connections, and their transactions."""
+"""Finds polls in TCP segments as arrays: requests and responses that follow one another without
+loss or disorder.
+"""
 
-# decode/plain_stretch.py defines a plain stretch. A segment follows the one before it of its
-# connection if sequence number and acknowledgement are the next ones of both directions. In a row
-# of such segments, requests, responses and pure acknowledgements follow one another without a gap,
-# whatever came before. Only the decoder knows if the connection is at rest where a stretch begins.
+# A plain stretch is a series of request and response pairs of one connection, one Modbus/TCP ADU in
+# each segment, in order and without a gap (decode/plain_stretch.py has the exact rule). A segment
+# continues the previous one of its connection if its sequence number and its acknowledgement number
+# are exactly the next ones of both directions. This module looks at the segments only. The Decoder
+# alone knows if anything was still pending on the connection when a stretch begins, so it is asked
+# before a stretch is used.
 #
-# A hidden packet (headers.py) may belong to any connection, so every stretch ends before it.
+# A hidden packet is one whose headers this package cannot read as arrays, such as an IP fragment or
+# a tunnel (headers.py). It may belong to any connection, so every stretch ends before it.
 #
-# Two kinds of disorder may be within a stretch. A segment that is sent again right after its first
-# copy, or after the response to it, with equal bytes and numbers, changes nothing (sent_again.py).
-# A request may come in two segments; its bytes are then put together behind the block's data, and
-# its time is that of the second one.
+# Two irregularities are allowed within a stretch. The first is a retransmission: a segment with the
+# bytes and numbers of an earlier one, right after it or after the response to it (sent_again.py).
+# It changes nothing and is skipped. The second is a request in two segments: its bytes are joined
+# and appended to the block's data, and its time is that of the second segment.
 
 from __future__ import annotations
 
@@ -42,15 +47,17 @@ _MBAP = np.dtype(
 
 @dataclass(slots=True)
 class PlainTransactions:
-    """The transactions of all plain stretches in a block, one stretch after the other.
+    """The transactions of all plain stretches in a block of packets, one stretch after the other.
 
-    Each array has one element per transaction.
+    A plain stretch is a series of polls of one connection in order and without a gap. Each array
+    has one element per transaction.
     """
 
     request_first: Int64s
     """The index in `Stretches.order` of the first segment with bytes of the request."""
     request: Int64s
-    """The index of the segment that completed the request; mostly the same one."""
+    """The index in `Stretches.order` of the segment that completed the request; differs from
+    `request_first` only for a request in two segments."""
     response: Int64s
     request_begin: Int64s
     """The offset of the request's ADU in `Stretches.data`."""
@@ -66,26 +73,32 @@ class PlainTransactions:
 
 @dataclass(slots=True)
 class Stretches:
-    """The plain stretches of a block."""
+    """The plain stretches of a block of packets: series of polls of one connection without
+    a gap.
+    """
 
     order: Int64s
     """The indices of the block's segments in `Segments`, sorted by connection, then by time."""
     flows: Int64s
-    """The number of the flow of each segment in `order`."""
+    """For each segment in `order`, the number of its flow (pair of IP addresses and TCP ports)."""
     transactions: PlainTransactions
     bounds: Int64s
-    """The index of each stretch's first transaction; last, the number of transactions."""
+    """For each stretch, the index of its first transaction in `transactions`; the last element is
+    the number of all transactions."""
     data: Octets
-    """The data of the block, and behind it the requests that were put together."""
+    """The bytes of all packets of the block, followed by copies of the requests that were joined
+    from two segments."""
     sent_again: Int64s
-    """The indices in `order` of the segments that only repeat one before them."""
+    """The indices in `order` of the segments that are retransmissions and add no bytes."""
 
 
 @dataclass(slots=True)
 class _Payloads:
-    """Bytes of one segment, or of two that hold one request. Each array has one element for each.
+    """TCP payloads: each from one segment, or joined from the two segments of one request.
 
-    `first` and `last` are the indices of the first and the last segment in `Stretches.order`.
+    Each array has one element per payload. `first` and `last` are the indices of its first and last
+    segment in `Stretches.order`; `begin` is its offset in the data and `size` its length, both in
+    bytes.
     """
 
     first: Int64s
@@ -95,11 +108,16 @@ class _Payloads:
     ts_ns: Int64s
     from_master: Bools
     run: Int64s
-    """Equal for payloads between which each segment follows the one before it."""
+    """The number of a series of segments without a gap; payloads with equal numbers belong to the
+    same series."""
 
 
 def find_stretches(headers: Headers, flows: Int64s, data: Octets) -> Stretches:
-    """Find the plain stretches; `flows` are the flow numbers of the segments."""
+    """Find the plain stretches: series of polls of one connection in order and without a gap.
+
+    `flows` has the flow number of each segment in `headers.segments`, and `data` the bytes of the
+    block.
+    """
     segments = headers.segments
     order = np.argsort(narrow(flows), kind="stable")
     flows = flows[order]
@@ -126,7 +144,11 @@ def find_stretches(headers: Headers, flows: Int64s, data: Octets) -> Stretches:
 
 
 def _follows(segments: Segments, order: Int64s, flows: Int64s, hidden: Int64s) -> Bools:
-    """True for each segment that continues the one before it in `order`."""
+    """True for each segment in `order` that continues the previous one of its connection.
+
+    Its sequence and acknowledgement numbers are the next ones, its time is not earlier, and no
+    hidden packet (one whose headers could not be read) lies between the two.
+    """
     flags = segments.flags[order]
     is_usual = segments.is_plain[order] & ((flags == ACK) | (flags == ACK | _PSH)) & (flows >= 0)
     sequence, acknowledged = segments.sequence[order], segments.acknowledged[order]
@@ -151,7 +173,10 @@ def _follows(segments: Segments, order: Int64s, flows: Int64s, hidden: Int64s) -
 
 
 def _joined(payloads: _Payloads, data: Octets) -> tuple[_Payloads, Octets]:
-    """Put requests together that came in two segments; return the data with their bytes."""
+    """Join the two payloads of each request that came in two segments.
+
+    Returns the payloads, a joined pair as one, and the data with the joined bytes appended.
+    """
     is_adu, _ = _whole_adus(payloads.begin, payloads.size, data)
     size = payloads.size
     may_be = payloads.from_master & ~is_adu & (size < MAX_LENGTH + _LENGTH_END)
@@ -170,7 +195,8 @@ def _joined(payloads: _Payloads, data: Octets) -> tuple[_Payloads, Octets]:
     more = pieces(data, payloads.begin[halves], size[halves])
     data = np.concatenate([data[:-SPARE], more, np.zeros(SPARE, np.uint8)])
     is_adu, _ = _whole_adus(begins, sizes, data)
-    # Of two requests that would share a segment, the later one is left to the decoder.
+    # If two joined requests would share a segment, only the earlier one is joined; the Decoder
+    # reads the later one packet by packet.
     is_adu[1:] &= ~(is_adu[:-1] & (first[1:] == first[:-1] + 1))
     first, sizes, begins = first[is_adu], sizes[is_adu], begins[is_adu]
     last, begin, size = payloads.last.copy(), payloads.begin.copy(), size.copy()
@@ -192,7 +218,9 @@ def _joined(payloads: _Payloads, data: Octets) -> tuple[_Payloads, Octets]:
 
 
 def _whole_adus(begin: Int64s, size: Int64s, data: Octets) -> tuple[Bools, npt.NDArray[np.void]]:
-    """True for each payload that is one whole ADU; and the headers of all."""
+    """Return True for each payload that is one whole Modbus/TCP ADU; and the MBAP header and
+    function code of every payload, valid or not.
+    """
     mbap = gather(data, begin, _MBAP)
     length = mbap["length"].astype(np.int64)
     is_adu = (
@@ -205,7 +233,10 @@ def _whole_adus(begin: Int64s, size: Int64s, data: Octets) -> tuple[Bools, npt.N
 
 
 def _pair(payloads: _Payloads, data: Octets) -> tuple[PlainTransactions, Int64s]:
-    """Join requests and responses; return transactions, and the indices that begin a stretch."""
+    """Pair each request with the response right behind it.
+
+    Returns the transactions, and the index of the first transaction of each plain stretch.
+    """
     from_master, run, ts_ns = payloads.from_master, payloads.run, payloads.ts_ns
     is_adu, mbap = _whole_adus(payloads.begin, payloads.size, data)
     code = mbap["code"]

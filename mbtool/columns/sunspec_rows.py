@@ -1,10 +1,13 @@
-"""Finds the plain rows that may tell the SunSpec models of a slave: each of them is looked at."""
+"""Finds the transactions in arrays that may show the SunSpec models of a slave, for the
+inventory.
+"""
 
-# These are all reads of holding registers of a slave in whose answer the mark of a map was seen, in
-# this block or an earlier one (devices/sunspec_map.py): in a row, or in a transaction that was
-# decoded one by one.
+# A SunSpec slave has the mark "SunS" in two holding registers at the start of its map
+# (devices/sunspec_map.py). Once a response with the mark was seen, in the arrays or in a
+# transaction object, all reads of holding registers of that slave are found, in this block and
+# later ones. Each of them is then made a transaction object and examined.
 #
-# Memory: at most MAX_SLAVES slaves; the reads of others are not found.
+# Memory: at most MAX_SLAVES slaves are known; the reads of further ones are not found.
 
 from __future__ import annotations
 
@@ -34,23 +37,27 @@ MAX_SLAVES = 1024
 _MARK = MARK[0] << 16 | MARK[1]
 _MARK_BYTES = _MARK.to_bytes(4)
 _VALUES = MBAP_BYTES + 2
-"""The offset of the first register in the ADU of an answer."""
+"""The offset, in bytes, of the first register in the ADU of a response to a read."""
 _TWO_REGISTERS = np.dtype(">u4")
 
 
 class SunSpecRows:
-    """Finds the rows in the blocks of a capture, in order."""
+    """Finds reads of SunSpec slaves among the rows of each block of a capture; blocks must come in
+    order.
+    """
 
     def __init__(self) -> None:
         self._slaves: set[tuple[str, str, int]] = set()
-        """Link, address and unit of each slave with a mark."""
+        """Link name, address and unit of each slave that has shown the SunSpec mark."""
 
     @property
     def has_slaves(self) -> bool:
         return bool(self._slaves)
 
     def note(self, records: Iterable[tuple[int, Record]]) -> None:
-        """Look for marks in the transactions of the next block that were decoded one by one."""
+        """Remember the slaves that show the SunSpec mark in the next block's transaction
+        objects.
+        """
         for _, one in records:
             if isinstance(one, WireEvent) or one.function != READ_HOLDING:
                 continue
@@ -61,7 +68,9 @@ class SunSpecRows:
                 self._slaves.add((one.link, slave, one.unit))
 
     def find(self, rows: PlainRows, usual: UsualRows) -> Bools:
-        """True for each row of usual form that may tell models."""
+        """Return True for each row that reads holding registers of a slave known to have a SunSpec
+        map.
+        """
         reads = usual.is_usual & (rows.code == READ_HOLDING) & (usual.exception < 0)
         for place in _with_mark(rows, usual, np.flatnonzero(reads)):
             if len(self._slaves) < MAX_SLAVES:
@@ -75,14 +84,18 @@ class SunSpecRows:
 
 
 class SunSpecReads:
-    """Gives the transactions of blocks that may tell SunSpec models, in order."""
+    """Makes the transactions of each block that may show SunSpec models; blocks must come
+    in order.
+    """
 
     def __init__(self) -> None:
         self._rows = SunSpecRows()
         self._namer = Namer()
 
     def records(self, decoded: DecodedBlock) -> list[Record]:
-        """The records of a block, and its rows that may tell models."""
+        """Return the Decoder's records of a block, and the rows that may show SunSpec models as
+        objects, in order.
+        """
         records = decoded.sorted_records()
         self._rows.note(records)
         rows = decoded.plain
@@ -96,7 +109,9 @@ class SunSpecReads:
 
 
 def _with_mark(rows: PlainRows, usual: UsualRows, places: Int64s) -> list[int]:
-    """The rows among `places` that have the mark where a map may begin."""
+    """Return the rows among `places` whose response has the SunSpec mark at an address where a map
+    may begin.
+    """
     found: list[int] = []
     for base in BASES:
         at = base - usual.address[places]

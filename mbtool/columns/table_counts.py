@@ -1,4 +1,4 @@
-"""Counts the transactions of a table by their outcomes."""
+"""Counts the transactions of a pyarrow table by their outcomes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 @dataclass(slots=True)
 class TransactionCounts:
-    """How many transactions ended how, and how many of them are ambiguous."""
+    """The number of transactions by outcome, and how many are ambiguous (confidence below 0.8)."""
 
     outcomes: Counter[Outcome] = field(default_factory=Counter)
     ambiguous: int = 0
@@ -25,7 +25,7 @@ class TransactionCounts:
 
 
 def table_counts(table: Table) -> TransactionCounts:
-    """The counts of a table with the columns of schema.py."""
+    """Count the transactions of a table that has the columns of schema.py."""
     outcomes: Counter[Outcome] = Counter()
     for one in table["outcome"].value_counts().to_pylist():
         outcomes[Outcome(one["values"])] += one["counts"]

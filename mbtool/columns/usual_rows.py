@@ -1,8 +1,11 @@
-"""Tells which plain rows are of usual form, and reads the fields of their PDUs."""
+"""Finds the common reads and writes among transactions in arrays, and reads the fields of their
+PDUs.
+"""
 
-# Reads and writes of registers and bits are of usual form, if the request has the form of its
-# function, and the response fits or is an exception response. Every other PDU is read as the
-# decoder reads it (plain_transactions.py).
+# Usual are functions 01 to 06, 0F and 10 (hex) whose request has the length and fields of its
+# function, and whose response fits it or is an exception response. The columns of these rows are
+# computed from arrays. A row with any other PDU is made a transaction object, as the decoder makes
+# it (plain_transactions.py).
 
 from __future__ import annotations
 
@@ -30,13 +33,17 @@ WRITE_WORD = WRITE_ONE - {WRITE_COIL, 0x16}
 WRITE_WORDS = WRITE_SEVERAL - {WRITE_COILS}
 _FOUR_BYTES = np.dtype([("address", ">u2"), ("quantity", ">u2")])
 _FIXED = 5
-"""The size in bytes of a PDU of a function code, an address, and a quantity or value."""
+"""The size in bytes of a PDU that consists of function code, address, and a quantity or value."""
 COUNTED = 6
-"""The size in bytes of a request to write several values, up to and with its byte count."""
+"""The size in bytes of a request PDU to write several values, up to and including its byte
+count."""
 
 
 class UsualRows:
-    """Finds the plain rows of usual form, and reads the fields of their PDUs."""
+    """Finds the common reads and writes among transactions in arrays, and reads their PDUs' fields.
+
+    Each array has one element per row.
+    """
 
     def __init__(self, rows: PlainRows) -> None:
         self._data = data = rows.data
@@ -79,7 +86,10 @@ class UsualRows:
         self.exception = np.where(is_exception, second, -1)
 
     def _is_padded(self, is_exception: Bools) -> Bools:
-        """True where unused bits of the last byte are set: such a row needs a finding."""
+        """True for each row whose last data byte has unused bits set.
+
+        Such a row gets a finding, so it must be made a transaction object.
+        """
         used = self._value % 8
         request_end = self._request + self._request_size - 1
         response_end = self._response + self._response_size - 1

@@ -1,4 +1,4 @@
-"""Reads the registers and bits of plain rows of usual form."""
+"""Reads the register and bit values of common reads and writes from arrays."""
 
 from __future__ import annotations
 
@@ -15,21 +15,22 @@ _PAIR = np.dtype(">u2")
 
 
 class ValueLists(NamedTuple):
-    """A list of numbers for each row."""
+    """A list of numbers for each row, all lists joined in one array."""
 
     numbers: Words
     """The numbers of all rows, one row after the other."""
     offsets: Int64s
-    """The index in `numbers` where each row begins; last, the number of all."""
+    """For each row, the index in `numbers` where its list begins; the last element is the length of
+    `numbers`."""
     missing: Bools
-    """True for a row that has no list."""
+    """True for a row whose list is None, such as the request values of a read."""
 
 
 class UsualValues(UsualRows):
-    """The registers and bits of usual rows."""
+    """Reads the register and bit values of the rows that UsualRows has found."""
 
     def request_values(self, chosen: Int64s) -> ValueLists:
-        """The values that the requests write; none for reads."""
+        """Return the values that the requests of the rows `chosen` write; no list for reads."""
         code, value = self._code[chosen], self._value[chosen]
         words, bits = self._writes_words[chosen], self._writes_bits[chosen]
         single = np.isin(code, [WRITE_COIL, *WRITE_WORD])
@@ -44,7 +45,9 @@ class UsualValues(UsualRows):
         return ValueLists(*values, ~(words | bits))
 
     def response_values(self, chosen: Int64s) -> ValueLists:
-        """The values in the responses; none for writes and exception responses."""
+        """Return the values in the responses of the rows `chosen`; no list for writes and
+        exceptions.
+        """
         is_ok = self.exception[chosen] < 0
         words, bits = self._reads_words[chosen] & is_ok, self._reads_bits[chosen] & is_ok
         begin = self._response[chosen] + 2
@@ -53,7 +56,11 @@ class UsualValues(UsualRows):
     def _values(
         self, begin: Int64s, counts: Int64s, words: Bools, bits: Bools
     ) -> tuple[Words, Int64s]:
-        """The registers and bits of all rows in one array, and the index where each row begins."""
+        """Return the values of all rows in one array, and the index where each row begins.
+
+        `begin` is the offset of each row's first value in the data, `counts` how many values it
+        has; `words` is True for registers, `bits` for bits.
+        """
         counts = np.where(words | bits, counts, 0)
         offsets = np.concatenate([[0], np.cumsum(counts)])
         if not bits.any():

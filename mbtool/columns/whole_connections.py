@@ -1,12 +1,13 @@
-"""Finds connections that a block holds whole and plain, such as those of one poll each."""
+"""Finds connections that lie in one block from SYN to FIN, such as those of a single poll each."""
 
 # Such a connection has, in order and without a gap: SYN, SYN with ACK, an ACK, transactions that
-# are a plain stretch (stretches.py), a FIN of each end, and acknowledgements. Its first request has
-# the length that its function tells, so the decoder takes the connection for Modbus/TCP at once. So
-# neither connection nor transactions depend on what the decoder knew, if no open connection of the
-# same ends came before.
+# form one plain stretch (stretches.py), a FIN of each end, and acknowledgements. Its first request
+# has the exact length of its function's requests, so the Decoder would recognise Modbus/TCP at
+# once. So its events and transactions are the same whatever the Decoder knows, provided that no
+# other connection between the same ends is open.
 #
-# All segments of a flow in the block must be of such connections, and none of them sent again.
+# All segments between the same two ends in the block must belong to such connections, and none may
+# be a retransmission.
 
 from __future__ import annotations
 
@@ -30,41 +31,48 @@ _FIXED_CODES = (1, 2, 3, 4, 5, 6)
 """Functions whose requests have a function code, an address, and a quantity or value."""
 _FIXED = MBAP_BYTES + 5
 _COUNTED = MBAP_BYTES + 6
-"""The size in bytes of a request to write several values, up to and with its byte count."""
+"""The size in bytes of a request ADU to write several values, up to and including its byte count;
+the values follow."""
 _COUNTED_CODES = tuple(WRITE_SEVERAL)
 
 
 @dataclass(slots=True)
 class WholeConnections:
-    """Connections in the order of their first segments. Each array has an element for each."""
+    """Connections that lie in one block from SYN to FIN, in the order of their SYNs.
+
+    Each array has one element per connection.
+    """
 
     flow: Int64s
-    """The number of the connection's flow."""
+    """The number of the connection's flow: its pair of IP addresses and TCP ports."""
     stretch: Int64s
-    """The index of its stretch in `Stretches`."""
+    """The index in `Stretches` of its only stretch, the series of all its transactions."""
     opening: Int64s
-    """The index of its first segment in `Segments`."""
+    """The index in `Segments` of its SYN."""
     answering: Int64s
-    """The index of its second segment."""
+    """The index in `Segments` of its SYN with ACK."""
     closing: Int64s
-    """The index of the second segment with FIN."""
+    """The index in `Segments` of its second FIN."""
     last: Int64s
     request_bytes: Int64s
-    """How many bytes all its requests have."""
+    """The sum of the lengths of its requests, in bytes."""
     response_bytes: Int64s
 
     def __len__(self) -> int:
         return len(self.flow)
 
     def only(self, wanted: Bools | Int64s) -> WholeConnections:
-        """Those for which `wanted` is True, or has the index."""
+        """Return the connections for which `wanted` is True, or those at the indices in it."""
         return WholeConnections(
             *(getattr(self, name)[wanted] for name in WholeConnections.__slots__)
         )
 
 
 def find_whole(segments: Segments, stretches: Stretches) -> WholeConnections:
-    """Find the connections that are whole; `stretches` are those of the same segments."""
+    """Find the connections that lie in the block from SYN to FIN and have nothing unusual.
+
+    `stretches` are those of the same segments.
+    """
     if len(stretches.bounds) == 1 or not (segments.flags & SYN).any():
         return WholeConnections(*(np.zeros(0, np.int64) for _ in WholeConnections.__slots__))
     order, flows, found = stretches.order, stretches.flows, stretches.transactions
@@ -109,7 +117,12 @@ def find_whole(segments: Segments, stretches: Stretches) -> WholeConnections:
 
 
 def _is_in_order(segments: Segments, order: Int64s, group: Int64s, begins: Int64s) -> Bools:
-    """True for each segment that may stand at its place in a whole connection."""
+    """True for each segment in `order` that is in order and has the flags expected at its position
+    in a connection from SYN to FIN.
+
+    `group` has the number of each segment's connection, and `begins` the index of each connection's
+    first segment.
+    """
     flags, size = segments.flags[order], segments.size[order]
     sequence, acknowledged = segments.sequence[order], segments.acknowledged[order]
     from_master = segments.from_master[order]
@@ -135,7 +148,11 @@ def _is_in_order(segments: Segments, order: Int64s, group: Int64s, begins: Int64
 
 
 def _only_stretch(stretches: Stretches, group: Int64s, count: int) -> tuple[Int64s, Bools]:
-    """The stretch of each group of segments, and True where it is the only one."""
+    """For each of `count` connections, return the index of its stretch, and True if it has exactly
+    one.
+
+    `group` has the number of the connection of each segment.
+    """
     bounds = stretches.bounds
     where = group[stretches.transactions.request_first[bounds[:-1]]]
     stretch = np.zeros(count, np.int64)
@@ -144,7 +161,9 @@ def _only_stretch(stretches: Stretches, group: Int64s, count: int) -> tuple[Int6
 
 
 def _has_known_length(stretches: Stretches) -> Bools:
-    """True for each transaction whose request has the length that its function tells."""
+    """True for each transaction whose request has exactly the length that its function code and
+    byte count tell.
+    """
     found = stretches.transactions
     count = stretches.data[found.request_begin + _COUNTED - 1]
     is_fixed = np.isin(found.code, _FIXED_CODES) & (found.request_size == _FIXED)
