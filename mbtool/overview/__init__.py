@@ -1,1 +1,1 @@
-"""Sums up a whole capture: statistics and inventory; no I/O, no clock."""
+"""Summarises a whole capture as statistics and as an inventory; without I/O and clock."""

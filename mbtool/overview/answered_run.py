@@ -1,4 +1,4 @@
-"""Answered requests that came one after another, many of them alike, as arrays give them."""
+"""A batch of answered requests, in which equal requests are grouped so that counting is fast."""
 
 from __future__ import annotations
 
@@ -17,31 +17,33 @@ P = TypeVar("P", bound="Hashable")
 
 @dataclass(slots=True)
 class AlikeRequests:
-    """Requests of a run that differ only in times, ids, values, packets and the master's port."""
+    """Requests of one batch that are equal except for their times, transaction ids, values, packets
+    and the TCP port of the master.
+    """
 
     like: NamedTransaction
-    """One of them, of this run or an earlier one."""
+    """One of these transactions as an example; it may come from an earlier batch."""
     count: int
     begin_ns: int
     """The time of the first request, in UTC ns."""
     end_ns: int
-    """The time of the last response."""
+    """The time of the last response, in UTC ns."""
     latencies: list[int]
-    """In ns, in the order of the responses."""
+    """The latency of each request in ns, in the order of the responses."""
 
 
 @dataclass(slots=True)
 class AnsweredRun:
-    """Requests on a network with their responses, in the order of the responses.
+    """A batch of TCP transactions, in the order of their responses.
 
-    Each has the outcome OK or EXCEPTION, no retries, and a response that does not come before it.
-    Each list but `kinds` has an element for each request.
+    Each transaction has the outcome OK or EXCEPTION, no retries, and a response time that is not
+    before its request time. Each list except `kinds` has one element for each transaction.
     """
 
     kinds: list[AlikeRequests]
-    """In the order in which they first appear."""
+    """The groups of equal requests, in the order in which they first appear."""
     kind: list[int]
-    """The index in `kinds`."""
+    """The index in `kinds` of the group that the transaction belongs to."""
     request_ns: list[int]
     response_ns: list[int]
 
@@ -54,7 +56,10 @@ class AnsweredRun:
         return len(self.kind)
 
     def latencies_of(self, polls: Sequence[P]) -> dict[P, list[int]]:
-        """The latencies of each poll, in order; `polls` are those of the kinds."""
+        """Return for each poll its latencies (ns) in the order of the responses.
+
+        `polls[i]` is the poll that the requests of the group `kinds[i]` belong to.
+        """
         found: dict[P, list[int]] = {poll: [] for poll in polls}
         if len(found) == len(polls):
             return {poll: kind.latencies for poll, kind in zip(polls, self.kinds, strict=True)}
@@ -66,7 +71,10 @@ class AnsweredRun:
         return zip(self.kind, self.request_ns, self.response_ns, strict=True)
 
     def transactions(self) -> Iterator[NamedTransaction]:
-        """The requests one by one, equal to the decoder's in all that their kinds have alike."""
+        """Yield each transaction: the example of its group, with times and latency of its own.
+
+        Values, transaction id and packets are those of the example, not those of the transaction.
+        """
         for kind, begin_ns, end_ns in self._each():
             yield msgspec.structs.replace(
                 self.kinds[kind].like,

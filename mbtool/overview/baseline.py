@@ -1,19 +1,21 @@
-"""Compares an inventory with an older one, and names what is new."""
+"""Compares an inventory with an older one, and reports the changes."""
 
-# Each change is reported once, in its most telling form:
+# Each change is reported only once:
 #
-# - of a new host, and of a new unit, nothing else is reported;
-# - a master that asks a unit for the first time is one change, with the functions and addresses
-#   that only this master uses; it is a new writer if it did not write to the unit before;
-# - a new function is reported with its addresses, a known function only with wider ranges;
-# - a text counts as changed only if the older inventory has another one of the same name. Run
-#   indicators change as a machine is started and stopped, and are no identity;
-# - units that never answered are one change for each master that asked: a scan is one change.
+# - for a new host or a new unit, no further changes (functions, addresses, texts) are reported;
+# - a master that sends its first request to a unit is one change, with its functions and addresses;
+#   it is a "new writer" if it writes to the unit and did not do so before;
+# - a new function is reported with its addresses, a known function only with addresses that the
+#   older inventory does not have;
+# - a new identity text is a change only if the older inventory shows requests with the function
+#   that gave it. Run indicators are ignored, as they change when a machine starts or stops;
+# - all units that a master asked and that never answered are one change, as after a scan.
 #
-# A master that is no longer heard is no change: it may ask less often than the capture is long.
+# A master that is missing in the newer inventory is no change: its requests may be rarer than a
+# capture is long.
 #
-# The name of a serial line is that of a port or of a file, so it may differ from one capture to the
-# next. If both inventories have just one line, it is taken for the same.
+# The name of a serial line is that of a port or of a file, so it may differ between two captures.
+# If each inventory has exactly one serial line, both are taken for the same line.
 
 from __future__ import annotations
 
@@ -58,7 +60,7 @@ class InventoryChange(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=T
     unit: int | None = None
     text: str
     first_ns: int | None = None
-    """When the unit was first seen, in UTC ns; None if it was not seen."""
+    """When the unit or host was first seen in the newer capture, in UTC ns; None if it was not."""
 
     @property
     def where(self) -> str:
@@ -67,7 +69,7 @@ class InventoryChange(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=T
 
 
 def changes(old: InventoryDocument, new: InventoryDocument) -> list[InventoryChange]:
-    """The differences of `new` from `old`, sorted by ChangeKind, then by host and unit."""
+    """Return the changes from `old` to `new`, in the order of ChangeKind."""
     old = _with_line_of(old, new)
     known = {_key(row): row for row in old.slaves}
     old_hosts = {row.place for row in old.slaves}
@@ -88,7 +90,9 @@ def _key(row: SlaveRow) -> tuple[str, int | None, int]:
 
 
 def _with_line_of(old: InventoryDocument, new: InventoryDocument) -> InventoryDocument:
-    """The older inventory. If each inventory has one serial line, it gets the newer one's name."""
+    """Return the older inventory. If each inventory has exactly one serial line, the line of the
+    older one is renamed to the name in the newer one, so that their units are compared.
+    """
     old_lines = {row.host for row in old.slaves if row.port is None}
     new_lines = {row.host for row in new.slaves if row.port is None}
     if len(old_lines) != 1 or len(new_lines) != 1 or old_lines == new_lines:
@@ -105,7 +109,7 @@ def _new_places(
     known: dict[tuple[str, int | None, int], SlaveRow],
     old_hosts: set[tuple[str, int | None]],
 ) -> Iterator[InventoryChange]:
-    """Changes for hosts and units that the older inventory does not have."""
+    """Yield a change for each host and each unit that the older inventory does not have."""
     places: dict[tuple[str, int | None], list[SlaveRow]] = {}
     scanned: dict[tuple[str | None, ChangeKind], list[SlaveRow]] = {}
     for row in new.slaves:
@@ -156,7 +160,7 @@ def _asked_by(rows: Iterable[SlaveRow]) -> str:
 
 
 def _of_unit(before: SlaveRow, row: SlaveRow, old_masters: set[str]) -> Iterator[InventoryChange]:
-    """Changes at a unit that both inventories have."""
+    """Yield the changes of one unit that both inventories have."""
 
     def change(kind: ChangeKind, text: str) -> InventoryChange:
         return InventoryChange(
@@ -190,7 +194,9 @@ def _of_unit(before: SlaveRow, row: SlaveRow, old_masters: set[str]) -> Iterator
 
 
 def _what(row: SlaveRow, master: str, kind: ChangeKind) -> str:
-    """The functions and addresses that a new master asks; for a new writer, those it writes."""
+    """A text on the functions and addresses that a new master requests; for a new writer, only
+    those that it writes.
+    """
     is_writer = kind is ChangeKind.WRITER
     uses = [use for use in row.uses if use.master == master and (use.writes or not is_writer)]
     return "; ".join(_use_text(use, with_master=False) for use in uses)
@@ -223,7 +229,7 @@ def _identity(before: SlaveRow, row: SlaveRow) -> Iterator[str]:
 
 
 def _macs(old: InventoryDocument, new: InventoryDocument) -> Iterator[InventoryChange]:
-    """Changes for hosts (slaves and masters) that have a new MAC address, one for each host."""
+    """Yield a change for each host, of a slave or a master, that has a new MAC address."""
     before: dict[str, list[str]] = {}
     old_rows: list[SlaveRow | MasterRow] = [*old.slaves, *old.masters]
     new_rows: list[SlaveRow | MasterRow] = [*new.slaves, *new.masters]
@@ -245,7 +251,9 @@ def _macs(old: InventoryDocument, new: InventoryDocument) -> Iterator[InventoryC
 
 
 def _absent(old: InventoryDocument, new: InventoryDocument) -> Iterator[InventoryChange]:
-    """Changes for units that answered before and are missing in the newer inventory, by host."""
+    """Yield a change for each host with units that answered in the older inventory and are missing
+    in the newer one.
+    """
     present = {_key(row) for row in new.slaves}
     gone: dict[tuple[str, int | None], list[SlaveRow]] = {}
     for row in old.slaves:

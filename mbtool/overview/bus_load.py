@@ -1,15 +1,16 @@
 """Divides the time of a serial line into characters, slaves, missing answers and pauses."""
 
-# A line of two wires does one thing at a time:
+# At any time, a two-wire line is in one of these states:
 #
-#     characters   bytes on the line, by baud rate and character format
-#     slaves       from the end of a request to the start of its response
-#     missing      from the end of a request to when the master gave up waiting; nothing for an
-#                  answer with a wrong CRC, after which the master does not wait any longer
-#     pauses       all the rest: the master asks nothing
+#     characters   bytes are on the line; their number gives the time, with the baud rate and the
+#                  character format
+#     slaves       the master waits for a response that comes: its latency
+#     missing      the master waits in vain until its timeout; no time is counted for a response
+#                  with a wrong CRC, after which the master does not wait any longer
+#     pauses       all the rest: the master sends nothing and waits for nothing
 #
-# The time that a master waits for an answer is estimated once for each master (master_tape.py),
-# because the time after a missing answer may also hold a pause.
+# The timeout is estimated once for each master (poll_cycle.py), because the time between an
+# unanswered request and the next one may also include a pause.
 
 from __future__ import annotations
 
@@ -23,7 +24,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LineTime:
-    """The time (ns) that a line spent on characters, waiting for slaves, and missing answers."""
+    """For how long (ns) a serial line carried characters, waited for responses that came, and
+    waited in vain for missing ones.
+    """
 
     characters_ns: int
     slaves_ns: int
@@ -36,20 +39,20 @@ class LineTime:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BusLoad:
-    """How the time of a serial line was spent while it was watched."""
+    """How the time during which a serial line was watched divides into its states."""
 
     watched_ns: int
     spent: LineTime
     other_ns: int
-    """The time of characters that belong to no frame, in ns."""
+    """The time (ns) taken by characters that belong to no frame."""
 
     def share(self, ns: int) -> float:
-        """A time as a share of the time that the line was watched, 0 to 1."""
+        """Return `ns` as a share (0 to 1) of the time during which the line was watched."""
         return min(ns / self.watched_ns, 1.0) if self.watched_ns else 0.0
 
     @property
     def busy_share(self) -> float:
-        """The share of time in which there were characters on the line."""
+        """The share (0 to 1) of the time in which there were characters on the line."""
         return self.share(self.spent.characters_ns + self.other_ns)
 
     @property
@@ -58,7 +61,10 @@ class BusLoad:
 
 
 def line_time(tally: RequestTally, link: LinkStatistics, timeout_ns: int) -> LineTime:
-    """How long the requests of a tally kept the line busy."""
+    """Return for how long the counted transactions occupied the line.
+
+    `timeout_ns` is how long the master waits for a missing response, in ns.
+    """
     return LineTime(
         characters_ns=link.wire_ns(tally.wire_bytes),
         slaves_ns=tally.latency.total,
@@ -67,8 +73,10 @@ def line_time(tally: RequestTally, link: LinkStatistics, timeout_ns: int) -> Lin
 
 
 def bus_load(tally: RequestTally, link: LinkStatistics, timeout_ns: int) -> BusLoad | None:
-    """The load of a line by all its requests; None if its baud rate or its times are unknown, or if
-    its settings changed.
+    """Return how the time of a line was spent on all its transactions, counted in `tally`.
+
+    None if the baud rate or the times of the bytes are unknown, or if the line's settings changed.
+    `timeout_ns` is how long the master waits for a missing response, in ns.
     """
     if link.format is None or link.is_mixed or not link.watched_ns:
         return None

@@ -1,7 +1,7 @@
-"""Cuts a sequence of requests into cycles, where it repeats itself."""
+"""Cuts the requests of a master into poll cycles, by finding the sequence that repeats."""
 
-# poll_cycle.py calls this module and explains the method. Memory: some copies of the list of
-# requests that it passes.
+# poll_cycle.py calls this module and explains the method. Memory: a few copies of the list of
+# requests that the caller passes.
 
 from __future__ import annotations
 
@@ -16,48 +16,55 @@ if TYPE_CHECKING:
 P = TypeVar("P", bound="Hashable")
 
 MIN_CYCLES = 3
-"""A cycle counts only if it was seen at least this often: two equal pieces may be chance."""
+"""A sequence of requests must repeat at least this often to count as a poll cycle, as two equal
+sequences may be chance."""
 MIN_REQUESTS = 6
-"""The cycles of a list have at least this many requests in all: one poll three times is no
-cycle."""
+"""All repetitions of a poll cycle together must have at least this many requests. So one request
+that was sent three times is no cycle."""
 _TRANSITIONS = 64
-"""At most this many transitions (from one poll to another) are tried, the most frequent first. In a
-longer list all transitions are equally frequent, so any of them will do."""
+"""At most this many transitions (from one poll to the next) are tried as the beginning of a cycle,
+the most frequent first. If a cycle has more steps, all its transitions are equally frequent, so any
+of them gives the cycle."""
 _SAME_PACE = 0.25
-"""A master pauses evenly if its pauses differ by at most this share of the mean time of a step."""
+"""The pauses in a cycle count as equal if they differ by at most this share of the mean time from
+one request to the next."""
 _TIED = 0.02
-"""Two ways to cut are equally good if the shares of requests they explain differ by up to this."""
+"""Two ways to cut requests into cycles are equally good if the shares (0 to 1) of the requests
+that are in equal cycles differ by at most this."""
 
 
 class PollStart(NamedTuple, Generic[P]):
-    """A request with its repetitions."""
+    """A request, together with its retries: from its first attempt to the end of its last one."""
 
     poll: P
     begin_ns: int
     end_ns: int
     is_missing: bool
-    """True if at least one of the attempts got no answer. If the last attempt got none, `end_ns` is
-    when the master gave up."""
+    """True if the first attempt got no answer. If the last attempt got none, `end_ns` is the time
+    when the master stopped waiting."""
 
 
 class CutCycles(NamedTuple, Generic[P]):
-    """A sequence of requests, cut into cycles."""
+    """A sequence of requests, cut into poll cycles."""
 
     starts: Sequence[PollStart[P]]
     cuts: Sequence[int]
-    """The indices in `starts` at which cycles begin; the last one is the end of the sequence."""
+    """The indices in `starts` at which cycles begin, and last the length of `starts`."""
     usual: tuple[P, ...]
     share: float
-    """The share of the requests that are in cycles of the usual form."""
+    """The share (0 to 1) of the requests that are in cycles equal to `usual`, the most frequent
+    sequence of polls."""
 
     def pieces(self) -> list[Sequence[PollStart[P]]]:
-        """The cycles of the usual form, in order."""
+        """The requests of each cycle whose polls are exactly `usual`, in order."""
         found = (self.starts[begin:end] for begin, end in pairwise(self.cuts))
         return [one for one in found if tuple(start.poll for start in one) == self.usual]
 
 
 def usual_cycles(starts: Sequence[PollStart[P]]) -> CutCycles[P] | None:
-    """Cut at the transition whose cycles explain most requests; None if no transition recurs."""
+    """Cut requests into cycles at the transition from one poll to the next that puts the most
+    requests into equal cycles. Returns None if there is no cycle.
+    """
     places: defaultdict[tuple[P, P], list[int]] = defaultdict(list)
     for at, (before, start) in enumerate(pairwise(starts), 1):
         places[before.poll, start.poll].append(at)
@@ -76,7 +83,10 @@ def usual_cycles(starts: Sequence[PollStart[P]]) -> CutCycles[P] | None:
 
 
 def _cut(starts: Sequence[PollStart[P]], first: P, places: list[int]) -> CutCycles[P] | None:
-    """Cut before each index of `places`; head and tail count if they are parts of a cycle."""
+    """Cut the requests before each index of `places`; each cycle then begins with the poll `first`.
+
+    Returns None if no sequence repeats often enough to count as a cycle.
+    """
     cuts = [*places, len(starts)]
     if starts[0].poll == first:
         cuts.insert(0, 0)
@@ -85,7 +95,7 @@ def _cut(starts: Sequence[PollStart[P]], first: P, places: list[int]) -> CutCycl
     usual, count = max(pieces.items(), key=lambda one: (one[1] * len(one[0]), one[1]))
     if count < MIN_CYCLES or count * len(usual) < MIN_REQUESTS:
         return None
-    # What comes before the first cut and after the last one may be a part of a cycle.
+    # Requests before the first cut, and after the last one, count if they are a part of a cycle.
     head = cuts[0] if tuple(polls[: cuts[0]]) == usual[-cuts[0] :] else 0
     last = tuple(polls[cuts[-2] :])
     tail = len(last) if len(last) < len(usual) and last == usual[: len(last)] else 0
@@ -93,7 +103,10 @@ def _cut(starts: Sequence[PollStart[P]], first: P, places: list[int]) -> CutCycl
 
 
 def _well_begun(cycles: CutCycles[P], places: Mapping[tuple[P, P], list[int]]) -> CutCycles[P]:
-    """The same cycles, cut after the longest pause; with equal pauses, before the first poll."""
+    """Cut the same cycles so that each begins after its longest pause.
+
+    If all pauses are about equal, each cycle begins with the first request of the sequence.
+    """
     usual, pauses = cycles.usual, step_pauses(cycles)
     first = pauses.index(max(pauses))
     if _is_one_pace(pauses, cycles):
@@ -104,31 +117,35 @@ def _well_begun(cycles: CutCycles[P], places: Mapping[tuple[P, P], list[int]]) -
 
 
 def _step_ns(cycles: CutCycles[P]) -> float:
-    """The mean time from one request to the next, in ns."""
+    """The mean time from the beginning of one request to that of the next, in ns."""
     starts = cycles.starts
     return (starts[-1].begin_ns - starts[0].begin_ns) / max(len(starts) - 1, 1)
 
 
 def step_pauses(cycles: CutCycles[P]) -> list[float]:
-    """The median pause before each step of the usual cycle, in ns."""
+    """For each step of the usual cycle, the median pause (ns) between the end of the previous
+    transaction and its request.
+    """
     pauses = [after.begin_ns - before.end_ns for before, after in pairwise(cycles.starts)]
     usual = [begin for (begin, _), is_usual in _marked(cycles) if is_usual]
     found = []
     for step in range(len(cycles.usual)):
-        # Before the very first request no pause is known.
+        # The first request of the capture has no known pause before it.
         known = [pauses[begin + step - 1] for begin in usual if begin + step]
         found.append(median(known) if known else 0.0)
     return found
 
 
 def _marked(cycles: CutCycles[P]) -> list[tuple[tuple[int, int], bool]]:
-    """Begin and end of each cycle, and True if it has the usual form."""
+    """For each cycle: its first index and the index after its last one in `cycles.starts`, and True
+    if its polls are exactly those of the usual cycle.
+    """
     polls, usual = [one.poll for one in cycles.starts], [*cycles.usual]
     return [((begin, end), polls[begin:end] == usual) for begin, end in pairwise(cycles.cuts)]
 
 
 def has_one_pace(cycles: CutCycles[P]) -> bool:
-    """True if all pauses in the usual cycle are about equal: the master uses no timer."""
+    """True if all pauses in the usual cycle are about equal, so that no timer starts the cycles."""
     return _is_one_pace(step_pauses(cycles), cycles)
 
 
@@ -137,7 +154,10 @@ def _is_one_pace(pauses: Sequence[float], cycles: CutCycles[P]) -> bool:
 
 
 def cycle_times(cycles: CutCycles[P]) -> tuple[list[int], list[int]]:
-    """The times (ns) of the usual cycles: of those without, and of those with a missing answer."""
+    """The durations (ns) of the usual cycles, from one cycle's begin to the next one's.
+
+    Returns two lists: of the cycles in which no answer is missing, and of those in which one is.
+    """
     whole: list[int] = []
     missing: list[int] = []
     for (begin, end), is_usual in _marked(cycles):
@@ -149,5 +169,7 @@ def cycle_times(cycles: CutCycles[P]) -> tuple[list[int], list[int]]:
 
 
 def number_of_other_cycles(cycles: CutCycles[P]) -> int:
-    """The number of cycles of another form, without the last cycle: it may be unfinished."""
+    """The number of cycles that differ from the usual one. The last cycle is not counted, as the
+    capture may end before the cycle does.
+    """
     return sum(not is_usual for _, is_usual in _marked(cycles)[:-1])

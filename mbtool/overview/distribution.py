@@ -1,15 +1,15 @@
-"""Counts durations in buckets, so that percentiles of any number of them need little memory."""
+"""Counts durations in buckets, so that percentiles of many durations need little memory."""
 
-# A bucket holds all durations that agree in their first `bits` binary digits (an HDR histogram).
-# At first `bits` is larger than any duration has digits, so each bucket is one exact duration. When
-# there are more than `limit` buckets, `bits` shrinks until at most half as many are left. So
-# percentiles are exact for few different durations, and else at most 1/2**bits beside the truth
-# (`error`). With 1024 buckets and 100,000 durations: 1.6 % where they spread over a factor
-# of 10,000, 0.02 % where they are within 10 % of each other.
+# A bucket holds all durations whose first `bits` binary digits are equal (an HDR histogram). At
+# first `bits` is larger than the number of digits of any duration, so each bucket holds one exact
+# duration. When there are more than `limit` buckets, `bits` is reduced until at most half of
+# `limit` are left. So percentiles are exact if there are few different durations; else their error
+# is at most 1/2**bits (`error`). Measured with 1024 buckets and 100,000 durations: an error of
+# 1.6 % if the longest is 10,000 times the shortest, 0.02 % if all differ by at most 10 %.
 #
-# Count, sum, least and greatest duration are always exact.
+# The number, the sum, the least and the greatest of the durations are always exact.
 #
-# Memory: `limit` integers with their counts, 100 bytes each.
+# Memory: `limit` buckets of about 100 bytes each.
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Bucket(NamedTuple):
 
 
 class Distribution:
-    """Durations in ns. Negative ones, which a clock that was set back makes, are left out."""
+    """A set of durations in ns. Negative ones, caused by a clock that was set back, are ignored."""
 
     __slots__ = ("_buckets", "_limit", "bits", "count", "greatest", "least", "total")
 
@@ -62,7 +62,7 @@ class Distribution:
         self._put(ns, 1)
 
     def add_all(self, durations: Sequence[int]) -> None:
-        """Add durations in their order; none of them is negative."""
+        """Add several durations (ns), none of them negative; the result is as if added in turn."""
         if not durations:
             return
         least, greatest = min(durations), max(durations)
@@ -75,14 +75,14 @@ class Distribution:
             low = self._low(ns)
             lows[low] = lows.get(low, 0) + count
         if len(self._buckets.keys() | lows.keys()) > self._limit:
-            for ns in durations:  # At one of these the buckets become wider.
+            for ns in durations:  # At some duration `_put` will reduce the number of buckets.
                 self._put(ns, 1)
             return
         for low, count in lows.items():
             self._buckets[low] = self._buckets.get(low, 0) + count
 
     def merge(self, other: Distribution) -> None:
-        """Add all durations of another distribution."""
+        """Add all durations of another distribution to this one."""
         if not other.count:
             return
         self.least = min(self.least, other.least) if self.count else other.least
@@ -100,13 +100,13 @@ class Distribution:
 
     @property
     def error(self) -> float:
-        """The largest error of a percentile, as a share of it (0 to 1); 0 if it is exact."""
+        """The largest relative error of a percentile, 0 to 1; 0 if percentiles are exact."""
         return 0.0 if self.bits == _EXACT_BITS else 0.5**self.bits
 
     def percentile(self, percent: float) -> int:
-        """The duration (ns) that `percent` of all do not exceed (nearest rank); 0 if there is none.
+        """Return the duration (ns) that `percent` of all durations do not exceed (nearest rank).
 
-        `percent` is above 0 and at most 100.
+        `percent` is above 0 and at most 100. Returns 0 if there are no durations.
         """
         rank = -(-self.count * percent // 100)
         seen = 0
@@ -118,7 +118,7 @@ class Distribution:
         return 0
 
     def histogram(self) -> list[Bucket]:
-        """The durations in steps of 1, 2, 5, 10, 20 us and so on; the first is less than 1 us.
+        """Count the durations in steps that begin at 0, 1, 2, 5, 10, 20 us and so on.
 
         Empty steps at both ends are left out.
         """
@@ -140,7 +140,7 @@ class Distribution:
             self._shrink()
 
     def _low(self, ns: int) -> int:
-        """The least duration of the bucket that a duration falls into."""
+        """The least duration (ns) of the bucket that a duration (ns) falls into."""
         shift = ns.bit_length() - self.bits
         return ns >> shift << shift if shift > 0 else ns
 
@@ -159,7 +159,7 @@ class Distribution:
 
 
 def _edge(step: int) -> int:
-    """The least duration (ns) of a step of the histogram."""
+    """The least duration (ns) of the histogram's step with this index; step 0 begins at 0."""
     if not step:
         return 0
     decade, within = divmod(step - 1, len(_STEPS))
@@ -167,7 +167,7 @@ def _edge(step: int) -> int:
 
 
 def _step(ns: int) -> int:
-    """The step of the histogram that a duration belongs to."""
+    """The index of the histogram's step that a duration (ns) belongs to."""
     if ns < _MICROSECOND:
         return 0
     decade = len(str(ns // _MICROSECOND)) - 1

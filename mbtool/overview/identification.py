@@ -1,19 +1,19 @@
-"""Says which device profile fits a slave and how sure that is, or that none fits."""
+"""Decides which device profile fits a slave, with a score from 0 to 100, or that none fits."""
 
-# The requests of a few polls fit many devices, because most devices answer a read of their first
-# registers. So a profile fits only where all of this holds:
+# A few different requests fit the profiles of many devices, because most devices answer a read of
+# their first registers. So a profile fits only if all of these conditions hold:
 #
-# - no other profile explains the slave as well;
+# - no other profile explains the slave's responses as well;
 # - something confirms it that other devices do not share: the model code, the model's name in the
-#   identity texts, or BOUNDARIES places where accepted addresses end as the profile says;
-# - MIN_EXPLAINED different requests ended as it says;
+#   identity texts, or BOUNDARIES accepted address ranges that end where the profile says;
+# - MIN_EXPLAINED different requests were accepted or refused as the profile predicts;
 # - its score is above FITS:
 #
 #       score = 100 * explained / (explained + 5 * contradicted + 2)
 #
-#   where the model code counts as MODEL_WEIGHT explained requests and the name as NAME_WEIGHT. A
-#   contradiction counts as much as five requests that ended as predicted. The 2 keeps
-#   the score low after few requests.
+#   `explained` and `contradicted` are the numbers of different requests that ended as the profile
+#   predicts, and otherwise. The model code counts as MODEL_WEIGHT explained requests and the name
+#   as NAME_WEIGHT. The 2 keeps the score low after few requests.
 #
 # If the profile does not fit, the score is at most UNCONFIRMED.
 
@@ -43,12 +43,13 @@ BOUNDARIES = 2
 _CONTRADICTION = 5
 _UNASKED = 2
 _MODEL_WORD = re.compile(r"(?=[a-z0-9]*\d)(?=[a-z0-9]*[a-z])[a-z0-9]{4,}")
-"""A word with letters and digits, such as lt830: it names a model, not a vendor."""
+"""A word of at least 4 letters and digits with both in it, such as lt830. Such a word names a
+model; a word of letters alone may be a vendor's name."""
 _ADDRESS_REFUSALS = frozenset((0x02, 0x03))
 
 
 def identify(slave: ObservedSlave, profiles: Sequence[Profile]) -> ProfileFit:
-    """Compare what was observed of a slave with profiles."""
+    """Compare the requests and responses of a slave with profiles, and choose the one that fits."""
     if len(slave.requests) < MIN_EXPLAINED:
         return ProfileFit(why=_too_little(len(slave.requests)))
     result = match_profiles(slave, profiles)
@@ -81,7 +82,7 @@ def _score(slave: ObservedSlave, profile: Profile, match: ProfileMatch) -> int:
 
 
 def _doubt(result: MatchResult, confirmation: str, score: int) -> str:
-    """The reason why the best profile does not fit for sure; empty if it fits."""
+    """The reason, as a text for the user, why the best profile may not fit; empty if it fits."""
     best = result.matches[0]
     asked = _requests(best.explained + best.contradicted)
     ties = _ties(result)
@@ -103,7 +104,7 @@ def _too_little(requests: int) -> str:
 
 
 def _ties(result: MatchResult) -> list[str]:
-    """The profiles that explain the slave as well as the best one."""
+    """The names of all profiles with the best rank, among them the first of `result.matches`."""
     return [one.profile for one in result.matches if one.rank == result.matches[0].rank]
 
 
@@ -112,7 +113,7 @@ def _requests(count: int) -> str:
 
 
 def _confirmation(slave: ObservedSlave, profile: Profile, match: ProfileMatch) -> str:
-    """The evidence for this device that few others would give; empty if there is none."""
+    """A text on the evidence that few other devices would give; empty if there is none."""
     if match.is_model:
         return "its model code and its answers"
     if _names_model(slave, profile):
@@ -131,10 +132,10 @@ def _names_model(slave: ObservedSlave, profile: Profile) -> bool:
 
 
 def _boundaries(slave: ObservedSlave, profile: Profile) -> int:
-    """Count the ends of accepted address ranges that are as the profile says.
+    """Count the accepted address ranges that end exactly where the profile says.
 
-    An end counts if the device refused a request directly behind it, or one across it. Refused
-    addresses far from accepted ones do not count: every device refuses those.
+    An end counts if the device refused a request that begins directly behind it or extends beyond
+    it. Refused addresses far from accepted ones do not count, as every device refuses those.
     """
     accepted = slave.known_addresses()
     ends = set()

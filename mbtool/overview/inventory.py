@@ -1,12 +1,14 @@
-"""Collects who is in a capture: every unit of every host, and every master."""
+"""Collects the slaves and masters in a capture: each unit of each host, and each master."""
 
-# A row is one unit of one host and port; on a serial line, of the line. A repeated request is found
-# in a table, so that it costs only a few counts.
+# A slave's row stands for one unit at one host and port, or one unit of a serial line. The first of
+# several equal requests is evaluated in full; later ones are found in a table by their fields and
+# only counted.
 #
-# Limits: MAX_SLAVES units and MAX_MASTERS masters; MAX_USES pairs of a master and a function in
-# all; MAX_REQUESTS different requests that are compared with profiles; MAX_TEXTS texts of each
-# name; the addresses of inventory_seen.py and the ranges of inventory_ranges.py. Whatever is beyond
-# a limit is counted in `left_out`. MAX_POLLS only limits the requests that are looked up quickly.
+# Limits: MAX_SLAVES units and MAX_MASTERS masters; in all MAX_USES combinations of unit, master and
+# function; MAX_REQUESTS different requests that are compared with profiles; MAX_TEXTS identity
+# texts of one name for each unit; the MAC addresses of inventory_seen.py and the ranges of
+# inventory_ranges.py. `left_out` counts what exceeds a limit. MAX_POLLS limits only the table of
+# equal requests: further requests are evaluated in full each time.
 
 from __future__ import annotations
 
@@ -47,13 +49,14 @@ MAX_TEXTS = 4
 
 MODEL_CODE = "model code"
 _WHOLE_DEVICE = frozenset((0, 255))
-"""Unit ids that address the host itself (MODBUS Messaging on TCP/IP V1.0b, 4.4.2)."""
+"""Unit ids that address the host itself and no unit behind it (MODBUS Messaging on TCP/IP V1.0b,
+4.4.2)."""
 
 _Poll = tuple[SeenSlave, "SeenMaster | None", tuple[SeenUse, ...]]
 
 
 class Inventory:
-    """The hosts and units in the transactions that were added."""
+    """Collects the masters and slaves of all transactions that are added."""
 
     def __init__(self) -> None:
         self.transactions = 0
@@ -73,7 +76,7 @@ class Inventory:
             _count(transaction, 1, start_ns, start_ns if response_ns is None else response_ns, poll)
 
     def add_run(self, run: AnsweredRun) -> None:
-        """Add requests, with the same result as one by one."""
+        """Add a batch of answered requests at once; the result is as if added one by one."""
         if len(self._polls) + len(run.kinds) > MAX_POLLS:
             for one in run.transactions():
                 self.add(one)
@@ -84,11 +87,14 @@ class Inventory:
             if poll is not None:
                 _count(kind.like, kind.count, kind.begin_ns, kind.end_ns, poll)
                 continue
-            for _ in range(kind.count - 1):  # Each of them is counted as left out.
+            for _ in range(kind.count - 1):  # `_poll` counts each transaction as left out.
                 self._poll(kind.like)
 
     def _poll(self, transaction: NamedTransaction) -> _Poll | None:
-        """What a transaction belongs to; None if there is no room for its slave."""
+        """Return the slave, the master and the functions that a transaction is counted with.
+
+        None if there are MAX_SLAVES slaves and its slave is not one of them.
+        """
         source = transaction.source
         master = None if source is None else source.rpartition(":")[0]
         key = (
@@ -107,7 +113,8 @@ class Inventory:
             poll = self._begin(transaction, master)
             if poll is None:
                 return None
-            # Each answer of an identification is looked at, since it may give another text.
+            # A request without an address may ask for the slave's identity. Each response to such
+            # a request is evaluated, since it may contain a new text.
             is_identity = transaction.address is None
             if not is_identity and len(self._polls) < MAX_POLLS:
                 self._polls[key] = poll
@@ -119,10 +126,10 @@ class Inventory:
         identify: Callable[[ObservedSlave], ProfileFit] | None = None,
         maker: Callable[[str], str | None] = lambda _: None,
     ) -> InventoryDocument:
-        """Everything collected, sorted by host and unit.
+        """Return the inventory as a document whose rows are sorted by host and unit.
 
-        `identify` compares a slave with profiles; `maker` tells who made the hardware with a MAC
-        address.
+        `identify` compares a slave with profiles. `maker` returns the name of the manufacturer for
+        a MAC address, None if unknown.
         """
         gateways = self._gateways()
         rows = []
@@ -147,7 +154,9 @@ class Inventory:
         )
 
     def _begin(self, transaction: NamedTransaction, master: str | None) -> _Poll | None:
-        """Find or make the entries that a request belongs to; None if its slave has no room."""
+        """Find or create the slave, the master and the functions that a transaction is counted
+        with. None if there are MAX_SLAVES slaves and its slave is not one of them.
+        """
         slave = self._slave(transaction)
         if slave is None:
             return None
@@ -199,7 +208,9 @@ class Inventory:
     def _uses_of(
         self, slave: SeenSlave, transaction: NamedTransaction, master: str | None
     ) -> tuple[SeenUse, ...]:
-        """The entries of a transaction's function: one, or a read and a write for 17H."""
+        """Return the entries that count a transaction's function: one, or two for function 17H,
+        which reads and writes. None of them if MAX_USES is reached.
+        """
         function = transaction.function
         known = FUNCTIONS.get(function)
         if function == READ_AND_WRITE:
@@ -227,10 +238,10 @@ class Inventory:
         return use
 
     def _observe(self, slave: SeenSlave, transaction: NamedTransaction) -> None:
-        """Keep a request and its response, to be compared with profiles."""
+        """Keep a request and its response, so that the slave can be compared with profiles."""
         if slave.observed is None:
             if transaction.outcome in UNANSWERED:
-                return  # A slave that never answers is not compared.
+                return  # A slave is compared with profiles only once it has answered.
             link = "" if transaction.destination is not None else transaction.link
             slave.observed = ObservedSlave(link, transaction.destination, transaction.unit)
         if self._requests >= MAX_REQUESTS:
@@ -241,7 +252,7 @@ class Inventory:
         self._requests += len(slave.observed.requests) - before
 
     def _gateways(self) -> set[tuple[str, int | None]]:
-        """The hosts where two units or more answer."""
+        """The hosts, each with its port, at which two or more units answer."""
         units = Counter(
             (one.host, one.port)
             for one in self._slaves.values()
@@ -253,9 +264,9 @@ class Inventory:
 def _count(
     transaction: NamedTransaction, number: int, start_ns: int, end_ns: int, poll: _Poll
 ) -> None:
-    """Count a number of transactions that are like this one, in the entries that they belong to.
+    """Count `number` transactions equal to this one for their slave, master and functions (`poll`).
 
-    The first of them began at `start_ns`, the last one ended at `end_ns`.
+    The first of them began at `start_ns`, the last one ended at `end_ns` (UTC ns).
     """
     slave, master, uses = poll
     slave.seen.note(start_ns, end_ns, transaction.destination_mac)
@@ -279,7 +290,7 @@ def _count(
 def _widen(
     use: SeenUse | None, transaction: NamedTransaction, address: int | None, quantity: int | None
 ) -> None:
-    """Add the addresses of a request to those of its function."""
+    """Add the addresses of a request to the ranges that its function accessed at the slave."""
     if use is None or address is None:
         return
     ranges = use.refused if transaction.exception is not None else use.asked
@@ -287,7 +298,7 @@ def _widen(
 
 
 def _note_identity(slave: SeenSlave, transaction: NamedTransaction) -> None:
-    """Keep the texts in a response by which the slave identifies itself."""
+    """Keep the identity texts in a response: vendor, product, version, or a model code."""
     if transaction.response_raw is None or transaction.exception is not None:
         return
     function = transaction.function
@@ -375,12 +386,12 @@ def _makers(macs: Sequence[str], maker: Callable[[str], str | None]) -> list[str
 
 
 def _bare(host: str | None) -> str | None:
-    """A host without the brackets that an IPv6 address has before its port."""
+    """Return a host without the brackets around an IPv6 address: `::1` for `[::1]`."""
     if host is not None and host.startswith("[") and host.endswith("]"):
         return host[1:-1]
     return host
 
 
 def _host_key(host: str) -> tuple[tuple[int, int | str], ...]:
-    """A key that sorts hosts by their numbers (10.0.0.9 before 10.0.0.10), names last."""
+    """A sort key that orders IPv4 addresses by number (10.0.0.9 before 10.0.0.10), names last."""
     return tuple((0, int(part)) if part.isdecimal() else (1, part) for part in host.split("."))

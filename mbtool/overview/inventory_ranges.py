@@ -1,10 +1,10 @@
-"""Sets of addresses, kept as ranges."""
+"""Sets of register or bit addresses, stored as ranges."""
 
-# A range is a pair: its first and its last address, both included. The ranges of a set are sorted,
-# and at least one address lies between two of them.
+# A range is a pair of its first and its last address, both included. The ranges of a set are
+# sorted; ranges that overlap or touch are merged.
 #
-# A set holds at most MAX_RANGES ranges. A scan of every second register would need more; beyond
-# the limit, a range that touches none of the set is only counted.
+# A set holds at most MAX_RANGES ranges. A scan of every second register would need more. At the
+# limit, a new range is only counted, unless it overlaps or touches a range of the set.
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 MAX_RANGES = 1024
 SHOWN = 8
-"""The number of ranges or names that a text lists by default."""
+"""The most ranges or names that a text lists by default."""
 _LAST_ADDRESS = 0xFFFF
 
 AddressRange = tuple[int, int]
@@ -24,7 +24,7 @@ AddressRange = tuple[int, int]
 
 
 class AddressRanges:
-    """A set of addresses that grows."""
+    """A set of addresses to which ranges can be added."""
 
     __slots__ = ("_firsts", "_lasts", "left_out")
 
@@ -37,11 +37,11 @@ class AddressRanges:
             self.add(first, last)
 
     def add(self, first: int, last: int) -> None:
-        """Add the addresses from `first` to `last`; addresses above FFFFH do not exist."""
+        """Add the addresses from `first` to `last`, both included. Ignores those above FFFFH."""
         last = min(last, _LAST_ADDRESS)
         if not 0 <= first <= last:
             return
-        # Everything from `begin` up to `end` overlaps the new range or lies directly beside it.
+        # The ranges with an index from `begin` to `end` - 1 overlap or touch the new range.
         begin = bisect_left(self._lasts, first - 1)
         end = bisect_right(self._firsts, last + 1)
         if begin < end:
@@ -59,12 +59,12 @@ class AddressRanges:
 
 
 def joined(several: Iterable[Sequence[AddressRange]]) -> list[AddressRange]:
-    """The addresses that are in at least one of several sets."""
+    """The sorted ranges of all addresses that are in at least one of several sets."""
     return AddressRanges(pair for ranges in several for pair in ranges).pairs
 
 
 def without(ranges: Sequence[AddressRange], others: Sequence[AddressRange]) -> list[AddressRange]:
-    """The addresses of `ranges` that are in none of `others`; both are sorted."""
+    """The addresses of `ranges` that are not in `others`, as ranges; both lists are sorted."""
     left = []
     for first, last in ranges:
         at = first
@@ -82,14 +82,14 @@ def without(ranges: Sequence[AddressRange], others: Sequence[AddressRange]) -> l
 
 
 def ranges_text(ranges: Sequence[AddressRange], most: int = SHOWN) -> str:
-    """At most `most` ranges as one text: `0..99, 200 and 3 more`."""
+    """Return at most `most` ranges as one text: `0..99, 200 and 3 more`."""
     return listed(
         [str(first) if first == last else f"{first}..{last}" for first, last in ranges], most
     )
 
 
 def listed(names: Sequence[str], most: int = SHOWN) -> str:
-    """At most `most` names, and the number of the others: `a, b and 3 more`."""
+    """Return at most `most` names, and the number of the others, as a text: `a, b and 3 more`."""
     if len(names) <= most:
         return ", ".join(names)
     return f"{', '.join(names[:most])} and {len(names) - most:,} more"

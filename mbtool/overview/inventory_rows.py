@@ -1,7 +1,7 @@
-"""The rows of an inventory, which are also what its JSON document holds."""
+"""The rows of an inventory; the inventory's JSON document has the same fields."""
 
-# Times are UTC nanoseconds. A host is an IP address; on a serial line, where nobody has an address,
-# it is the name of the line.
+# Times are UTC nanoseconds. The host of a slave is its IP address, or the name of the serial line
+# that it is on.
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ class Role(StrEnum):
     SILENT = "silent"
     """A unit that was asked and never answered."""
     UNHEARD = "unheard"
-    """A unit that was asked, but whose answers the capture could not show."""
+    """A unit that was asked, but its responses would not be in the capture even if it answered."""
     BROADCAST = "broadcast"
-    """Unit 0 of a serial line: all slaves at once, of which none answers."""
+    """Unit 0 of a serial line: it addresses all slaves at once, and no slave responds."""
     MASTER = "master"
 
 
@@ -39,16 +39,17 @@ class FunctionUse(msgspec.Struct, kw_only=True):
     master: str | None = None
     """The master's host; None on a serial line."""
     writes: bool = False
-    """True if the addresses are written, False if they are read."""
+    """True if the requests write the addresses, False if they read them."""
     requests: int = 0
     ranges: list[AddressRange] = []
-    """The requested addresses, without those in `refused`."""
+    """The addresses in requests that were not answered with an exception."""
     refused: list[AddressRange] = []
-    """The addresses that were only answered with an exception."""
+    """The addresses for which every request got an exception response."""
     unsupported: int = 0
     """The number of requests that were answered with exception 01, illegal function."""
     left_out: int = 0
-    """The number of further ranges, beyond the limit of inventory_ranges.py."""
+    """The number of address ranges that were not kept, because the lists had reached the limit
+    MAX_RANGES of inventory_ranges.py."""
 
     @property
     def all_ranges(self) -> list[AddressRange]:
@@ -59,20 +60,22 @@ class IdentityText(msgspec.Struct, frozen=True, kw_only=True):
     """A text by which a slave identifies itself."""
 
     function: int
-    """The function that gave the text: 2BH, 11H, or a vendor's function for a model code."""
+    """The function code of the response that contained the text: 2BH (device identification), 11H
+    (report server id), or a vendor's own function that returns a model code."""
     name: str
     text: str
 
 
 class ProfileFit(msgspec.Struct, kw_only=True):
-    """The device profile that explains a slave, or why none does."""
+    """The device profile that fits a slave's responses, or the reason why no profile fits."""
 
     profile: str | None = None
-    """The profile that fits; None if none fits."""
+    """The name of the profile that fits; None if none fits."""
     score: int = 0
-    """How well the profile that fits, or else the nearest one, explains the slave: 0 to 100."""
+    """How well the profile (or the nearest one, if none fits) explains the slave's responses: 0 to
+    100."""
     nearest: str | None = None
-    """The profile that comes nearest, if none fits."""
+    """If no profile fits: the name of the profile that fits best; None if there are several."""
     why: str = ""
     evidence: list[str] = []
     against: list[str] = []
@@ -88,24 +91,24 @@ class SlaveRow(msgspec.Struct, kw_only=True):
     role: Role = Role.SLAVE
     transports: list[str] = []
     device: str | None = None
-    """The profile that the user or the log names for the unit."""
+    """The name of the profile that the user, or the log that was read, assigned to the unit."""
     macs: list[str] = []
     makers: list[str] = []
     identity: list[IdentityText] = []
     fit: ProfileFit | None = None
-    """None if the unit was not compared with profiles: it never answered, or a limit was
-    reached."""
+    """None if the unit was not compared with profiles, because it never answered or a memory limit
+    was reached."""
     uses: list[FunctionUse] = []
     transactions: int = 0
     answered: int = 0
     unanswered: int = 0
-    """The number of requests without any answer, or with only an exception of a gateway."""
+    """The number of requests that got no response, or only a gateway's exception response."""
     exceptions: dict[int, int] = {}
     """The number of exception responses, by exception code."""
     first_ns: int = 0
     last_ns: int = 0
     answered_ns: int = 0
-    """The time of the unit's last answer, in UTC ns; 0 if it never answered."""
+    """The time of the unit's last response that is no exception, in UTC ns; 0 if there is none."""
 
     @property
     def place(self) -> tuple[str, int | None]:
@@ -113,11 +116,13 @@ class SlaveRow(msgspec.Struct, kw_only=True):
 
     @property
     def where(self) -> str:
-        """The host, with the port unless that is 502."""
+        """The host, followed by the port unless that is 502, as messages show it."""
         return shown_host(self.host, self.port)
 
     def masters(self, *, writing: bool = False) -> list[str]:
-        """The hosts that asked, or only those that wrote, each once."""
+        """The hosts of the masters that sent requests to the unit (with `writing`, write requests),
+        each once.
+        """
         uses = (one for one in self.uses if one.writes or not writing)
         return list(dict.fromkeys(one.master for one in uses if one.master is not None))
 
@@ -130,9 +135,9 @@ class MasterRow(msgspec.Struct, kw_only=True):
     makers: list[str] = []
     requests: int = 0
     slaves: int = 0
-    """The number of units that it sent requests to."""
+    """The number of units that this master sent requests to."""
     written: int = 0
-    """The number of units that it wrote to."""
+    """The number of units that this master sent write requests to."""
     first_ns: int = 0
     last_ns: int = 0
 
@@ -141,24 +146,25 @@ class InventoryDocument(msgspec.Struct, kw_only=True):
     """The hosts in one or more captures."""
 
     format: str
-    """The version of the format; this program writes INVENTORY_FORMAT."""
+    """The name and version of the document format; mbtool writes INVENTORY_FORMAT."""
     files: list[str] = []
     transactions: int = 0
     slaves: list[SlaveRow] = []
     masters: list[MasterRow] = []
     left_out: dict[str, int] = {}
-    """By kind, the number of things that were not kept because there were too many."""
+    """Counts of data that the inventory lacks because a memory limit was reached, each with a text
+    that says what is missing."""
 
 
 def shown_host(host: str, port: int | None) -> str:
-    """A host as messages show it: with its port, unless that is 502."""
+    """Return a host as messages show it: followed by its port, unless that is 502 or None."""
     if port in (None, MODBUS_PORT):
         return host
     return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
 
 
 def iso_time(ns: int) -> str:
-    """A time in UTC ns as ISO 8601 with microseconds; empty outside years 1 to 9999."""
+    """Format a time in UTC ns as ISO 8601 with microseconds; empty outside the years 1 to 9999."""
     try:
         moment = datetime.fromtimestamp(ns // 1_000_000_000, UTC)
     except (OverflowError, ValueError, OSError):

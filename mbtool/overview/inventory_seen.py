@@ -1,6 +1,6 @@
-"""Everything that is collected of a slave, a function and a master, before it becomes a row."""
+"""The data that the inventory collects about slaves, functions and masters while it reads."""
 
-# Memory: MAX_MACS addresses for each host; the caller bounds the rest.
+# Memory: at most MAX_MACS MAC addresses for each host; the caller limits the number of objects.
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ _GATEWAY_EXCEPTIONS = frozenset(
 )
 """Exceptions that a gateway sends when the unit behind it does not answer."""
 UNANSWERED = frozenset((Outcome.NO_ANSWER, Outcome.NOT_CAPTURED, Outcome.BROADCAST))
-"""Outcomes of requests to which nothing came back in the capture."""
+"""Outcomes of transactions that show no response of the slave."""
 
 
 @dataclass(slots=True)
 class Seen:
-    """When something was seen, and at which MAC addresses."""
+    """When a host or unit was seen first and last (UTC ns), and with which MAC addresses."""
 
     first_ns: int
     last_ns: int = 0
@@ -41,7 +41,7 @@ class Seen:
 
 @dataclass(slots=True)
 class SeenUse:
-    """A function that a master uses at a slave."""
+    """The requests of one master to one slave with one function."""
 
     function: int
     name: str
@@ -50,13 +50,13 @@ class SeenUse:
     requests: int = 0
     unsupported: int = 0
     asked: AddressRanges = field(default_factory=AddressRanges)
-    """The addresses of requests that were not refused."""
+    """The addresses in requests that were not answered with an exception."""
     refused: AddressRanges = field(default_factory=AddressRanges)
 
 
 @dataclass(slots=True)
 class SeenSlave:
-    """A unit of a host, or of a serial line."""
+    """A unit at a host's TCP port, or on a serial line."""
 
     host: str
     port: int | None
@@ -74,7 +74,7 @@ class SeenSlave:
 
     @property
     def unreached(self) -> int:
-        """The number of requests that only a gateway answered."""
+        """The number of requests to which a gateway responded that the unit did not answer."""
         return sum(self.exceptions[code] for code in _GATEWAY_EXCEPTIONS)
 
     @property
@@ -95,5 +95,5 @@ class SeenMaster:
     seen: Seen
     requests: int = 0
     slaves: set[int] = field(default_factory=set)
-    """The slaves that this master asked, by `id()`."""
+    """The slaves that this master sent requests to: the `id()` of each SeenSlave."""
     written: set[int] = field(default_factory=set)

@@ -1,6 +1,6 @@
 """Measures how long a link was watched, and counts missing answers by hour."""
 
-# Memory: MAX_HOURS hours for each link; beyond that the oldest hour is dropped.
+# Memory: the counts of MAX_HOURS hours for each link; at the limit the oldest hour is dropped.
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ HOUR_NS = 3_600_000_000_000
 
 
 class HourCount(NamedTuple):
-    """The requests of one hour."""
+    """The number of requests in one hour that begins at `begin_ns` (UTC ns)."""
 
     begin_ns: int
     requests: int
@@ -37,7 +37,7 @@ class Hours:
         self._add(at_ns // HOUR_NS, 1, int(is_missing))
 
     def add_answered(self, times_ns: Sequence[int]) -> None:
-        """Count requests that were answered."""
+        """Count requests that were answered, at these times (UTC ns)."""
         first, last = min(times_ns) // HOUR_NS, max(times_ns) // HOUR_NS
         if first == last:
             self._add(first, len(times_ns), 0)
@@ -59,7 +59,7 @@ class Hours:
 
 
 class LinkStatistics:
-    """The hours in which one link was active, and the settings of its line.
+    """When one link was watched, its requests by hour, and the settings of a serial line.
 
     A link is a serial bus, or a slave's address on a network.
     """
@@ -70,26 +70,30 @@ class LinkStatistics:
         self.format: SerialFormat | None = None
         """The settings of a serial line; None on a network, or if the bytes have no times."""
         self.has_times = True
-        """False if the bytes of the line have no times, as in a file of bytes alone."""
+        """False for a serial line whose bytes have no times, as in a file that has only bytes."""
         self.is_mixed = False
-        """True if the settings differ from capture to capture."""
+        """True if the settings of the line are not the same in all captures that were read."""
         self.other_bytes = 0
-        """Bytes on the line that belong to no frame, and second copies of an adapter's echo."""
+        """The number of bytes on the line that belong to no frame, including the second copies that
+        an adapter makes by hearing its own bytes."""
         self.hours = Hours()
         self.first_ns: int | None = None
         self.last_ns: int | None = None
         self._earlier_ns = 0
         self._span: tuple[int, int] | None = None
         self._is_new = True
-        """True before the first transaction of a capture."""
+        """True until the first transaction of the current capture is noted."""
 
     def note(self, one: NamedTransaction) -> None:
-        """Take the times of a transaction."""
+        """Extend the time during which the link was watched by the times of a transaction."""
         begin_ns = one.start_ns
         self.note_span(one, begin_ns, max(one.response_ns or begin_ns, begin_ns))
 
     def note_span(self, one: NamedTransaction, begin_ns: int, end_ns: int) -> None:
-        """Take the times of a transaction, or of several that are like it."""
+        """Extend the time during which the link was watched to `begin_ns` and `end_ns` (UTC ns).
+
+        These are the times of `one`, or of the first and the last of several equal transactions.
+        """
         if self._is_new:
             self._begin_span(one)
         if not self.has_times:
@@ -108,21 +112,25 @@ class LinkStatistics:
         self.has_times = not is_serial or format_ is not None
 
     def end_span(self) -> None:
-        """End a capture: the time until the next one does not count."""
+        """End a capture: the time until the next capture begins does not count as watched."""
         self._is_new = True
         if self._span is not None:
             self.first_ns, self.last_ns = self.whole_span()
             self._earlier_ns, self._span = self.watched_ns, None
 
     def whole_span(self) -> tuple[int, int]:
-        """The time of the first request and the end of the last response, in UTC ns."""
+        """The time of the first request and of the end of the last response in all captures, in
+        UTC ns.
+        """
         begin, end = self._span or (self.first_ns or 0, self.last_ns or 0)
         begin = begin if self.first_ns is None else min(begin, self.first_ns)
         return begin, end if self.last_ns is None else max(end, self.last_ns)
 
     @property
     def watched_ns(self) -> int:
-        """The time (ns) from the first request to the last response's end, summed over captures."""
+        """The time (ns) from the first request to the end of the last response of each capture,
+        summed over all captures.
+        """
         begin, end = self._span or (0, 0)
         return self._earlier_ns + end - begin
 

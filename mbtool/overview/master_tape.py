@@ -1,6 +1,6 @@
 """Keeps the last requests of one master on one link, to rebuild its poll cycle."""
 
-# Memory: the last MAX_ASKED requests.
+# Memory: the last MAX_ASKED requests of the master.
 
 from __future__ import annotations
 
@@ -18,34 +18,38 @@ MAX_ASKED = 2048
 
 
 class TapedRequest(NamedTuple):
-    """A request of a poll. Sorts by its time, then by its number."""
+    """A request, with the poll that it belongs to. Requests sort by time, then by number."""
 
     at_ns: int
     """The end of the request, in UTC ns."""
     number: int
-    """Transactions are numbered as they are completed."""
+    """The running number of the transaction, in the order in which transactions were completed."""
     poll: PollStatistics
     end_ns: int
-    """When the response was complete; when the request was, if there is none."""
+    """The end of the response or, without a response, of the request, in UTC ns."""
     is_missing: bool
     """True if the slave should have answered and did not."""
     wire_ns: int
-    """How long the request took on a serial line; 0 on a network."""
+    """How long the bytes of the request took on a serial line, in ns; 0 on a network."""
     is_damaged: bool = False
-    """True if the answer is missing because it came with a wrong CRC or LRC."""
+    """True if `is_missing` is True because the response had a wrong CRC or LRC."""
 
 
 class MasterTape:
-    """The last requests of one master on one link. They are put in order of time."""
+    """The last requests of one master on one link. The caller adds them in order of time."""
 
     def __init__(self) -> None:
         self._asked: deque[TapedRequest] = deque(maxlen=MAX_ASKED)
         self._last: TapedRequest | None = None
         self._later: deque[tuple[list[int], list[PollStatistics], list[int]]] = deque()
-        """Requests after those in `_asked`, all answered: their times, polls and ends."""
+        """Batches of answered requests that came after the requests in `_asked`.
+
+        Each batch has three lists: the times of the requests (UTC ns), their polls, and the times
+        of the responses (UTC ns).
+        """
 
     def add(self, asked: TapedRequest) -> bool:
-        """Take the next request; True if it repeats the last request, which had no answer."""
+        """Add the next request. Returns True if it repeats the last one, which got no answer."""
         self._join()
         last, self._last = self._last, asked
         self._asked.append(asked)
@@ -54,7 +58,11 @@ class MasterTape:
     def add_answered(
         self, at_ns: list[int], polls: list[PollStatistics], ends_ns: list[int]
     ) -> None:
-        """Take the next requests of a network, which were answered, as was the last one."""
+        """Add answered requests of a network; call it only if `is_waiting` is False.
+
+        The lists have an element for each request: its time, its poll, and the time of its
+        response (UTC ns).
+        """
         self._later.append((at_ns, polls, ends_ns))
         self._last = TapedRequest(at_ns[-1], 0, polls[-1], ends_ns[-1], False, 0)
         while sum(len(one[0]) for one in self._later) - len(self._later[0][0]) >= MAX_ASKED:
@@ -62,7 +70,7 @@ class MasterTape:
 
     def _join(self) -> None:
         for at_ns, polls, ends_ns in self._later:
-            some = slice(-MAX_ASKED, None)  # Those before them would be given up again.
+            some = slice(-MAX_ASKED, None)  # `_asked` would drop all earlier ones at once.
             self._asked.extend(
                 map(
                     TapedRequest,
@@ -82,7 +90,7 @@ class MasterTape:
         return self._last is not None and self._last.is_missing
 
     def cut(self) -> None:
-        """Forget what was asked: another capture begins."""
+        """Forget all requests, because another capture begins."""
         self._asked.clear()
         self._later.clear()
         self._last = None

@@ -1,24 +1,26 @@
-"""Rebuilds the lists that a master polls in cycles, from its requests and their times."""
+"""Reconstructs the lists that a master polls in cycles, from its requests and their times."""
 
-# A list is a sequence of polls that a master asks in order, again and again, each time after a
-# period or at once. A master may have several lists with different periods, repeat a request that
-# got no answer, and ask other things in between, such as writes on an operator's command.
+# A poll is all equal requests of one master to one unit. A polled list is a sequence of polls that
+# a master sends in order, again and again, at a fixed period or without a pause. A master may have
+# several lists with different periods, retry a request that got no response, and send other
+# requests in between, such as writes on an operator's command.
 #
-# Strategy. A repeated request counts as one with the request that it repeats. Polls that were asked
-# fewer than MIN_CYCLES times belong to no list. Of the others:
+# Strategy. A request and its retries count as one request. Polls that were sent fewer than
+# MIN_CYCLES times belong to no list. For the others:
 #
-# 1. Cut the sequence of polls at one transition (from one poll to another), and take the most
-#    frequent piece as the cycle; of all transitions, the one whose cycle explains most requests.
-#    If it explains nearly all, it is the list...
-# 2. ...unless timing shows that it is two lists whose periods have a whole ratio: a poll that comes
-#    several times in the cycle at even distances, while the pauses of the cycle are uneven.
-# 3. If no cycle explains nearly all, join polls whose own periods are regular and equal, and start
-#    again at 1 with each group. A poll without a regular period that comes equally often in
-#    each cycle of a group belongs to it, too.
-# 4. If there are no such groups, start again with the polls that are asked often; and take a
-#    cycle that explains MANY of the requests, then look for lists in the rest.
+# 1. Cut the sequence of requests wherever one poll follows another certain poll (a transition). The
+#    most frequent sequence between two cuts is the cycle, and the share of all requests that are in
+#    such cycles is what it explains. Take the transition whose cycle explains most. If that is at
+#    least MOST, the cycle is a list, except for case 2.
+# 2. The cycle consists of two lists, the period of one a multiple of the other's, if a poll comes
+#    several times in it at even distances, while the pauses in the cycle are uneven.
+# 3. If no cycle explains MOST of the requests, group the polls whose own periods are regular and
+#    equal, and start again at 1 with the requests of each group. A poll without a regular period
+#    that comes equally often in each cycle of a group belongs to that group, too.
+# 4. If there are no such groups, start again at 1 with the polls that are sent often. If all are,
+#    take a cycle that explains at least MANY, and search for lists in the remaining requests.
 #
-# Memory: a few lists of the requests that are given; the caller bounds their number.
+# Memory: a few copies of the list of requests; the caller limits its length.
 
 from __future__ import annotations
 
@@ -47,60 +49,66 @@ if TYPE_CHECKING:
 P = TypeVar("P", bound="Hashable")
 
 MOST = 0.9
-"""The share of requests that one cycle must explain to be taken at once."""
+"""If at least this share (0 to 1) of the requests is in equal cycles, the cycle is accepted as one
+polled list without looking at the periods of single polls."""
 MANY = 0.4
-"""The share of requests that a cycle must explain to be a list at all."""
+"""At least this share (0 to 1) of the requests must be in equal cycles for the cycle to be a polled
+list."""
 _REGULAR = 0.2
-"""A period is regular if it differs from the poll's median period by at most this share of the
-median."""
+"""A period of a poll is regular if it differs from the poll's median period by at most this share
+of the median."""
 _REGULAR_SHARE = 0.7
-"""A poll is regular if at least this share of its periods are. Of two alternating periods only half
-are."""
+"""A poll is regular if at least this share of its periods are. If two different periods alternate,
+only half of them are regular."""
 _PERIOD_SUM = 1.3
-"""The mean period of a regular poll is at most this many times its median period. A poll that comes
-thrice in a cycle, close together, has a short median."""
+"""A poll is regular only if its mean period is at most this many times its median period. That
+excludes a poll that comes several times in a cycle, close together: its median period is short."""
 _SOON = 0.5
-"""A request repeats an equal one without answer if it comes at most this share of the timeout after
-the master gave that one up. A later one is the next cycle of a list of one poll."""
+"""A request equal to an unanswered one before it is a retry if it comes at most this share of the
+timeout after the timeout has passed. If it comes later, it begins the next cycle of a list of one
+poll."""
 _EQUAL_PERIODS = 1.08
 _EVEN = 0.1
-"""Distances are even if they differ by at most this share of their mean."""
+"""The times between the requests of a poll are even if they differ by at most this share of their
+mean."""
 _LONG_PAUSE = 0.2
-"""A pause in a cycle is long if it has at least this share of the longest, and more than
+"""A pause in a cycle is long if it has more than this share of the longest pause, and more than
 _LONGER_THAN_SHORT times the shortest."""
 _LONGER_THAN_SHORT = 4
 _CONSTANT_SHARE = 0.8
-"""A poll belongs to a list if it comes equally often in at least this share of its cycles."""
+"""A poll belongs to a list if it comes equally often in at least this share of the list's cycles.
+"""
 _SLACK_NS = 5_000_000
-"""Pauses that differ by less than this, in ns, are equal: no master keeps time more exactly."""
+"""Pauses of a master that differ by less than this (ns) count as equal, as masters do not keep time
+more exactly."""
 _NEAR = 0.25
-"""A cycle time is near the median if it differs by at most this share of the median."""
+"""The time of a cycle is near the median if it differs by at most this share of the median."""
 
 
 class Asked(NamedTuple, Generic[P]):
-    """A request of the master: its poll and its times."""
+    """A request of the master: its poll, its times (UTC ns), and if its response is missing."""
 
     poll: P
     begin_ns: int
     end_ns: int
-    """When the response was complete or, without a response, when the request was."""
+    """The end of the response or, without a response, of the request."""
     is_missing: bool
     """True if the slave had to answer and did not."""
     is_damaged: bool = False
-    """True if the answer is missing because it came with a wrong CRC or LRC: then the master may
-    go on before its timeout is over."""
+    """True if the answer counts as missing because it had a wrong CRC or LRC. Then the master may
+    send its next request before its timeout has passed."""
 
 
 @dataclass(frozen=True, slots=True)
 class PollStep(Generic[P]):
-    """One step of a list: a poll, and how long it takes."""
+    """One step of a polled list: a poll, the pause before it, and how long it takes."""
 
     poll: P
     pause_ns: int
-    """The median time from the end of the previous step to the beginning of this one."""
+    """The median time (ns) from the end of the previous step to the beginning of this one."""
     took_ns: int
-    """The median time from the beginning of the first request to the end of the last response, or
-    to when the master gave up."""
+    """The median time (ns) from the beginning of the request to the end of the response, retries
+    included; without a response, to when the master stopped waiting."""
     missing: int
     """The number of cycles in which at least one answer of this step was missing."""
 
@@ -112,19 +120,22 @@ class PollList(Generic[P]):
     steps: tuple[PollStep[P], ...]
     """The steps in the order of the requests; the first one follows the longest pause."""
     cycles: int
-    """The number of cycles that went through the list exactly."""
+    """The number of cycles that had exactly the steps of the list, in their order."""
     other_cycles: int
     """The number of cycles that lacked a step, had one more, or were in another order."""
     times: tuple[int, ...]
-    """The time of each cycle, from its beginning to the next one's, in order of length."""
+    """The duration of each cycle that had exactly the steps of the list, from its begin to the next
+    one's, sorted by length."""
     whole_ns: int | None
-    """The median time of the cycles in which no answer is missing; None if there is none."""
+    """The median duration of the cycles in which no answer is missing; None if there is none."""
     missing_ns: int | None
-    """The median time of the cycles in which an answer is missing; None if there is none."""
+    """The median duration of the cycles in which an answer is missing; None if there is none."""
 
     @property
     def period_ns(self) -> int:
-        """The usual time of a cycle: the mean of all that are near the median."""
+        """The usual duration (ns) of a cycle: the mean of all durations that differ by at most 25 %
+        from the median.
+        """
         middle = median_low(self.times)
         near = [time for time in self.times if abs(time - middle) <= _NEAR * middle]
         return sum(near) // len(near)
@@ -140,7 +151,7 @@ class PollList(Generic[P]):
 
     @property
     def missing_cost_ns(self) -> int | None:
-        """The time by which missing answers make a cycle longer; None if that is unknown."""
+        """The time (ns) by which missing answers make a cycle longer; None if that is unknown."""
         if self.whole_ns is None or self.missing_ns is None:
             return None
         return max(self.missing_ns - self.whole_ns, 0)
@@ -151,15 +162,15 @@ class PollLists(Generic[P]):
     """The lists that a master polls in cycles, and its other requests."""
 
     lists: tuple[PollList[P], ...]
-    """The lists, the one with the shortest period first."""
+    """The polled lists, the one with the shortest period first."""
     between: Mapping[P, int]
-    """For each poll that is in no list, the number of its requests without repetitions."""
+    """For each poll that is in no list, the number of its requests, not counting retries."""
     timeout_ns: int | None
-    """The estimated time that the master waits for an answer; None if no answer is missing."""
+    """The estimated response timeout of the master (ns); None if no answer is missing."""
 
 
 def find_lists(asked: Iterable[Asked[P]]) -> PollLists[P]:
-    """Find the lists of one master on one link. The requests may come in any order."""
+    """Find the polled lists of one master on one link. `asked` may be in any order."""
     in_order = sorted(asked, key=lambda one: one.begin_ns)
     timeout_ns = response_timeout(in_order)
     starts = _without_repetitions(in_order, timeout_ns or 0)
@@ -173,10 +184,10 @@ def find_lists(asked: Iterable[Asked[P]]) -> PollLists[P]:
 
 
 def response_timeout(in_order: Sequence[Asked[P]]) -> int | None:
-    """How long (ns) the master waits for an answer; None if it never waited in vain.
+    """Estimate how long (ns) the master waits for a response; None if it never waited in vain.
 
-    This is nearly the shortest time from a request without answer to the next request: after some
-    of them the master also pauses.
+    The estimate is the 10th percentile of the times from an unanswered request to the next request.
+    Longer times include a pause of the master, shorter ones may be disturbed.
     """
     waits = sorted(
         after.begin_ns - one.end_ns
@@ -228,7 +239,7 @@ def _lists(starts: Sequence[PollStart[P]]) -> list[PollList[P]]:
 
 
 def _with_others(cycles: CutCycles[P]) -> list[PollList[P]]:
-    """The list of these cycles, and the lists of the polls that are not in it."""
+    """Return the list that these cycles show, and the lists of the polls that are not in it."""
     if not _has_pace(cycles):
         return []
     others = {start.poll for start in cycles.starts} - set(cycles.usual)
@@ -236,7 +247,10 @@ def _with_others(cycles: CutCycles[P]) -> list[PollList[P]]:
 
 
 def _faster_polls(cycles: CutCycles[P]) -> set[P]:
-    """The polls that come several times in the usual cycle, at a shorter period of their own."""
+    """The polls that are sent several times in the usual cycle, at a shorter period of their own.
+
+    They are a second list with that period. The set is empty if the cycle is one list.
+    """
     counts = Counter(cycles.usual)
     repeated = {poll for poll, count in counts.items() if count > 1}
     if not repeated or len(repeated) == len(counts):
@@ -256,7 +270,7 @@ def _faster_polls(cycles: CutCycles[P]) -> set[P]:
 
 
 def _bursts(usual: tuple[P, ...], pauses: Sequence[float]) -> list[tuple[P, ...]]:
-    """Divide a cycle at its long pauses."""
+    """Divide the polls of a cycle at its long pauses; `pauses[i]` (ns) is before `usual[i]`."""
     least = max(_LONG_PAUSE * max(pauses), _LONGER_THAN_SHORT * max(min(pauses), 0))
     long = [at for at, pause in enumerate(pauses) if pause > least]
     if not long:
@@ -266,7 +280,7 @@ def _bursts(usual: tuple[P, ...], pauses: Sequence[float]) -> list[tuple[P, ...]
 
 
 def _is_evenly_asked(cycles: CutCycles[P], poll: P) -> bool:
-    """True if all distances from one request of a poll to the next are about the same."""
+    """True if the times from one request of a poll to the next are about equal."""
     times = [start.begin_ns for piece in cycles.pieces() for start in piece if start.poll == poll]
     by_place: list[list[int]] = [[] for _ in range(cycles.usual.count(poll))]
     for at, (one, other) in enumerate(pairwise(times)):
@@ -277,7 +291,10 @@ def _is_evenly_asked(cycles: CutCycles[P], poll: P) -> bool:
 
 
 def _groups(starts: Sequence[PollStart[P]]) -> list[set[P]]:
-    """Groups of polls with one period; empty if all polls would be in one, or none is regular."""
+    """Group the polls that have equal regular periods.
+
+    Returns an empty list if no poll is regular, or if all polls would be in one group.
+    """
     times: defaultdict[P, list[int]] = defaultdict(list)
     for start in starts:
         times[start.poll].append(start.begin_ns)
@@ -302,7 +319,7 @@ def _groups(starts: Sequence[PollStart[P]]) -> list[set[P]]:
 
 
 def _regular_period(times: Sequence[int]) -> float | None:
-    """The median period of a poll in ns; None if its periods are not regular."""
+    """The median period (ns) of a poll that was sent at `times` (ns); None if it is irregular."""
     periods = [other - one for one, other in pairwise(times)]
     if len(periods) < MIN_CYCLES - 1:
         return None
@@ -317,7 +334,9 @@ def _regular_period(times: Sequence[int]) -> float | None:
 
 
 def _is_constant(starts: Sequence[PollStart[P]], group: set[P], times: Sequence[int]) -> bool:
-    """True if a poll, sent at `times`, comes equally often (not 0) in each cycle of a group."""
+    """True if a poll, sent at `times` (ns), comes equally often, at least once, in nearly each
+    cycle that the polls of `group` form.
+    """
     cycles = usual_cycles(_only(starts, group))
     if cycles is None:
         return False
@@ -331,7 +350,9 @@ def _is_constant(starts: Sequence[PollStart[P]], group: set[P], times: Sequence[
 
 
 def _irregular_polls(starts: Sequence[PollStart[P]], group: set[P]) -> set[P]:
-    """The polls without a regular period that come equally often in each cycle of a group."""
+    """The polls outside `group` that have no regular period, but come equally often in nearly each
+    cycle that the polls of `group` form.
+    """
     times: defaultdict[P, list[int]] = defaultdict(list)
     for start in starts:
         if start.poll not in group:
@@ -344,7 +365,9 @@ def _irregular_polls(starts: Sequence[PollStart[P]], group: set[P]) -> set[P]:
 
 
 def _has_pace(cycles: CutCycles[P]) -> bool:
-    """False for a single poll at irregular times, such as an operator's occasional write."""
+    """False if the cycle is a single poll that is sent at irregular times, such as an operator's
+    occasional write.
+    """
     if len(cycles.usual) > 1:
         return True
     starts = [start for start in cycles.starts if start.poll == cycles.usual[0]]
@@ -357,7 +380,7 @@ def _has_pace(cycles: CutCycles[P]) -> bool:
 
 
 def _asked_often(starts: Sequence[PollStart[P]]) -> set[P]:
-    """The polls that are asked at least half as often as the median poll."""
+    """The polls that are sent at least half as often as the median poll."""
     counts = Counter(start.poll for start in starts)
     least = median(counts.values()) / 2
     return {poll for poll, count in counts.items() if count >= least}

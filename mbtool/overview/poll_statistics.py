@@ -1,4 +1,4 @@
-"""The statistics of one poll: equal requests of one master to one unit."""
+"""The statistics of one poll: all equal requests of one master to one unit."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _PERIOD_BUCKETS = 256
 
 
 class PollKey(NamedTuple):
-    """The fields that identify a poll: requests that are equal in all of them are one poll."""
+    """The fields that identify a poll: all requests that are equal in these fields are one poll."""
 
     link: str
     master: str
@@ -46,7 +46,7 @@ def poll_key(transaction: NamedTransaction, master: str) -> PollKey:
 
 
 class PollStatistics:
-    """Counts the requests of a poll and measures their periods."""
+    """Counts the requests of a poll and collects the times between them."""
 
     __slots__ = (
         "_last_ns",
@@ -62,37 +62,39 @@ class PollStatistics:
 
     def __init__(self, number: int, key: PollKey, first: NamedTransaction) -> None:
         self.number = number
-        """The number of the poll in the order in which polls were first seen."""
+        """The index of the poll, from 0, in the order in which polls were first seen."""
         self.key = key
         self.function_name = first.function_name
         self.reference = first.reference
         self.device = first.device
         self.tally = RequestTally()
         self.period = Distribution(_PERIOD_BUCKETS)
-        """The times (ns) from one request to the next, repetitions of unanswered ones left out."""
+        """The times (ns) from one request of the poll to the next; retries are left out."""
         self.repetitions = 0
-        """The number of requests that came right after an equal one without answer."""
+        """The number of retries: requests directly after an equal request that got no answer."""
         self._last_ns: int | None = None
 
     def begin(self, at_ns: int) -> None:
-        """Note a request of the poll that is no repetition."""
+        """Note a request of the poll that is no retry, at `at_ns` (UTC ns)."""
         if self._last_ns is not None:
             self.period.add(at_ns - self._last_ns)
         self._last_ns = at_ns
 
     def begin_all(self, times_ns: Sequence[int]) -> None:
-        """Note that the poll is asked at these times; they are in order."""
+        """Note several requests of the poll that are no retries. `times_ns` (UTC ns) is sorted."""
         self.begin(times_ns[0])
         self.period.add_all(list(map(sub, times_ns[1:], times_ns)))
         self._last_ns = times_ns[-1]
 
     def cut(self) -> None:
-        """End a capture: no period reaches from one capture into the next."""
+        """End a capture: the time from its last request to the next capture is no period."""
         self._last_ns = None
 
     @property
     def jitter_ns(self) -> int | None:
-        """Half of the distance between the 5th and the 95th percentile of the periods, in ns."""
+        """Half the difference between the 95th and the 5th percentile of the periods, in ns; None
+        if there are no periods.
+        """
         if not self.period.count:
             return None
         return (self.period.percentile(95) - self.period.percentile(5)) // 2

@@ -1,9 +1,10 @@
-"""Puts requests in the order of their times, for periods, poll cycles and hours."""
+"""Sorts requests by time, as needed for periods of polls, poll cycles and counts by hour."""
 
-# A transaction without answer may come long after later ones. So requests wait in a heap until
-# WINDOW later ones have come; what comes later still is `late`, and left out.
+# A request without a response is reported only after its timeout, so after many requests that were
+# sent later. So each request waits in a heap until WINDOW further requests have been added. A
+# request that comes after a later one has left the heap is only counted, in `late`.
 #
-# Memory: WINDOW requests, and MAX_TAPES masters with their last requests.
+# Memory: WINDOW requests, and for each of at most MAX_TAPES masters its last requests.
 
 from __future__ import annotations
 
@@ -27,7 +28,10 @@ WINDOW = 2048
 
 
 class _AskedColumns(NamedTuple):
-    """Answered requests on a network, in the order in which they were completed."""
+    """Answered TCP requests in the order of their responses, as three lists of equal length.
+
+    The lists hold the time of each request, its poll, and the time of its response (UTC ns).
+    """
 
     at_ns: list[int]
     polls: list[PollStatistics]
@@ -35,28 +39,32 @@ class _AskedColumns(NamedTuple):
 
 
 class RequestOrder:
-    """Tells links, polls and tapes of requests in the order of their times."""
+    """Sorts requests by time and passes them on to the counts per hour of their link, to the
+    periods of their poll, and to the list of their master's last requests (its tape).
+    """
 
     def __init__(self, links: Mapping[str, LinkStatistics]) -> None:
         self._links = links
         self.tapes: OrderedDict[tuple[str, str], MasterTape] = OrderedDict()
         """The last requests of each master, by link and the master's host."""
         self.late = 0
-        """The number of transactions that came too late to be put in order."""
+        """The number of transactions that were added too late to be sorted, and so left out."""
         self._heap: list[TapedRequest] = []
         self._ordered_ns = 0
-        """The time of the last request that was put in order."""
+        """The time (UTC ns) of the last request that was sorted and passed on."""
         self._taken = 0
 
     def begin_capture(self) -> None:
-        """Note that the next request is of another capture, which may be of another day."""
+        """Note that the next request belongs to another capture, perhaps of an earlier day."""
         self.settle()
         self._ordered_ns = 0
         for tape in self.tapes.values():
             tape.cut()
 
     def settle(self, before_ns: int | None = None) -> None:
-        """Put the waiting transactions in order: all, or those whose request came before a time."""
+        """Pass on the requests in the heap, in order of time: those before `before_ns` (UTC ns), or
+        all.
+        """
         while self._heap and (before_ns is None or self._heap[0].at_ns < before_ns):
             self._order(heappop(self._heap))
 
@@ -70,7 +78,7 @@ class RequestOrder:
         is_missing: bool,
         is_damaged: bool = False,
     ) -> None:
-        """Take a request, as TapedRequest has it."""
+        """Add a request. The arguments are the fields of TapedRequest; times are in UTC ns."""
         self._taken += 1
         if at_ns < self._ordered_ns:
             self.late += 1
@@ -83,8 +91,11 @@ class RequestOrder:
             self._order(heappop(self._heap))
 
     def add_run(self, run: AnsweredRun, polls: Sequence[PollStatistics]) -> None:
-        """Take the requests of a run on a network; `polls` are those of its kinds."""
-        if len(run.kind) < WINDOW // 4:  # Sorting those held takes longer.
+        """Add a batch of answered TCP requests; `polls[i]` is the poll of the group `run.kinds[i]`.
+
+        The result is the same as that of `add` for each request, but faster.
+        """
+        if len(run.kind) < WINDOW // 4:  # For few requests, sorting the heap takes longer.
             self._add_each(run, polls)
             return
         held = sorted(self._heap)
@@ -94,7 +105,7 @@ class RequestOrder:
             [one.end_ns for one in held] + run.response_ns,
         )
         order = sorted(range(len(asked.at_ns)), key=asked.at_ns.__getitem__)
-        # How far each request is in front of its place in the order of arrival.
+        # The most positions by which a request arrived later than its place in order of time.
         behind = max(map(sub, order, count()))
         is_simple = (
             len(order) > WINDOW >= behind
@@ -125,7 +136,10 @@ class RequestOrder:
             self.add(at_ns, polls[kind], end_ns, 0, is_missing=False)
 
     def _order_all(self, asked: _AskedColumns, order: list[int]) -> None:
-        """Take answered requests in order of time, with the same result as one by one."""
+        """Pass on answered requests, with the same result as `_order` for each.
+
+        `order` has their indices in `asked`, in order of time.
+        """
         by_poll: dict[PollStatistics, list[int]] = {poll: [] for poll in dict.fromkeys(asked.polls)}
         by_tape: dict[tuple[str, str], list[int]] = {}
         notes = {
@@ -148,7 +162,7 @@ class RequestOrder:
                 by_link.setdefault(poll.key.link, []).extend(times)
         for link, times in by_link.items():
             self._links[link].hours.add_answered(times)
-        # The tape that was used last comes last.
+        # Masters are visited by their last request, as `_tape` moves each to the end of `tapes`.
         used = [(at_ns[last[-1]], last[-1], key) for key, last in by_tape.items() if last]
         for _, _, key in sorted(used):
             places = by_tape[key]
@@ -159,7 +173,11 @@ class RequestOrder:
             )
 
     def _can_tape_all(self, keys: Set[tuple[str, str]]) -> bool:
-        """True if no tape is given up for these, and none of them waits for an answer."""
+        """True if the requests of these masters may be added as a batch.
+
+        That is so if MAX_TAPES is not exceeded and no master's last request is unanswered, so that
+        no request of the batch can be a retry. A key is a link and the master's host.
+        """
         known = [self.tapes[key] for key in keys if key in self.tapes]
         if len(self.tapes) + len(keys) - len(known) > MAX_TAPES:
             return False

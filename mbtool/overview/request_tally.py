@@ -1,4 +1,4 @@
-"""Counts requests: how they ended, and how long the answers took."""
+"""Counts requests by outcome, and collects the latencies of their responses."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ MAX_EXCEPTIONS = 256
 
 
 class RequestTally:
-    """Outcomes and latencies of some requests.
+    """The outcomes and latencies of a group of transactions: of one poll, function or unit.
 
-    Transactions of which the capture lacks a part have an outcome of their own: they are no fault
-    of the device.
+    A transaction whose request or response is missing from the capture has an outcome of its own
+    (NOT_CAPTURED), so that it does not count against the device.
     """
 
     __slots__ = (
@@ -39,18 +39,19 @@ class RequestTally:
         self.requests = 0
         """The number of transactions whose request is in the capture."""
         self.exceptions: dict[int, int] = {}
-        """The number of requests answered with an exception, by its code."""
+        """The number of requests answered with an exception response, by exception code."""
         self.exception_names: dict[int, str] = {}
         self.unsolicited_exceptions = 0
-        """The number of exceptions that nobody asked for; they are not in `exceptions`."""
+        """The number of exception responses without a request; `exceptions` excludes them."""
         self.damaged = 0
-        """The number of unanswered requests whose answer came with a wrong CRC or LRC."""
+        """The number of requests that count as unanswered because the CRC or LRC of the response
+        was wrong."""
         self.retries = 0
-        """The number of requests that repeat an equal one without answer."""
+        """The number of requests that repeat an equal request which got no response."""
         self.latency = Distribution()
         """The times from the end of the request to the start of the response, in ns."""
         self.request_bytes = 0
-        """Bytes of the requests' ADUs as captured."""
+        """The total number of bytes in the ADUs of the requests, as captured."""
         self.response_bytes = 0
 
     def add(self, transaction: NamedTransaction) -> None:
@@ -59,7 +60,7 @@ class RequestTally:
             self.latency.add(transaction.latency_ns)
 
     def count_alike(self, transaction: NamedTransaction, number: int) -> None:
-        """Count a number of transactions that are like this one, without their latencies."""
+        """Count `transaction` as `number` equal transactions. The caller adds the latencies."""
         outcome = transaction.outcome
         self.outcomes[outcome] = self.outcomes.get(outcome, 0) + number
         if transaction.request_ns is not None:
@@ -82,7 +83,7 @@ class RequestTally:
             self.exception_names.setdefault(code, name)
 
     def merge(self, other: RequestTally) -> None:
-        """Add all that another tally has counted."""
+        """Add the counts and latencies of another tally to this one."""
         for outcome, count in other.outcomes.items():
             self.outcomes[outcome] = self.outcomes.get(outcome, 0) + count
         for code, count in other.exceptions.items():
@@ -102,7 +103,7 @@ class RequestTally:
 
     @property
     def wire_bytes(self) -> int:
-        """Bytes of all ADUs, of both directions."""
+        """The total number of bytes in the ADUs of requests and responses, as captured."""
         return self.request_bytes + self.response_bytes
 
     def count(self, outcome: Outcome) -> int:
@@ -115,7 +116,7 @@ class RequestTally:
 
 
 def merged(tallies: list[RequestTally]) -> RequestTally:
-    """One tally with all that the others have counted."""
+    """Return a new tally with the counts and latencies of all `tallies` added up."""
     result = RequestTally()
     for one in tallies:
         result.merge(one)

@@ -1,4 +1,4 @@
-"""Which units are slow beside the others."""
+"""Finds the units that respond much slower than the other units."""
 
 from __future__ import annotations
 
@@ -13,23 +13,27 @@ if TYPE_CHECKING:
 K = TypeVar("K")
 
 SLOW = 3
-"""A unit is slow if its median latency is so many times what the median of the other units is..."""
+"""A unit is slow if its median latency is at least this many times the median of the other units'
+median latencies, and at least SLOW_NS."""
 SLOW_NS = 10_000_000
-"""...and at least this long, in ns."""
+"""The least median latency of a slow unit, in ns."""
 ENOUGH_ANSWERS = 5
-"""The median latency of fewer answers tells nothing."""
+"""Units with fewer responses than this are ignored, as their median latency is not reliable."""
 
 _MANY = 3
 _FEW = 0.25
 
 
 def are_many(slow: int, units: int) -> bool:
-    """True if so many of the units are slow that they may be so by their kind: 3 and over 25 %."""
+    """True if `slow` of the `units` are at least 3 and more than 25 %.
+
+    Then they are probably another kind of device, and not a few faulty ones.
+    """
     return slow >= _MANY and slow > units * _FEW
 
 
 def slow_units(latencies: Mapping[K, Distribution]) -> dict[K, float]:
-    """For each slow unit, the median of the other units' median latencies, in ns."""
+    """Find the slow units; return for each the median (ns) of the other units' median latencies."""
     medians = {
         unit: one.percentile(50) for unit, one in latencies.items() if one.count >= ENOUGH_ANSWERS
     }
@@ -43,7 +47,7 @@ def slow_units(latencies: Mapping[K, Distribution]) -> dict[K, float]:
 
 
 def _middle_without(in_order: list[int], left_out: int) -> float:
-    """The median of numbers in order without one of them; 0 if there is no other."""
+    """The median of sorted numbers without the one at index `left_out`; 0 if there is no other."""
     count = len(in_order) - 1
     if not count:
         return 0

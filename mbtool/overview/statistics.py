@@ -1,13 +1,15 @@
-"""Counts and times everything that a capture or a live link shows."""
+"""Collects the statistics of a capture or a live link: counts, latencies, periods, connections."""
 
-# Each transaction is counted at once, by its poll. Periods, poll cycles and hours need requests in
-# the order of their times (request_order.py).
+# A poll is all equal requests of one master to one unit. Each transaction is counted with its poll
+# at once. Periods, poll cycles and counts by hour need the requests sorted by time, which
+# request_order.py does.
 #
-# Memory. MAX_POLLS polls; if there are more, the one that was not asked for longest is given up,
-# and what it has counted goes to its group (link, unit, function). MAX_GROUPS groups, MAX_LINKS
-# links with MAX_HOURS hours each, MAX_PAIRS pairs of hosts, and what request_order.py keeps.
-# Everything beyond these limits is counted together, under no name. A poll takes 2 to 10 KB in
-# practice, and 130 KB if all its latencies and periods differ.
+# Memory. At most MAX_POLLS polls: at the limit, the poll whose last request is oldest is removed,
+# and its counts are added to those of its group (link, unit, function). At most MAX_GROUPS groups,
+# MAX_LINKS links with MAX_HOURS hours each, MAX_PAIRS pairs of link and master, and the requests
+# that request_order.py keeps. Links and groups beyond their limits are counted together, under an
+# empty name. A poll takes 2 to 10 KB in practice, and 130 KB if all its latencies and periods
+# differ.
 
 from __future__ import annotations
 
@@ -41,27 +43,28 @@ _CONNECTIONS = frozenset((EventKind.OPENED, EventKind.CLOSED, EventKind.REFUSED)
 _NO_FRAME = frozenset((EventKind.SKIPPED, EventKind.BAD_CHECK, EventKind.FOREIGN, EventKind.ECHO))
 
 Group = tuple[str, int, int]
-"""Link, unit and function."""
+"""The key of a group of transactions: link name, unit and function code."""
 OTHER_LINKS = ""
-"""The name under which the links beyond MAX_LINKS are counted."""
+"""The link name under which all links beyond MAX_LINKS are counted together."""
 
 
 class Statistics:
-    """Counts transactions and events; its attributes, the results, can be read at any time."""
+    """Counts transactions and events. Its attributes hold the results and can be read any time."""
 
     def __init__(self, format_of: Callable[[str], SerialFormat | None] = lambda _: None) -> None:
-        """`format_of` gives the settings of a serial link; None if they are unknown."""
+        """`format_of` returns the baud rate and character format of a link by name, or None."""
         self._format_of = format_of
         self.links: dict[str, LinkStatistics] = {}
         self.polls: OrderedDict[PollKey, PollStatistics] = OrderedDict()
         self.polls_seen = 0
-        """The number of polls so far, including those that were given up."""
+        """The number of polls so far, including those removed because of MAX_POLLS."""
         self.groups: dict[Group, RequestTally] = {}
-        """Transactions that belong to no poll: responses without request, and polls given up."""
+        """Counts of transactions without a poll: responses without a request, and the transactions
+        of polls that were removed because of MAX_POLLS."""
         self.devices: dict[tuple[str, int], str] = {}
         self.function_names: dict[int, str] = {}
         self.connections: dict[tuple[str, str], ConnectionTally] = {}
-        """The counts of connections, by link and the master's host."""
+        """The counts of TCP connections, by link and the master's host."""
         self.transactions = 0
         self._order = RequestOrder(self.links)
         self._damaged = DamagedAnswers()
@@ -74,18 +77,20 @@ class Statistics:
 
     @property
     def late(self) -> int:
-        """How many transactions came too late to be put in order."""
+        """The number of transactions that arrived too late to be sorted by the time of their
+        requests; periods, poll cycles and hours lack them.
+        """
         return self._order.late
 
     def add(self, record: NamedTransaction | WireEvent) -> PollStatistics | None:
-        """Count a record; return the poll of a transaction, None if it belongs to none."""
+        """Count a transaction or event. Returns the poll of a transaction, None if it has none."""
         if isinstance(record, WireEvent):
             self._add_event(record)
             return None
         return self._add_transaction(record)
 
     def add_run(self, run: AnsweredRun) -> None:
-        """Add requests, with the same result as one by one."""
+        """Add a batch of answered requests at once; the counts are as if added one by one."""
         if not self._has_room(run):
             for one in run.transactions():
                 self._add_transaction(one)
@@ -98,7 +103,10 @@ class Statistics:
         self._order.add_run(run, polls)
 
     def begin_capture(self) -> None:
-        """Note that the next record is of another capture, which may be of another day."""
+        """Note that the next record belongs to another capture, perhaps of another day.
+
+        The time between two captures is no period of a poll, and no time that a link was watched.
+        """
         self._order.begin_capture()
         for link in self.links.values():
             link.end_span()
@@ -106,7 +114,9 @@ class Statistics:
             poll.cut()
 
     def settle(self, before_ns: int | None = None) -> None:
-        """Put the waiting transactions in order: all, or those whose request came before a time."""
+        """Process the requests that still wait to be sorted by time, those before `before_ns` (UTC
+        ns) or all, so that periods, poll cycles and hours include them.
+        """
         self._order.settle(before_ns)
 
     def _add_transaction(self, one: NamedTransaction) -> PollStatistics | None:
@@ -133,7 +143,9 @@ class Statistics:
         return poll
 
     def _has_room(self, run: AnsweredRun) -> bool:
-        """True if a run needs no limit of links and polls, and its links have times."""
+        """True if all links and polls of a run fit below MAX_LINKS and MAX_POLLS, and none of its
+        links is a serial line whose bytes have no times.
+        """
         likes = [kind.like for kind in run.kinds]
         links = {like.link for like in likes}
         known = [self.links[link] for link in links if link in self.links]
@@ -145,14 +157,17 @@ class Statistics:
         return all(link.has_times for link in known)
 
     def _count_alike(self, kind: AlikeRequests) -> PollStatistics:
-        """Count requests, without their latencies; return their poll."""
+        """Count a group of equal requests, but not their latencies. Returns their poll."""
         self._link(kind.like.link).note_span(kind.like, kind.begin_ns, kind.end_ns)
         poll = self._poll(kind.like)
         poll.tally.count_alike(kind.like, kind.count)
         return poll
 
     def _touch(self, run: AnsweredRun, polls: list[PollStatistics]) -> None:
-        """Bring the polls of a run into the order of their last requests."""
+        """Move the polls of a run to the end of `self.polls`, in the order of their last requests.
+
+        `self.polls` is sorted by last request, as the first one is removed at the limit.
+        """
         for kind in reversed(dict.fromkeys(reversed(run.kind))):
             self.polls.move_to_end(polls[kind].key)
 
@@ -203,7 +218,7 @@ class Statistics:
         return tally
 
     def _host(self, address: str | None) -> str:
-        """The host of an address with its port, `10.0.0.1` of `10.0.0.1:50211`."""
+        """The host in an address with a port (`10.0.0.1` in `10.0.0.1:50211`); empty for None."""
         if address is None:
             return ""
         host = self._hosts.get(address)

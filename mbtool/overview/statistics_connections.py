@@ -1,8 +1,8 @@
 """Counts how the TCP connections of each master to each slave were opened, kept and closed."""
 
-# The reason for closing a connection, and its keep-alive probes, are read from the message of its
-# CLOSED event, which logs hold too. Memory: one tally for each pair of hosts; the caller limits
-# their number.
+# The reason why a connection closed and the number of its keep-alive probes are parsed from the
+# message text of its CLOSED event, because a log stores that text, too. Memory: one ConnectionTally
+# for each pair of a master and a slave; the caller limits the number of pairs.
 
 from __future__ import annotations
 
@@ -22,27 +22,28 @@ _REASONS = frozenset((
 
 @dataclass(slots=True)
 class ConnectionTally:
-    """The connections of one master to one slave."""
+    """Counts the TCP connections from one master to one slave."""
 
     opened: int = 0
-    """The number of connections whose beginning is in the capture and that were not refused."""
+    """The number of connections that were opened during the capture and not refused."""
     joined: int = 0
-    """The number of connections that were open before the capture."""
+    """The number of connections that were already open when the capture began."""
     refused_by_tap: int = 0
-    """The number of connections that a tap could not pass on."""
+    """The number of connections that a tap (a relay between master and slave) could not pass on to
+    the slave."""
     closed: dict[str, int] = field(default_factory=dict)
     """The number of closed connections by reason: finished, reset, refused, replaced, idle,
     discarded, capture-end, other."""
     keep_alives: int = 0
-    """The number of keep-alive probes of both ends."""
+    """The number of TCP keep-alive probes, from both ends."""
     unanswered_keep_alives: int = 0
-    """The number of keep-alive probes, the last ones of a connection, that got no answer."""
+    """The number of keep-alive probes, at the ends of connections, that the peer did not answer."""
     most_at_once: int = 0
-    """The most connections that were open at the same time."""
+    """The largest number of connections that were open at the same time."""
     _open: int = 0
 
     def add(self, event: WireEvent) -> None:
-        """Take an event of kind OPENED, CLOSED or REFUSED."""
+        """Count an event of kind OPENED, CLOSED or REFUSED."""
         if event.kind is EventKind.REFUSED:
             self.refused_by_tap += 1
         elif event.kind is EventKind.OPENED:
@@ -59,7 +60,7 @@ class ConnectionTally:
         match = _REASON.match(message)
         reason = match[1] if match is not None and match[1] in _REASONS else _OTHER
         self.closed[reason] = self.closed.get(reason, 0) + 1
-        if reason == "refused" and self.opened:  # Its first packet came as OPENED.
+        if reason == "refused" and self.opened:  # An OPENED event was counted before the refusal.
             self.opened -= 1
         self.keep_alives += _number(_PROBES, message)
         self.unanswered_keep_alives += _number(_UNANSWERED, message)

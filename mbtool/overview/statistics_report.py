@@ -1,4 +1,4 @@
-"""Arranges the counts of `Statistics` by link, for tables and documents."""
+"""Groups the counts of `Statistics` by link, for tables and JSON documents."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ class FunctionReport:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PollReport:
-    """One poll, and how long it kept the line."""
+    """The statistics of one poll, and for how long its transactions occupied the serial line."""
 
     poll: PollStatistics
     line_time: LineTime | None
-    """None on a network, and where the baud rate or the times are unknown."""
+    """None on a network, or if the baud rate or the times of the bytes are unknown."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,41 +44,41 @@ class MasterReport:
     master: str
     """The master's host; empty on a serial line."""
     requests: int
-    """The number of last requests that were searched for lists."""
+    """The number of requests, the last ones of the master, that were searched for polled lists."""
     lists: PollLists[PollStatistics]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LinkReport:
-    """Everything about one bus or one slave's address."""
+    """The statistics of one link: a serial bus, or a slave's address on a network."""
 
     name: str
     transport: str
     settings: str | None
     """Baud rate and character format of a serial line."""
     has_times: bool
-    """False if the bytes of the line have no times: there are no rates, periods and cycles."""
+    """False if the capture has no times for the bytes, so that it gives no rates and periods."""
     begin_ns: int
     end_ns: int
     watched_ns: int
     tally: RequestTally
     load: BusLoad | None
     functions: list[FunctionReport]
-    """Sorted by unit and function."""
+    """One entry for each pair of unit and function, sorted by unit, then function."""
     polls: list[PollReport]
     """The polls in the order in which they were first asked."""
     masters: list[MasterReport]
     connections: list[tuple[str, ConnectionTally]]
-    """The host of each master, and its connections."""
+    """Pairs of a master's host and the counts of its connections."""
     hours: list[HourCount]
 
     def rate(self, count: int) -> float | None:
-        """The requests per second if `count` requests were seen; None if no time passed."""
+        """Return `count` per second of the time watched; None if that time is 0."""
         return count * 1e9 / self.watched_ns if self.watched_ns else None
 
 
 def report(statistics: Statistics) -> list[LinkReport]:
-    """The links in the order in which they were first heard."""
+    """Return a report for each link, in the order in which the links were first heard."""
     polls: dict[str, list[PollStatistics]] = {}
     for poll in statistics.polls.values():
         polls.setdefault(poll.key.link, []).append(poll)
