@@ -1,4 +1,4 @@
-"""The texts of a transaction for tables: request, result, findings and time."""
+"""Writes the cells of a table of transactions: request, result, findings and time."""
 
 # The text of a read, for example, has function, reference and values:
 #
@@ -23,16 +23,17 @@ if TYPE_CHECKING:
     from mbtool.views.changed_points import PointsRead
 
 MANY_BITS = 8
-"""More bits than this are shown in groups of GROUP."""
+"""If a response has more bits than this, a cell shows them in groups of GROUP bits."""
 GROUP = 8
 FOLDED = 4
-"""At least so many equal values in a row are shown once, with their number: `0 x24`."""
+"""A cell shows equal values that follow each other once, with their number (`0 x24`), if there are
+at least this many."""
 
 MAX_RAW = 16
-"""The most bytes of an event that a cell shows."""
+"""A cell shows at most this many of the bytes that belong to an event, such as skipped bytes."""
 
 ARROW = " -> "
-"""Stands between a request and its result."""
+"""Separates the request from its result in a cell: `03 read HR400001 -> 4660`."""
 _SHORT_EXCEPTIONS = {
     0x02: "illegal address",
     0x03: "illegal value",
@@ -41,8 +42,9 @@ _SHORT_EXCEPTIONS = {
     0x0A: "gateway: no path",
     0x0B: "gateway: no answer",
 }
-"""Names for a narrow terminal. The standard's are illegal data address, illegal data value, server
-device failure, server device busy, gateway path unavailable, gateway target failed to respond."""
+"""Short names of exception codes, for a narrow terminal. The standard's names are illegal data
+address, illegal data value, server device failure, server device busy, gateway path unavailable,
+gateway target failed to respond."""
 
 _EPOCH = date(1970, 1, 1).toordinal()
 _DAY_S = 86_400
@@ -52,7 +54,8 @@ _VERBS = {
     for code, one in FUNCTIONS.items()
     if one.table is not None
 } | {_MASK_WRITE: "mask write", _READ_WRITE: "read"}
-"""The word between function code and reference, such as `read` or `write`."""
+"""The word that a cell shows between function code and reference, such as `read`; by function
+code."""
 
 
 def transaction_text(
@@ -61,10 +64,11 @@ def transaction_text(
     *,
     in_hex: bool = False,
 ) -> str:
-    """The request and its result: `03 read HR400001..400002 -> 4660, 22136`.
+    """Return the request and its result: `03 read HR400001..400002 -> 4660, 22136`.
 
-    `points` are the points read, in the order to show them. With `in_hex`, values are shown as
-    manuals write them (1234H), and points are not named.
+    `points` are the named values that the response contains, in the order to show them; by default
+    the transaction's own order. With `in_hex`, values are shown as manuals write them (1234H) and
+    without the names of points.
     """
     result = result_text(transaction, points, in_hex=in_hex)
     return _joined(transaction, result, in_hex=in_hex)
@@ -73,10 +77,10 @@ def transaction_text(
 def short_transaction_text(
     transaction: NamedTransaction, points: PointsRead, *, in_hex: bool = False
 ) -> str:
-    """The request and its result in fewer words.
+    """Return the request and its result in fewer words than transaction_text, for a narrow table.
 
-    Points that are as they were in the last reading are only counted. The standard's exceptions
-    have shorter names.
+    Points (named values) that did not change since the last reading are only counted. The
+    standard's exceptions get the short names of _SHORT_EXCEPTIONS.
     """
     code, name = transaction.exception, transaction.exception_name
     if code is not None and name == exception_name(code):
@@ -90,7 +94,7 @@ def short_transaction_text(
 
 
 def _fresh_text(points: PointsRead) -> str:
-    """The points that changed: `CH1 12000, CH3 5; 6 others as before`."""
+    """List the points whose values changed and count the others: `CH1 1200; 6 others as before`."""
     if not points.fresh:
         return "as before"
     names = [point.name.partition(" ") for point in points.every]
@@ -118,7 +122,7 @@ def _joined(transaction: NamedTransaction, result: str, *, in_hex: bool) -> str:
 
 
 def event_text(event: WireEvent) -> str:
-    """The kind, the message and the first bytes of a wire event."""
+    """Return the kind of a wire event, its message and its first bytes in hexadecimal."""
     raw = event.raw[:MAX_RAW].hex(" ")
     more = " ..." if len(event.raw) > MAX_RAW else ""
     text = f"{event.kind.value}: {event.message}" if event.message else event.kind.value
@@ -126,7 +130,7 @@ def event_text(event: WireEvent) -> str:
 
 
 def function_text(transaction: NamedTransaction) -> str:
-    """The code in hexadecimal, and the vendor's or the standard's name."""
+    """Return the function code in hexadecimal, and the vendor's or the standard's name of it."""
     name = short_name(transaction.function, transaction.function_name)
     if transaction.function not in FUNCTIONS and name.startswith("function "):
         name = "unknown function"
@@ -134,7 +138,10 @@ def function_text(transaction: NamedTransaction) -> str:
 
 
 def what_text(transaction: NamedTransaction, *, in_hex: bool = False) -> str:
-    """The reference and the values that a request writes."""
+    """Return the reference of a request and the values that it writes: `HR400001 := 5`.
+
+    Notes behind them say that the request is a retry or that its pairing is ambiguous.
+    """
     function = FUNCTIONS.get(transaction.function)
     writes = function is not None and function.writes
     text = transaction.reference or ""
@@ -152,7 +159,7 @@ def what_text(transaction: NamedTransaction, *, in_hex: bool = False) -> str:
 
 
 def finding_texts(transaction: NamedTransaction, profile: Profile | None = None) -> list[str]:
-    """Each finding's code and text; with a profile, the text has the profile's figures."""
+    """Return code and text of each finding; with a profile, the text has the device's figures."""
     return [f"{code} {finding_text(code, profile)}" for code in transaction.findings]
 
 
@@ -166,7 +173,10 @@ def result_text(
     *,
     in_hex: bool = False,
 ) -> str:
-    """The outcome, and the values that a response contains; see transaction_text."""
+    """Return the outcome of a transaction, or the values in its response.
+
+    The arguments mean the same as for transaction_text.
+    """
     if transaction.outcome is Outcome.NOT_CAPTURED:
         lacking = _lacking_response(transaction)
         if lacking is not None:
@@ -175,7 +185,7 @@ def result_text(
     if transaction.exception is not None:
         name = transaction.exception_name or ""
         text = f"{_EXCEPTION}{transaction.exception:02X}"
-        if not name.startswith(text):  # The name of an unknown code is `exception` and the number.
+        if not name.startswith(text):  # The name of an unknown code has the number in it.
             text = f"{text} {name}".rstrip()
         return text if word is None else f"{word} {text}"
     match transaction.outcome:
@@ -197,7 +207,7 @@ def result_text(
 
 
 def _lacking_response(transaction: NamedTransaction) -> str | None:
-    """A text on which part of the response the capture lacks; None if the response is complete."""
+    """Return a text that says what part of the response the capture lacks; None if it has all."""
     is_cut = Verdict.CUT in transaction.verdicts
     if Verdict.CAPTURE_END in transaction.verdicts:
         return "capture ends before an answer"
@@ -208,7 +218,11 @@ def _lacking_response(transaction: NamedTransaction) -> str | None:
 
 
 def _lacking_request(transaction: NamedTransaction) -> str | None:
-    """The beginning of the result if the capture lacks part of the request; None if it does not."""
+    """Return the beginning of the result text if the capture lacks all or part of the request.
+
+    The response still follows it: `request not captured: 4660`. Returns None if the request is
+    complete.
+    """
     if transaction.outcome is Outcome.UNSOLICITED:
         return "unsolicited"
     if transaction.outcome is not Outcome.NOT_CAPTURED:
@@ -219,7 +233,8 @@ def _lacking_request(transaction: NamedTransaction) -> str | None:
 def values_text(values: Sequence[int], *, bits: bool = False, in_hex: bool = False) -> str:
     """List registers with commas, or bits with spaces; the first value has the lowest address.
 
-    Equal registers, and equal groups of many bits, in a row are counted: `0 x24`.
+    At least FOLDED equal registers that follow each other, or equal groups of GROUP bits, are shown
+    once with their number: `0 x24`.
     """
     if bits and len(values) <= MANY_BITS:
         return " ".join(map(str, values))
@@ -231,7 +246,7 @@ def values_text(values: Sequence[int], *, bits: bool = False, in_hex: bool = Fal
 
 def _folded(texts: Iterable[str]) -> list[str]:
     texts = [*texts]
-    if len(set(texts)) > len(texts) - FOLDED + 1:  # Too few are equal.
+    if len(set(texts)) > len(texts) - FOLDED + 1:  # No FOLDED texts are equal.
         return texts
     folded = []
     for text, run in groupby(texts):
@@ -241,8 +256,9 @@ def _folded(texts: Iterable[str]) -> list[str]:
 
 
 def clock_time(ts_ns: int) -> str:
-    """Write the time of day in UTC, with milliseconds. Never raises: a capture may have any
-    integer.
+    """Write the time of day in UTC, with milliseconds: `09:14:03.300`.
+
+    Never raises: a capture may have any integer as its time.
     """
     seconds, milliseconds = divmod(ts_ns // 1_000_000, 1000)
     minutes, second = divmod(seconds % _DAY_S, 60)
@@ -250,7 +266,10 @@ def clock_time(ts_ns: int) -> str:
 
 
 def day(ts_ns: int) -> str:
-    """Write the date in UTC; outside the years 1 to 9999, the number of days since 1970."""
+    """Write the date in UTC: `2026-11-21`.
+
+    Outside the years 1 to 9999 it is the number of days since 1970.
+    """
     days = ts_ns // (_DAY_S * 1_000_000_000)
     try:
         return date.fromordinal(_EPOCH + days).isoformat()

@@ -1,7 +1,7 @@
-"""Sorts points: those whose values changed since the last reading come first."""
+"""Sorts the points (named values) of a response: those that changed since the last one first."""
 
-# Memory: the texts of at most MAX_POINTS points. When there are more, all are forgotten; the next
-# value of each point then counts as unchanged.
+# Memory: the texts of about MAX_POINTS points. When there are more, all of them are forgotten; the
+# next value of each point then counts as unchanged.
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ MAX_POINTS = 100_000
 
 
 class ChangedPoints:
-    """Remembers the last value of each point that was read."""
+    """Remembers the last value of each point (a value that the slave's profile names)."""
 
     def __init__(self) -> None:
         self._texts: dict[tuple[str, int, str, str], str] = {}
 
     def of(self, transaction: NamedTransaction) -> PointsRead:
-        """The points in a response, sorted and remembered.
+        """Return the points of a response, those with changed values first; remember all values.
 
-        A point that was not read before counts as unchanged, but not as seen before.
+        A point that is read for the first time counts as unchanged, but as unseen.
         """
         points = transaction.read_points
         if not points:
@@ -35,7 +35,8 @@ class ChangedPoints:
         unseen: list[PointValue] = []
         kept: list[PointValue] = []
         unchanged: list[PointValue] = []
-        """Those unseen and kept, in the order of the response."""
+        """Points read for the first time and points with their last value, in the order of the
+        response."""
         for point in points:
             key = transaction.link, transaction.unit, point.reference, point.name
             last = self._texts.get(key)
@@ -46,20 +47,21 @@ class ChangedPoints:
             unchanged.append(point)
             (unseen if last is None else kept).append(point)
         fresh = [*changed, *unseen]
-        if fresh:  # Bits of one phrase stand or fall together: `all off`, `CH1 CH3 on`.
+        if fresh:  # Bits of one phrase are shown all or not at all: `all off`, `CH1 CH3 on`.
             fresh += [one for one in kept if not is_number(one)]
         return PointsRead([*changed, *unchanged], fresh, has_unseen=bool(unseen))
 
 
 class PointsRead(NamedTuple):
-    """The points in a response."""
+    """The points (named values) of one response."""
 
     every: Sequence[PointValue]
-    """All of them; those whose values changed since the last reading come first."""
+    """All points of the response; those whose values changed since the last reading come first."""
     fresh: Sequence[PointValue]
-    """Without numbers that are as they were in the last reading; empty if no point changed."""
+    """The points worth showing: all except numbers that did not change since the last reading.
+    Empty if no point changed and none was read for the first time."""
     has_unseen: bool = False
-    """True if a point was not read before."""
+    """True if the response has a point that was never read before."""
 
 
 _NO_POINTS = PointsRead((), ())

@@ -1,7 +1,7 @@
-"""Shows the differences between two captures: a table for each slave."""
+"""Prints the differences between two captures: a table for each slave."""
 
 # Names come from profiles, and links from captures. Both may contain markup or control characters,
-# which must have no effect (tables.py).
+# so every cell goes through plain(), which makes them harmless.
 
 from __future__ import annotations
 
@@ -26,7 +26,10 @@ _SMALLEST_P = 1e-12
 def print_differences(
     console: Console, found: Sequence[Difference], sides: tuple[str, str] = ("A", "B")
 ) -> None:
-    """Print a table for each slave, with a row for each difference and a column for each side."""
+    """Print a table for each slave, with a row for each difference and a column for each capture.
+
+    `sides` are the headings of the columns of the two captures.
+    """
     for slave, group in groupby(found, key=_slave):
         table = plain_table(*_HEADINGS, *sides)
         for one in group:
@@ -38,10 +41,10 @@ def print_differences(
 
 
 def what_text(difference: Difference) -> str:
-    """Describe the addresses of a difference: the reference, and its name in the manual.
+    """Describe the addresses that differ: the reference, and its name in the device's manual.
 
-    After that come other requests whose latencies changed in the same way, and, if it was computed,
-    `p`, the probability that chance alone causes such a difference.
+    Behind it are other requests whose latencies changed in the same way, and `p`, the probability
+    that chance alone causes such a difference, if it was computed.
     """
     parts = [", ".join([difference.reference or "", *difference.alike])]
     if difference.name is not None and difference.name != difference.reference:

@@ -1,10 +1,11 @@
-"""The answers to Wireshark's questions about its interface for serial lines, and its dialog."""
+"""Writes the answers that Wireshark asks of its interface for serial lines, and its dialog."""
 
-# Wireshark asks a program in its folder for extcap: which interfaces it has, their link types, and
-# what can be set. Each answer is a line of text, `word {key=value}...` (Wireshark, extcap(4)). Only
-# controls of the types selector and string are used: Wireshark 4.0 refuses editselector.
+# Wireshark calls each program in its extcap folder and asks which interfaces it has, their link
+# types, and what the user can set. Each answer is a line of text, `word {key=value}...` (Wireshark,
+# extcap(4)). Only controls of the types selector and string are used, because Wireshark 4.0 refuses
+# editselector.
 #
-# Braces would end a value, so they are replaced in texts from elsewhere.
+# Braces would end a value, so _safe() replaces those in names from profiles and adapters.
 
 from __future__ import annotations
 
@@ -31,17 +32,20 @@ class _Choice(NamedTuple):
 
 
 class _Control(NamedTuple):
-    """One control of the dialog; its option is that of `mbtool extcap`."""
+    """One control of the dialog.
+
+    The option has the same name on the command line of `mbtool extcap`.
+    """
 
     option: str
     title: str
     hint: str
     choices: Sequence[_Choice] = ()
-    """The choices of a selector, the default first; a control without any takes a text."""
+    """The choices of a selector, the default first. A control without choices is a text field."""
 
 
 def interfaces_text(version: str) -> str:
-    """The answer to --extcap-interfaces."""
+    """Return the answer to --extcap-interfaces, with mbtool's version."""
     return (
         f"extcap {{version={version}}}{{help={_HELP}}}{{display=mbtool}}\n"
         f"interface {{value={INTERFACE}}}{{display=Modbus serial line}}\n"
@@ -49,8 +53,9 @@ def interfaces_text(version: str) -> str:
 
 
 def link_types_text() -> str:
-    """The answer to --extcap-dlts: the link type of frames. Bytes that are no frame have another,
-    which pcapng tells.
+    """Return the answer to --extcap-dlts: the pcap link type of decoded frames, which is raw IPv4.
+
+    Bytes that are no frame have another link type, which only the pcapng file itself can state.
     """
     return (
         f"dlt {{number={RAW_IPV4}}}{{name=IPV4}}{{display=Modbus over UDP, as mbtool shows it}}\n"
@@ -58,7 +63,7 @@ def link_types_text() -> str:
 
 
 def dialog_text(ports: Sequence[LocalSerialPort], profiles: Sequence[Profile]) -> str:
-    """The answer to --extcap-config: the controls of the dialog."""
+    """Return the answer to --extcap-config: a line for each control and choice of the dialog."""
     lines = []
     for number, control in enumerate(_controls(ports, profiles)):
         kind = "selector" if control.choices else "string"

@@ -1,12 +1,12 @@
-"""Findings as one document for programs: mbtool's own JSON, or SARIF 2.1.0."""
+"""Writes findings (broken rules) as one document for programs: mbtool's JSON, or SARIF 2.1.0."""
 
 # SARIF (OASIS, Static Analysis Results Interchange Format, 2.1.0) is a log with one run. The run
 # lists the rules that have findings. A result has its rule, a message, and a location: the capture
 # is the artifact; link, unit and reference are the logical location in it. SARIF has no field for a
-# time, so the time is in the properties, in nanoseconds and as text.
+# time, so the properties have it, in nanoseconds and as text.
 #
-# A document is made in pieces of text, one for each finding, which the caller writes one after
-# another. Memory: only the rules with findings.
+# A document object returns the text of a document in pieces, one for each finding, and the caller
+# writes them one after another. Memory: only the rules that have findings.
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ SARIF_SCHEMA = (
 
 
 class Document(Protocol):
-    """Makes a document in pieces: its beginning, a piece for each finding, and its end."""
+    """Returns the text of a document in pieces: the beginning, each finding, and the end."""
 
     def begin(self) -> str: ...
 
@@ -39,7 +39,7 @@ class Document(Protocol):
 
 
 class JsonDocument:
-    """mbtool's own format: `{"version", "findings": [...], "rules": {...}, "transactions"}`."""
+    """Writes mbtool's format: `{"version", "findings": [...], "rules": {...}, "transactions"}`."""
 
     def __init__(self, version: str) -> None:
         self._version = version
@@ -61,7 +61,7 @@ class JsonDocument:
 
 
 class SarifDocument:
-    """SARIF 2.1.0: a log with one run."""
+    """Writes SARIF 2.1.0: a log with one run, which holds all findings."""
 
     def __init__(self, version: str) -> None:
         self._version = version
@@ -123,9 +123,10 @@ def _result(finding: Finding, file: str, index: int) -> dict[str, Any]:
 
 
 def _logical(finding: Finding) -> dict[str, str]:
-    """The logical location of a finding: link, unit and reference, as far as it has them.
+    """Return the logical location of a finding in SARIF's form, such as `LINK/unit 1/HR400001`.
 
-    The location's name is the last of these parts.
+    Unit and reference are left out if the finding has none. `name` is the last part of the
+    location.
     """
     parts = [finding.link]
     if finding.unit is not None:
@@ -136,7 +137,7 @@ def _logical(finding: Finding) -> dict[str, str]:
 
 
 def _fields(finding: Finding) -> dict[str, Any]:
-    """The fields of a finding, without those that are None."""
+    """Return the fields of a finding for JSON, without those that are None."""
     fields = {
         "code": finding.code,
         "severity": finding.severity.value,
@@ -171,7 +172,7 @@ def _time(ts_ns: int) -> str | None:
 
 
 def _uri(file: str) -> str:
-    """A path as a relative or absolute URI reference."""
+    """Return a path as a relative or absolute URI reference; odd bytes are percent-encoded."""
     return quote(file.replace("\\", "/").encode(errors="surrogateescape"))
 
 
@@ -180,7 +181,10 @@ def _json(value: Any) -> str:
 
 
 def _clean(value: Any) -> Any:
-    """Replace lone surrogates, which UTF-8 cannot encode and some file names have."""
+    """Replace lone surrogates, which UTF-8 cannot encode, in all strings of JSON data.
+
+    A file name that is not valid UTF-8 contains such surrogates.
+    """
     if isinstance(value, str):
         return value.encode(errors="replace").decode()
     if isinstance(value, dict):

@@ -1,7 +1,7 @@
-"""Shows findings: a summary of each code and place, or every finding."""
+"""Prints findings (broken rules): a summary for each rule and place, or every finding on a line."""
 
 # A master that repeats a mistake in every poll breaks the same rule many times. So the summary has
-# one entry for each code and place: the number of cases, and the first and the last of them.
+# one entry for each rule code and place: the number of cases, and the first and the last of them.
 #
 #     FT1A-Q16  error  812 times  rs485 unit 1, idec-ft1a-touch
 #         first 2026-11-21 09:14:03.300: write registers HR400001..400110: quantity 110, ...
@@ -32,7 +32,8 @@ if TYPE_CHECKING:
 
 
 MAX_PLACES = 5
-"""The most places that a summary shows for each code; a scan of all addresses would give many."""
+"""A summary shows at most this many places for each code; a scan of all addresses would give
+many."""
 _INDENT = "    "
 _NARROWEST = 20
 _ORDER = tuple(Severity)
@@ -41,7 +42,10 @@ _STYLES = {Severity.ERROR: "red", Severity.WARNING: "yellow", Severity.NOTE: "cy
 
 @dataclass(slots=True)
 class PlaceSummary:
-    """The cases of one code at one place: link, unit and device, and file if there are several."""
+    """Counts the findings with one code at one place, and keeps the first and the last of them.
+
+    A place is link, unit and device, and also the file if several files are checked.
+    """
 
     place: str
     first: Finding
@@ -57,17 +61,17 @@ class PlaceSummary:
 
 
 class CodeSummary:
-    """The places where one code was found."""
+    """Counts the findings with one code: at each of MAX_PLACES places, and elsewhere together."""
 
     def __init__(self, severity: Severity) -> None:
         self.severity = severity
         self._places: dict[tuple[str, str], PlaceSummary] = {}
         self.number_elsewhere = 0
-        """Number of cases at further places, which are not kept."""
+        """Number of findings at all other places, which have no entry of their own."""
 
     def add(self, finding: Finding, file: str) -> None:
         place = _place(finding, file)
-        # For an attack it matters who makes it, so each source gets an entry of its own.
+        # For an attack it matters who makes it, so each source address gets an entry of its own.
         is_attack = finding.code.startswith("SEC")
         key = (place, host_of(finding.source) if is_attack else "")
         summary = self._places.get(key)
@@ -79,18 +83,18 @@ class CodeSummary:
         summary.add(finding)
 
     def places(self) -> list[PlaceSummary]:
-        """The places, the one with most cases first."""
+        """Return the summaries of the places, the one with most findings first."""
         return sorted(self._places.values(), key=lambda one: -one.number)
 
 
 class Summaries:
-    """Collects findings by code and place."""
+    """Counts findings by code and place, and keeps the first and last of each place."""
 
     def __init__(self) -> None:
         self._by_code: dict[str, CodeSummary] = {}
 
     def add(self, finding: Finding, file: str = "") -> None:
-        """Add a finding. `file` is the file that it was found in; empty if only one is checked."""
+        """Add a finding. `file` names the capture file; empty if only one file is checked."""
         code = self._by_code.get(finding.code)
         if code is None:
             code = self._by_code[finding.code] = CodeSummary(finding.severity)
@@ -100,14 +104,14 @@ class Summaries:
         return bool(self._by_code)
 
     def __iter__(self) -> Iterator[tuple[str, CodeSummary]]:
-        """Give the codes and their summaries sorted by severity, errors first, then by code."""
+        """Yield each code with its summary: errors first, then warnings and notes, each by code."""
         return iter(
             sorted(self._by_code.items(), key=lambda one: (_ORDER.index(one[1].severity), one[0]))
         )
 
 
 def print_summaries(console: Console, summaries: Summaries) -> None:
-    """Print an entry for each code and place: the number of cases, and the first and last one."""
+    """Print an entry for each code and place: how many findings, and the first and last one."""
     rows = [
         (code, summary, place, counted(place.number, "time"))
         for code, summary in summaries
@@ -141,7 +145,7 @@ def _print_cases(console: Console, place: PlaceSummary) -> None:
 
 
 def _print_indented(console: Console, text: str) -> None:
-    """Print an indented text; only on a terminal it is wrapped into several lines."""
+    """Print an indented text. It is wrapped into several lines on a terminal, but not on a pipe."""
     text = printable(text)
     lines = [text]
     if console.is_terminal:
@@ -151,7 +155,7 @@ def _print_indented(console: Console, text: str) -> None:
 
 
 def finding_line(finding: Finding) -> Text:
-    """Write a finding as one line: time, code, place, message and number of cases."""
+    """Return a finding as one line: time, code, link and unit, message and number of cases."""
     times = f" ({finding.count} times)" if finding.count > 1 else ""
     line = Text(f"{_time(finding)}  ")
     line.append(f"{finding.code:<9}", _STYLES[finding.severity])
@@ -160,13 +164,13 @@ def finding_line(finding: Finding) -> Text:
 
 
 def _place(finding: Finding, file: str) -> str:
-    """The place of a finding as text: link, unit, device, and the file if several are checked."""
+    """Return the place of a finding as text: link, unit, device, and `file` unless it is empty."""
     device = f", {finding.device}" if finding.device else ""
     return f"{where(finding)}{device}{', ' * bool(file)}{file}"
 
 
 def where(finding: Finding) -> str:
-    """The link and the unit of a finding as text; without the unit if the finding has none."""
+    """Return the link and the unit of a finding as text; only the link if it has no unit."""
     text = finding.link
     if finding.unit is not None:
         text += f" unit {finding.unit}"

@@ -1,4 +1,4 @@
-"""Shows the changes in an inventory since an older one."""
+"""Prints how an inventory (who talks to whom, and which ranges) differs from an older one."""
 
 #     new host          10.0.0.66 unit 1    asked by 10.0.0.5
 #     wider range       10.0.0.7 unit 1     03 read holding reads 100..119 by 10.0.0.5
@@ -27,7 +27,7 @@ _NARROWEST = 40
 
 
 def print_changes(console: Console, changes: Sequence[InventoryChange]) -> None:
-    """Print a line for each change; on a narrow terminal the text is on a line below."""
+    """Print a line for each change; on a narrow terminal its text goes to a line of its own."""
     width = min(max((len(one.where) for one in changes), default=0), _WIDEST_PLACE)
     for one in changes:
         head = f"{one.kind.value:<{_KIND_WIDTH}}  {printable(one.where):<{width}}"

@@ -1,11 +1,12 @@
 """Writes an inventory as a CycloneDX bill of materials, for asset management."""
 
-# CycloneDX 1.6, JSON. Each host is a component of type "device", its units that answered are
-# components of type "device" inside it, and masters are devices, too. Facts for which CycloneDX has
-# no field are in properties whose names begin with "mbtool:". A master depends on the hosts that it
-# sends requests to; a host depends on no other.
+# CycloneDX 1.6, JSON. Each host is a component of type "device"; inside it, each unit that answered
+# is a component of type "device". Masters are devices, too. Facts for which CycloneDX has no field
+# are in properties whose names begin with "mbtool:". A master depends on the hosts that it sends
+# requests to; a host depends on no other.
 #
-# The serial number is made from the content, so that the same inventory gives the same document.
+# The serial number is computed from the content, so that the same inventory gives the same
+# document.
 
 from __future__ import annotations
 
@@ -26,11 +27,15 @@ if TYPE_CHECKING:
 SPEC_VERSION = "1.6"
 _QUIET = (Role.SILENT, Role.UNHEARD)
 _SPACE = uuid.UUID("6e0f4c3a-2f8b-5c7e-9a55-3f6a1f5f7d10")
-"""The UUID namespace of serial numbers; a random number that never changes."""
+"""The UUID namespace of serial numbers: a random constant. Another value would change the serial
+numbers of all documents."""
 
 
 def inventory_cyclonedx(document: InventoryDocument, version: str) -> str:
-    """The document as JSON text, with a line end."""
+    """Return the inventory as CycloneDX text (JSON), with a line end.
+
+    `version` is that of mbtool.
+    """
     places: dict[str, list[SlaveRow]] = {}
     for row in document.slaves:
         if row.role not in _QUIET:

@@ -1,11 +1,12 @@
-"""Writes an inventory as JSON or CSV."""
+"""Writes an inventory (the hosts, units and masters of a capture) as JSON or CSV."""
 
-# The JSON has the InventoryDocument of overview/inventory_rows.py, the program's version and, if
-# there is a baseline, the changes since it. It can be read again as a baseline.
+# The JSON has the fields of InventoryDocument (overview/inventory_rows.py), the program's version
+# and, if the user names an older inventory as baseline, the changes since it. mbtool can read this
+# JSON again as a baseline.
 #
-# A row of CSV is a unit, or a master, whose cell for the unit is empty. Several values in a cell
-# are separated by "; ". A spreadsheet would take a text that begins with = + - or @ as a formula,
-# so such a text gets a ' in front.
+# A row of CSV is a unit of a host, or a master; a master's row has no unit. Several values in a
+# cell are separated by "; ". A spreadsheet would take a text that begins with = + - or @ as a
+# formula, so such a text gets a ' in front.
 
 from __future__ import annotations
 
@@ -31,7 +32,7 @@ INVENTORY_COLUMNS = (
     "why", "reads", "writes", "refused", "readers", "writers", "transactions", "answered",
     "unanswered", "exceptions", "first", "last", "first_ns", "last_ns", "transports",
 )  # fmt: skip
-"""The columns in order. A column never changes its name or meaning; new columns come last."""
+"""The CSV columns in order. A column never changes its name or meaning; new columns come last."""
 CHANGE_COLUMNS = ("kind", "host", "port", "unit", "text", "first", "first_ns")
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 _ONE_LINE = str.maketrans("\r\n\t", "   ")
@@ -40,7 +41,10 @@ _ONE_LINE = str.maketrans("\r\n\t", "   ")
 def inventory_json(
     document: InventoryDocument, version: str, changes: Sequence[InventoryChange] | None = None
 ) -> str:
-    """The inventory as JSON, with a line end."""
+    """Return the inventory as JSON, with a line end.
+
+    `changes` are those since a baseline, if any.
+    """
     fields: dict[str, Any] = {"mbtool": version, **msgspec.to_builtins(document)}
     for row in (*fields.get("slaves", ()), *fields.get("masters", ())):
         row["first"], row["last"] = (
@@ -54,14 +58,14 @@ def inventory_json(
 
 
 def inventory_csv(document: InventoryDocument) -> str:
-    """The inventory as CSV: units, then masters."""
+    """Return the inventory as CSV: a row for each unit, then a row for each master."""
     rows = [_slave_cells(row) for row in document.slaves]
     rows += [_master_cells(row) for row in document.masters]
     return _csv(INVENTORY_COLUMNS, rows)
 
 
 def changes_csv(changes: Sequence[InventoryChange]) -> str:
-    """The changes since a baseline as CSV."""
+    """Return the changes since an older inventory as CSV."""
     rows: list[dict[str, object]] = [
         {
             "kind": one.kind.value,
@@ -78,7 +82,7 @@ def changes_csv(changes: Sequence[InventoryChange]) -> str:
 
 
 def spreadsheet_cell(value: object) -> str:
-    """A value as text for a CSV cell, changed so that no spreadsheet takes it as a formula."""
+    """Return a value as text for a CSV cell that no spreadsheet takes as a formula."""
     if value is None:
         return ""
     if isinstance(value, int):
@@ -145,7 +149,11 @@ def _master_cells(row: MasterRow) -> dict[str, object]:
 
 
 def _uses(row: SlaveRow, *, writes: bool = False, refused: bool = False) -> str:
-    """The functions used on a unit, each once, with their ranges, from all masters together."""
+    """List the functions that masters use on a unit, with their address ranges.
+
+    `writes` selects functions that write or that read; `refused` selects ranges that the unit
+    refused instead. Equal texts of several masters come only once.
+    """
     texts = []
     for use in row.uses:
         ranges = use.refused if refused else use.ranges

@@ -1,8 +1,8 @@
-"""Draws an inventory as a graph in the language of Graphviz: masters, hosts and functions used."""
+"""Writes an inventory in Graphviz's language: masters, hosts, and functions between them."""
 
 # A host is a box that lists its units and their profiles; an arrow leads from a master to a host,
 # with the function codes that the master uses there. The arrow of a master that writes is bold and
-# red. Of units that never answered only the number is shown.
+# red. Units that never answered are only counted.
 #
 #     mbtool inventory plant.pcap --format dot | dot -Tsvg > plant.svg
 
@@ -21,12 +21,12 @@ if TYPE_CHECKING:
 
 _QUIET = (Role.SILENT, Role.UNHEARD)
 _MAX_UNITS = 24
-"""The most units that a box lists; for further units it gives only their number."""
+"""A host's box lists at most this many units; further units are only counted."""
 _MAX_TEXT = 60
 
 
 def inventory_dot(document: InventoryDocument) -> str:
-    """The graph as text, with a line end."""
+    """Return the graph as text in Graphviz's language, with a line end."""
     return "\n".join(_lines(document)) + "\n"
 
 
@@ -39,7 +39,7 @@ def _lines(document: InventoryDocument) -> Iterator[str]:
             places.setdefault(row.where, []).append(row)
     slaves = {row.host for rows in places.values() for row in rows}
     for master in document.masters:
-        # A host that is master and slave is drawn twice, so that arrows do not cross.
+        # A host that is both master and slave gets two nodes, so that arrows do not cross.
         lines = [master.host, *([mac_text(master.macs, master.makers)] if master.macs else [])]
         if master.host in slaves:
             lines[0] += " (as master)"
@@ -87,7 +87,7 @@ def _node(kind: str, name: str) -> str:
 
 
 def _label(lines: Sequence[str]) -> str:
-    """The lines as one string for Graphviz, separated by a backslash and the letter n."""
+    """Return the lines of a label as one quoted string, separated by a backslash and `n`."""
     return '"' + "\\n".join(_escaped(printable(line)) for line in lines) + '"'
 
 

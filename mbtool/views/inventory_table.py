@@ -1,4 +1,4 @@
-"""Shows an inventory: a row for each unit of each host, with details below it."""
+"""Prints an inventory: a row for each unit of each host, with details below it."""
 
 #     host           unit  role     profile
 #     192.168.3.250     1  slave    wago-750 91
@@ -8,8 +8,8 @@
 #           03 read holding 0..99, 200; 800 times by 192.168.3.9
 #           10 write registers 10..12; 12 times by 192.168.3.9
 #
-# On a terminal, long lines are wrapped. All units that never answered a master share one line,
-# unless the user wants everything.
+# On a terminal, long lines are wrapped. The units that never answered a master share one line,
+# unless the caller asks for `everything`.
 
 from __future__ import annotations
 
@@ -42,14 +42,14 @@ _NARROWEST = 40
 _FEW_RANGES = 12
 _FEW_PLACES = 6
 _MANY_ROWS = 60
-"""If there are more units than this, units that are alike share one row."""
+"""If there are more units than this, units with equal details share one row."""
 _QUIET = (Role.SILENT, Role.UNHEARD)
 _SLAVE_HEADINGS = ("host", "unit", "role", "profile")
 _MASTER_HEADINGS = ("master", "asks", "writes to", "requests", "seen")
 _NUMBERS = frozenset(("unit", "asks", "writes to", "requests"))
 
 _Entry = tuple[tuple[str, ...], str, "list[str]"]
-"""The cells of a row, its style, and the lines under it."""
+"""A table row: its cells, its rich style, and the lines of details under it."""
 
 
 def print_inventory(
@@ -57,8 +57,8 @@ def print_inventory(
 ) -> None:
     """Print all units, then the masters.
 
-    With `everything`, each unit that never answered has its own row, and lists of ranges are not
-    shortened.
+    With `everything`, each unit that never answered has its own row, lists of ranges are not
+    shortened, and units with equal details do not share a row.
     """
     most = MAX_RANGES if everything else _FEW_RANGES
     shown = [row for row in document.slaves if everything or row.role not in _QUIET]
@@ -75,7 +75,11 @@ def print_inventory(
 
 
 def profile_text(row: SlaveRow) -> str:
-    """The best profile of a slave with its score, or `none fits`; empty if none was compared."""
+    """Return the profile that fits a slave best, with its score of 0 to 100: `wago-750 91`.
+
+    It is `NAME (named)` if the user named the profile, `none fits` if none does, and empty if the
+    traffic was compared with no profile.
+    """
     if row.device is not None:
         return f"{row.device} (named)"
     if row.fit is None:
@@ -88,7 +92,7 @@ def mac_text(macs: Sequence[str], makers: Sequence[str]) -> str:
 
 
 def identity_text(row: SlaveRow) -> str:
-    """The identity that a slave reports: `vendor "WAGO", 42H model code "0003H"`."""
+    """Return the identity that a slave reports: `vendor "WAGO", 42H model code "0003H"`."""
     return ", ".join(
         f'{"" if one.function in FUNCTIONS else f"{one.function:02X}H "}{one.name} "{one.text}"'
         for one in row.identity
@@ -96,13 +100,19 @@ def identity_text(row: SlaveRow) -> str:
 
 
 def function_label(function: int, name: str) -> str:
-    """A function with its code: `03 read holding`."""
+    """Return a function as code and name: `03 read holding`.
+
+    `name` is used if the code is not standard.
+    """
     known = FUNCTIONS.get(function)
     return f"{function:02X} {name if known is None else known.short}"
 
 
 def seen_text(first_ns: int, last_ns: int) -> str:
-    """Two times as a range, the day only once: `2026-11-22 09:14:03 .. 09:20:11`."""
+    """Return two times (ns since 1970) as a range, the day only once: `2026-11-22 09:14:03 ..
+
+    09:20:11`.
+    """
     first, last = (iso_time(ns)[:19].replace("T", " ") for ns in (first_ns, last_ns))
     if first == last:
         return first
@@ -121,7 +131,7 @@ def _slave_entry(row: SlaveRow, most: int) -> _Entry:
 
 
 def _folded(rows: Sequence[SlaveRow], entries: Sequence[_Entry]) -> Iterator[_Entry]:
-    """Yield one entry for all units that differ only in host, maker and times."""
+    """Yield one entry for all units that differ only in host, MAC, maker and times."""
     alike: dict[tuple[object, ...], list[int]] = {}
     for index, (row, (cells, _, lines)) in enumerate(zip(rows, entries, strict=True)):
         told = [line for line in lines[1:] if line not in _mac_lines(row)]
@@ -153,7 +163,10 @@ def _mac_lines(row: SlaveRow | MasterRow) -> list[str]:
 
 
 def slave_lines(row: SlaveRow, most: int = _FEW_RANGES) -> list[str]:
-    """The lines with details below the row of a unit, with at most so many ranges each."""
+    """Return the lines of details below the row of a unit.
+
+    `most` limits the ranges on each line.
+    """
     return list(_lines(row, most))
 
 
@@ -185,7 +198,10 @@ def _lines(row: SlaveRow, most: int) -> Iterator[str]:
 
 
 def _use_lines(uses: Sequence[FunctionUse], most: int) -> Iterator[str]:
-    """A line for each function; masters that use it in the same way share a line."""
+    """Yield a line for each function; masters that use it on the same ranges share a line.
+
+    Functions that the unit always refused as unsupported share one line at the end.
+    """
     groups: dict[tuple[object, ...], list[FunctionUse]] = {}
     lacking = []
     for use in uses:
@@ -202,7 +218,7 @@ def _use_lines(uses: Sequence[FunctionUse], most: int) -> Iterator[str]:
 
 
 def _use_line(several: Sequence[FunctionUse], most: int) -> str:
-    """A line with a function, its ranges, and the masters that use exactly these ranges."""
+    """Return a line with a function, its ranges, and the masters that use exactly these ranges."""
     first = several[0]
     label = function_label(first.function, first.name)
     if first.function == READ_AND_WRITE:
@@ -218,7 +234,7 @@ def _use_line(several: Sequence[FunctionUse], most: int) -> str:
 
 
 def _masters(word: str, uses: Iterable[FunctionUse]) -> str:
-    """The masters, after `word`; empty on a serial line, where masters have no addresses."""
+    """Return `word` and the masters; empty on a serial line, where masters have no addresses."""
     names = listed(list(dict.fromkeys(one.master for one in uses if one.master is not None)))
     return f"{word} {names}" if names else ""
 
@@ -232,7 +248,7 @@ def _codes(codes: Iterable[int]) -> str:
 
 
 def _quiet_lines(slaves: Sequence[SlaveRow]) -> Iterator[str]:
-    """One line for each master whose requests were never answered."""
+    """Yield one line for each master whose requests to some units were never answered."""
     groups: dict[tuple[Role, str | None], list[SlaveRow]] = {}
     for row in slaves:
         if row.role in _QUIET:
@@ -250,12 +266,12 @@ def _quiet_lines(slaves: Sequence[SlaveRow]) -> Iterator[str]:
 
 
 def _print(console: Console, headings: Sequence[str], entries: Sequence[_Entry]) -> None:
-    """Print a table whose rows have lines under them."""
+    """Print a table whose rows have lines of details under them."""
     if not entries:
         return
     columns = list(zip(*(cells for cells, _, _ in entries), strict=True))
     widths = [max(map(len, column)) for column in columns]
-    # An empty column is not shown.
+    # A column whose cells are all empty gets width 0 and is not shown.
     widths = [
         max(width, len(heading)) if width else 0
         for heading, width in zip(headings, widths, strict=True)
@@ -277,7 +293,7 @@ def _print(console: Console, headings: Sequence[str], entries: Sequence[_Entry])
 
 
 def _print_line(console: Console, text: str, indent: str, style: str = "") -> None:
-    """Print an indented line; only on a terminal it is wrapped."""
+    """Print an indented line. It is wrapped on a terminal, but not on a pipe."""
     lines = [printable(text)]
     if console.is_terminal:
         width = max(console.width, _NARROWEST)

@@ -2,7 +2,7 @@
 
 # The format has no standard. Jenkins, GitLab and GitHub actions all read a `testsuite` of
 # `testcase` elements. A failed case has a `failure`; a case that could not be run has an `error`.
-# Cases are identified by `classname` and `name` together, so a name that occurs twice in a group
+# Servers identify a case by `classname` and `name` together, so a name that occurs twice in a group
 # gets a number. `time` is in seconds. Characters that XML does not allow are replaced.
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class Case:
 
 
 def junit_xml(suite: str, cases: Sequence[Case]) -> str:
-    """A document with one testsuite."""
+    """Return a JUnit document with one testsuite; `suite` is its name."""
     root = ElementTree.Element(
         "testsuite",
         name=_text(suite),
@@ -58,10 +58,10 @@ def _add(element: ElementTree.Element, kind: str, messages: Sequence[str]) -> No
 
 
 def _names(cases: Iterable[Case]) -> Iterator[str]:
-    """The names of the cases; a name that its group already has gets a number: `read (2)`."""
+    """Yield the names of the cases. A name that its group already has gets a number: `read (2)`."""
     taken: set[tuple[str, str]] = set()
     last: dict[tuple[str, str], int] = {}
-    """The last number that was tried, by group and name."""
+    """The last number appended to a name, by group and name."""
     for case in cases:
         group, name = _text(case.group), _text(case.name)
         unique, number = name, last.get((group, name), 1)

@@ -1,10 +1,11 @@
-"""Shows the serial ports and network interfaces of this machine, with obstacles to using them."""
+"""Prints the serial ports and network interfaces of this machine, and what prevents their use."""
 
-# Below the table of ports, each port has its LINK and its problems. Users copy a LINK or a command,
-# so it gets no line breaks: a narrow terminal wraps it, and still copies it as a whole.
+# Below the table of ports, each port has its LINK (the argument that other commands take) and its
+# problems. Users copy a LINK or a command, so mbtool puts no line breaks into it: a narrow terminal
+# wraps the line, and still copies it as one line.
 #
-# Names come from adapters, so they may contain markup or control characters, which must have no
-# effect (see tables.py).
+# Names come from adapters, so they may contain markup or control characters; plain() makes them
+# harmless.
 
 from __future__ import annotations
 
@@ -27,7 +28,7 @@ _NARROWEST = 20
 
 
 def print_ports(console: Console, ports: Sequence[LocalSerialPort]) -> None:
-    """Print a table of the ports, then the LINK and the problems of each."""
+    """Print a table of the ports, then for each port its LINK argument and its problems."""
     table = plain_table("port", "what it is", "driver", "timing", "low latency", "held by")
     for port in ports:
         table.add_row(
@@ -47,7 +48,7 @@ def print_ports(console: Console, ports: Sequence[LocalSerialPort]) -> None:
 
 
 def print_interfaces(console: Console, interfaces: Sequence[LocalInterface]) -> None:
-    """Print a table of the interfaces, then each obstacle to captures once."""
+    """Print a table of the interfaces, then each problem that prevents captures once."""
     table = plain_table("interface", "what it is", "state", "capture")
     for one in interfaces:
         table.add_row(

@@ -1,4 +1,4 @@
-"""Shows what `doctor` has found: a line for each check, with the command that mends it below."""
+"""Prints what `mbtool doctor` found: a line for each check, and the command that mends it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,10 @@ _NARROWEST = 40
 
 
 def print_machine_checks(console: Console, checks: Sequence[tuple[str, str, str, str]]) -> None:
-    """Print checks: state, name, what was found, and the command that mends it or nothing."""
+    """Print checks, each a tuple of state (`ok`, `missing` or `broken`), name, result and remedy.
+
+    The remedy is a command that mends the problem; empty if there is none.
+    """
     names = max((len(name) for _, name, _, _ in checks), default=0)
     indent = " " * (names + 6)
     for state, name, found, remedy in checks:
@@ -32,5 +35,5 @@ def print_machine_checks(console: Console, checks: Sequence[tuple[str, str, str,
         ):
             console.print(plain(line, _STYLES[state]), soft_wrap=True)
         if remedy:
-            # A command is copied, so it gets no line breaks.
+            # Users copy this command, so it gets no line breaks.
             console.print(plain(f"{indent}{remedy}"), soft_wrap=True)

@@ -1,4 +1,4 @@
-"""Shows the profiles that explain the traffic of each slave."""
+"""Prints which device profiles explain the traffic of each slave."""
 
 # For each slave there is a sentence, and a table of the best profiles with the reasons for and
 # against them. If there are more than MAX_DETAILED slaves, there are no tables, and each sentence
@@ -29,7 +29,7 @@ _MAX_SENTENCES = 40
 
 
 def print_match_results(console: Console, results: Sequence[MatchResult]) -> None:
-    """Print every slave with its best profiles; of more than MAX_DETAILED slaves, a summary."""
+    """Print the best profiles of every slave; only a summary of more than MAX_DETAILED slaves."""
     if len(results) > MAX_DETAILED:
         _print_summary(console, results)
         return
@@ -47,7 +47,7 @@ def _where(slave: ObservedSlave) -> str:
 
 
 def _print_summary(console: Console, results: Sequence[MatchResult]) -> None:
-    """Print each sentence once, with the slaves it is about; those about most slaves first."""
+    """Print each sentence once, with the slaves that it describes; the most frequent come first."""
     alike: dict[str, list[ObservedSlave]] = {}
     for result in results:
         alike.setdefault(result.sentence, []).append(result.slave)
@@ -64,13 +64,16 @@ def _print_summary(console: Console, results: Sequence[MatchResult]) -> None:
 
 
 def shown_matches(result: MatchResult) -> Sequence[ProfileMatch]:
-    """The profiles to show: all that tie for the best, at least MIN_SHOWN, none with score 0."""
+    """Return the profiles to show: those with the best score, and at least MIN_SHOWN.
+
+    Profiles with score 0 are never shown.
+    """
     scored = [one for one in result.matches if one.score > 0]
     return scored[: max(MIN_SHOWN, len(result.best))]
 
 
 def match_record(result: MatchResult) -> dict[str, Any]:
-    """A result as JSON data, with all profiles, even those with score 0."""
+    """Return a result as JSON data, with all profiles, even those with score 0."""
     slave = result.slave
     where: dict[str, Any] = {"link": slave.link, "destination": slave.destination}
     return {

@@ -1,9 +1,9 @@
-"""Decides where a table shows link, master and unit: in headings, or in each row."""
+"""Decides where a table shows link, master and unit: in its headings, or in each row."""
 
-# Each of the three is in the heading until it changes MANY_CHANGES times within FEW_ROWS rows; from
-# then on each row has it. In a narrow table, addresses of one IPv4 network with 256 addresses are
-# then shown by their last number: `.7` in the row, `10.0.0.*` in the heading. An address of another
-# network is shown whole.
+# Link, master and unit are shown in the heading at first. When one of them changes MANY_CHANGES
+# times within FEW_ROWS rows, each later row has it as a column. In a narrow table, a column with
+# addresses of one IPv4 /24 network shows only the last number: `.7` in the row, `10.0.0.*` in the
+# heading. It shows addresses of other networks whole.
 
 from __future__ import annotations
 
@@ -23,28 +23,30 @@ if TYPE_CHECKING:
     Places = tuple[str, str, str]
 
 MANY_CHANGES, FEW_ROWS = 3, 16
-"""A link, master or unit that changes MANY_CHANGES times within FEW_ROWS rows gets a column, and
-leaves the heading."""
+"""A link, master or unit that changes MANY_CHANGES times within FEW_ROWS rows becomes a column, and
+is no longer in the heading."""
 PLACES = (TableColumn.LINK, TableColumn.MASTER, TableColumn.UNIT)
-"""Link, master and unit are columns only if they change often; otherwise the heading has them."""
+"""Link, master and unit become columns only if they change often; until then the heading has
+them."""
 _IN_A_NETWORK = re.compile(r"(\d+\.\d+\.\d+)\.\d+(?::\d+)?")
 
 
 class PlaceColumns:
-    """Decides which of link, master and unit are columns: those that change often."""
+    """Decides which of link, master and unit are columns of a table: those that change often."""
 
     def __init__(self, *, is_narrow: bool = False) -> None:
         self.in_row: tuple[TableColumn, ...] = ()
         self._is_narrow = is_narrow
         self.networks: dict[TableColumn, str] = {}
-        """The first three numbers of the addresses of a column, such as `10.0.0`."""
+        """The first three numbers of the IPv4 addresses in a shortened column, such as `10.0.0`."""
         self._last = ["", "", ""]
         self._count = 0
         self._changes: list[deque[int]] = [deque(maxlen=MANY_CHANGES) for _ in PLACES]
-        """For each of link, master and unit: the numbers of the last rows in which it changed."""
+        """For each of link, master and unit: the numbers of the last rows in which its value
+        changed."""
 
     def decide(self, sample: Iterable[Places]) -> None:
-        """Choose the columns for the first rows, before any of them is noted."""
+        """Choose the columns for the first rows of a table from their links, masters and units."""
         trial = PlaceColumns()
         seen: list[set[str]] = [set() for _ in PLACES]
         for places in sample:
@@ -57,7 +59,7 @@ class PlaceColumns:
                 self._shorten(column, texts)
 
     def note(self, places: Places) -> None:
-        """Note the link, master and unit of the next row."""
+        """Note the link, master and unit of the next row; this may make one of them a column."""
         self._count += 1
         for index, text in enumerate(places):
             last = self._last[index]
@@ -73,7 +75,7 @@ class PlaceColumns:
                 self._shorten(column, (last, text))
 
     def cell(self, column: TableColumn, places: Places) -> str:
-        """The text of a link, master or unit in a row."""
+        """Return the text of the link, master or unit in a row: `.7` if its column is shortened."""
         text = places[PLACES.index(column)]
         network = self.networks.get(column)
         if network is not None and text.startswith(f"{network}."):
@@ -81,7 +83,7 @@ class PlaceColumns:
         return text
 
     def heading(self, record: NamedTransaction) -> str:
-        """The heading's text: what the rows do not have of link, master and unit."""
+        """Return the heading of the next rows: link, master and unit, unless they are columns."""
         link, master, unit = self._last
         parts = []
         if TableColumn.LINK not in self.in_row:
@@ -97,15 +99,18 @@ class PlaceColumns:
         return ", ".join(parts)
 
     def _shorten(self, column: TableColumn, texts: Iterable[str]) -> None:
-        """Show the addresses of a column by their last number if all are of one network."""
+        """Show the addresses of a column by their last number if all are of one IPv4 network.
+
+        Only a narrow table does so.
+        """
         if self._is_narrow and (network := common_network(texts)) is not None:
             self.networks[column] = network
 
 
 def common_network(texts: Iterable[str]) -> str | None:
-    """The first three numbers of IPv4 addresses (`10.0.0`), or None if they are not of one network.
+    """Return the first three numbers that IPv4 addresses share (`10.0.0`); None if they differ.
 
-    Empty texts do not count.
+    Empty texts are ignored; a text that is no IPv4 address gives None, too.
     """
     found = [_IN_A_NETWORK.fullmatch(text) for text in texts if text]
     networks = {one and one[1] for one in found}
@@ -113,14 +118,14 @@ def common_network(texts: Iterable[str]) -> str | None:
 
 
 def places_of(record: Record) -> Places:
-    """The texts of link, master and unit; "" for those that an event does not have."""
+    """Return link, master and unit as texts. An event has no master and unit: both are ""."""
     if isinstance(record, WireEvent):
         return record.link, "", ""
     return record.link, host_of(record.source), str(record.unit)
 
 
 def host_of(address: str | None) -> str:
-    """The host of an address with a port: fe80::1 of `[fe80::1]:502`; "" for None."""
+    """Return the host of an address with a port: `fe80::1` for `[fe80::1]:502`; "" for None."""
     if address is None:
         return ""
     return address.rpartition(":")[0].strip("[]")

@@ -1,4 +1,4 @@
-"""Values over time as a table of what there is, and as JSON."""
+"""Writes the values of registers and bits over time, as a table with a row each, or as JSON."""
 
 from __future__ import annotations
 
@@ -21,7 +21,10 @@ _BARS = 16
 
 
 def values_table(series: Mapping[SeriesKey, ValueSeries], *, unicode: bool) -> Table:
-    """A row for each value: those that change most often first."""
+    """Return a table with a row for each value; those that change most often come first.
+
+    `unicode` adds a column that draws the last changes as bars.
+    """
     several = len({key.link for key in series}) > 1
     table = plain_table(
         *(["link"] if several else []), "unit", "value", "address", "changes", "from", "to", "last",
@@ -41,7 +44,7 @@ def values_table(series: Mapping[SeriesKey, ValueSeries], *, unicode: bool) -> T
 
 
 def values_json(series: Mapping[SeriesKey, ValueSeries], sources: Sequence[str]) -> str:
-    """Each value with its changes: the time in UTC ns, and the value from then on."""
+    """Return each value with its changes as JSON; times are in ns since 1970."""
     rows: list[dict[str, Any]] = [
         {
             "link": key.link,

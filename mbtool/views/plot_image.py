@@ -1,4 +1,4 @@
-"""Draws values over time as a picture with matplotlib; the only module that imports it."""
+"""Draws values over time as a picture with matplotlib; no other module imports matplotlib."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ def write_image(
     file: IO[bytes],
     format_: str,
 ) -> None:
-    """Write a chart for each series, one below the other: `png`, `svg` or `pdf`.
+    """Write one picture with a chart for each series; `format_` is `png`, `svg` or `pdf`.
 
-    Texts of the capture are shown as they are: nothing in them is taken for a formula.
+    matplotlib must not take texts of the capture for formulas, so parse_math is off.
     """
     import matplotlib.dates
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -56,13 +56,13 @@ def write_image(
             chart.set_ylabel(one.unit, parse_math=False)
         chart.grid(alpha=0.3)
     charts[-1].set_xlim(begin, end)
-    dates: Any = matplotlib.dates  # Its functions have no types.
+    dates: Any = matplotlib.dates  # matplotlib.dates has no types.
     locator = dates.AutoDateLocator(tz=UTC)
     charts[-1].xaxis.set_major_locator(locator)
     charts[-1].xaxis.set_major_formatter(dates.ConciseDateFormatter(locator, tz=UTC))
     charts[-1].set_xlabel("UTC")
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # A character that the font lacks is shown as a box.
+        warnings.simplefilter("ignore")  # A character that the font lacks becomes a box.
         figure.savefig(file, format=format_, dpi=120)
 
 

@@ -1,9 +1,9 @@
 """Draws values over time in characters: numbers as steps, bits as bands."""
 
-# Each column of a chart stands for a piece of time, and shows all from the least to the greatest
-# value that was seen in it, also the one that held when it began; so no peak is lost. A character
-# of the Braille patterns (Unicode U+2800) has two columns and four rows of dots; on a terminal
-# without Unicode a `*` stands for a place.
+# Each column of a chart stands for an equal part of the time. It shows all numbers from the least
+# to the greatest value of that time, including the value that the part began with; so no peak is
+# lost. A character of the Braille patterns (Unicode U+2800) has two columns and four rows of dots;
+# on a terminal without Unicode, a `*` stands for one dot.
 
 from __future__ import annotations
 
@@ -23,27 +23,30 @@ LEAST_ROWS, MOST_ROWS = 3, 12
 _MOST_LABEL = 16
 _SECOND_NS, _DAY_NS = 10**9, 86_400 * 10**9
 _BANDS = {True: ("▁", "█", "▄"), False: ("_", "#", "+")}
-"""A bit that is 0, is 1, is both in turn; with and without Unicode."""
+"""The characters of a bit that is 0, is 1, or is both within a column; by Unicode or ASCII."""
 _DOTS = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))
-"""The dots of a Braille pattern, by row and column."""
+"""The bits of a Braille pattern that stand for its dots; a pair for each of the four rows."""
 
 Extent = tuple[float, float] | None
-"""The least and the greatest value of a column; None if there is none yet."""
+"""The least and the greatest value within one column; None before the first value."""
 
 
 class PlotSize(NamedTuple):
-    """How large the charts are, in characters, and of what they are made."""
+    """The size of the charts in characters, and the kind of characters."""
 
     width: int
     rows: int
-    """Of each chart of numbers."""
+    """The height of each chart of numbers; the chart of a bit always has one row."""
     unicode: bool = True
 
 
 def plot_lines(
     series: Sequence[tuple[SeriesKey, ValueSeries]], begin_ns: int, end_ns: int, size: PlotSize
 ) -> list[StyledLine]:
-    """A chart for each series that changes, one below the other, with one axis of time."""
+    """Draw a chart for each series of values that changes, one below the other, over one time axis.
+
+    A series without changes gets only its title. Times are in ns since 1970.
+    """
     several = len({key.link for key, _ in series}) > 1
     labels = {key: _labels(one, size.rows) for key, one in series if one.changes}
     margin = min(
@@ -64,7 +67,7 @@ def plot_lines(
 
 
 def series_title(key: SeriesKey, one: ValueSeries, *, with_link: bool = False) -> str:
-    """Who it is, and how it went: `CH1 (RWr2), unit 0: 11990 to 12003 mV, 20 changes`."""
+    """Return name, unit and range of a series: `CH1 (RWr2), unit 0: 1190 to 1200 mV, 2 changes`."""
     name = f"{one.name} ({one.reference})" if one.reference not in ("", one.name) else one.name
     place = f"{key.link} unit {key.unit}" if with_link else f"unit {key.unit}"
     numbers = [sample.value for sample in one.samples]
@@ -86,7 +89,10 @@ def number_text(value: float) -> str:
 def extents(
     samples: Sequence[SeriesSample], begin_ns: int, end_ns: int, count: int
 ) -> list[Extent]:
-    """For each of `count` equal pieces of time, the least and the greatest value."""
+    """Return the least and the greatest value within each of `count` equal parts of the time.
+
+    A part begins with the last value of the part before.
+    """
     in_order = sorted(samples, key=lambda one: one.ts_ns)
     held: float | None = None
     at = 0
@@ -116,7 +122,7 @@ def _chart(one: ValueSeries, begin_ns: int, end_ns: int, size: PlotSize) -> list
     room = (high_value - low_value) or 1
 
     def row_of(value: float) -> int:
-        """The row of dots of a value, from above."""
+        """Return the row of dots in which a value is drawn; 0 is the top row."""
         return steps - round((value - low_value) / room * steps)
 
     spans = [None if one is None else (row_of(one[1]), row_of(one[0])) for one in columns]
@@ -124,7 +130,11 @@ def _chart(one: ValueSeries, begin_ns: int, end_ns: int, size: PlotSize) -> list
 
 
 def _cells(spans: Sequence[tuple[int, int] | None], row: int, size: PlotSize) -> str:
-    """One row of characters; `spans` are the first and the last dot of each column of dots."""
+    """Draw one row of characters.
+
+    `spans` has the first and last dot of each column, from the top. A column without values has
+    None in place of its dots.
+    """
     if not size.unicode:
         return "".join("*" if one and one[0] <= row <= one[1] else " " for one in spans)
     cells = []
@@ -139,7 +149,7 @@ def _cells(spans: Sequence[tuple[int, int] | None], row: int, size: PlotSize) ->
 
 
 def _labels(one: ValueSeries, rows: int) -> list[str]:
-    """The label of each row: the greatest and the least value."""
+    """Return a label for each row: the greatest value at the top, the least one at the bottom."""
     numbers = [sample.value for sample in one.samples]
     if one.bit or not numbers:
         return [""] * (1 if one.bit else rows)
@@ -152,7 +162,7 @@ def _labels(one: ValueSeries, rows: int) -> list[str]:
 
 
 def _time_axis(begin_ns: int, end_ns: int, width: int) -> str:
-    """The first time at the left end, the last one at the right end, and one between."""
+    """Write the first time at the left end, the last at the right end, and one in the middle."""
     exact = 12 if end_ns - begin_ns < 100 * _SECOND_NS else 8
 
     def text(ns: int) -> str:

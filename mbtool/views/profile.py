@@ -1,7 +1,7 @@
-"""Shows device profiles."""
+"""Prints device profiles: files that say what a device's manual says."""
 
-# Anyone can write a profile, so it may contain markup or control characters, which must have no
-# effect (see tables.py).
+# Anyone can write a profile, so it may contain markup or control characters; plain() makes them
+# harmless.
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _ACCESS = {Access.READ: "read", Access.READ_WRITE: "read, write", Access.WRITE: 
 
 
 def profile_list(profiles: Sequence[Profile]) -> RenderableType:
-    """A table with a row for each profile."""
+    """Return a table with a row for each profile."""
     table = plain_table("name", "device", "transports", "areas", "points")
     for profile in profiles:
         cells = (
@@ -41,7 +41,7 @@ def profile_list(profiles: Sequence[Profile]) -> RenderableType:
 
 
 def profile_page(profile: Profile) -> RenderableType:
-    """The full contents of a profile."""
+    """Return the full contents of a profile: areas, functions, exceptions, points and notes."""
     parts: list[RenderableType] = [
         plain(profile.title, "bold"),
         plain(f"{profile.name}, by {profile.vendor}; {', '.join(profile.transports)}"),
@@ -134,7 +134,7 @@ def _points(profile: Profile) -> Table:
 
 
 def _reference(profile: Profile, point: Point) -> str:
-    """The reference of a point, or of the first and the last point of a series."""
+    """Return the reference of a point (named value); of a series, the first and the last one."""
     writing = not point.allows(writing=False)
     first, last = (
         write_reference(profile, point.table, address, point.words, writing=writing)
@@ -176,7 +176,7 @@ def _values(profile: Profile, point: Point) -> str:
 
 
 def _scale(point: Point) -> list[str]:
-    """The formula from register to value, and the decimals: `number x 0.1 - 50`, `2 decimals`."""
+    """Return the formula from register to value and the decimals: `number x 0.1`, `2 decimals`."""
     formula = "" if point.scale == 1 else f" x {point.scale:g}"
     if point.scale_from is not None:
         formula += f" x 10^{point.scale_from}"
@@ -208,7 +208,7 @@ def _is_scaled(point: Point) -> bool:
 
 
 def _point_notes(profile: Profile) -> list[str]:
-    """The notes of points, each only once, after the references of all points that have it."""
+    """Return each note of points only once, after the references of all points that have it."""
     about: dict[str, list[str]] = {}
     for point in profile.points:
         if point.note is not None:

@@ -1,7 +1,7 @@
-"""Lines of a table; the first column is as wide as the other columns allow."""
+"""Lays out tables of statistics as lines; the first column is as wide as the others allow."""
 
 # On a terminal, columns with the highest rank are left out until the first column has room for its
-# longest text or for ENOUGH characters. A text that is still too long is cut and ends in "..". In a
+# longest text or for ENOUGH characters. A text that is still too long is cut and ends in "..". On a
 # pipe (width None) no column is left out, no text is cut, and the first column has at least
 # PIPE_FIRST characters.
 
@@ -17,22 +17,23 @@ ENOUGH = 34
 PIPE_FIRST = 40
 _MORE = ".."
 _KEPT = "\0%"
-"""Replaces " %" while a text is wrapped, so that number and percent sign stay in one line."""
+"""Replaces " %" while a text is wrapped, so that a number and its percent sign stay in one line."""
 
 
 @dataclass(frozen=True, slots=True)
 class StatisticsColumn:
-    """A column behind the first one. Its cells are aligned to the right."""
+    """A column to the right of the first one. Its cells are aligned to the right."""
 
     title: str
     width: int
     rank: int = 0
-    """If there is little room, columns of the highest rank are left out first; rank 0 never is."""
+    """If there is little room, columns with the highest rank are left out first; rank 0 is never
+    left out."""
 
 
 @dataclass(frozen=True, slots=True)
 class StatisticsRow:
-    """A row of a table: the text of its first column, and the other cells."""
+    """A row of a table: the text of its first column, and the cells of the other columns."""
 
     first: str
     cells: Sequence[str]
@@ -41,12 +42,13 @@ class StatisticsRow:
 
 @dataclass(frozen=True, slots=True)
 class StyledLine:
-    """A line of text with its style, as the library rich writes styles."""
+    """A line of text and its style in the notation of the library rich, such as `bold red`."""
 
     text: str
     style: str = ""
     without: tuple[str, ...] = ()
-    """Of the titles of a table: those of the columns that have no room."""
+    """If this line has the titles of a table: the titles of columns that were left out for lack of
+    room."""
 
 
 def table_lines(
@@ -55,7 +57,7 @@ def table_lines(
     rows: Sequence[StatisticsRow],
     width: int | None,
 ) -> list[StyledLine]:
-    """The title line and a line for each row; `width` is that of the terminal, None in a pipe."""
+    """Return the title line and a line for each row; `width` is the terminal's, None on a pipe."""
     kept = [*range(len(columns))]
     longest = max(len(one.first) for one in (StatisticsRow(title, ()), *rows))
     while width is not None and _room(columns, kept, width) < min(longest, ENOUGH):
@@ -94,7 +96,7 @@ def _line(
 
 
 def shortened(text: str, room: int | None) -> str:
-    """A text of at most `room` characters; a longer one ends in `..`."""
+    """Return a text of at most `room` characters; a longer text is cut and ends in `..`."""
     text = printable(text)
     if room is None or len(text) <= room:
         return text
@@ -102,14 +104,17 @@ def shortened(text: str, room: int | None) -> str:
 
 
 def more_line(number: int, top: int, what: str) -> list[StyledLine]:
-    """A line that says how many of `number` rows are not shown; no line if `top` shows them all."""
+    """Return a line that says how many of `number` rows are not shown; no line if all are.
+
+    `top` is the number of rows that are shown, and `what` their name in the plural.
+    """
     if number <= top:
         return []
     return [StyledLine(f"  ... {number - top:,} more {what}; --top {number} shows all", "dim")]
 
 
 def wrapped(line: StyledLine, width: int | None) -> list[StyledLine]:
-    """Break a text into lines that fit the width of the terminal."""
+    """Break a text into lines that fit the terminal; a pipe (`width` None) gets one line."""
     text = printable(line.text)
     if width is None:
         return [StyledLine(text, line.style)]

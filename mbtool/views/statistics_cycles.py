@@ -1,4 +1,4 @@
-"""Shows the lists that masters poll in cycles."""
+"""Prints the poll lists of masters: the requests that a master repeats in the same order."""
 
 from __future__ import annotations
 
@@ -37,13 +37,16 @@ _STEP = (
     StatisticsColumn("miss", 6),
 )
 _LISTS_WITH_STEPS = 5
-"""The polls of one list are shown for every so many rows that a section may have."""
+"""A section of N rows shows the single polls of N / 5 lists."""
 
 Found = tuple["LinkReport", "MasterReport", "PollList[PollStatistics]"]
 
 
 def cycle_lines(links: Sequence[LinkReport], width: int | None, top: int) -> list[StyledLine]:
-    """A row for each poll list, then the polls of the longest lists, in their order."""
+    """Return a row for each poll list, then the polls of the longest lists in their order.
+
+    A poll list is the sequence of requests that a master repeats. `top` limits the rows.
+    """
     found = [
         (link, master, one)
         for link in links
@@ -68,7 +71,10 @@ def cycle_lines(links: Sequence[LinkReport], width: int | None, top: int) -> lis
 
 
 def _untold_lists(number: int, shown: int) -> list[StyledLine]:
-    """A line that says of how many lists the polls are not shown; no line if they all are."""
+    """Return a line that says how many lists, beyond `shown`, have no rows for their polls.
+
+    Returns no line if there are none.
+    """
     if number <= shown:
         return []
     lists = counted_words(number - shown, "more list", ",")
@@ -119,7 +125,7 @@ def _repeated_line(one: PollList[PollStatistics], width: int | None) -> list[Sty
 
 
 def _between_lines(links: Sequence[LinkReport], width: int | None, top: int) -> list[StyledLine]:
-    """Lines about polls that are in no list of their master, and about the master's timeout."""
+    """Return lines about polls that are in no list of their master, and the master's timeout."""
     lines = []
     for link in links:
         for master in link.masters:

@@ -1,7 +1,7 @@
 """Writes statistics as one JSON document; docs/stats.md describes its keys."""
 
-# Later versions may add keys, but never rename one or change its meaning. The key names the unit of
-# a figure. A figure that does not apply is null.
+# Later versions may add keys, but never rename one or change its meaning. Each key names the unit
+# of its figure. A figure that does not apply is null.
 
 from __future__ import annotations
 
@@ -43,7 +43,10 @@ def statistics_document(
     sources: Sequence[str],
     where: str | None,
 ) -> str:
-    """The document as text. `sources` are the files or links, `where` is the user's filter."""
+    """Return the document as JSON.
+
+    `sources` are the files or links, `where` is the user's filter.
+    """
     document = {
         "schema": SCHEMA,
         "sources": list(sources),
@@ -244,7 +247,7 @@ def _connections(master: str, one: ConnectionTally) -> dict[str, Any]:
 
 
 def _iso(ts_ns: int) -> str | None:
-    """A time as 2026-11-22T09:14:03.201000+00:00; None outside of the years 1 to 9999."""
+    """Return a time as 2026-11-22T09:14:03.201000+00:00; None outside the years 1 to 9999."""
     try:
         return datetime.fromtimestamp(ts_ns / 1e9, UTC).isoformat(timespec="microseconds")
     except (ValueError, OverflowError, OSError):

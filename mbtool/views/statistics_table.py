@@ -1,8 +1,8 @@
-"""Shows statistics: the verdict first, then links, functions, polls, cycles and the rest."""
+"""Prints statistics in sections: the verdict first, then links, polls, functions and others."""
 
-# An empty section is left out. A section lists at most `top` rows; the last line says how many more
-# there are. On a terminal, sections are shortened, then left out, until the lines fit the height.
-# The last line names the sections and columns that have no room.
+# An empty section is left out. A section lists at most `top` rows; its last line says how many more
+# there are. On a terminal, sections get fewer rows, and then the last sections are left out, until
+# all lines fit the height. A line at the end names the sections and columns that have no room.
 
 from __future__ import annotations
 
@@ -41,10 +41,10 @@ if TYPE_CHECKING:
     from mbtool.overview.statistics_report import FunctionReport, LinkReport, PollReport
 
 FEWEST = 3
-"""A section is not shortened to fewer rows than this, however small the terminal is."""
+"""Each section keeps this many rows, however small the terminal is."""
 USUAL = 10
 MOST_IMPORTANT = 3
-"""The first so many sections are shown even on the smallest terminal."""
+"""The first sections, this many, are shown even on the smallest terminal."""
 _ALIKE = 0.7
 _BAR = 30
 _EATERS = 3
@@ -86,7 +86,7 @@ def statistics_lines(
     height: int | None = None,
     top: int | None = None,
 ) -> list[StyledLine]:
-    """All lines. `width` and `height` are those of the terminal, None in a pipe.
+    """Return all lines. `width` and `height` are the terminal's in characters, None on a pipe.
 
     Without `top`, a section has as many rows as fit the height, FEWEST to USUAL.
     """
@@ -109,7 +109,7 @@ def statistics_lines(
 def _joined(
     sections: Sequence[tuple[str, list[StyledLine]]], left_out: Sequence[str], width: int | None
 ) -> list[StyledLine]:
-    """The lines of all sections, and those that tell what has no room."""
+    """Return the lines of all sections, and a line that names what had no room."""
     lines: list[StyledLine] = []
     for _, section in sections:
         lines += [StyledLine(""), *section] if lines else section
@@ -123,7 +123,7 @@ def _joined(
 def _sections(
     links: Sequence[LinkReport], width: int | None, top: int
 ) -> list[tuple[str, list[StyledLine]]]:
-    """The sections that have lines, with their names, the most important first."""
+    """Return name and lines of each section that has lines, the most important section first."""
     sections = [
         ("verdict", [line for one in verdict(links) for line in wrapped(one, width)]),
         ("line", _load(links, width)),
@@ -157,7 +157,7 @@ def _links(links: Sequence[LinkReport], width: int | None, top: int) -> list[Sty
 def _functions(links: Sequence[LinkReport], width: int | None, top: int) -> list[StyledLine]:
     found = [(link, one) for link in links for one in link.functions]
     if len(found) < 2 or len(found) > _ALIKE * sum(len(link.polls) for link in links):
-        return []  # It would nearly repeat the section of polls.
+        return []  # This section would nearly repeat the section of polls.
     found.sort(key=lambda one: (-one[1].tally.unanswered, -one[1].tally.transactions))
     rows = [
         StatisticsRow(
@@ -258,7 +258,7 @@ def _load(links: Sequence[LinkReport], width: int | None) -> list[StyledLine]:
 
 
 def _longest_polls(link: LinkReport, width: int | None) -> list[StyledLine]:
-    """A line that names the polls that occupy the serial line longest."""
+    """Return a line that names the polls that occupy the serial line longest."""
     load = link.load
     if load is None or len(link.polls) < 2:
         return []
@@ -282,7 +282,7 @@ def _histogram(links: Sequence[LinkReport]) -> list[StyledLine]:
 
 
 def _joined_below(finest_ns: int, buckets: list[Bucket]) -> list[Bucket]:
-    """The histogram's buckets, with all latencies below `finest_ns` joined into one bucket."""
+    """Join all buckets of the histogram below `finest_ns` into one; return that and the others."""
     below = sum(one.number for one in buckets if one.high_ns <= finest_ns)
     first = [Bucket(0, finest_ns, below)] if below else []
     return [*first, *(one for one in buckets if one.high_ns > finest_ns)]

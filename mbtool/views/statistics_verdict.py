@@ -1,4 +1,4 @@
-"""The first lines of statistics: a summary, and the most frequent failures."""
+"""Writes the first lines of statistics: a summary, and the most frequent failures."""
 
 from __future__ import annotations
 
@@ -19,13 +19,19 @@ if TYPE_CHECKING:
 _BAD, _DOUBT = "red", "yellow"
 _MOST_UNITS = 3
 _SLOW = 3
-"""A unit is called slow if its median latency is at least so many times the median of all units."""
+"""A unit is called slow if its median latency is at least this many times the median of all
+units."""
 _FEWEST_LATENCIES = 5
-"""The median of fewer answers says nothing of a unit: one slow answer would decide it."""
+"""A unit with fewer responses than this is never called slow: one late response would decide its
+median."""
 
 
 def verdict(links: Sequence[LinkReport]) -> list[StyledLine]:
-    """A line that sums up, then a line for each kind of trouble, the worst first."""
+    """Return a line that sums up, then a line for each kind of failure.
+
+    Failures are missing responses, exceptions, malformed and unsolicited responses, TCP resets, and
+    a slow unit.
+    """
     total = merged([link.tally for link in links])
     if not total.transactions:
         return [StyledLine("no transactions so far", "bold")]
@@ -59,7 +65,7 @@ def _sum(links: Sequence[LinkReport], total: RequestTally) -> str:
 
 
 def _answered(total: RequestTally) -> str:
-    """A text with the share of requests that were answered, such as `98 % answered`.
+    """Return the share of requests that were answered as text, such as `98 % answered`.
 
     Broadcasts, and requests whose outcome the capture does not show, are not counted.
     """
@@ -120,7 +126,10 @@ def _exceptions(total: RequestTally) -> list[StyledLine]:
 
 
 def exception_text(code: int, name: str) -> str:
-    """`02 illegal data address`; the name of an unknown code has the code in it."""
+    """Return code and name, such as `02 illegal data address`.
+
+    The name of an unknown code has the number in it, so the name alone is returned.
+    """
     return name if name.startswith("exception") else f"{code:02X} {name}".rstrip()
 
 
@@ -153,7 +162,10 @@ def _resets(links: Sequence[LinkReport]) -> list[StyledLine]:
 
 
 def _slow(links: Sequence[LinkReport], total: RequestTally) -> list[StyledLine]:
-    """Name the slowest unit, if it is much slower than most."""
+    """Return a line on the unit with the greatest median latency if it is far above the others.
+
+    That means at least _SLOW times the median of all units.
+    """
     usual = total.latency.percentile(50)
     slowest: tuple[int, str] = (0, "")
     for link in links:

@@ -13,7 +13,7 @@ _MINUTE_S, _HOUR_S, _DAY_S = 60, 3600, 86_400
 
 
 def in_ms(ns: float) -> str:
-    """A duration in ms with at least two significant digits: 0.25, 8.2, 82.1, 1240."""
+    """Write a duration (ns) in ms with at least two significant digits: 0.25, 8.2, 82.1, 1240."""
     ms = ns / 1e6
     if ms < 0.995:
         return f"{ms:.2f}"
@@ -21,7 +21,7 @@ def in_ms(ns: float) -> str:
 
 
 def in_s(ns: float) -> str:
-    """A duration in s with at least three significant digits: 0.251, 12.00, 3600."""
+    """Write a duration (ns) in s with at least three significant digits: 0.251, 12.00, 3600."""
     seconds = ns / 1e9
     if seconds < 9.9995:
         return f"{seconds:.3f}"
@@ -29,7 +29,7 @@ def in_s(ns: float) -> str:
 
 
 def duration(ns: float) -> str:
-    """A duration with its unit: 8.2 ms, 1.02 s, 2 min 3 s, 3 h 12 min, 2 d 3 h."""
+    """Write a duration (ns) with its unit: 8.2 ms, 1.02 s, 2 min 3 s, 3 h 12 min, 2 d 3 h."""
     seconds = ns / 1e9
     if seconds < 0.9995:
         return f"{in_ms(ns)} ms"
@@ -48,7 +48,7 @@ def duration(ns: float) -> str:
 
 
 def percent(share: float) -> str:
-    """A share of 0 to 1 in percent: 34 %, 3.4 %. Only 1 gives 100 %, and only 0 gives 0 %."""
+    """Write a share of 0 to 1 in percent: 34 %, 3.4 %. Only 1 gives 100 %, and only 0 gives 0 %."""
     if 0 < share < 0.001:
         return "<0.1 %"
     if 0.999 < share < 1:
@@ -59,7 +59,7 @@ def percent(share: float) -> str:
 
 
 def per_second(rate: float | None) -> str:
-    """A rate per second: 39.1, 0.25, 0.0012; `-` for None."""
+    """Write a rate per second: 39.1, 0.25, 0.0012; `-` for None."""
     if rate is None:
         return "-"
     if rate >= 99.95:
@@ -68,12 +68,12 @@ def per_second(rate: float | None) -> str:
 
 
 def counted(number: int) -> str:
-    """A count for a cell; empty for 0."""
+    """Write a count for a cell of a table; a 0 gives an empty cell."""
     return f"{number:,}" if number else ""
 
 
 def poll_text(poll: PollStatistics) -> str:
-    """A poll for a cell: unit, function and reference, as in `1 03 HR400001..400004`."""
+    """Return unit, function code and reference of a repeated request: `1 03 HR400001..400004`."""
     key = poll.key
     what = poll.reference or short_name(key.function, poll.function_name)
     if not poll.reference and key.sub_function is not None:

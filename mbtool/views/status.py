@@ -1,4 +1,4 @@
-"""The lines of `mbtool status`, and its JSON document."""
+"""Writes what `mbtool status` says of a log that a service records: as lines, and as JSON."""
 
 from __future__ import annotations
 
@@ -23,7 +23,11 @@ def status_lines(
     numbers: Mapping[str, int],
     now_ns: int,
 ) -> list[str]:
-    """A line for each thing that is known; `numbers` are the counters of the last heartbeat."""
+    """Return a line for each known fact about a log file that `mbtool sniff` writes.
+
+    `heartbeat` has the texts and `numbers` the counters that the service last wrote into the log;
+    both are empty for a log without them.
+    """
     rows = [("log", f"{path}, {counted(size, 'byte', ',')}"), ("state", state)]
     if "part" in capture:
         rows.append(("part", capture["part"]))
@@ -62,7 +66,7 @@ def _counters(
 
 
 def _named(numbers: Mapping[str, int], prefix: str) -> str:
-    """The counters whose names begin with a prefix: `1,200 ok, 3 no-answer`."""
+    """List the counters whose names begin with `prefix`, without it: `1,200 ok, 3 no-answer`."""
     some = {key[len(prefix) :]: count for key, count in numbers.items() if key.startswith(prefix)}
     return ", ".join(f"{count:,} {name}" for name, count in some.items())
 
@@ -77,7 +81,10 @@ def status_document(
     numbers: Mapping[str, int],
     now_ns: int,
 ) -> dict[str, Any]:
-    """The same for scripts; times are UTC ns, and `age_s` is that of the last heartbeat."""
+    """Return the facts about a log as JSON data for scripts; times are in ns since 1970.
+
+    `age_s` is the time since the service last wrote its counters, in s.
+    """
     document: dict[str, Any] = {"log": path, "state": state, "bytes": size}
     document |= {"capture": dict(capture), "links": dict(links)}
     if heartbeat:

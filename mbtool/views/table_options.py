@@ -1,4 +1,4 @@
-"""The user's options for the transaction table."""
+"""The user's options for the table of transactions."""
 
 from __future__ import annotations
 
@@ -7,18 +7,21 @@ from enum import StrEnum
 
 
 class TimeStyle(StrEnum):
-    """The kind of time that a row shows."""
+    """The time that a row of the table shows."""
 
     UTC = "utc"
     LOCAL = "local"
     RELATIVE = "relative"
-    """Seconds since the first row."""
+    """Each row shows the seconds since the first row."""
     DELTA = "delta"
-    """Seconds since the row before."""
+    """Each row shows the seconds since the row before."""
 
 
 class TableColumn(StrEnum):
-    """A column of the table that the user can choose. The text of a row always comes last."""
+    """A column that the user can choose for the table of transactions.
+
+    Behind these columns, each row ends with the text of its request and response.
+    """
 
     NUMBER = "number"
     TIME = "time"
@@ -31,20 +34,21 @@ class TableColumn(StrEnum):
     ID = "id"
     OUTCOME = "outcome"
     PACKET = "packet"
-    """The numbers of request and response in the capture file, as Wireshark counts them."""
+    """The numbers of the packets with request and response in the capture file, as in Wireshark."""
     FILE = "file"
 
 
 @dataclass(frozen=True, slots=True)
 class TableOptions:
-    """How a table shows transactions."""
+    """The choices of the user on how the table shows transactions."""
 
     time: TimeStyle = TimeStyle.UTC
     columns: tuple[TableColumn, ...] = ()
-    """The columns that the user chose, beside the text; empty for the default columns."""
+    """The columns that the user chose; empty for the default columns. The text of a row is always
+    shown."""
     in_hex: bool = False
     """True to show values as 1234H, without the names of points."""
     wide: bool = False
-    """True for one line a row, whatever the width of the terminal."""
+    """True to print each row on one line, even if the terminal is narrower."""
     full: bool = False
-    """True for all values, on as many lines as they need."""
+    """True to show all values of a row, on as many lines as they need."""

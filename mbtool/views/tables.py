@@ -9,7 +9,7 @@ from rich.text import Text
 
 
 def printable_json(text: str) -> str:
-    """A JSON text in which characters that cannot be printed are written as JSON escapes."""
+    """Return a JSON text in which characters that cannot be printed are written as JSON escapes."""
     if text.isascii():
         return text
     return "".join(
@@ -25,12 +25,12 @@ def printable(text: str) -> str:
 
 
 def plain(text: str, style: str = "") -> Text:
-    """A text for the library rich, without control characters; brackets in it are not markup."""
+    """Return a text for the library rich, without control characters; brackets are not markup."""
     return Text(printable(text), style)
 
 
 def plain_table(*headings: str) -> Table:
-    """An empty table without a frame; long cells take several lines."""
+    """Return an empty table without a frame; long cells take several lines."""
     table = Table(box=None, pad_edge=False, header_style="bold", padding=(0, 2, 0, 0))
     for heading in headings:
         table.add_column(heading, overflow="fold")

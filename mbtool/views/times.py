@@ -1,4 +1,4 @@
-"""The times of rows: time of day in UTC or local time, or seconds since another row."""
+"""Writes the times of table rows: the time of day (UTC or local), or seconds since another row."""
 
 from __future__ import annotations
 
@@ -16,14 +16,17 @@ if TYPE_CHECKING:
 
 
 class Times:
-    """Gives the time of each row, in the order in which rows are shown."""
+    """Writes the time of each row; the rows must come in the order in which they are shown."""
 
     def __init__(self, style: TimeStyle) -> None:
         self._style = style
         self._origin_ns: int | None = None
 
     def text(self, record: Record) -> str:
-        """The time of a row, at least 12 characters. Call this once for each row, in order."""
+        """Return the time of a row, at least 12 characters.
+
+        Call this once for each row, in order.
+        """
         ts_ns = _start_ns(record)
         match self._style:
             case TimeStyle.UTC:
@@ -36,7 +39,7 @@ class Times:
         return f"{(ts_ns - since_ns) / 1e9:+12.6f}"
 
     def day_of(self, record: Record) -> str:
-        """The day of a row with the time zone; "" if rows show seconds instead of a time of day."""
+        """Return the day of a row with the time zone; "" if rows show seconds instead."""
         ts_ns = _start_ns(record)
         match self._style:
             case TimeStyle.UTC:
@@ -51,7 +54,7 @@ def _start_ns(record: Record) -> int:
 
 
 def _offset_ns(ts_ns: int) -> int:
-    """Local time minus UTC, in ns, at the time `ts_ns`; 0 if the system does not know it."""
+    """Return local time minus UTC in ns at the time `ts_ns`; 0 if the system does not know it."""
     try:
         return time.localtime(ts_ns // 1_000_000_000).tm_gmtoff * 1_000_000_000
     except (ValueError, OverflowError, OSError):

@@ -1,20 +1,21 @@
-"""Shows transactions as a table that grows row by row, on a terminal or into a pipe."""
+"""Prints transactions as a table that grows row by row, on a terminal or into a pipe."""
 
 #     rtu rs485, unit 1 idec-ft1a-touch                            2026-11-22 UTC
 #        #  time              ms  request -> response
 #       12  09:14:03.201     8.2  03 read HR400001..400004 -> 100, 200, 300, 400
 #       13  09:14:03.260     2.1  06 write HR400001 := 4660
 #
-# A heading has the link, master, unit and day of the rows below it; when one of them changes, there
-# is a new heading. If link, master or unit change often, they become columns and leave the heading:
-# see PlaceColumns. The first SAMPLE rows are examined before any is printed, so that a table
-# rarely changes its columns; a live table cannot wait for them and calls `pause`.
+# A heading has the link, master, unit and day of the rows below it; when one of them changes, a new
+# heading is printed. A link, master or unit that changes often becomes a column, and is no longer
+# in the heading: see PlaceColumns. The first SAMPLE rows are examined before any is printed, so
+# that a table rarely changes its columns; a live table cannot wait for them and calls `pause`.
 #
-# On a terminal, a text that is too long for its line is first said in fewer words: points with the
-# same values as in the last reading are counted. If it is still too long, it continues on the lines
-# below, at most MAX_LINES lines; then a line says how many more there are. --full shows all values.
-# If the terminal has less than FEW_COLUMNS columns, addresses of one network are shown by their
-# last number, and the heading has the others. Findings are below their row.
+# On a terminal, a row whose text is too long for its line is shortened: points (named values) that
+# did not change since the last reading are only counted. If the text is still too long, it
+# continues on the lines below, at most MAX_LINES lines; a last line says how many more there are.
+# --full shows all values. If the terminal has less than FEW_COLUMNS columns, addresses of one
+# network are shown by their last number, and the heading has the other numbers. The findings
+# (broken rules) of a row are below it.
 #
 # In a pipe, in a file and with --wide a row is one line, with the whole text at the end, and always
 # has its link and unit.
@@ -55,13 +56,13 @@ if TYPE_CHECKING:
 
 SAMPLE = 100
 MAX_LINES = 4
-"""The most lines that a row's text takes on a terminal; with --full there is no limit."""
+"""A row's text takes at most this many lines on a terminal; with --full there is no limit."""
 _MIN_TEXT = 24
-"""Lines of text are not made narrower than this, in characters; a narrow terminal breaks them."""
+"""A wrapped text is at least this wide, in characters; a narrower terminal breaks its lines."""
 _INDENT = 12
 """The indent, in characters, of a line that continues the text of a row."""
 FEW_COLUMNS = 100
-"""A terminal with fewer columns than this is narrow."""
+"""A terminal with fewer columns than this shows addresses shortened."""
 
 _WIDTHS = {
     TableColumn.NUMBER: 5,
@@ -88,30 +89,33 @@ _FITTED = frozenset(
         TableColumn.FILE,
     )
 )
-"""Columns whose width depends on what the first rows have in them."""
+"""Columns that are as wide as the longest text in the first rows."""
 _MAX_WIDTH = 45
-"""The greatest width of such a column: that of an IPv6 address with its port."""
+"""The greatest width of a column of _FITTED: that of an IPv6 address with its port."""
 _NO_BREAK = "\N{NO-BREAK SPACE}"
 _COUNTED = re.compile(r" (x\d+)(?![^, ])")
-"""A count of equal values."""
+"""Matches the number of equal values in a text, such as the x24 of `0 x24`."""
 _TITLES = {TableColumn.NUMBER: "#", TableColumn.LATENCY: "ms"}
 _TEXT_TITLE = "request -> response"
 _USUAL = (TableColumn.NUMBER, TableColumn.TIME, TableColumn.LATENCY)
 
 
 class _TableRow(NamedTuple):
-    """The texts and numbers of one row, taken from a record."""
+    """A record (transaction or event) with what its row needs beside it."""
 
     number: int | None
-    """The number of the transaction in the capture; None for an event."""
+    """The number of the transaction in the capture, from 1; None for an event."""
     record: Record
     profile: Profile | None
     places: tuple[str, str, str]
-    """The texts of link, master and unit; "" for those that an event does not have."""
+    """The texts of link, master and unit; "" for master and unit of an event."""
 
 
 class TransactionTable:
-    """Prints rows. Call `pause` when no row comes for a while, and `flush` at the end."""
+    """Prints the rows of a table. The first rows wait until their columns are decided.
+
+    Call `pause` when no row comes for a while, and `flush` at the end.
+    """
 
     def __init__(
         self, console: Console, options: TableOptions | None = None, *, sample: int = SAMPLE
@@ -126,7 +130,7 @@ class TransactionTable:
         self._styles: dict[str, tuple[str, str]] = {}
         self._places = PlaceColumns(is_narrow=self._wraps and console.width < FEW_COLUMNS)
         self._aligned = {column: _aligned(column, width) for column, width in _WIDTHS.items()}
-        """Makes the cell of a column from its text."""
+        """For each column, a function that pads a text to the width of the column."""
         self._columns = self._options.columns
         if not self._columns and not self._wraps:
             self._columns = (*_USUAL, TableColumn.LINK, TableColumn.UNIT)
@@ -138,9 +142,9 @@ class TransactionTable:
         """The columns that the last line of titles names."""
 
     def add(self, number: int, record: Record, profile: Profile | None = None) -> None:
-        """Add a transaction, `number` of the capture, or a wire event.
+        """Add a transaction, the `number`th of the capture, or a wire event.
 
-        With a profile, the texts of findings contain the profile's figures.
+        With a profile, the texts of findings contain the figures of the device.
         """
         row = _TableRow(
             None if isinstance(record, WireEvent) else number, record, profile, places_of(record)
@@ -153,11 +157,11 @@ class TransactionTable:
             self.flush()
 
     def pause(self) -> None:
-        """Print the rows that wait until the columns are decided."""
+        """Print the rows that wait until enough rows came to decide on the columns."""
         self.flush()
 
     def flush(self) -> None:
-        """Print all rows that are not yet printed."""
+        """Print all rows that are not yet printed. The first call also decides on the columns."""
         pending, self._pending = self._pending, None
         if not pending:
             self._pending = pending
@@ -186,8 +190,9 @@ class TransactionTable:
             self._print_line("  ! ".join((f"{prefix}{printable(text)}", *findings)), style)
 
     def _text(self, transaction: NamedTransaction, used: int) -> str:
-        """The request and its result; in fewer words if their line, of which `used` characters are
-        taken, is too short.
+        """Return the request and its result, shortened if they do not fit the rest of the line.
+
+        `used` is the number of characters of the line that the columns before the text take.
         """
         points, in_hex = self._points.of(transaction), self._options.in_hex
         text = transaction_text(transaction, points.every, in_hex=in_hex)
@@ -238,7 +243,7 @@ class TransactionTable:
         return _MORE[column](row.record)
 
     def _prefix(self, row: _TableRow) -> str:
-        """The text of all cells of a row that come before its text."""
+        """Return the text of all cells of a row that come before its request and result."""
         cells = []
         for column in self._columns:
             match column:
@@ -258,7 +263,7 @@ class TransactionTable:
         return printable(f"{' '.join(cells)}  ")
 
     def _print_wrapped(self, prefix: str, text: str, findings: Sequence[str], style: str) -> None:
-        """Print a row whose text takes several lines."""
+        """Print a row whose text may take several lines, and its findings below it."""
         first, *below = self._wrapped(text, len(prefix))
         self._print_line(prefix + first, style)
         for finding in findings:
@@ -278,8 +283,8 @@ class TransactionTable:
         if width - used < _MIN_TEXT:
             lines = ["", *_lines(text, room)]
         else:
-            # The first line has less room. So a filler of that length is put before the text, and
-            # is removed again after wrapping.
+            # The first line has less room. So a filler as long as the taken part is put before the
+            # text, and is removed again after wrapping.
             filler = "\0" * max(used - _INDENT, 0)
             lines = _lines(filler + text, room)
             lines[0] = lines[0].removeprefix(filler)
@@ -293,7 +298,7 @@ class TransactionTable:
         self._console.file.write(f"{before}{line.rstrip()}{after}\n")
 
     def _codes(self, style: str) -> tuple[str, str]:
-        """The escape codes that a terminal gets before and after a text of this style.
+        """Return the escape codes that a terminal gets before and after a text of this style.
 
         They are remembered, because Console.print is slow.
         """
@@ -307,18 +312,18 @@ class TransactionTable:
 
 
 def _aligned(column: TableColumn, width: int) -> Callable[[str], str]:
-    """A function that fills a text up to the width of its column."""
+    """Return a function that pads a text to the width of its column."""
     return f"{{:{'>' if column in _RIGHT else '<'}{width}}}".format
 
 
 def _lines(text: str, width: int) -> list[str]:
-    """Break a text into lines, but not inside `0 x24`."""
+    """Break a text into lines, but not between a value and its count, as in `0 x24`."""
     together = _COUNTED.sub(f"{_NO_BREAK}\\1", text)
     return [line.replace(_NO_BREAK, " ") for line in wrap(together, width, break_on_hyphens=False)]
 
 
 def _packets(record: Record) -> str:
-    """The numbers of the packets of request and response, from 1: `12/13`; 12 if it is one."""
+    """Return the packet numbers of request and response, from 1: `12/13`; one if they are equal."""
     if isinstance(record, WireEvent):
         return ""
     first, last = record.request_packet, record.response_packet
@@ -351,4 +356,4 @@ _MORE: dict[TableColumn, Callable[[Record], str]] = {
     TableColumn.PACKET: _packets,
     TableColumn.FILE: lambda one: "" if isinstance(one, WireEvent) else one.file or "",
 }
-"""Makes the cells of columns that are shown only if the user chooses them."""
+"""For each column that is shown only if the user chooses it: a function that makes its cells."""

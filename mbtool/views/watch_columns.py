@@ -1,8 +1,8 @@
-"""Tables of live views: which columns fit a width, and the cells of a row."""
+"""Lays out the tables of live views: which columns fit a width, and the cells of a row."""
 
-# A cell is a list of spans: texts with styles, as the library rich writes styles. One column or two
-# take the width that the others leave. Columns of the highest rank are left out first where there
-# is little room; a column that the user chose is kept.
+# A cell is a list of spans: texts with styles in the notation of the library rich. Columns of width
+# 0 share the width that the others leave. Where there is little room, columns of the highest rank
+# are left out first; a column that the user chose is kept.
 
 from __future__ import annotations
 
@@ -22,24 +22,25 @@ Span = tuple[str, str]
 Spans = list[Span]
 
 _LONGEST_PART = 12
-"""A text is cut between words; a part of a word is shown if the word is longer than so many
+"""A text that is too long is cut between words, unless its last word is longer than this, in
 characters."""
 LEAST_REST = 22
-"""The columns that take the rest get at least so many characters each, or others are left out."""
+"""A column that shares the remaining width gets at least this many characters, or others are left
+out."""
 
 
 @dataclass(slots=True)
 class DrawContext:
-    """What drawing needs beside the rows."""
+    """What the cells of a live table depend on, apart from the rows themselves."""
 
     now_ns: int = 0
-    """The time of the view, in UTC ns."""
+    """The time for which the view is drawn, in ns since 1970."""
     formats: dict[Hashable, ValueFormat] = field(default_factory=dict)
-    """The format that the user chose for a row, by the row's key."""
+    """The format of values that the user chose for a row, by the row's key."""
     marked: Collection[int] = ()
-    """The orders of the marked records."""
+    """The `order` numbers of the transactions that the user marked."""
     is_over: bool = False
-    """True if nothing more comes, so that the age of a row says nothing."""
+    """True if the capture has ended, so that the age of a row means nothing."""
 
     def format_of(self, key: Hashable) -> ValueFormat:
         return self.formats.get(key, ValueFormat.NAMED)
@@ -52,12 +53,13 @@ class WatchColumn:
     name: str
     title: str
     width: int
-    """In characters; 0 for a column that takes its share of the rest."""
+    """In characters; 0 for a column that shares the width which the others leave."""
     cell: Callable[[Any, DrawContext], str | Spans]
     sort: Callable[[Any], Any]
-    """What rows are sorted by; values of one column can be compared."""
+    """Returns the value by which rows are sorted; the values of one column can be compared."""
     rank: int = 0
-    """Columns of the highest rank are left out first; rank 0 never is."""
+    """Where there is little room, columns of the highest rank are left out first; rank 0 never
+    is."""
     is_right: bool = False
     is_usual: bool = True
     """False for a column that is shown only if the user chooses it."""
@@ -65,12 +67,12 @@ class WatchColumn:
 
 @dataclass(frozen=True, slots=True)
 class FittedColumn:
-    """A column with its width on the screen."""
+    """A column with its width on the screen, in characters."""
 
     column: WatchColumn
     width: int
     prefix: str = ""
-    """What is left out at the beginning of the cells' texts."""
+    """The part that all texts of the column begin with; it is left out of the cells."""
 
 
 def fitted(
@@ -79,9 +81,10 @@ def fitted(
     chosen: Collection[str] | None = None,
     places: Mapping[str, PlaceColumn] | None = None,
 ) -> list[FittedColumn]:
-    """The columns that are shown at a width; `chosen` names those that the user wants.
+    """Return the columns that fit a width, in characters; `chosen` names those that the user wants.
 
-    Without a choice, those of `places` are among them, as wide as they say there.
+    Without a choice, the columns in `places` (link and master) are shown with the width given
+    there.
     """
     places = places or {}
     if chosen is None:
@@ -108,7 +111,7 @@ def fitted(
 
 
 def _placed(column: WatchColumn, places: Mapping[str, PlaceColumn]) -> WatchColumn:
-    """A column that is always shown, if it is one of the places."""
+    """Return a link or master column changed so that it is always shown; others unchanged."""
     place = places.get(column.name)
     return column if place is None else replace(column, width=place.width, rank=0, is_usual=True)
 
@@ -116,7 +119,7 @@ def _placed(column: WatchColumn, places: Mapping[str, PlaceColumn]) -> WatchColu
 def title_spans(
     columns: Sequence[FittedColumn], sorted_by: str | None, *, descending: bool
 ) -> Spans:
-    """The line of titles; the column that rows are sorted by has an arrow."""
+    """Return the line of titles; the column that rows are sorted by has an arrow."""
     texts = []
     for one in columns:
         title = one.column.title
@@ -127,7 +130,7 @@ def title_spans(
 
 
 def row_spans(row: Any, columns: Sequence[FittedColumn], context: DrawContext) -> Spans:
-    """The spans of a row, as wide as the columns."""
+    """Return the texts of a row's cells with their styles, padded or cut to the columns' widths."""
     spans: Spans = []
     for number, one in enumerate(columns):
         if number:
@@ -142,7 +145,7 @@ def row_spans(row: Any, columns: Sequence[FittedColumn], context: DrawContext) -
 
 
 def row_text(row: Any, columns: Sequence[WatchColumn], context: DrawContext) -> str:
-    """All cells of a row as one text, to search in."""
+    """Return all cells of a row as one text, for the user's search."""
     cells = (one.cell(row, context) for one in columns)
     return " ".join(
         cell if isinstance(cell, str) else "".join(text for text, _ in cell) for cell in cells
@@ -150,7 +153,7 @@ def row_text(row: Any, columns: Sequence[WatchColumn], context: DrawContext) -> 
 
 
 def cut_spans(spans: Spans, width: int) -> Spans:
-    """Spans of exactly a width: cut, with `..` at the end, or filled with spaces."""
+    """Return spans of exactly `width` characters: cut, with `..` at the end, or padded."""
     spans = [(printable(text), style) for text, style in spans]
     length = sum(len(text) for text, _ in spans)
     if length <= width:
@@ -167,7 +170,7 @@ def cut_spans(spans: Spans, width: int) -> Spans:
 
 
 def _cut_at(text: str, width: int) -> int:
-    """The number of characters of a text that stay when it is cut to a width and gets `..` behind.
+    """Return how many characters of a text to keep when it is cut to `width` and `..` is added.
 
     The cut is behind a space, so that no number looks like a shorter one, and no word is halved.
     """

@@ -1,4 +1,4 @@
-"""The detail of a row: the bytes by field, and why they are taken for request and response."""
+"""Shows one row of a live view in full: the bytes by field, and how the direction was decided."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ WHY = {
     DirectionBy.FORM: "only one direction can have this form",
     DirectionBy.TIMING: "the silence before it decided, as its form fits both",
 }
-"""Why a frame was taken for a request or a response."""
+"""How the decoder decided whether a frame is a request or a response, in words."""
 VERDICTS = {
     Verdict.GLUED: "no silence separates it from the frame beside it",
     Verdict.SPLIT: "a silence of t3.5 or longer inside",
@@ -37,7 +37,7 @@ VERDICTS = {
     Verdict.CUT: "the capture has only its first bytes",
     Verdict.OVER_LENGTH: "longer than the standard allows",
 }
-"""What the verdicts mean that are not clear from their names."""
+"""The meaning of verdicts (remarks of the decoder on a frame) whose names are not clear."""
 _COLOURS = {
     "transaction id": "cyan",
     "protocol id": "dim",
@@ -60,7 +60,7 @@ _COLOURS = {
 
 
 def record_detail(kept: KeptRecord, profile: Profile | None, width: int) -> list[Spans]:
-    """The lines that show one transaction or event in full."""
+    """Return the lines that show one transaction or event in full."""
     record = kept.record
     if isinstance(record, WireEvent):
         return _event_detail(record, width)
@@ -94,7 +94,7 @@ def record_detail(kept: KeptRecord, profile: Profile | None, width: int) -> list
 
 
 def slave_detail(row: WatchedSlaveRow, width: int) -> list[Spans]:
-    """The lines that show one slave in full."""
+    """Return the lines that show one slave in full."""
     device = f" {row.device}" if row.device else ""
     lines: list[Spans] = [[(f"{row.link} unit {row.unit}{device}", "bold")]]
     counts = (
@@ -131,7 +131,7 @@ def _event_detail(event: WireEvent, width: int) -> list[Spans]:
 def _adu_lines(
     title: str, transport: Transport, raw: bytes | None, direction: Direction, width: int
 ) -> list[Spans]:
-    """The bytes in hexadecimal, coloured by field, then the names of the fields."""
+    """Return the bytes of an ADU in hexadecimal, coloured by field, then the fields' names."""
     if raw is None:
         return [[(f"{title} ", "bold"), ("none", "dim")]]
     is_ascii = transport is Transport.ASCII
@@ -151,7 +151,7 @@ def _adu_lines(
 
 
 def _named(name: str, part: bytes, *, is_ascii: bool) -> str:
-    """A field's name, with the number of a short field: `address 107`."""
+    """Return a field's name, with the number of a short field: `address 107`."""
     if name in ("data", "start", "end", "CRC", "LRC", "protocol id"):
         return name
     try:
@@ -162,9 +162,10 @@ def _named(name: str, part: bytes, *, is_ascii: bool) -> str:
 
 
 def _flowed(spans: Spans, width: int, indent: int, *, is_whole: bool = False) -> list[Spans]:
-    """Spans in lines of a width; the lines behind the first are indented.
+    """Break spans (texts with styles) into lines of `width` characters.
 
-    Words stay whole, with `is_whole` the spans themselves.
+    Lines after the first are indented. Lines break between words; with `is_whole`, only between
+    spans.
     """
     lines: list[Spans] = [[]]
     used = 0
@@ -179,7 +180,7 @@ def _flowed(spans: Spans, width: int, indent: int, *, is_whole: bool = False) ->
 
 
 def _words(text: str) -> list[str]:
-    """The words of a text, each with the spaces behind it."""
+    """Return the words of a text, each with the spaces behind it."""
     if not text.strip():
         return [text]
     words = text.split(" ")
@@ -191,7 +192,7 @@ def _wrapped(text: str, width: int, style: str = "") -> list[Spans]:
 
 
 def find_text(kept: KeptRecord) -> str:
-    """The text in which a search looks, in lower case: request, result and names."""
+    """Return the text that the user's search examines, in lower case: request, result and names."""
     record = kept.record
     if isinstance(record, WireEvent):
         return f"{record.kind.value} {record.message}".lower()

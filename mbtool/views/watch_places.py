@@ -1,7 +1,7 @@
-"""Shows in live tables whose row it is, where several slaves' hosts or masters speak."""
+"""Decides if live tables show links and masters in columns: where there are several of them."""
 
-# On a narrow screen, addresses of one IPv4 network with 256 addresses are shown by their last
-# number, as in the table of `decode`.
+# On a narrow screen, addresses of one IPv4 /24 network are shown by their last number, as in the
+# table of `decode`.
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
 
 NARROW = 110
-"""On a screen of fewer columns addresses are shown by their last number."""
+"""On a screen with fewer columns than this, addresses are shown by their last number."""
 _WIDEST = 15
 
 
@@ -23,13 +23,16 @@ class PlaceColumn(NamedTuple):
     width: int
     """In characters."""
     prefix: str
-    """What all texts of the column begin with, and what is left out of them."""
+    """The part that all texts of the column begin with; it is left out of the cells."""
 
 
 def place_columns(
     links: Collection[str], masters: Collection[str], width: int
 ) -> Mapping[str, PlaceColumn]:
-    """The columns `link` and `master`, each only if there is more than one to tell apart."""
+    """Return the columns `link` and `master`, each only if there are several links or masters.
+
+    `width` is that of the screen, in characters.
+    """
     found = {}
     for name, texts in (("link", links), ("master", masters)):
         if len(texts) > 1:

@@ -1,4 +1,4 @@
-"""The live tables of polls and points."""
+"""The columns of the live tables of polls (repeated requests) and of points (named values)."""
 
 from __future__ import annotations
 
@@ -32,12 +32,15 @@ def _poll_request(row: PollRow, _: DrawContext) -> Spans:
 
 
 def poll_values(row: PollRow, context: DrawContext) -> Spans:
-    """The last result of a poll: an error in red, else its values, the changed ones lit."""
+    """Return the last result of a poll: an error in red, or its values.
+
+    Values that changed lately are highlighted.
+    """
     one = row.kept.record
     if isinstance(one, WireEvent):
         return []
     if one.outcome not in (Outcome.OK, Outcome.BROADCAST):
-        # Where there is little room, the code and its name say that it is an exception.
+        # Where there is little room, the code and its name show that it is an exception.
         result = result_text(one).removeprefix("exception ")
         text = "wrong CRC" if row.is_damaged else result
         return [(text, "bold red"), *_separated(_values(row, one, context))]
@@ -69,7 +72,7 @@ def _values(row: PollRow, one: NamedTransaction, context: DrawContext) -> Spans:
 
 
 def _named(row: PollRow, one: NamedTransaction, context: DrawContext) -> Spans:
-    """The points that changed of late, then all others."""
+    """Return the points (named values) that changed lately, newest first, then all others."""
     changed = row.points_changed_ns
     lit: list[tuple[int, str, str]] = []
     rest = []

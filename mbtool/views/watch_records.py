@@ -1,4 +1,4 @@
-"""The live tables of transactions, of events and findings, and of slaves."""
+"""The columns of the live tables of transactions, of events and findings, and of slaves."""
 
 from __future__ import annotations
 
@@ -28,7 +28,10 @@ _STYLES = {
 
 
 def record_text(row: RecordRow, context: DrawContext) -> Spans:
-    """A transaction as request and result, with the codes of its findings; or an event."""
+    """Return request and result of a transaction with the codes of its findings.
+
+    For an event, return its text.
+    """
     record = row.kept.record
     if isinstance(record, WireEvent):
         return [(event_text(record), "yellow")]
@@ -43,7 +46,7 @@ def _text_of(name: str, row: RecordRow) -> str:
 
 
 def _field(name: str, title: str, width: int) -> WatchColumn:
-    """A column for a field of the record, shown only if it is chosen."""
+    """Return a column for a field of the record, which is shown only if the user chooses it."""
     return WatchColumn(
         name=name, title=title, width=width, is_usual=False,
         cell=lambda row, _: _text_of(name, row), sort=lambda row: _text_of(name, row),
@@ -124,7 +127,7 @@ def _trouble_code(row: TroubleRow, _: DrawContext) -> Spans:
 
 
 def trouble_text(row: TroubleRow, _: DrawContext) -> str:
-    """What a finding's code means; of an event its last message."""
+    """Return what a finding's code means; for an event, the text of its last occurrence."""
     record = row.kept.record
     if isinstance(record, WireEvent):
         return event_text(record).removeprefix(f"{row.code}: ")
@@ -164,7 +167,7 @@ TROUBLE_COLUMNS = (
 
 
 def slave_state(row: WatchedSlaveRow, _: DrawContext) -> Spans:
-    """How the slave answers, in words; what is wrong comes first."""
+    """Return in words how a slave answers; if something is wrong, only that."""
     trouble = slave_trouble(row)
     if not trouble:
         return [("answers", "green") if row.answered else ("", "")]
@@ -173,7 +176,7 @@ def slave_state(row: WatchedSlaveRow, _: DrawContext) -> Spans:
 
 
 def _failures(name: str, title: str) -> WatchColumn:
-    """A column for a number that should be 0."""
+    """Return a column for a count of failures, which is red unless it is 0."""
 
     def cell(row: WatchedSlaveRow, _: DrawContext) -> Spans:
         number = getattr(row, name)

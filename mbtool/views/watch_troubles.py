@@ -1,4 +1,4 @@
-"""What is wrong with which slave, in a few words: for a line of the live views and its table."""
+"""Says in a few words what is wrong with a slave, for the live views."""
 
 from __future__ import annotations
 
@@ -15,16 +15,17 @@ if TYPE_CHECKING:
     from mbtool.watching.board_rows import WatchedSlaveRow
 
 FEW = 0.01
-"""Failures of a smaller share of the requests, 1 %, and fewer than ENOUGH are not told."""
+"""Failures are not shown if they are fewer than ENOUGH, or a smaller share of the requests than
+this (0.01 is 1 %)."""
 ENOUGH = 3
 _MORE = " more: key 5"
-"""Follows the number of the slaves in trouble that the line has no room for."""
+"""Follows the number of troubled slaves for which the line has no room; key 5 opens their table."""
 
 
 def slave_trouble(row: WatchedSlaveRow, *, is_short: bool = False) -> str:
-    """The troubles of a slave, the worst first; empty for a slave without any.
+    """Return what is wrong with a slave, the worst first; empty if nothing is.
 
-    With `is_short`, a slow slave is not compared with the others.
+    With `is_short`, the text for a slow slave leaves out the latency of the others.
     """
     if row.answered_ns is None and row.missing:
         is_damaged = row.damaged * 2 > row.missing
@@ -47,9 +48,10 @@ def slave_trouble(row: WatchedSlaveRow, *, is_short: bool = False) -> str:
 
 
 def trouble_line(rows: Sequence[WatchedSlaveRow], width: int) -> str:
-    """The slaves in trouble, those that never answer first, as many as fit; empty if all are well.
+    """Return one line on the slaves with troubles; empty if all are well.
 
-    The worst one is always told.
+    Slaves that never answer come first. The line names as many as fit `width` characters, and
+    always the worst one.
     """
     links = {row.link for row in rows}
     network = common_network(links) or ""
@@ -65,15 +67,15 @@ def trouble_line(rows: Sequence[WatchedSlaveRow], width: int) -> str:
 def _line(
     sick: Sequence[WatchedSlaveRow], network: str | None, width: int, *, is_short: bool
 ) -> str:
-    """The troubles that fit into the width.
+    """Return the troubles that fit `width` characters; the first one is always there.
 
-    `network` is left out of the names of links; None leaves out the links.
+    `network` is the prefix to leave out of the names of links; None leaves out the links.
     """
     text = ""
     for at, row in enumerate(sick):
         place = "" if network is None else f" at {row.link.removeprefix(network)}"
         trouble = slave_trouble(row, is_short=is_short)
-        colon = ":" if trouble[:1].isdigit() else ""  # "unit 4 17 %" would be hard to read.
+        colon = ":" if trouble[:1].isdigit() else ""  # `unit 4 17 %` is hard to read.
         part = f"{'; ' if text else ''}unit {row.unit}{place}{colon} {trouble}"
         left = len(sick) - at
         more = f"; {left}{_MORE}"

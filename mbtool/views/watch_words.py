@@ -1,4 +1,4 @@
-"""Short texts for live tables: ages, counts, latencies, sparklines."""
+"""Writes short texts for live tables: ages, counts, latencies, sparklines."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ FRESH_NS = 1_000_000_000
 RECENT_NS = 5_000_000_000
 """A value that changed less than this ago, in ns, is still shown as changed."""
 OVERDUE = 3
-"""A poll is overdue if it was not asked for so many of its periods."""
+"""A poll (repeated request) is overdue if it was not sent for this many of its periods."""
 _BARS = "▁▂▃▄▅▆▇█"
 MISSING = "x"
-"""Stands in a sparkline for a request without answer."""
+"""A sparkline shows this character for a request without a response."""
 
 
 def age(ns: int) -> str:
-    """A time since something in at most 4 characters: 0.4s, 59s, 12m, 3h, 2d."""
+    """Write the time since something (ns) in at most 4 characters: 0.4s, 59s, 12m, 3h, 2d."""
     seconds = max(ns, 0) / 1e9
     if seconds < 9.95:
         return f"{seconds:.1f}s"
@@ -33,7 +33,7 @@ def age(ns: int) -> str:
 
 
 def period(ns: int) -> str:
-    """A period in at most 5 characters: 8ms, 250ms, 1.50s, 12.0s, 20m."""
+    """Write a period (ns) in at most 5 characters: 8ms, 250ms, 1.50s, 12.0s, 20m; `-` for 0."""
     if not ns:
         return "-"
     if ns < 999_500_000:
@@ -45,7 +45,7 @@ def period(ns: int) -> str:
 
 
 def count(number: int) -> str:
-    """A count in at most 5 characters: 99999, 123k, 12.3M; empty for 0."""
+    """Write a count in at most 5 characters: 99999, 123k, 12.3M; empty for 0."""
     if not number:
         return ""
     if number < 100_000:
@@ -57,7 +57,7 @@ def count(number: int) -> str:
 
 
 def sparkline(values: Sequence[float | None], width: int) -> str:
-    """The last values as bars from their least to their greatest; None is a missing one."""
+    """Draw the last `width` values as bars between their least and greatest; None becomes an x."""
     shown = values[-width:]
     numbers = [one for one in shown if one is not None and one == one and abs(one) != float("inf")]
     low, high = (min(numbers), max(numbers)) if numbers else (0, 0)
@@ -73,7 +73,10 @@ def sparkline(values: Sequence[float | None], width: int) -> str:
 
 
 def change_style(changed_ns: int, now_ns: int) -> str:
-    """The style of a value by the time since it changed: it fades."""
+    """Return the style for a value by the time since it changed: the colour fades within seconds.
+
+    Times are in ns since 1970; `changed_ns` 0 means that it never changed.
+    """
     if not changed_ns:
         return ""
     since_ns = now_ns - changed_ns

@@ -1,11 +1,11 @@
-"""What a report shows, as one document for the script of its page."""
+"""Collects what the report page shows into one JSON document for the script of the page."""
 
-# The key `stats` has the document of `stats --json` as it is, but for the histograms of single
-# polls and, of very many polls, those that were asked least. The script makes tables and charts
-# from it, so the figures of both are the same. All other keys are described where they are made.
+# The key `stats` has the same document as `stats --json`, without the histograms of single polls,
+# and of very many polls only those that were sent most often. The script makes tables and charts
+# from it, so the figures of both are the same. The functions below describe the other keys.
 #
 # Bounds: MAX_UNITS units in charts over time, MAX_SAMPLES values in all charts of registers,
-# MAX_POLLS polls, MAX_ROWS rows in every other table.
+# MAX_POLLS polls for each link, MAX_ROWS rows in every other table.
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ _NUMBER_BEGINS = "+-.0123456789"
 
 @dataclass(frozen=True, slots=True)
 class FileOrigin:
-    """What a file says of how it was recorded; nothing for most captures of other programs."""
+    """What a capture file says of how it was recorded; empty for most captures of other tools."""
 
     file: str
     capture: Mapping[str, str] = field(default_factory=dict)
@@ -58,7 +58,7 @@ class FileOrigin:
 
 @dataclass(frozen=True, slots=True)
 class ComparisonWith:
-    """Differences from another capture."""
+    """The differences from another capture that the user named."""
 
     other: str
     transactions: int
@@ -69,7 +69,7 @@ class ComparisonWith:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReportContents:
-    """Everything that a report is made of."""
+    """Everything that the report page is made from."""
 
     version: str
     made_ns: int
@@ -85,13 +85,16 @@ class ReportContents:
     origins: Sequence[FileOrigin]
     remarks: Sequence[str]
     lacking: Sequence[WireEvent]
-    """The first events about what the capture lacks."""
+    """The first events that say what the capture lacks, such as lost packets."""
     number_lacking: int
     comparison: ComparisonWith | None = None
 
 
 def report_document(contents: ReportContents) -> dict[str, Any]:
-    """The document. Its texts are as captured; the page shows them as texts only."""
+    """Return the document as JSON data.
+
+    Texts from the wire are not escaped here: the page shows them as text nodes only.
+    """
     verdict = report_verdict(contents.links, contents.history, contents.findings)
     return {
         "version": contents.version,
@@ -137,7 +140,10 @@ def _statistics(contents: ReportContents) -> dict[str, Any]:
 
 
 def _bins(contents: ReportContents) -> dict[str, Any]:
-    """Counts over time: columns with a number for each bin; times in seconds since 1970."""
+    """Return counts over time: for each unit and link, lists with a number for each bin of time.
+
+    `begin` is in seconds since 1970, `width` in seconds.
+    """
     bins = contents.history.bins
     timed = {link.name for link in contents.links if link.has_times}
     known = [row for row in bins.rows if isinstance(row, UnitRow) and row.link in timed]
@@ -179,7 +185,7 @@ def _unit_columns(history: History, row: UnitRow) -> dict[str, Any]:
 
 
 def _in_ms(ns: float) -> float:
-    """A duration in ms with a microsecond's precision."""
+    """Convert ns to ms, rounded to a microsecond."""
     return round(ns / 1e6, 3)
 
 
@@ -202,7 +208,11 @@ def _link_columns(contents: ReportContents, link: LinkReport) -> dict[str, Any]:
 
 
 def _values(values: Values, begin_ns: int) -> dict[str, Any]:
-    """The values over time, in ms since the first bin; and those that never changed."""
+    """Return the values that changed, and those that never did; samples have times in ms.
+
+    The times are since the first bin. If there are many series, each is thinned out to fewer
+    samples.
+    """
     moving = {key: one for key, one in values.series.items() if one.changes and one.samples}
     most = min(max(MAX_SAMPLES // max(len(moving), 1), LEAST_SAMPLES), MOST_SAMPLES)
     return {
@@ -233,7 +243,7 @@ def _values(values: Values, begin_ns: int) -> dict[str, Any]:
 
 
 def _kind(series: ValueSeries) -> str:
-    """How a series is drawn: `bit`, `state` or `number`."""
+    """Return how the page draws a series of values: as `bit`, `state` or `number`."""
     if series.bit or (series.texts and {one.value for one in series.samples} <= {0, 1}):
         return "bit"
     are_words = any(text and text[0] not in _NUMBER_BEGINS for text in series.texts.values())
@@ -347,6 +357,9 @@ def _comparison(one: ComparisonWith) -> dict[str, Any]:
 
 
 def encoded(document: dict[str, Any]) -> str:
-    """The document as JSON for a script element: ASCII, and no text in it can end the element."""
+    """Return the document as JSON for a script element.
+
+    It is ASCII, and no text in it can end the element.
+    """
     text = json.dumps(msgspec.to_builtins(document), ensure_ascii=True, separators=(",", ":"))
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")

@@ -1,8 +1,8 @@
-"""Puts the document of a report, its script and its style into one HTML file."""
+"""Puts the JSON document of a report, its script and its style into one HTML file."""
 
 # The page needs no network and cannot use one: its Content-Security-Policy permits nothing but the
-# scripts and styles whose hashes it lists. No text of a capture is in the markup. All of them are
-# in the JSON of one script element that is not executed; page.js shows them as text nodes.
+# scripts and styles whose hashes it lists. The markup contains no text of a capture. All such texts
+# are in the JSON of one script element that is not executed; page.js shows them as text nodes.
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _STYLES = ("uPlot.min.css", "page.css")
 
 
 def page(data: str) -> str:
-    """The page for a document that `encoded` has made JSON of."""
+    """Return the HTML page. `data` is the report's document as JSON, made by contents.encoded."""
     scripts, styles = [_asset(name) for name in _SCRIPTS], [_asset(name) for name in _STYLES]
     policy = "; ".join((
         "default-src 'none'",
@@ -46,5 +46,5 @@ def _asset(name: str) -> str:
 
 
 def _hash(text: str) -> str:
-    """The source expression that permits an inline script or style with this text."""
+    """Return the CSP source expression that permits an inline script or style with this text."""
     return f"'sha256-{b64encode(sha256(text.encode()).digest()).decode()}'"

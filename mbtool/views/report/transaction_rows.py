@@ -1,15 +1,15 @@
-"""The rows of a report's table of transactions: the first ones, and those with something wrong."""
+"""Collects the rows of a report's table of transactions: the first ones, and those that failed."""
 
-# A row is a list, to keep the page small:
+# A row is a list of integers, to keep the page small:
 #
 #     number, microseconds since the first row, link, unit, request, result, outcome,
 #     latency in microseconds or -1, codes of findings
 #
-# Link, request, result, outcome and codes are places in `texts`, as the same texts come again and
-# again. Texts become shorter as the page grows (ROOM), so that it stays below 3 MB.
+# Link, request, result, outcome and codes are indices into the list `texts`, because the same texts
+# occur often. New texts are cut shorter as the page grows (ROOM), so that it stays below 3 MB.
 #
-# Memory: FIRST rows and at most MORE others, of one kind at a place at most OF_KIND; without
-# limits if everything is wanted.
+# Memory: the first FIRST rows, and of later ones at most MORE with a failure or a finding, at most
+# OF_KIND of each kind for one unit. With `everything` there is no limit.
 
 from __future__ import annotations
 
@@ -30,16 +30,17 @@ FIRST = 5000
 MORE = 8000
 OF_KIND = 2000
 ROOM = ((600_000, 160), (900_000, 60), (1_200_000, 30))
-"""Up to so many characters in all texts, a text has at most so many characters."""
+"""Pairs (size, most): while all texts together have less than `size` characters, a new text is cut
+to `most` characters."""
 _SHORTEST = 12
 _ARROW = " -> "
 _WELL = frozenset((Outcome.OK, Outcome.BROADCAST))
 _OUTCOME, _CODES = 6, 8
-"""Places in a row."""
+"""Indices of fields in a row."""
 
 
 class TransactionRows:
-    """Collects rows from the transactions of a capture, in their order."""
+    """Collects rows from the transactions of a capture, which must come in their order."""
 
     def __init__(self, *, everything: bool = False) -> None:
         self._everything = everything
@@ -49,7 +50,8 @@ class TransactionRows:
         self._kinds: Counter[tuple[str, int, str]] = Counter()
         self._more = 0
         self._by_time: dict[tuple[str, int | None, int], tuple[list[int], dict[str, None]]] = {}
-        """The row and its codes, by link, unit and start."""
+        """The row and its finding codes, by link, unit and start time in ns; `mark` looks them
+        up."""
         self.begin_ns: int | None = None
         self.rows: list[list[int]] = []
         self.transactions = 0
@@ -58,7 +60,10 @@ class TransactionRows:
         self.kept_with_trouble = 0
 
     def add(self, one: NamedTransaction, codes: Iterable[str]) -> None:
-        """Take a transaction with the codes of its findings."""
+        """Count a transaction, and keep a row for it if it is wanted.
+
+        `codes` are further findings.
+        """
         self.transactions += 1
         codes = dict.fromkeys((*one.findings, *codes))
         has_trouble = bool(codes) or one.outcome not in _WELL
@@ -68,7 +73,7 @@ class TransactionRows:
             self._keep(one, codes)
 
     def mark(self, finding: Finding) -> None:
-        """Take a finding about an earlier transaction; nothing happens if its row is not kept."""
+        """Add a finding about an earlier transaction to its row, unless the row was not kept."""
         found = self._by_time.get((finding.link, finding.unit, finding.ts_ns))
         if found is None or finding.code in found[1]:
             return
@@ -80,7 +85,7 @@ class TransactionRows:
         row[_CODES] = self._place(" ".join(codes))
 
     def document(self) -> dict[str, Any]:
-        """The rows and their texts for the page."""
+        """Return rows, texts and counts as JSON data for the page."""
         return {
             "begin_us": 0 if self.begin_ns is None else self.begin_ns // 1000,
             "texts": self._texts,
@@ -121,7 +126,7 @@ class TransactionRows:
         self._by_time[one.link, one.unit, one.start_ns] = row, codes
 
     def _place(self, text: str) -> int:
-        """The place of a text in the list of texts."""
+        """Return the index of a text in `texts`; a new text is cut to its limit and appended."""
         place = self._places.get(text)
         if place is not None:
             return place

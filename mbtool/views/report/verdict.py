@@ -1,8 +1,9 @@
-"""The first sentence of a report: what is wrong with whom since when, and that the rest is well."""
+"""Writes the first sentence of a report: which unit has which trouble since when."""
 
-# A trouble is told of a unit, of a link or of a host. Since when: from the first bin (series/
-# time_bins.py) in which it shows, if it does not show from the beginning. Shares are then of the
-# requests since. A unit can have several troubles; the worst come first.
+# A trouble belongs to a unit, a link or a host. If it does not show from the beginning, its text
+# says since when: the begin of the first bin of time (series/time_bins.py) in which it shows. Its
+# share is then of the requests since that time. A unit can have several troubles; the worst come
+# first.
 
 from __future__ import annotations
 
@@ -28,24 +29,27 @@ if TYPE_CHECKING:
     from mbtool.views.findings_table import Summaries
 
 IN_SENTENCE = 3
-"""The first sentence names at most so many troubles; all of them stand below it."""
+"""The first sentence names at most this many troubles; the page lists all of them below it."""
 FEW = 0.01
-"""A share of requests below this, 1 %, is told as a count, and is no reason for alarm."""
+"""If a smaller share of requests than this (0.01 is 1 %) failed, the text gives the number, and the
+trouble is minor."""
 SLOWER = 2
-"""A unit has become slower if its mean latency is so many times that of its first half, and SLOW_NS
-more."""
+"""A unit has become slower if its mean latency at the end is at least this many times that of its
+first half, and at least SLOW_NS more."""
 _ENOUGH_BINS = 8
-"""Fewer bins do not show when a unit became slower."""
+"""With fewer bins of time than this, no time is given since when a unit is slower."""
 JOINED_SLOW = 3
-"""So many slow units are told as one trouble."""
+"""If at least this many units are slow, they are reported as one trouble."""
 _MANY_REFUSING = 4
-"""So many refusing units, at least half of all, are told as one trouble."""
+"""If at least this many units, and half of all, refuse requests, they are reported as one
+trouble."""
 _THROUGHOUT = 0.1
-"""A trouble that shows in the first tenth of a unit's time was there from the beginning."""
+"""A trouble that shows in this first share of a unit's time is taken to be there from the
+beginning."""
 _ENDED = 0.25
-"""A trouble that does not show in the last quarter of a unit's time has ended."""
+"""A trouble that does not show in this last share of a unit's time has ended."""
 _ENOUGH = 3
-"""What happened fewer times is small; what shows in fewer bins is given no time."""
+"""Fewer failures than this are minor; a trouble in fewer bins than this gets no time."""
 _DAY_NS = 86_400_000_000_000
 
 
@@ -63,24 +67,24 @@ class Rank(IntEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VerdictTrouble:
-    """One thing that is wrong."""
+    """One thing that is wrong with a unit, a link, a host or a rule."""
 
     rank: Rank
     text: str
-    """A clause that begins with the name of who has the trouble."""
+    """A clause that begins with the name of the unit, link or host that has the trouble."""
     weight: float = 0.0
-    """Of troubles of one rank the one with the greatest weight comes first."""
+    """Of the troubles of one rank, those with the greatest weight come first."""
     who: str = ""
-    """The unit, host or code that has it."""
+    """The name of the unit, link, host or rule that the trouble belongs to."""
     search: str = ""
-    """What finds the transactions of it in the table of the report."""
+    """The text that finds the trouble's transactions in the search field of the report's table."""
     units: frozenset[UnitRow] = frozenset()
     is_refusal: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class _Unit:
-    """What is known of one unit."""
+    """The counts of one unit, and its history over time."""
 
     row: UnitRow
     name: str
@@ -98,16 +102,16 @@ class _Unit:
 
 @dataclass(frozen=True, slots=True)
 class ReportVerdict:
-    """What the report says first."""
+    """The report's first sentence, and all troubles."""
 
     sentence: str
     troubles: list[VerdictTrouble] = field(default_factory=list)
     told: int = 0
-    """The first so many troubles are told in the sentence."""
+    """The sentence names the first troubles of the list, this many."""
 
     @property
     def level(self) -> str:
-        """`well`, `doubt` or `bad`."""
+        """Return `well`, `doubt` or `bad`, by the worst trouble."""
         worst = min((one.rank for one in self.troubles), default=None)
         if worst is None:
             return "well"
@@ -115,14 +119,14 @@ class ReportVerdict:
 
 
 def link_word(link: str) -> str:
-    """What the search of the table takes for a link, with a space; empty for a name with spaces."""
+    """Return a link as a word for the search field, with a space; empty for a name with spaces."""
     return "" if " " in link else f"{link} "
 
 
 def report_verdict(
     links: Sequence[LinkReport], history: History, findings: Summaries
 ) -> ReportVerdict:
-    """Judge a capture by its statistics, its history and its findings."""
+    """Judge a capture by its statistics, its history over time and its findings (broken rules)."""
     units = _tallies(links)
     total = merged(list(units.values()))
     if not total.transactions and not findings:
@@ -143,7 +147,7 @@ def report_verdict(
 
 
 def _tallies(links: Sequence[LinkReport]) -> dict[UnitRow, RequestTally]:
-    """The counts of each unit; broadcasts on a serial line are to no unit."""
+    """Return the counts of each unit; serial broadcasts are left out, as no unit answers them."""
     tallies: dict[UnitRow, list[RequestTally]] = {}
     for link in links:
         for one in link.functions:
@@ -189,7 +193,7 @@ def _all_well(
 
 
 def _joined_refusals(troubles: list[VerdictTrouble], units: int) -> list[VerdictTrouble]:
-    """The troubles with many units that refuse told as one: a master asks what they do not have."""
+    """Join the troubles of many refusing units into one: the master asks for what they lack."""
     refusing = [one for one in troubles if one.rank is Rank.FAILING and one.is_refusal]
     if len(refusing) < _MANY_REFUSING or len(refusing) * 2 < units:
         return troubles
@@ -206,7 +210,7 @@ def _joined_refusals(troubles: list[VerdictTrouble], units: int) -> list[Verdict
 
 
 def _joined_slow(troubles: list[VerdictTrouble], units: int) -> list[VerdictTrouble]:
-    """The troubles with many slow units told as one: they may be slow by their kind."""
+    """Join the troubles of many slow units into one: devices of their kind may be slow."""
     slow = [one for one in troubles if one.rank is Rank.SLOW]
     if len(slow) < JOINED_SLOW:
         return troubles
@@ -226,7 +230,7 @@ def _units_of(troubles: Sequence[VerdictTrouble]) -> frozenset[UnitRow]:
 
 
 def _line_troubles(links: Sequence[LinkReport], history: History) -> list[VerdictTrouble]:
-    """Frames with a wrong CRC that belong to no known unit, and connections that were cut."""
+    """Return troubles of lines: bad CRCs that fit no unit, and TCP connections reset or refused."""
     troubles = []
     for link in links:
         frames = sum(history.bins.column(link.name, LinkSum.BAD_CHECK))
@@ -261,12 +265,15 @@ def _line_troubles(links: Sequence[LinkReport], history: History) -> list[Verdic
 
 
 def _rank(grave: Rank, share: float, count: int) -> Rank:
-    """The rank of what happened `count` times, to a share of the requests."""
+    """Return `grave` if a failure happened often enough, else MINOR; `share` is of the requests."""
     return grave if share >= FEW and count >= _ENOUGH else Rank.MINOR
 
 
 def _unit_troubles(unit: _Unit, usual: float | None) -> list[VerdictTrouble]:
-    """For a slow unit, `usual` is the median latency of the others in ns; else None."""
+    """Return the troubles of one unit: missing, refused, malformed and slow responses.
+
+    `usual` is the median latency of the other units in ns if this one is slow, else None.
+    """
     name, tally = unit.name, unit.tally
     asked = tally.transactions - tally.count(Outcome.UNSOLICITED)
     found = []
@@ -295,7 +302,7 @@ def _unit_troubles(unit: _Unit, usual: float | None) -> list[VerdictTrouble]:
 
 
 def _slower(unit: _Unit) -> VerdictTrouble | None:
-    """The trouble of a unit that answers slower at the end than in the first half; or None."""
+    """Return a trouble if a unit answers slower at the end than in its first half, else None."""
     if unit.history is None:
         return None
     bins = unit.history.bins
@@ -314,7 +321,7 @@ def _slower(unit: _Unit) -> VerdictTrouble | None:
     middle = (usual + late) / 2
     begin = max((at for at, place in enumerate(places) if mean([place]) < middle), default=-1) + 1
     if len(places) - begin < len(places) // 8:
-        return None  # It is slow and fast in turn.
+        return None  # The unit became fast again.
     begin_ns = bins.begin_ns + places[begin] * bins.width_ns
     is_long = (places[-1] - places[0]) * bins.width_ns >= _DAY_NS
     since = _moment(begin_ns, is_long=is_long, width_ns=bins.width_ns)
@@ -350,7 +357,7 @@ def _refusals(unit: _Unit) -> VerdictTrouble:
 
 
 def _codes(tally: RequestTally) -> str:
-    """The exception code that was given for most refusals, or the two that were."""
+    """Return the exception code of most refusals in words, or the two most frequent codes."""
     total = sum(tally.exceptions.values())
     often = sorted(tally.exceptions, key=lambda one: -tally.exceptions[one])
     first, *others = (exception_text(code, tally.exception_names[code]) for code in often)
@@ -368,10 +375,10 @@ def _requests(share: float, count: int) -> str:
 
 
 def _period(unit: _Unit, what: UnitSum) -> tuple[str, int, int]:
-    """Words for when something happened to a unit, and how many of how many requests then.
+    """Return when something happened to a unit, in words, how often, and among how many requests.
 
-    The words are empty if it happened throughout. All are empty or 0 for a unit of which the
-    history has nothing.
+    Both counts are of that time only. The words are empty if it happened all the time. The result
+    is ("", 0, 0) for a unit that the history does not have.
     """
     if unit.history is None:
         return "", 0, 0
@@ -403,13 +410,13 @@ def _period(unit: _Unit, what: UnitSum) -> tuple[str, int, int]:
 
 
 def _moment(ns: int, *, is_long: bool, width_ns: int) -> str:
-    """A time of day, with the date in a capture of days, as exact as the bins are."""
+    """Write a time of day as exactly as the bins of time are; `is_long` adds the date."""
     time = clock_time(ns)[: 5 if width_ns >= 60_000_000_000 else 8]
     return f"{day(ns)} {time}" if is_long else time
 
 
 def _finding_troubles(findings: Summaries) -> list[VerdictTrouble]:
-    """The rules that are broken, apart from those that the counts of units tell already."""
+    """Return the broken rules, except those that the counts of units show already."""
     troubles = []
     for code, summary in findings:
         places = summary.places()
@@ -432,5 +439,5 @@ def _finding_troubles(findings: Summaries) -> list[VerdictTrouble]:
 
 
 def _is_of_a_manual(code: str, severity: Severity) -> bool:
-    """True for a warning of a device's manual; those of the standard are told by the counts."""
+    """True for a warning about a device's manual; warnings of the standard show in the counts."""
     return severity is Severity.WARNING and not code.startswith(("MB-", "RTU-", "TCP-"))
