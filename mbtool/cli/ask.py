@@ -71,7 +71,10 @@ def write(
 
 
 def _demand_consent(asked: AskedSlave, values: Sequence[str]) -> None:
-    """Ask the user at the terminal. Raises typer.Exit if the answer is no."""
+    """Ask the user at the terminal for consent to a write.
+
+    Raises typer.Exit if the answer is no.
+    """
     from mbtool.cli.talk import say
 
     say(f"write {'; '.join(values)} to unit {asked.unit} at {asked.link}")
@@ -87,7 +90,7 @@ def _ask_all(
     options: TableOptions,
     if_interrupted: str = "interrupted",
 ) -> None:
-    """Send the requests, and print what came of them. Exits with 1 if one fails."""
+    """Send the requests and print their transactions. Exits with 1 if one got no valid answer."""
     from mbtool.cli.ask_options import print_asked
     from mbtool.workflows.ask import ANSWERED_OUTCOMES
 
