@@ -1,4 +1,7 @@
-"""Reads capture files and gives the bytes of TCP connections and serial lines. Opens no file."""
+"""Reads capture files and reassembles the bytes of TCP connections and serial lines.
+
+Opens no file.
+"""
 
 from mbtool.packets.capture import CAPTURE_MAGICS, read_capture
 from mbtool.packets.line_packets import CaptureHead, LinePacket, reads_of

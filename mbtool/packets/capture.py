@@ -1,11 +1,11 @@
 """Reads capture files: pcap and pcapng, recognised by their first bytes."""
 
-# A reader takes an open binary stream and gives packets one at a time, so memory does not grow
-# with the file. The stream is buffered: `read(n)` gives fewer than n bytes only at its end.
+# A reader takes an open binary stream and yields one packet at a time, so memory does not grow with
+# the file. The stream must be buffered: `read(n)` returns fewer than n bytes only at its end.
 #
 # A reader raises DamageError where the file is damaged, and CutError where the file ends in the
-# middle of a record. It gives all packets before that place first. `name` is the file's name in the
-# text of these errors.
+# middle of a record; all packets before that place are yielded first. `name` is the file's name in
+# the text of these errors.
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ def read_capture(
     name: str = "capture",
     on_head: Callable[[CaptureHead], None] = lambda _: None,
 ) -> Iterator[Packet]:
-    """Give the packets of a pcap or pcapng file.
+    """Yield the packets of a pcap or pcapng file.
 
-    `on_head` is called if `convert` has described the links of the packets in the file. Raises
-    InputError if the file is of another kind, DamageError or CutError if it is damaged or ends too
-    early.
+    `on_head` is called with the description of serial lines and taps that `convert` writes into a
+    pcapng file, if there is one. Raises InputError if the file is of another kind, DamageError or
+    CutError if it is damaged or ends too early.
     """
     magic = stream.read(4)
     if magic in PCAP_MAGICS:

@@ -1,11 +1,12 @@
 """Writes pcap and pcapng. Opens no file."""
 
-# Both are written in little-endian order, with times in ns. The layouts are those of pcap.py and
-# pcapng.py. In pcapng an interface is described before its first packet; each pair of a link and a
-# link type is one interface. A section header without options is followed by the block for local
-# use, if there is one, so that a reader sees from the first bytes of a file that it has one.
+# Both formats are written in little-endian order, with times in ns; pcap.py and pcapng.py show the
+# layouts. In pcapng an interface is described before its first packet; each pair of a link and a
+# link type is one interface. If the file holds links of mbtool (serial lines, taps), the block that
+# describes them comes right after the section header, so that a reader learns this from the first
+# bytes of the file.
 #
-# Memory: the names of the interfaces.
+# Memory: the names of the interfaces only; packets are written at once.
 
 from __future__ import annotations
 
@@ -44,7 +45,7 @@ _NS_PER_SECOND = 1_000_000_000
 
 
 class InterfaceSettings(NamedTuple):
-    """What a capture file tells of an interface beside its name and its link type."""
+    """Properties of an interface in a pcapng file, in addition to its name and link type."""
 
     description: str = ""
     speed: int = 0
@@ -80,7 +81,7 @@ class PcapngWriter:
         self._stream.write(struct.pack("<I", kind) + size + body + size)
 
     def write_names(self, names: Mapping[bytes, str]) -> None:
-        """Write the names of IPv4 addresses of 4 bytes."""
+        """Write host names for Wireshark to show; the keys are IPv4 addresses, 4 bytes each."""
         records = b"".join(
             _option(_IPV4_NAME, address + name.encode() + b"\0") for address, name in names.items()
         )
@@ -89,7 +90,9 @@ class PcapngWriter:
 
     @property
     def has_room(self) -> bool:
-        """False if another interface would be more than a reader takes."""
+        """False if the file has MAX_INTERFACES interfaces already, the most that mbtool's reader
+        takes.
+        """
         return len(self._interfaces) < MAX_INTERFACES
 
     def knows(self, link: str, link_type: int) -> bool:
@@ -99,7 +102,9 @@ class PcapngWriter:
     def add_interface(
         self, link: str, link_type: int, settings: InterfaceSettings | None = None
     ) -> None:
-        """Describe an interface."""
+        """Write the description of an interface; it must come before the interface's first
+        packet.
+        """
         settings = settings or InterfaceSettings()
         options = _option(OPTION_NAME, link.encode(errors="replace"))
         if settings.description:
@@ -118,7 +123,11 @@ class PcapngWriter:
         flags: int = 0,
         local: Mapping[int, bytes] | None = None,
     ) -> None:
-        """Write a packet; `local` are options for local use, by their code."""
+        """Write a packet.
+
+        `flags` has the bits SENT, RECEIVED and CRC_ERROR. `local` holds options for local use,
+        which other programs skip: bytes by option code.
+        """
         if not self.knows(packet.link, packet.link_type):
             self.add_interface(packet.link, packet.link_type)
         index = self._interfaces[packet.link, packet.link_type]

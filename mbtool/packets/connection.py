@@ -68,10 +68,9 @@ _STATE_FLAGS = ACK | FIN | RST | SYN
 
 
 class TcpConnection:
-    """The two directions of a TCP connection.
+    """Reassembles the two directions of a TCP connection.
 
-    Appends to `out`, in the order of delivery, the bytes, gaps and events, and its own begin and
-    end.
+    Appends bytes, gaps, events and its own begin and end to `out`, in the order of delivery.
     """
 
     __slots__ = (
@@ -108,13 +107,14 @@ class TcpConnection:
         """The direction of the end that sent the last keep-alive probe."""
         self._master_is_lower = master_is_lower
         self._arrivals = 0
-        """The number of segments taken so far."""
+        """The number of segments of this connection so far, both directions together."""
         self._now_ns = ts_ns
         self._out = out
         requests = Stream(Direction.REQUEST, identity)
         responses = Stream(Direction.RESPONSE, identity)
         self._directions = ((requests, responses), (responses, requests))
-        """Pairs of streams, the sender's first: the first pair is for segments of the master."""
+        """Two pairs of streams (sender's, receiver's): the first for segments from the master, the
+        second for segments from the slave."""
         out.append(StreamOpened(ts_ns, identity, joined))
 
     @property
@@ -125,14 +125,14 @@ class TcpConnection:
 
     @property
     def rest(self) -> RestPlace | None:
-        """The numbers of the next bytes; None if the connection has ended or holds something."""
+        """The next sequence numbers and positions; None if the connection ended or bytes wait."""
         ways = self._directions[0]
         if self.closed or not all(way.is_at_rest for way in ways):
             return None
         return RestPlace(*(way.next_sequence for way in ways), *(way.position for way in ways))
 
     def pass_plain(self, requests: PlainBytes, responses: PlainBytes) -> None:
-        """Take segments that were read elsewhere, in order, up to a response; nothing is held."""
+        """Advance behind segments that columns/ has read from arrays, up to a response."""
         asking, answering = self._directions[0]
         asking.pass_plain(requests, self._arrivals)
         answering.pass_plain(responses, self._arrivals)
@@ -146,8 +146,8 @@ class TcpConnection:
     def is_replaced_by(self, segment: TcpSegment, *, from_lower: bool) -> bool:
         """True if a segment belongs to a new connection between the same ends.
 
-        The segment has a SYN, or this connection is closed. `from_lower` is True if the lower end
-        sent it, as in `feed`.
+        Called for a segment with SYN, or if this connection is closed. `from_lower` is True if the
+        lower end (by port, then address) sent it.
         """
         sender, _ = self._directions[from_lower != self._master_is_lower]
         return begins_another(segment, sender, is_closed=self.closed)
@@ -159,7 +159,7 @@ class TcpConnection:
 
         The caller sorts the two ends by port and address; `from_lower` is True if the lower end
         sent the segment. `origin` is the packet that brought the segment. Returns True if bytes
-        are held, as `holds_bytes` does.
+        wait for earlier bytes.
         """
         self.last_ns = self._now_ns = ts_ns
         if self.closed:
@@ -184,7 +184,7 @@ class TcpConnection:
     def _take(
         self, segment: TcpSegment, sender: Stream, other: Stream, origin: Origin | None
     ) -> None:
-        """Take a segment with flags, without bytes, out of order or at an unusual place."""
+        """Take a segment that has flags, has no bytes or is out of order."""
         probes, ts_ns = self.keep_alives, self._now_ns
         flags, sequence = segment.flags, segment.sequence
         if flags & ACK and other.syn_end is not None:
@@ -223,11 +223,11 @@ class TcpConnection:
             self.close(now_ns, CloseReason.FINISHED)
 
     def flush(self) -> None:
-        """Deliver all held bytes; their holes become gaps."""
+        """Deliver all bytes that wait for earlier ones; the missing earlier bytes become gaps."""
         self._deliver_held(force=True)
 
     def close(self, ts_ns: int, reason: CloseReason) -> None:
-        """Deliver all held bytes and end the connection, unless it has ended."""
+        """Deliver all waiting bytes and end the connection, unless it has ended already."""
         if not self.closed:
             self.flush()
             for stream, _ in self._directions:
@@ -247,7 +247,7 @@ class TcpConnection:
             stream.pass_over(missing)
 
     def _acknowledge(self, stream: Stream, acknowledgement: int) -> int:
-        """Note that the end which receives `stream` has acknowledged its bytes up to a number.
+        """Note that the receiver of `stream` has acknowledged its bytes up to a sequence number.
 
         Returns the position of that number in `stream` if bytes before it have not come, else 0.
         """
@@ -281,7 +281,7 @@ class TcpConnection:
         if sender.origin is None:
             sender.join(sequence, arrival, ts_ns)
         if other.origin is None and segment.flags & (ACK | SYN) == ACK:
-            # The bytes that this segment acknowledges may follow it in the capture.
+            # The acknowledged bytes may come later: the capture may have swapped the packets.
             other.join(segment.acknowledgement, arrival, ts_ns)
             acknowledged = LEAD
         start = sender.position_of(sequence)
@@ -298,7 +298,7 @@ class TcpConnection:
             self._take_piece(sender, other, cut)
 
     def _continue_at(self, stream: Stream, sequence: int) -> int:
-        """Go on at a sequence number further than WINDOW from the expected one.
+        """Continue a stream at a sequence number more than WINDOW from the expected one.
 
         Returns the position in `stream` that the sequence number now has.
         """
@@ -309,9 +309,9 @@ class TcpConnection:
         return stream.position
 
     def _take_piece(self, sender: Stream, other: Stream, piece: HeldBytes) -> None:
-        """Deliver or hold those bytes of a piece that were not delivered before.
+        """Deliver those bytes of a segment that are new, or keep them until earlier ones have come.
 
-        Bytes that came too late, or that differ from their first copy, are reported as events.
+        Bytes after their gap, or different from their first copy, are reported as events.
         """
         differs = False
         fresh, behind = piece, sender.position - piece.start
@@ -348,11 +348,10 @@ class TcpConnection:
         self._out.append(StreamEvent(self.identity, event))
 
     def _is_due(self, piece: HeldBytes, other: Stream) -> bool:
-        """True if the bytes that a piece acknowledges are delivered, or no longer awaited."""
+        """True if the bytes that a segment acknowledges are delivered, or given up."""
         if piece.acknowledged <= other.position:
             return True
-        # If the other direction holds bytes behind a hole, the gap for that hole is delivered
-        # first.
+        # If bytes of the other direction wait behind a hole, its gap is delivered first.
         has_gap_to_come = other.held and other.held[0].start <= piece.acknowledged
         return not has_gap_to_come and self._is_overdue(other, piece.acknowledged)
 
@@ -360,11 +359,11 @@ class TcpConnection:
         return stream.is_overdue(self._arrivals, PATIENCE, self._now_ns, PATIENCE_NS, needed)
 
     def _deliver_held(self, *, force: bool = False) -> None:
-        """Deliver held bytes that are due, and give up holes that have waited too long.
+        """Deliver waiting bytes whose turn has come, and give up holes that have waited too long.
 
         `force` gives up all holes.
         """
-        # Each pass delivers a piece or gives up a hole, so the loop ends.
+        # Each pass of the loop delivers bytes or gives up a hole, so it ends.
         moved = True
         while moved:
             moved = False
@@ -375,15 +374,14 @@ class TcpConnection:
                     self._deliver(stream, stream.release())
                     moved = True
             if not moved:
-                # A stream that the capture joins in its middle goes first: its beginning must be
-                # known.
+                # First a stream whose beginning is undecided (the capture starts in its middle).
                 streams = sorted(self._directions[0], key=lambda stream: not stream.joining)
                 moved = any(self._give_up(stream, force) for stream in streams)
 
     def _give_up(self, stream: Stream, force: bool) -> bool:
-        """Give up the hole before the first held piece, if its bytes had enough time to come.
+        """Give up the hole before the first waiting bytes if it has had enough time to be filled.
 
-        Returns True if a piece or a gap was delivered.
+        Returns True if bytes or a gap were delivered.
         """
         if not stream.held:
             return False
@@ -415,7 +413,7 @@ class TcpConnection:
         return True
 
     def _has_waited_enough(self, stream: Stream, first: HeldBytes, hole: int) -> bool:
-        """True if a limit ends the wait for the bytes before the first held piece."""
+        """True if a limit of bytes, time or packets ends the wait for the hole before `first`."""
         if stream.is_overfull():
             return True
         if self._now_ns - min(piece.ts_ns for piece in stream.held) >= HOLE_NS:
@@ -423,7 +421,7 @@ class TcpConnection:
         return hole > 0 and first.start <= stream.acknowledged and self._is_overdue(stream)
 
     def _deliver(self, stream: Stream, piece: HeldBytes) -> None:
-        """Deliver a piece, which begins at the position of its stream."""
+        """Deliver bytes, or a gap where snaplen cut them, at the position of the stream."""
         if piece.arrival >= stream.latest[0]:
             stream.latest = (piece.arrival, piece.ts_ns)
         if piece.data:

@@ -1,7 +1,7 @@
-"""A TCP connection that was read elsewhere, from its SYN to both FINs."""
+"""The state of a TCP connection that columns/ has read from arrays, from its SYN to both FINs."""
 
-# It takes a tenth of the time of a TcpConnection to make. Its streams are made only if a later
-# segment of the same ends must be compared with them.
+# It takes the place of a closed TcpConnection, and is made in a tenth of the time: its Streams are
+# made only if a later segment between the same ends must be compared with them.
 
 from __future__ import annotations
 
@@ -17,14 +17,15 @@ if TYPE_CHECKING:
     from mbtool.packets.stream_events import CloseReason
 
 WINDOW = 1024 * 1024
-"""The largest distance of a segment in flight from the next expected byte, in bytes."""
+"""The largest distance, in bytes, between a segment's sequence number and the next expected one; a
+segment further away belongs to another connection, or follows lost bytes."""
 
 
 def begins_another(segment: TcpSegment, sender: Stream, *, is_closed: bool) -> bool:
-    """True if a segment belongs to a new connection between the ends of another one.
+    """True if a segment belongs to a new connection, not to the known one between the same ends.
 
-    The segment has a SYN, or the other connection `is_closed`. `sender` is the stream of the same
-    direction in the other connection.
+    Called for a segment with SYN, or if the known connection `is_closed`. `sender` is the known
+    connection's stream in the segment's direction.
     """
     flags = segment.flags
     if flags & SYN:
@@ -33,14 +34,15 @@ def begins_another(segment: TcpSegment, sender: Stream, *, is_closed: bool) -> b
         return (known and not same) or (is_closed and not flags & ACK)
     if flags & RST or not (segment.payload or segment.missing):
         return False
-    # These bytes come after the end of the connection. If they are not a second copy, either the
-    # RST that ended it was a stray one, or the SYN of the next one is not in the capture.
+    # These bytes come after the end of the known connection. If they are no retransmission, either
+    # the RST that ended it was a stray one, or the SYN of the next connection is not in the
+    # capture.
     size = len(segment.payload) + segment.missing
     return sender.is_new(segment.sequence, size, WINDOW)
 
 
 class EndedConnection:
-    """Does what a closed `TcpConnection` does."""
+    """Stands for a closed `TcpConnection`: recognises late segments of it, ignores their bytes."""
 
     __slots__ = ("_begins", "_master_is_lower", "_sizes", "identity", "last_ns")
 
@@ -54,10 +56,11 @@ class EndedConnection:
         sizes: tuple[int, int],
         master_is_lower: bool,
     ) -> None:
-        """`last_ns` is the time of its last segment, in UTC ns.
+        """Keep what later segments are compared with.
 
-        `begins` and `sizes` are the sequence numbers of the first bytes and the numbers of bytes,
-        of the requests and of the responses.
+        `last_ns` is the time of its last segment, in UTC ns. `begins` has the sequence numbers of
+        the first request byte and of the first response byte; `sizes` the total bytes of requests
+        and of responses.
         """
         self.identity = identity
         self.last_ns = last_ns

@@ -2,19 +2,20 @@
 
 # All fragments of a packet have the same addresses and identification, and with IPv4 the same
 # protocol (RFC 791, section 3.2; RFC 8200, section 4.5). Only fragments that may hold TCP are kept.
-# A packet is whole when every byte up to the end of its last fragment has come. It is given as a
-# plain IP packet without options, at the time of the fragment that completed it.
+# A packet is whole when every byte up to the end of its last fragment has come. The result is an IP
+# packet without options or extension headers, with the time of the fragment that completed it.
 #
-# Where fragments overlap, the first copy wins. No proper sender makes them overlap (RFC 5722), so
-# an overlap is reported. An exact copy, as mirror ports make them, is not reported: a whole packet
-# is remembered to recognise its copies. Other bytes with its identification begin another packet.
+# Where fragments overlap, the first copy wins. No correct sender makes them overlap (RFC 5722), so
+# an overlap is reported. An exact copy, such as a mirror port makes, is not reported: a whole
+# packet is remembered for a while to recognise copies. A fragment with the same identification and
+# other bytes begins another packet.
 #
-# If the capture cut bytes off a fragment (snaplen), the packet is given up to the first missing
-# byte.
+# If the capture cut bytes off a fragment (snaplen), the result ends at the first missing byte.
 #
 # Limits: MAX_DATAGRAMS packets of at most 64 KiB are held, and MAX_FRAGMENT_BYTES in all, where
-# each packet and each piece counts PIECE_COST more. Above that, the oldest packet is given up. One
-# that is not whole within FRAGMENT_NS is given up too, since senders use an identification again.
+# each packet and each piece of one counts PIECE_COST bytes more. Above that, the oldest packet is
+# given up. A packet that is not whole within FRAGMENT_NS is given up too, since senders reuse
+# identifications.
 
 from __future__ import annotations
 
@@ -42,9 +43,9 @@ if TYPE_CHECKING:
 MAX_DATAGRAMS = 256
 MAX_FRAGMENT_BYTES = 4 * 1024 * 1024
 PIECE_COST = 256
-"""The bytes of memory, roughly, that a packet or a piece of it needs in addition to its data."""
+"""The estimated bytes of memory that a packet, or a piece of it, takes in addition to its data."""
 FRAGMENT_NS = 10_000_000_000
-"""How long after its first fragment a packet may become whole, in ns."""
+"""The longest time from the first fragment of a packet to its last one, in ns."""
 
 _MAX_PAYLOAD = 0xFFFF - 20
 _BEFORE_TCP = IPV6_EXTENSIONS | {IPV6_AUTHENTICATION, TCP}
@@ -62,7 +63,7 @@ captured packet at which its data begins and ends."""
 
 
 class Fragment(NamedTuple):
-    """A part of an IP packet's payload."""
+    """A fragment: the bytes `start` to `end` (exclusive) of an IP packet's payload."""
 
     key: Key
     following: int
@@ -79,9 +80,9 @@ class Overlap(Enum):
 
     NONE = 0
     SAME = 1
-    """Where fragments overlap they have the same bytes, but their beginnings or ends differ."""
+    """They have the same bytes where they overlap, but begin or end elsewhere."""
     DIFFERENT = 2
-    """Where fragments overlap they have different bytes, or they contradict the packet's length."""
+    """They have different bytes where they overlap, or contradict the packet's length."""
 
 
 class DatagramEnd(Enum):
@@ -89,14 +90,14 @@ class DatagramEnd(Enum):
 
     WHOLE = 0
     INCOMPLETE = 1
-    """Fragments did not come in time."""
+    """Some fragments did not come within FRAGMENT_NS."""
     DISCARDED = 2
-    """Too many packets were being reassembled."""
+    """The packet was dropped because too many were being reassembled."""
 
 
 @dataclass(slots=True)
 class Datagram:
-    """The fragments of one packet."""
+    """One IP packet that is being reassembled from fragments."""
 
     key: Key
     link: str
@@ -105,7 +106,7 @@ class Datagram:
     pieces: list[tuple[int, int, bytes]] = field(default_factory=list)
     """Start, end and bytes of each piece of the payload, in order, without overlaps."""
     held: int = 0
-    """The number of bytes of the packet that the pieces cover."""
+    """How many bytes of the packet's payload have come."""
     total: int | None = None
     """The length of the packet's payload in bytes; None until its last fragment has come."""
     overlap: Overlap = Overlap.NONE
@@ -117,7 +118,9 @@ class Datagram:
         return b"".join(self._leading())
 
     def packet(self) -> tuple[bytes, int]:
-        """An IP packet with `payload`, and the length it would have if no byte were missing."""
+        """Return an IP packet with `payload`, and the length in bytes that it would have if none
+        were missing.
+        """
         payload = self.payload
         source, destination, protocol, _ = self.key
         length = self.held if self.total is None else self.total
@@ -135,7 +138,7 @@ class Datagram:
         if self.total is None and fragment.last and is_behind:
             self.total = end
         elif (self.total is not None and end > self.total) or (fragment.last and end != self.total):
-            self.overlap = Overlap.DIFFERENT  # Contradictory ends: the first one stays.
+            self.overlap = Overlap.DIFFERENT  # Two different ends: the first counts.
             return 0
         if not start:
             self.following = fragment.following
@@ -153,7 +156,9 @@ class Datagram:
         return len(added)
 
     def is_copy(self, fragment: Fragment) -> bool:
-        """True if this packet, which is whole, has all bytes of a fragment, and they are equal."""
+        """True if this packet, already whole, has the same bytes as a fragment at the fragment's
+        place.
+        """
         touching = self._touching(fragment.start, fragment.end)
         return fragment.end <= self.held and not any(_differ(fragment, one) for one in touching)
 
@@ -188,7 +193,7 @@ class Fragments:
 
     def __init__(self) -> None:
         self._datagrams: OrderedDict[tuple[str, Key], Datagram] = OrderedDict()
-        """The packets by `scope` (see `feed`) and key, in the order of their first fragments."""
+        """The packets by scope (see `feed`) and key, in the order of their first fragments."""
         self._cost = 0
 
     @property
@@ -197,9 +202,10 @@ class Fragments:
         return self._cost
 
     def feed(self, fragment: Fragment, ts_ns: int, link: str, scope: str = "") -> list[Datagram]:
-        """Take a fragment; return the packets whose reassembly ended, whole or not, in order.
+        """Take a fragment; return the packets whose reassembly ended, whole or given up, in order.
 
-        Only fragments with the same `scope` are put together.
+        Only fragments with the same `scope` (the interface, or "" for all interfaces) are put
+        together.
         """
         done = self.advance(ts_ns)
         key = (scope, fragment.key)
@@ -254,7 +260,9 @@ class Fragments:
 
 
 def find_fragment(data: bytes, at: int, original_length: int) -> Fragment | None:
-    """Read the IP packet at an offset as a fragment; None if it is no fragment of TCP."""
+    """Read the IP packet that begins at `at` as a fragment; None if it is none, or cannot
+    hold TCP.
+    """
     if len(data) < at + 20:
         return None
     reader = _READERS.get(data[at] >> 4)
@@ -262,7 +270,7 @@ def find_fragment(data: bytes, at: int, original_length: int) -> Fragment | None
     if found is None:
         return None
     key, following, start, is_last, begin, end = found
-    # As in read_segment: if an IP header claims more bytes than its frame has, the claim is wrong.
+    # If an IP header claims more bytes than its frame has, the claim is wrong (as in read_segment).
     length = min(end, original_length) - begin
     if not is_last:
         length &= ~7  # Offsets are multiples of 8 bytes.
@@ -295,7 +303,7 @@ def _read_ipv6(data: bytes, at: int, original_length: int) -> _Header | None:
 
 
 _READERS = {4: _read_ipv4, 6: _read_ipv6}
-"""The functions that read the headers of a fragment, by the version of IP."""
+"""By IP version, the function that reads the headers of a fragment."""
 
 
 def fragment_events(
@@ -334,7 +342,9 @@ def _part(fragment: Fragment, start: int, end: int) -> tuple[int, int, bytes]:
 
 
 def _differ(fragment: Fragment, other: tuple[int, int, bytes]) -> bool:
-    """True if a fragment and a piece have different bytes where they overlap."""
+    """True if a fragment and an earlier piece (start, end, bytes) of its packet have different
+    bytes where they overlap.
+    """
     start, _, data = other
     begin = max(start, fragment.start)
     end = min(start + len(data), fragment.start + len(fragment.data))

@@ -1,26 +1,30 @@
-"""Shows the frames of a serial line or a tap as packets that every Wireshark reads."""
+"""Writes the frames of a serial line or a tap as IP packets that Wireshark decodes, and reads them
+back.
+"""
 
 # A frame becomes a raw IPv4 packet (link type 228) with a UDP datagram to or from port 502:
 #
 #     IPv4 header, 20 bytes   UDP header, 8 bytes   MBAP header, 6 bytes   unit, PDU   CRC or LRC
 #
-# The length in the MBAP header counts unit and PDU, so Wireshark takes the check behind them for
-# padding. The frame of a tap on TCP is its ADU, without a check. The master of link number L is
+# The length in the MBAP header counts unit and PDU only, so Wireshark shows the CRC or LRC behind
+# them as padding. A frame from a tap on TCP is its ADU, without CRC. The master of link number L is
 # 10.0.0.L, port 20502; its slave UNIT is 10.0.L.UNIT, port 502. The UDP checksum is 0 (RFC 768:
 # none).
 #
-# Bytes that are no frame are packets of link type 250 (serial_packets.py) of another interface.
+# Bytes that are no frame become packets of link type 250 (serial_packets.py) on another interface.
 #
-# What such a packet cannot say stands in options and a block for local use (pcapng: codes with the
-# highest bit set, which other programs skip), as JSON:
+# These packets cannot hold everything, such as the times of single reads. The rest is written as
+# JSON into an option and a block for local use (pcapng: codes with the highest bit set, which other
+# programs skip):
 #
 #     LOCAL_OPTION of a packet    WireReads: which reads of a port brought the bytes, and when
 #     LOCAL_BLOCK                 CaptureHead: links, devices and profiles, as a log has them
 #
-# So the bytes and times of the line come back exactly. A read that brought bytes of several packets
-# is joined again: `is_open` says that the last read of a packet goes on in the next packet.
+# So the bytes and times of the line are read back exactly. A read whose bytes are spread over
+# several packets is joined again: `is_open` says that a packet's last read continues in the next
+# packet.
 #
-# Memory: for each link and direction the bytes of one read, at most MAX_CAPTURED.
+# Memory: for each link and direction the bytes of one unfinished read, at most MAX_CAPTURED.
 
 from __future__ import annotations
 
@@ -53,30 +57,35 @@ _MAX_NS = 2**63 - 1
 _PAYLOAD_AT = _IPV4.size + _UDP.size
 
 
-# Any program may write such a block, so its size is that of any block of pcapng: MAX_BLOCK.
+# Any program may write such a block. Its size is bounded by MAX_BLOCK, as that of all pcapng
+# blocks.
 class CaptureHead(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """What is known of the links in a capture, as the metadata of a log."""
+    """Describes the serial lines and taps whose bytes a pcapng file holds, as a log's metadata
+    does.
+    """
 
     capture: dict[str, str] = {}
     links: dict[str, dict[str, str]] = {}
-    """The settings of each link, by the link's name."""
+    """By link name, the link's settings, such as baud rate and parity."""
     devices: dict[str, str] = {}
     """The name of each device's profile; the key names the device as `--device` does."""
     profiles: dict[str, bytes] = {}
-    """The profiles, by name, as JSON."""
+    """By name, the device profiles, as JSON."""
 
 
 class WireReads(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """The reads of a port that brought the bytes of a packet."""
+    """Describes the reads of a port or socket whose bytes a packet holds."""
 
     reads: list[tuple[int, int]]
-    """Of each read, how many of its bytes are in this packet, and its time in UTC ns."""
+    """For each read, how many of its bytes are in this packet, and its time in UTC ns."""
     is_open: bool = False
-    """True if the last read brought the first bytes of the next packet, too."""
+    """True if the last read continues with the first bytes of the next packet."""
     skip: int = 0
-    """How many bytes of the packet's payload come before the bytes of the link."""
+    """The number of payload bytes before the first byte that was on the link (such as an MBAP
+    header)."""
     raw: bytes | None = None
-    """The bytes as they were on the link, if the packet shows them in another form (ASCII)."""
+    """The bytes as they were on the link, if the packet shows another form of them: an ASCII frame,
+    shown as RTU."""
     direction: Direction = Direction.UNKNOWN
     stamp: Stamp = Stamp.LAST_BYTE
     connection: Connection | None = None
@@ -84,14 +93,17 @@ class WireReads(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LinePacket(Packet):
-    """A packet that shows bytes of a link; it stands for the reads of a port."""
+    """A packet that `convert` made from bytes of a serial line or a tap.
+
+    The decoder takes `chunks`, the original reads, instead of the packet.
+    """
 
     chunks: tuple[Chunk, ...] = field(default=(), compare=False)
-    """The reads that end in this packet; none if its bytes are completed by the next packet."""
+    """The reads of the port that end in this packet; empty if they continue in the next one."""
 
 
 class LineEnds(NamedTuple):
-    """The addresses of a master and a slave."""
+    """The made-up IP addresses under which a packet shows a master and a slave."""
 
     master: bytes
     """The IPv4 address, 4 bytes."""
@@ -100,12 +112,15 @@ class LineEnds(NamedTuple):
 
     @classmethod
     def of(cls, link_number: int, unit: int, master_port: int = MASTER_PORT) -> LineEnds:
-        """The ends for the link of a number, 1 to 255, and a unit."""
+        """Return the addresses for link number `link_number` (1 to 255) and a unit."""
         return cls(bytes((10, 0, 0, link_number)), bytes((10, 0, link_number, unit)), master_port)
 
 
 def line_datagram(ends: LineEnds, number: int, payload: bytes, *, is_request: bool) -> bytes:
-    """The IPv4 packet around a payload; `number`, of which 16 bits count, identifies it."""
+    """Return an IPv4 and UDP packet around a payload.
+
+    The lower 16 bits of `number` are its identification.
+    """
     source, destination = ends.master, ends.slave
     ports = [ends.master_port, MODBUS_PORT]
     if not is_request:
@@ -119,31 +134,36 @@ def line_datagram(ends: LineEnds, number: int, payload: bytes, *, is_request: bo
 
 
 def with_mbap(number: int, body: bytes, check: bytes) -> bytes:
-    """The payload of a serial frame: MBAP header, unit and PDU (`body`), and its CRC or LRC."""
+    """Return the UDP payload for a serial frame: MBAP header, unit and PDU (`body`), then CRC or
+    LRC.
+
+    The lower 16 bits of `number` are the transaction id.
+    """
     return struct.pack(">HHH", number & 0xFFFF, 0, len(body)) + body + check
 
 
 def rtac_packet(ts_ns: int, data: bytes, *, by_master: bool) -> bytes:
-    """The packet of link type 250 for bytes of a line."""
+    """Return a packet of link type 250 (RTAC_SERIAL) with bytes of a line; `ts_ns` is in UTC ns."""
     seconds, ns = divmod(ts_ns, 1_000_000_000)
     sent = 1 if by_master else 2
     return struct.pack(">IIBBH", seconds & 0xFFFFFFFF, ns // 1000, sent, 0, 0) + data
 
 
 class OpenReads:
-    """Joins the bytes of reads that are spread over several packets."""
+    """Joins the bytes of reads of a port that are spread over several packets."""
 
     def __init__(self) -> None:
         self._open: dict[tuple[object, ...], Chunk] = {}
-        """The bytes so far of reads that go on in the next packet."""
+        """By link, direction and connection, the bytes so far of a read that continues in the next
+        packet."""
 
     def take(
         self, like: Chunk, data: bytes, reads: Iterable[tuple[int, int]], *, is_open: bool
     ) -> list[Chunk]:
         """Take the bytes of the next packet; return the reads that end in it.
 
-        `like` has the link, direction, stamp, connection and place of the reads; the other
-        arguments are as in WireReads.
+        `like` has the link, direction, stamp, connection and place of the reads. `data`, `reads`
+        and `is_open` are the packet's bytes and the fields of its WireReads.
         """
         key = (like.link, like.direction, like.connection)
         done: list[Chunk] = []
@@ -161,26 +181,26 @@ class OpenReads:
         return [chunk for chunk in done if chunk.data]
 
     def close(self) -> list[Chunk]:
-        """Return the reads that have not ended."""
+        """Return the reads that were to continue in a packet that never came."""
         held, self._open = [*self._open.values()], {}
         return held
 
 
 class LineReader:
-    """Makes the reads of a port again from the packets that show their bytes."""
+    """Restores the reads of a port from the packets that `convert` has made of them."""
 
     def __init__(self) -> None:
         self._reads = OpenReads()
 
     def read(self, packet: Packet, mark: bytes) -> Packet:
-        """Turn a packet with a LOCAL_OPTION `mark` into a LinePacket.
+        """Return a packet as LinePacket; `mark` is its LOCAL_OPTION, JSON that describes the reads.
 
-        A packet whose mark cannot be read is returned as it is.
+        A packet whose option cannot be parsed is returned unchanged.
         """
         try:
             wire = msgspec.json.decode(mark, type=WireReads)
         except (msgspec.DecodeError, ValueError, RecursionError):
-            return packet  # ValueError: text that is no UTF-8.
+            return packet  # ValueError: not UTF-8.
         header = _PAYLOAD_AT if packet.link_type == RAW_IPV4 else RTAC_HEADER
         data = packet.data[header + max(wire.skip, 0) :] if wire.raw is None else wire.raw
         place = None
@@ -198,7 +218,7 @@ class LineReader:
         return _line_packet(packet, self._reads.take(like, data, wire.reads, is_open=wire.is_open))
 
     def close(self, packet: Packet) -> LinePacket | None:
-        """What is held at the end of the file, in a copy of the last packet."""
+        """At the end of the file, return unfinished reads in a copy of the last packet, or None."""
         held = self._reads.close()
         return _line_packet(packet, held) if held else None
 
@@ -217,7 +237,9 @@ def _line_packet(packet: Packet, chunks: Iterable[Chunk]) -> LinePacket:
 
 
 def reads_of(packets: Iterable[Packet]) -> Iterator[Chunk | Packet]:
-    """The packets, but in place of those that show bytes of a link the reads of its port."""
+    """Yield the packets of a capture, but the original reads in place of packets made from
+    reads.
+    """
     for packet in packets:
         if isinstance(packet, LinePacket):
             yield from packet.chunks

@@ -35,13 +35,16 @@ def link_addresses(link_type: int, header: bytes) -> LinkAddresses | None:
 
 
 def _text(header: bytes, at: int) -> str | None:
-    """The address at an offset; None for zeros, which the loopback interface has."""
+    """The MAC address at an offset; None if it is all zeros, as on the loopback interface."""
     address = header[at : at + _MAC]
     return address.hex(":") if any(address) else None
 
 
 def _vlan(header: bytes, at: int) -> int | None:
-    """The id of the last VLAN tag; `at` is where the first EtherType stands."""
+    """The id of the innermost VLAN tag; None if there is none.
+
+    `at` is the offset of the first EtherType.
+    """
     vlan = 0
     while (kind := header[at : at + 2]) in TAGGED:
         if kind in VLAN:

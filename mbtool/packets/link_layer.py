@@ -42,9 +42,9 @@ def behind_ethernet(data: bytes, at: int) -> int:
 
 
 def _behind(data: bytes, kind: bytes, at: int) -> int:
-    """The offset of the IP header behind the tags and headers that begin at an offset, or NOT_IP.
+    """Skip VLAN tags, HSR tags, PPPoE and MPLS; return the offset of the IP header, or NOT_IP.
 
-    `kind` is the EtherType of the first of these tags and headers.
+    The first of these headers begins at `at` and has the EtherType `kind`.
     """
     while kind in TAGGED:  # A tag ends with the EtherType of what follows.
         at += 6 if kind == HSR else 4

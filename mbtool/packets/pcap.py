@@ -11,8 +11,9 @@
 # The fraction counts microseconds or nanoseconds, as the magic says. The modified format of old
 # Linux patches (magic a1b2cd34) has eight more bytes in each record's header, which are skipped.
 #
-# A record header of zeros is the end: a recorder whose machine lost power leaves a file that ends
-# in zeros, and a gigabyte of them takes some kilobytes in a packed file.
+# A record header of zeros ends the file: if a recorder's machine lost power, the file may end in
+# many zeros. A compressed file of some kilobytes may hold a gigabyte of them, so they are not read
+# as empty packets.
 #
 # Limit: libpcap captures at most MAX_CAPTURED bytes of a packet, so a longer one is damage.
 
@@ -59,7 +60,7 @@ class PcapForm(NamedTuple):
 
 
 def read_pcap(stream: BinaryIO, magic: bytes, name: str) -> Iterator[Packet]:
-    """Give the packets of a pcap file from which `magic`, its first 4 bytes, is read already.
+    """Yield the packets of a pcap file whose first 4 bytes, `magic`, are read already.
 
     Raises InputError for an unknown version, DamageError if the file is damaged, CutError if it
     ends too early; the last two after all earlier packets.
@@ -103,7 +104,7 @@ def read_pcap_form(magic: bytes, header: bytes, name: str) -> PcapForm:
     major, minor, link_field = struct.unpack(order + "HH12xI", header)
     if major != 2:
         raise InputError(f"{name}: pcap version {major}.{minor} is unknown; 2.4 is read")
-    # The upper bits describe frame check sequences.
+    # The upper 16 bits tell about frame check sequences, which are ignored.
     return PcapForm(order, unit_ns, extra, link_field & 0xFFFF)
 
 

@@ -75,7 +75,7 @@ class _Layout:
 
 
 _LAYOUTS = {bytes.fromhex("4d3c2b1a"): _Layout("<"), bytes.fromhex("1a2b3c4d"): _Layout(">")}
-"""By the bytes of a section that show its byte order."""
+"""By the four bytes in a section header that show its byte order, the formats of its blocks."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,11 +91,11 @@ class _Interface:
 def read_pcapng(
     stream: BinaryIO, name: str, on_head: Callable[[CaptureHead], None] = lambda _: None
 ) -> Iterator[Packet]:
-    """Give the packets of a pcapng file whose first 4 bytes are read already.
+    """Yield the packets of a pcapng file whose first 4 bytes are read already.
 
-    `on_head` is called if the file describes the links of packets that follow. Raises InputError
-    for an unknown version, DamageError if the file is damaged, CutError if it ends too early; the
-    last two after all earlier packets.
+    `on_head` is called with the description of serial lines and taps that `convert` writes, if the
+    file has one. Raises InputError for an unknown version, DamageError if the file is damaged,
+    CutError if it ends too early; the last two after all earlier packets.
     """
     return _Reader(stream, name, on_head).packets()
 
@@ -106,10 +106,12 @@ class _Reader:
         self._name = name
         self._on_head = on_head
         self._lines: LineReader | None = None
-        """Reads packets that show bytes of a link; None if the file has no head."""
+        """Restores the reads of a serial line or tap from packets; None if the file has none of
+        these (no CaptureHead)."""
         self._last: Packet | None = None
         self._layout: _Layout
-        """That of the section; each file begins with one."""
+        """The formats in the current section's byte order; set by the section header that begins
+        each file."""
         self._interfaces: list[_Interface] = []
         self._number = 0
         self._ts_ns = 0
@@ -153,7 +155,7 @@ class _Reader:
         self._interfaces = []
 
     def _read_body(self, header: bytes, length: int, done: int) -> bytes:
-        """Read and return the rest of a block, without its second length.
+        """Return the body of a block without the second length at its end.
 
         `header` is the block's type and length; `done` bytes of the block are read already. Raises
         DamageError if a length is impossible or the two differ, CutError if the file ends before.
@@ -200,7 +202,9 @@ class _Reader:
         return packet if self._lines is None else self._as_line(packet, body, start, captured)
 
     def _as_line(self, packet: Packet, body: bytes, start: int, captured: int) -> Packet:
-        """The packet as one that shows bytes of a link, if it has the option for that."""
+        """Return the packet as LinePacket if `convert` made it from reads of a port, else
+        unchanged.
+        """
         assert self._lines is not None
         self._last = packet
         options = _options(self._layout.pair, body[start + captured + -captured % 4 :])
@@ -210,7 +214,9 @@ class _Reader:
         return self._lines.read(packet, mark)
 
     def _read_head(self, body: bytes) -> None:
-        """Read the description of links that `convert` has written; ignore any other block."""
+        """Read the description of serial lines and taps that `convert` writes; ignore other local
+        blocks.
+        """
         try:
             head = msgspec.json.decode(body.rstrip(b"\0"), type=CaptureHead)
         except (msgspec.DecodeError, ValueError, RecursionError):
@@ -250,7 +256,7 @@ class _Reader:
 
 
 def _options(header: Struct, data: bytes) -> dict[int, bytes]:
-    """The options of a block by their code; if their list is cut off, those before the cut."""
+    """Return the options of a block, bytes by code; of an incomplete list, those that are whole."""
     options: dict[int, bytes] = {}
     at = 0
     while at + 4 <= len(data):

@@ -1,4 +1,4 @@
-"""Bytes of a connection that came in order and were read elsewhere, without a `Stream`."""
+"""Tells a connection of bytes that columns/ has read from arrays, past the connection's Streams."""
 
 from __future__ import annotations
 
@@ -6,23 +6,29 @@ from typing import NamedTuple
 
 
 class PlainBytes(NamedTuple):
-    """Bytes of one direction: whole segments, in order, without a gap or a copy."""
+    """Describes bytes of one direction that were read from arrays: whole segments in order, none
+    missing or sent twice.
+    """
 
     size: int
     tail: bytes
-    """The last bytes: stream.RECENT_BYTES of them, or all if there are fewer."""
+    """The last stream.RECENT_BYTES bytes, or all if fewer, to compare retransmissions with."""
     last_segment: int
-    """The number of the segment that brought the last byte, counted from 1 over both directions."""
+    """How many segments of both directions, counted together, came up to the one with the last
+    byte."""
     last_ns: int
     """The time of the segment that brought the last byte, in UTC ns."""
 
 
 class RestPlace(NamedTuple):
-    """The numbers of the next bytes of a connection that waits for nothing and holds nothing."""
+    """Where both directions continue in a connection in which no byte waits for another.
+
+    A position counts bytes from the beginning of a direction; it does not wrap.
+    """
 
     request_sequence: int
-    """The sequence number of the next byte of a request."""
+    """The sequence number of the next request byte."""
     response_sequence: int
     request_position: int
-    """The position of the next byte of a request in its direction, as in a StreamPlace."""
+    """The position of the next request byte."""
     response_position: int

@@ -1,27 +1,29 @@
-"""Takes packets, and gives the bytes of TCP connections."""
+"""Reassembles TCP connections from packets, and returns their bytes in order."""
 
-# Only connections with a wanted port at one end are followed. Of other packets only the headers are
-# read. The slave is the end with the wanted port. If both ends have one, the slave is the end that
-# received the SYN; without a SYN it is the end with the lower port; with equal ports it is the
+# Only connections with a wanted TCP port at one end are followed. Of other packets only the headers
+# are read. The slave is the end with the wanted port. If both ends have one, the slave is the end
+# that received the SYN; without a SYN it is the end with the lower port; with equal ports it is the
 # destination of the first segment.
 #
 # A connection opens with a SYN or with its first payload. After its end its state is kept, so that
 # late copies of its segments do not open another connection. A SYN with another sequence number
 # opens one, and so do bytes beyond the last byte of the connection that ended.
 #
-# Limits: MAX_CONNECTIONS are kept; above that, the least recently used one is closed. Of these,
-# MAX_HOLDING hold bytes, each within the limits of a stream (at most about 32 MiB in all); above
-# that, the one that has held bytes longest gives up its holes. A connection is dropped after
-# IDLE_NS of capture time: RFC 1122, 4.2.3.6, allows no keep-alive probe before.
+# Limits: MAX_CONNECTIONS connections are kept; above that, the least recently used one is closed.
+# At most MAX_HOLDING of them hold bytes that wait for earlier ones, each within the limits of a
+# stream (at most about 32 MiB in all); above that, the connection that has held bytes longest stops
+# waiting: its missing bytes become gaps. A connection is dropped after IDLE_NS of capture time
+# without a segment, the least time before TCP sends a keep-alive probe (RFC 1122, 4.2.3.6).
 #
-# Packets of the same ends from another interface belong to another connection. If flows are
-# followed across interfaces, they belong to the same connection, as copies or to fill its holes.
+# By default, packets between the same ends on another interface belong to another connection. If
+# flows are followed across interfaces (`across`), they belong to the same one: copies are dropped,
+# and missing bytes may come from either interface.
 #
 # Packets inside tunnels, which switches use to mirror over a network, are followed (tunnels.py).
 #
-# Packets in fragments are reassembled first (fragments.py). A packet that cannot be reassembled is
-# an event of its connection if its ports are known and wanted. If they are not known, there is one
-# event for each interface.
+# IP fragments are reassembled first (fragments.py). If that fails, an event of the connection is
+# reported if the ports are known and wanted. If the ports are unknown, because the first fragment
+# is missing, one event is reported for each interface.
 
 from __future__ import annotations
 
@@ -59,20 +61,22 @@ MAX_HOLDING = 256
 IDLE_NS = 2 * 3600 * 1_000_000_000
 
 _MAX_REPORTED = 4096
-"""At most this many messages are remembered, so that each is given only once for an interface."""
+"""At most this many messages are remembered, so that each is reported only once for an
+interface."""
 _SERIAL_HINT = "; if it holds bytes of a serial line, say which: --link rtu@19200-8E1"
 _TCP_HEADER_SEEN = 14
 """The number of bytes of the TCP header up to and including its flags."""
 
 FlowEnds = tuple[bytes, int, bytes, int]
-"""Address and port of the lower end of a connection (by port, then address), and of the other."""
+"""The two ends of a flow: address and port of the lower end (by port, then address), then those of
+the other."""
 _Key = tuple[str, bytes, int, bytes, int]
 """The key of a connection: the interface, or "" if flows are followed across interfaces; then
 address and port of the lower end (by port, then address), and those of the other end."""
 
 
 class TcpReassembler:
-    """Follows the TCP connections that have certain ports."""
+    """Reassembles the TCP connections that have a wanted port at one end."""
 
     def __init__(self, ports: frozenset[int] = MODBUS_PORTS, *, across: bool = False) -> None:
         """`ports` are the wanted TCP ports.
@@ -83,7 +87,8 @@ class TcpReassembler:
         self._across = across
         self._connections: OrderedDict[_Key, TcpConnection | EndedConnection] = OrderedDict()
         self._holding: dict[_Key, TcpConnection] = {}
-        """The connections that hold bytes back, in the order in which they began to do so."""
+        """The connections with bytes that wait for earlier ones, in the order in which the wait
+        began."""
         self._opened = 0
         self._fragments = Fragments()
         self._checked_ns = 0
@@ -92,11 +97,14 @@ class TcpReassembler:
         self._packet: Packet | None = None
         """The packet that is being read."""
         self._ip_at = 0
-        """The offset of the IP header in `_packet`; 0 if its link layer header is of no
-        interest."""
+        """The length of the link layer header of `_packet`, which has the MAC addresses; 0 if the
+        IP packet came inside a tunnel."""
 
     def feed(self, packet: Packet) -> list[StreamItem]:
-        """Take a packet; return what it completes. Never raises, whatever the packet contains."""
+        """Take a packet; return the bytes, gaps and events that are complete with it.
+
+        Never raises, whatever the packet contains.
+        """
         finder = IP_FINDERS.get(packet.link_type)
         if finder is None:
             message = f"link type {packet.link_type} cannot be looked into"
@@ -122,18 +130,18 @@ class TcpReassembler:
         return self._take_out()
 
     def find(self, ends: FlowEnds) -> TcpConnection | None:
-        """The connection between two ends, if flows are followed across interfaces.
+        """Return the connection between two ends; only with `across`.
 
-        None if it is unknown, or has ended and was read elsewhere.
+        None if it is unknown, or if columns/ has read it from arrays and it has ended.
         """
         found = self._connections.get(("", *ends))
         return found if isinstance(found, TcpConnection) else None
 
     def may_drop(self, now_ns: int, flows: Iterable[FlowEnds], more: int = 0) -> bool:
-        """True if it may matter that connections are dropped until `now_ns`.
+        """True if dropping connections until `now_ns` may change results.
 
-        That is so if a connection may be dropped that is open, or is one of `flows`, of which
-        segments come. At most `more` other connections are opened.
+        That is so if a dropped connection may be open, or may be one of `flows`, which get more
+        segments. At most `more` further connections will open.
         """
         known = self._connections
         used = {("", *ends) for ends in flows}
@@ -148,27 +156,34 @@ class TcpReassembler:
         )
 
     def number_next(self, count: int) -> int:
-        """The number of the first of some connections that are read elsewhere."""
+        """Reserve numbers for `count` connections that are read from arrays; return the first
+        number.
+        """
         first = self._opened
         self._opened += count
         return first
 
     def take_ended(self, ended: Iterable[tuple[FlowEnds, EndedConnection]]) -> None:
-        """Take connections that were read elsewhere; `forget_excess` is called afterwards."""
+        """Store connections that were read from arrays and have ended; the caller then calls
+        `forget_excess`.
+        """
         for ends, connection in ended:
             self._connections[("", *ends)] = connection
 
     def forget_excess(self) -> None:
-        """Drop the least recently used of too many connections; all of them have ended."""
+        """Drop the least recently used connections above MAX_CONNECTIONS.
+
+        The caller has made sure that all of these have ended.
+        """
         while len(self._connections) > MAX_CONNECTIONS:
             self._connections.popitem(last=False)
 
     def pass_times(
         self, times: Sequence[int], start: int, end: int
     ) -> list[tuple[int, list[StreamItem]]]:
-        """Note packets of followed connections that were read elsewhere.
+        """Take the times of packets that columns/ has read from arrays.
 
-        `times[start:end]` are the packets' times in ns, ascending. Returns the items of other
+        `times[start:end]` are the packets' times in UTC ns, ascending. Returns the items of other
         connections that become due at these times, each list with the index of its time.
         """
         delivered = []
@@ -213,7 +228,7 @@ class TcpReassembler:
                 self._finish(self._fragments.feed(fragment, ts_ns, link, scope), ts_ns)
                 return
             at = find_inner(data, at, length)
-            self._ip_at = 0  # The addresses before a tunnel are not those of master and slave.
+            self._ip_at = 0  # MAC addresses outside a tunnel are not the master's or slave's.
             if at == GRE_IN_FRAGMENTS:
                 message = "fragments of packets that carry others (GRE), which are not put together"
                 self._report(ts_ns, link, EventKind.UNREADABLE, message)
@@ -245,7 +260,7 @@ class TcpReassembler:
         for datagram in datagrams:
             data, length = datagram.packet()
             place = find_tcp(data, 0, length)
-            if datagram.ending is DatagramEnd.WHOLE:  # First, so that the connection exists.
+            if datagram.ending is DatagramEnd.WHOLE:  # First: this opens its connection.
                 self._feed_ip(data, 0, length, ts_ns, datagram.link)
             if place is not None and len(data) >= place.start + 4:
                 source_port, destination_port = struct.unpack_from(">HH", data, place.start)
@@ -313,7 +328,9 @@ class TcpReassembler:
         destination: bytes,
         destination_port: int,
     ) -> tuple[_Key, bool]:
-        """The key of a connection, the same from both ends; True if the source is the lower end."""
+        """Return the key of a connection, equal for both directions, and True if the source is the
+        lower end.
+        """
         scope = "" if self._across else link
         if (source_port, source) < (destination_port, destination):
             return (scope, source, source_port, destination, destination_port), True

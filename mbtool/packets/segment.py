@@ -1,15 +1,16 @@
 """Finds the TCP segment in an IPv4 or IPv6 packet."""
 
-# Checksums are not checked, since network cards compute them after the capture. A packet whose
+# Checksums are not verified, since network cards fill them in after the capture. A packet whose
 # header has contradictory lengths is ignored. Bytes behind the end of the IP packet (Ethernet
 # padding, a frame check sequence) do not belong to it. A total length of 0 marks a packet that the
-# card will cut into several (segmentation offload); it reaches to the end of the captured frame.
+# card will cut into several (segmentation offload); such a packet extends to the end of the
+# captured frame.
 #
 # Limit: MAX_PAYLOAD bytes, more than any card hands over at once. A longer segment is malformed.
 #
 # The caller calls find_tcp, compares the ports, and only then calls read_segment, so that no time
-# is spent on segments of other ports. The results are msgspec.Structs, which are made without a
-# Python call, as each packet makes them.
+# is spent on segments of other ports. The results are msgspec.Structs, which are faster to make
+# than dataclasses; one is made for each packet.
 
 from __future__ import annotations
 
@@ -45,12 +46,12 @@ class TcpPlace(msgspec.Struct, frozen=True, gc=False):
 
     start: int
     end: int
-    """The offset of the IP packet's end; beyond the captured bytes if the capture cut the
+    """The offset of the IP packet's end; more than the captured bytes if the snaplen cut the
     packet."""
 
 
 class TcpSegment(msgspec.Struct, frozen=True, gc=False):
-    """A TCP segment."""
+    """A TCP segment with its addresses (4 or 16 bytes), ports, numbers, flags and payload."""
 
     source: bytes
     source_port: int

@@ -11,9 +11,9 @@
 #     4        4             1      1              2
 #
 # The time of a packet is that of its last byte, since a tool takes the time after it has read a
-# burst. The header of 250 repeats this time. Its events 1 to 4 say if the capturing device sent or
-# received the bytes. They do not say if it was the master, and a device that only listens receives
-# both sides. So the decoder finds the direction.
+# burst. The header of link type 250 repeats this time. Its events 1 to 4 say if the capturing
+# device sent or received the bytes. They do not say if it was the master, and a device that only
+# listens receives from both. So the decoder finds out the direction from the bytes.
 
 from __future__ import annotations
 
@@ -23,7 +23,8 @@ RTAC_SERIAL = 250
 SERIAL_LINK_TYPES = frozenset((147, RTAC_SERIAL))
 """Link types that always hold bytes of a serial line."""
 USER_LINK_TYPES = frozenset(range(147, 163))
-"""Link types that hold bytes of a serial line if the user says so."""
+"""Link types (USER0 to USER15) that hold bytes of a serial line only if the user says so with
+--link."""
 
 RTAC_HEADER = 12
 """The length of the header of link type 250, in bytes."""
@@ -40,7 +41,8 @@ begin and the end of data, or control lines."""
 
 
 def serial_pieces(packet: Packet) -> list[Chunk | WireEvent]:
-    """The bytes of a serial line in a packet, and the events that the packet reports.
+    """Return the bytes of a serial line in a packet, and the errors that the capturing device
+    recorded.
 
     The packet's link type is RTAC_SERIAL or one of USER_LINK_TYPES.
     """

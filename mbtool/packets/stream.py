@@ -1,21 +1,24 @@
-"""Follows one direction of a TCP connection: delivered, held and missing bytes."""
+"""Keeps one direction of a TCP connection in order: delivered bytes, waiting bytes, missing
+bytes.
+"""
 
 # A position counts the bytes of the stream from its beginning and, unlike a sequence number, does
 # not wrap. A sequence number becomes a position by its distance from the next expected sequence
 # number, modulo 2^32.
 #
-# `held` is sorted, and its pieces do not overlap: where segments overlap, the first copy wins.
-# A piece without data stands for bytes that the capture did not keep (snaplen).
+# `held` has the bytes that came before earlier ones. It is sorted, and its pieces do not overlap:
+# where segments overlap, the first copy wins. A piece without data stands for bytes that the
+# capture did not keep (snaplen).
 #
-# If the capture joins a stream in the middle, the stream begins at the first byte captured. But the
-# capture may have swapped its first packets. So position 0 lies LEAD bytes before the first segment
-# seen, and all bytes are held at first. The bytes before them are awaited like those of a hole, and
-# given up without a gap; then the stream begins. A SYN decides the beginning at once.
+# If the capture starts in the middle of a stream, the stream begins at the first byte captured. But
+# the capture may have swapped its first packets. So position 0 lies LEAD bytes before the first
+# segment seen, and for a short time all bytes wait for possible earlier ones. If none come, the
+# stream begins with the first bytes seen, without a gap. A SYN decides the beginning at once.
 #
-# Limits: MAX_HELD_BYTES and MAX_HELD_PIECES are held (above that, the connection gives up the
-# oldest hole). The last RECENT_BYTES delivered are kept to compare retransmissions with, and the
-# places of the last MAX_GAPS gaps to recognise bytes that come late. Of acknowledgements of bytes
-# that have not come, MAX_ACKNOWLEDGEMENTS are kept.
+# Limits: at most MAX_HELD_BYTES and MAX_HELD_PIECES wait for earlier bytes; above that, the
+# connection treats the oldest missing bytes as lost. The last RECENT_BYTES delivered are kept to
+# compare retransmissions with, the positions of the last MAX_GAPS gaps to recognise bytes that come
+# late, and the last MAX_ACKNOWLEDGEMENTS acknowledgements of bytes that have not come.
 
 from __future__ import annotations
 
@@ -33,16 +36,18 @@ RECENT_BYTES = 1024
 MAX_GAPS = 8
 MAX_ACKNOWLEDGEMENTS = 8
 LEAD = 64 * 1024
-"""The position of the first segment seen of a stream that the capture joins in the middle. It
-leaves room for bytes that precede the segment and come after it, because the capture swapped
-packets."""
+"""The position given to the first segment seen of a stream if the capture starts in its middle.
+Earlier positions are for bytes that precede the segment but come after it, because the capture
+swapped packets."""
 
 _MASK = 0xFFFFFFFF
 _HALF = 0x80000000
 
 
 class HeldBytes(NamedTuple):
-    """A run of bytes of one segment that waits for earlier bytes."""
+    """Bytes of one segment that wait for earlier bytes, at the positions `start` to `end`
+    (exclusive).
+    """
 
     start: int
     end: int
@@ -50,9 +55,7 @@ class HeldBytes(NamedTuple):
     """Empty if the capture did not keep the bytes."""
     acknowledged: int
     """The position that the other direction must reach before these bytes are delivered, since
-    their segment acknowledges it. 0 if the bytes need not wait, for example because that position
-    was reached before.
-    """
+    their segment acknowledges it; 0 if they need not wait for it."""
     ts_ns: int
     arrival: int
     """The number of the packet that brought these bytes, counted in the connection."""
@@ -67,7 +70,9 @@ class HeldBytes(NamedTuple):
 
 
 class Stream:
-    """One direction of a connection: how far its bytes were delivered, and those that wait."""
+    """One direction of a TCP connection: how far it was delivered, and bytes that wait for earlier
+    ones.
+    """
 
     __slots__ = (
         "_acknowledgements",
@@ -93,37 +98,39 @@ class Stream:
         self._connection = connection
         self._link = connection.link
         self.origin: int | None = None
-        """The sequence number of position 0; None until it is known."""
+        """The sequence number that position 0 stands for; None until it is known."""
         self.beginning: int | None = None
         """The sequence number of the first byte to deliver; None until it is decided."""
         self.joining = False
-        """True while it is undecided where a stream begins that the capture joins in the middle."""
+        """True if the capture starts in the middle of the stream, and its first byte is still
+        undecided."""
         self.position = 0
         """The position of the next byte to deliver."""
         self.finish: int | None = None
         """The position of the sender's FIN, behind the last byte; None until the FIN has come."""
         self.syn_end: int | None = None
-        """The position behind the bytes that came with the SYN, while it is unknown if the sender
-        counts the SYN in its sequence numbers; else None."""
+        """The position behind the bytes in the SYN, as long as it is unknown if the sender counts
+        the SYN itself as one sequence number; else None."""
         self.acknowledged = 0
         """The highest position that the other end has acknowledged."""
         self.held: list[HeldBytes] = []
         self.held_bytes = 0
         self.latest = (0, 0)
-        """The number and the time (ns) of the latest packet whose bytes were delivered."""
+        """Of the latest segment whose bytes were delivered: its number in the connection, and its
+        time in UTC ns."""
         self._recent = b""
         self._gaps: list[tuple[int, int]] = []
         self._acknowledgements: list[tuple[int, int, int]] = []
         """Positions that were acknowledged before their bytes came, each with the number and the
-        time of the packet that acknowledged it."""
+        time (UTC ns) of the acknowledging segment."""
 
     def position_of(self, sequence: int) -> int:
-        """The position of a sequence number. `origin` must be known."""
+        """Convert a sequence number to a position, which does not wrap. `origin` must be known."""
         distance = (sequence - (self.origin or 0) - self.position) & _MASK
         return self.position + (distance if distance < _HALF else distance - _MASK - 1)
 
     def begin(self, sequence: int) -> None:
-        """Decide that the stream begins with the byte of a sequence number."""
+        """Let the stream begin with the byte that has this sequence number."""
         if self.origin is None:
             self.origin = sequence
         self.position = self.position_of(sequence)
@@ -131,7 +138,7 @@ class Stream:
         self.joining = False
 
     def take_syn(self, sequence: int) -> int:
-        """Begin the stream behind a SYN, if it has no beginning yet.
+        """Let the stream begin behind a SYN, if it has no beginning yet.
 
         `sequence` is the number of the SYN. Returns the next number, which is that of the first
         byte.
@@ -142,7 +149,7 @@ class Stream:
         return sequence
 
     def decide_syn(self, sequence: int) -> None:
-        """Find out if the sender counts its SYN (one with bytes) as one sequence number.
+        """Find out if the sender counts a SYN that carries bytes as one sequence number.
 
         `sequence` is the number of the first byte after those in the SYN, or the acknowledgement of
         the bytes in the SYN. RFC 793 (3.3) says that a SYN counts. The stacks of some test tools do
@@ -160,17 +167,24 @@ class Stream:
         """Note the first sequence number seen of a stream whose SYN is not in the capture."""
         self.origin = (sequence - LEAD) & _MASK
         self.joining = True
-        # The other end received all earlier bytes long ago, so only swapped packets may still come.
+        # All earlier bytes were acknowledged before the capture; only swapped packets may bring
+        # more.
         self.acknowledge(LEAD, arrival, ts_ns)
 
     def begins_at(self, sequence: int) -> bool:
-        """True if a SYN that directly precedes this sequence number can be the stream's own SYN."""
+        """True if the stream may begin with this sequence number, so that a SYN just before it is
+        its own.
+        """
         if self.joining:
             return 0 <= self.position_of(sequence) <= (self.held[0].start if self.held else LEAD)
         return self.beginning == sequence
 
     def is_new(self, sequence: int, size: int, window: int) -> bool:
-        """True if `size` bytes from a sequence number on are no second copy of earlier bytes."""
+        """True if `size` bytes from a sequence number on are new, and no retransmission of
+        delivered ones.
+
+        Bytes more than `window` before the stream's position count as new.
+        """
         if self.origin is None:
             return True
         start = self.position_of(sequence)
@@ -183,12 +197,14 @@ class Stream:
 
     @property
     def is_at_rest(self) -> bool:
-        """True if nothing is held or undecided, and no FIN has come."""
+        """True if the stream has begun, no bytes wait for earlier ones, and no FIN has come."""
         undecided = self.origin is None or self.joining or self.syn_end is not None
         return not (undecided or self.held or self.finish is not None)
 
     def awaits(self, sequence: int) -> bool:
-        """True if the stream is at rest, and its next byte has this sequence number."""
+        """True if the next byte has this sequence number, no bytes wait for earlier ones, and no
+        FIN has come.
+        """
         origin = self.origin
         return (
             origin is not None
@@ -204,25 +220,34 @@ class Stream:
         return (self.origin or 0) + self.position & _MASK
 
     def pass_plain(self, passed: PlainBytes, arrivals: int) -> None:
-        """Take bytes that were read elsewhere, in order; `arrivals` segments came before them."""
+        """Advance behind bytes that columns/ has read from arrays.
+
+        `arrivals` is the number of segments of the connection before them.
+        """
         self.advance(passed.tail, passed.size)
         self.latest = (arrivals + passed.last_segment, passed.last_ns)
 
     @property
     def holds_a_probe(self) -> bool:
-        """True if the first held piece is a single byte and the byte behind it has not come."""
+        """True if the first waiting piece is a single byte, possibly a keep-alive probe, and the
+        next byte has not come.
+        """
         first, *later = self.held
         return len(first.data) == 1 and not (later and later[0].start == first.end)
 
     def note_finish(self, sequence: int, size: int, window: int) -> None:
-        """Note the position of a FIN behind `size` bytes, unless it is more than `window` away."""
+        """Note a FIN behind `size` bytes at a sequence number; ignore one more than `window` bytes
+        away.
+        """
         if self.origin is not None:
             finish = self.position_of(sequence) + size
             if abs(finish - self.position) <= window:
                 self.finish = finish
 
     def rebase(self, sequence: int) -> None:
-        """Give the next byte this sequence number, and forget gaps, FIN and acknowledgements."""
+        """Continue with this sequence number after a jump; forget gaps, FIN and
+        acknowledgements.
+        """
         self.origin = (sequence - self.position) & _MASK
         self.joining = False
         self._gaps.clear()
@@ -234,8 +259,8 @@ class Stream:
     def acknowledge(self, position: int, arrival: int, ts_ns: int) -> None:
         """Note that the other end has acknowledged all bytes before `position`.
 
-        Some of these bytes have not come yet. `arrival` and `ts_ns` are number and time of the
-        packet that acknowledged them.
+        Some of these bytes have not come yet. `arrival` is the number of the acknowledging segment
+        in the connection, `ts_ns` its time.
         """
         if position > self.acknowledged:
             self.acknowledged = position
@@ -245,11 +270,15 @@ class Stream:
             self._acknowledgements = [*known, (position, arrival, ts_ns)]
 
     def acknowledged_ns(self, position: int) -> int | None:
-        """When the other end first acknowledged all bytes before a position that is still ahead."""
+        """When the other end first acknowledged all bytes before a position not yet delivered, in
+        UTC ns.
+        """
         return next((ts_ns for end, _, ts_ns in self._acknowledgements if end >= position), None)
 
     def receipt(self, acknowledgement: int, window: int) -> int | None:
-        """The position that the other end acknowledges, unless it is more than `window` away."""
+        """The position of an acknowledgement number; None if unknown or more than `window` bytes
+        away.
+        """
         if self.origin is None:
             return None
         position = self.position_of(acknowledgement)
@@ -258,10 +287,10 @@ class Stream:
         return position if -window <= position - self.position <= window else None
 
     def is_overdue(self, arrival: int, packets: int, ts_ns: int, wait_ns: int, needed: int) -> bool:
-        """True if acknowledged bytes have not come within `packets` packets or `wait_ns`.
+        """True if acknowledged bytes have not come within `packets` segments or `wait_ns`.
 
-        `arrival` and `ts_ns` are the number and the time of the newest packet. The time counts from
-        when the bytes up to the position `needed` were acknowledged.
+        `arrival` and `ts_ns` are the number and the time of the newest segment. The wait counts
+        from when the bytes up to the position `needed` were acknowledged.
         """
         for position, since, since_ns in self._acknowledgements:
             if position > self.position and position >= needed:
@@ -269,11 +298,11 @@ class Stream:
         return False
 
     def is_overfull(self) -> bool:
-        """True if more is held than MAX_HELD_BYTES or MAX_HELD_PIECES."""
+        """True if more than MAX_HELD_BYTES or MAX_HELD_PIECES wait for earlier bytes."""
         return self.held_bytes > MAX_HELD_BYTES or len(self.held) > MAX_HELD_PIECES
 
     def advance(self, data: bytes, length: int) -> None:
-        """Move on by `length` bytes, whose last ones are `data`; empty if they are missing."""
+        """Advance by `length` bytes; `data` are the last of them, empty if they are missing."""
         self.position += length
         if not data:
             self._recent = b""
@@ -283,9 +312,10 @@ class Stream:
             self._recent = (self._recent + data)[-RECENT_BYTES:]
 
     def deliver(self, data: bytes, receipt: int | None, origin: Origin | None) -> Chunk:
-        """Take the next bytes, and give them as a chunk with the time of `latest`.
+        """Return the next bytes as a chunk with the time of `latest`, and advance behind them.
 
-        `receipt` and `origin` are as in HeldBytes.
+        `receipt` is the position in the other direction that their segment acknowledges, `origin`
+        their packet.
         """
         place = StreamPlace(self.position, receipt, origin)
         self.advance(data, len(data))
@@ -300,9 +330,9 @@ class Stream:
         )
 
     def pass_over(self, hole: int) -> None:
-        """Give up the hole at the current position; `hole` is its length in bytes.
+        """Treat the next `hole` bytes as lost.
 
-        If it is still undecided where the stream begins, it begins behind the hole.
+        If it is still undecided where the stream begins, it begins behind them.
         """
         if self.joining:
             self.begin((self.origin or 0) + self.position + hole & _MASK)
@@ -311,9 +341,10 @@ class Stream:
         self.advance(b"", hole)
 
     def take_late(self, piece: HeldBytes) -> bytes:
-        """The bytes of a piece that come after their hole was given up; empty if there are none.
+        """Return the bytes of a segment that belong to a gap already reported; empty if there are
+        none.
 
-        Bytes are returned only once for each hole that was given up.
+        Bytes are returned only once for each gap.
         """
         for gap in self._gaps:
             start, end = max(gap[0], piece.start), min(gap[1], piece.end)
@@ -323,7 +354,8 @@ class Stream:
         return b""
 
     def differs_from_delivered(self, start: int, data: bytes) -> bool:
-        """True if `data`, sent again from position `start` on, differs from what was delivered.
+        """True if `data`, a retransmission from position `start` on, differs from what was
+        delivered.
 
         Only the last RECENT_BYTES delivered are compared.
         """
@@ -340,9 +372,9 @@ class Stream:
         )
 
     def hold(self, piece: HeldBytes) -> bool:
-        """Hold those bytes of a piece that are not held yet.
+        """Keep bytes of a segment until earlier ones have come; bytes already kept are ignored.
 
-        Returns True if bytes of the piece that are held already differ from the held copy.
+        Returns True if these differ from their first copy.
         """
         differs = False
         merged: list[HeldBytes] = []
@@ -364,7 +396,7 @@ class Stream:
         return differs
 
     def release(self) -> HeldBytes:
-        """Remove and return the first held piece."""
+        """Remove and return the first of the waiting pieces."""
         piece = self.held.pop(0)
         self.held_bytes -= len(piece.data)
         return piece

@@ -1,4 +1,6 @@
-"""Items that the reassembler returns beside bytes: a connection's begin, gaps, events and end."""
+"""What the TCP reassembler returns in addition to bytes: connections' begins and ends, gaps,
+events.
+"""
 
 from __future__ import annotations
 
@@ -23,13 +25,14 @@ class CloseReason(StrEnum):
     DISCARDED = "discarded"
     """The reassembler had too many connections, and this was the least recently used one."""
     CROWDED_OUT = "unused, so it made room for another"
-    """A tap had no place left, and this connection had been of no use for the longest time."""
+    """A tap had reached its limit of connections, and this one had been unused for the longest
+    time."""
     CAPTURE_END = "capture-end"
 
 
 @dataclass(frozen=True, slots=True)
 class StreamOpened:
-    """The first packet of a connection. Its chunks and gaps follow."""
+    """A connection begins. Its chunks and gaps follow."""
 
     ts_ns: int
     connection: Connection
@@ -37,8 +40,7 @@ class StreamOpened:
     """True if the beginning of the connection is not in the capture. Then its first captured byte
     may lie inside an ADU."""
     note: str = ""
-    """More about the connection. If it passes through a tap that uses TLS: the names in the
-    certificates of its ends."""
+    """Text for the user. For a tap that uses TLS: the names in the certificates of both ends."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,8 +56,8 @@ class StreamGap:
     kind: EventKind = EventKind.GAP
     """GAP, or CUT if the capture kept only part of a packet."""
     acknowledged_ns: int | None = None
-    """When a packet first showed that the other end had received all missing bytes; None if none
-    did before the bytes behind the gap came."""
+    """When the other end first acknowledged all missing bytes, in UTC ns; None if it did not before
+    the bytes behind the gap came."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +70,7 @@ class StreamClosed:
     keep_alives: int = 0
     """The number of keep-alive probes of both ends."""
     unanswered_probes: int = 0
-    """The number of keep-alive probes at the end of the connection that got no answer."""
+    """The number of keep-alive probes that one end sent last without getting an answer."""
 
 
 @dataclass(frozen=True, slots=True)

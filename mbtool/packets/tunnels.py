@@ -1,6 +1,6 @@
 """Finds an IP packet inside another one: traffic that switches mirror, and other tunnels."""
 
-# A switch that mirrors traffic to a distant port sends it inside IP packets:
+# A switch that mirrors traffic to a distant monitoring port sends it inside IP packets:
 #
 #     GRE (protocol 47; RFC 2784, RFC 2890): flags and version, protocol, then 4 bytes each for a
 #     checksum, a key and a sequence number where their flags are set. Then follows, by protocol:
@@ -47,7 +47,7 @@ _IPV4_HEADER = struct.Struct(">B5xHxB")
 
 
 def find_inner(data: bytes, at: int, original_length: int) -> int:
-    """The offset of the IP packet inside the outer IP packet, which begins at `at`.
+    """Return the offset of the IP packet inside the outer IP packet, which begins at `at`.
 
     NOT_IP if there is none, GRE_IN_FRAGMENTS if the outer packet is a fragment that carries GRE.
     `at` and the result may lie behind the end of `data`.
