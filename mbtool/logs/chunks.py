@@ -6,14 +6,14 @@
 #     8 bytes      8 bytes    8 bytes         4 bytes   4 + 4 bytes   8 bytes       a zstd frame
 #
 # A chunk without compression has no bytes in its field "compression", so its data begin 4 bytes
-# earlier. The CRC is that of the unpacked data, and a zstd frame states its own unpacked size. So
-# a chunk whose CRC matches is whole, whatever its header and the header of its record say. A CRC
-# that differs from the right one by one bit is damaged itself: a changed byte of the data gives
-# such a CRC in 32 of 4,294,967,296 cases.
+# earlier. The CRC is that of the unpacked data, and a zstd frame states its own unpacked size. So a
+# chunk whose CRC matches is intact, even if its header or the header of its record is damaged. If
+# the stored CRC and the computed one differ in one bit, the stored CRC is taken as damaged, not the
+# data: a changed byte of the data gives such a CRC in only 32 of 4,294,967,296 cases.
 #
-# Limits: a chunk has at most MAX_RECORD bytes, unpacked. All chunks of a log together may have
-# MAX_RECORD bytes and MAX_RATIO times the bytes of the log up to there, so a small file cannot
-# cost hours. Polling that repeats the same values is packed to a 60th.
+# Limits, in unpacked bytes: MAX_RECORD for one chunk. For all chunks of a log together: MAX_RECORD,
+# plus MAX_RATIO times the bytes of the log read so far, so that a small file cannot unpack for
+# hours. Polling that repeats the same values is compressed to 1/60.
 
 from __future__ import annotations
 
@@ -39,19 +39,22 @@ PLAIN_DATA_AT = CHUNK_HEAD.size + DATA_LENGTH.size
 
 
 class Unpacker:
-    """Unpacks the chunks of one log, within its limits."""
+    """Unpacks the chunks of one log, up to the limits on unpacked bytes."""
 
     def __init__(self) -> None:
         self._zstd = zstandard.ZstdDecompressor()
         self._left = MAX_RECORD
-        """The number of bytes that may still be unpacked."""
+        """The number of bytes that may still be unpacked before the limit is reached."""
 
     def allow(self, size: int) -> None:
-        """Raise the limit, as the reader has gone `size` bytes forward in the log."""
+        """Raise the limit on unpacked bytes, as `size` further bytes of the log file were read."""
         self._left += MAX_RATIO * size
 
     def spend(self, size: int) -> bool:
-        """Lower the limit by `size` bytes; False if that is more than is left."""
+        """Count `size` bytes against the limit on unpacked bytes.
+
+        Returns False if fewer are left.
+        """
         if size > self._left:
             return False
         self._left -= size
@@ -80,7 +83,8 @@ class Unpacker:
     def _unpacked(self, content: bytes, size: int) -> bytes:
         frame = content[ZSTD_DATA_AT:]
         try:
-            # zstd unpacks a frame that states its own size to that size, regardless of the limit.
+            # zstd ignores max_output_size if the frame states its own size, so that size is checked
+            # first.
             stated = zstandard.get_frame_parameters(frame).content_size
             if stated in (0, zstandard.CONTENTSIZE_UNKNOWN):
                 stated = size
@@ -92,9 +96,10 @@ class Unpacker:
 
 
 def data_length(content: bytes) -> int | None:
-    """The length of a chunk's content, computed from the length of its data; None if no chunk.
+    """Compute the length (bytes) of a chunk's content from its field "data length".
 
-    `content` is the beginning of the chunk's content, up to ZSTD_DATA_AT + 4 bytes.
+    `content` is the beginning of the chunk's content, up to ZSTD_DATA_AT + 4 bytes. Returns None if
+    it cannot be a chunk.
     """
     if len(content) < PLAIN_DATA_AT:
         return None
@@ -110,15 +115,16 @@ def is_zstd(content: bytes) -> bool:
 
 
 def chunk_times(content: bytes) -> tuple[int, int]:
-    """The log times (ns) of the first and the last message, as the chunk's header says."""
+    """The log times (ns) of a chunk's earliest and latest message, as its header says."""
     start_ns, end_ns, *_ = CHUNK_HEAD.unpack_from(content)
     return start_ns, end_ns
 
 
 def records_in(data: bytes) -> Iterator[tuple[int, int, int]]:
-    """Give the opcode, the begin and the end of the content of each record in an unpacked chunk.
+    """Yield (opcode, begin, end) of each record in an unpacked chunk.
 
-    Raises ValueError after the last whole record if the data end inside one.
+    `begin` and `end` are the offsets in `data` of the record's content. Raises ValueError after the
+    last whole record if the data end inside one.
     """
     at = 0
     while at < len(data):
@@ -133,9 +139,9 @@ def records_in(data: bytes) -> Iterator[tuple[int, int, int]]:
 
 
 def _fields(content: bytes) -> tuple[int, int, bool]:
-    """The unpacked size and the CRC that a chunk states, and True if it is packed with zstd.
+    """Return a chunk's unpacked size (bytes), its CRC, and True if it is packed with zstd.
 
-    Raises ValueError if it is packed in another way.
+    Raises ValueError if the chunk is packed in another way.
     """
     _, _, size, crc, name_length = CHUNK_HEAD.unpack_from(content)
     if is_zstd(content):

@@ -11,11 +11,11 @@
 #     2  everything between the old tail and the new one
 #     3  the 50 bytes of the old tail, which makes all new records visible at once
 #
-# A tail must not be written in part. So a private record of a few bytes is inserted where needed to
-# keep each tail inside one 512-byte sector: the kernel stops the write of a killed process only
-# between pages, and a disk that loses power writes a sector entirely or not at all. If the disk is
-# full, step 3 never happens and the file stays as it was. All steps may then be done again, once
-# there is room.
+# A tail must not be written in part. So a filler record (a private record of a few bytes) is
+# inserted where needed to keep each tail inside one 512-byte sector: the kernel stops the write of
+# a killed process only between pages, and a disk that loses power writes a sector entirely or not
+# at all. If the disk is full, step 3 never happens and the file stays as it was. All steps may be
+# repeated once there is room.
 
 from __future__ import annotations
 
@@ -50,10 +50,10 @@ class CompleteFile:
     def __init__(
         self, file: BinaryIO, name: str, head: bytes, make_room: Callable[[], bool] = lambda: False
     ) -> None:
-        """Write `head`: the magic and the first records.
+        """Begin the file with `head` (the MCAP magic bytes and the first records) and a valid end.
 
-        `file` is empty and unbuffered, and `close` closes it. `name` appears in error messages.
-        `make_room` is called when the disk is full; it returns True if it has removed something.
+        `file` is empty and unbuffered; `close` closes it. `name` appears in error messages.
+        `make_room` is called when the disk is full; it returns True if it has removed another file.
         Raises OutputError if the file cannot be written.
         """
         self._make_room = make_room
@@ -63,7 +63,7 @@ class CompleteFile:
         self._disk = DiskSync(self.hold)
         head += _padding(len(head), TAIL_SIZE, 0)
         self.position = len(head)
-        """The offset of the next record."""
+        """The file offset at which the next record will be written."""
         self._crc = zlib.crc32(head)
         try:
             self._guarded(lambda: self._write(0, head + data_end(self._crc) + footer()))
@@ -80,7 +80,10 @@ class CompleteFile:
         return self._file.closed
 
     def hold(self) -> BinaryIO:
-        """Return a second handle of the file, which keeps the file locked until it is closed."""
+        """Return a second handle of the file.
+
+        The file stays locked until both handles are closed.
+        """
         return open(os.dup(self._file.fileno()), "wb", buffering=0)
 
     def append(self, records: bytes, *, sync: bool) -> None:
@@ -98,9 +101,9 @@ class CompleteFile:
         self._crc = crc
 
     def sync_soon(self) -> None:
-        """Have what was added synced to the disk soon, without waiting for that.
+        """Ask for a sync of the added records to the disk, without waiting for it.
 
-        Raises OutputError if the disk has refused it before, as `append` does.
+        Raises OutputError if an earlier write or sync has failed.
         """
         self._guarded(self._disk.request, is_sync=True)
 
@@ -113,8 +116,9 @@ class CompleteFile:
         """
         length = DATA_END_SIZE + len(summary(0)[0])
         if not _fits(self.position + length, FOOTER_SIZE):
-            # A filler record moves the tail and the footer to places where each fits in a sector.
-            # Few places in a sector are bad, so there is always a size that is good for both.
+            # If the tail, or the footer behind the summary, would cross a sector boundary, a filler
+            # record moves both. Few offsets lead to a crossing, so some size of the filler suits
+            # both.
             size = next(
                 size
                 for size in range(TAIL_SIZE, TAIL_SIZE + SECTOR)
@@ -126,8 +130,8 @@ class CompleteFile:
         section, end = summary(start)
 
         def write() -> None:
-            # The first footer tells of no summary, so that the file is readable until the summary
-            # is on the disk.
+            # Until the summary is on the disk, the file ends in a footer that says "no summary", so
+            # that it can be read at any moment.
             self._replace(start, section + footer(), FOOTER_SIZE, sync=True)
             self._write(start + len(section), end)
             self._sync()
@@ -145,7 +149,7 @@ class CompleteFile:
             try:
                 write()
             except OSError as error:
-                # A sync that has failed fails again, whatever room there is.
+                # Free space cannot repair a failed sync, so only a failed write is tried again.
                 if not is_sync and error.errno in DISK_FULL and self._make_room():
                     continue
                 self._failure = self._error(error)
@@ -153,10 +157,11 @@ class CompleteFile:
             return
 
     def _replace(self, at: int, new: bytes, old_size: int, *, sync: bool) -> None:
-        """Write `new` over the last `old_size` bytes of the file, which begin at `at`, and beyond.
+        """Replace the end of the file, from offset `at` on, by the longer `new`.
 
-        The bytes are written back to front: first the end of `new`, then its middle, last the bytes
-        that replace the old ones.
+        The file's end has `old_size` bytes. The bytes are written back to front, so that the old
+        end stays valid until the last step: first the end of `new`, then its middle, last the bytes
+        over the old ones.
         """
         end = len(new) - old_size
         self._write(at + end, new[end:])
@@ -184,10 +189,10 @@ class CompleteFile:
 
 
 def _padding(end: int, tail: int, minimum: int) -> bytes:
-    """Make a private record so that the tail after it lies in one sector.
+    """Make a filler record so that the tail after it does not cross a 512-byte sector boundary.
 
     `end` is the offset at which the record begins, `tail` the size of the tail in bytes. The record
-    has at least `minimum` bytes; it is empty if none is needed.
+    has at least `minimum` bytes. Returns no bytes if no record is needed.
     """
     size = max(minimum, RECORD_HEAD.size) if minimum > 0 else 0
     if not _fits(end + size, tail):

@@ -38,7 +38,8 @@ if TYPE_CHECKING:
 
 CHUNK_SIZE = 256 * 1024
 SMALL = 8 * 1024
-"""Up to so many bytes a chunk is packed at the highest useful level, which takes below 2 ms."""
+"""A chunk of at most this many bytes is compressed with zstd at level 19, which takes below 2
+ms."""
 MAX_CHANNELS = 0xFFFF
 MAX_TIME = (1 << 64) - 1
 
@@ -47,7 +48,7 @@ _INDEX_HEAD = struct.Struct("<HI")
 
 
 class Topic:
-    """An MCAP channel, with the index of its messages in the open chunk."""
+    """An MCAP channel, with the index of its messages in the chunk that is being filled."""
 
     __slots__ = ("count", "id", "index")
 
@@ -55,11 +56,12 @@ class Topic:
         self.id = channel_id
         self.count = 0
         self.index = bytearray()
-        """For each message in the open chunk, its time and its offset in the chunk."""
+        """For each message of this channel in the chunk that is being filled: its log time (ns) and
+        its offset (bytes) in the chunk, packed as an MCAP index entry."""
 
 
 class Container:
-    """The records of one MCAP file."""
+    """Collects the records of one MCAP file into chunks, and writes them to the file."""
 
     def __init__(self, file: CompleteFile) -> None:
         self._file = file
@@ -80,7 +82,7 @@ class Container:
 
     @property
     def pending(self) -> int:
-        """Number of bytes that were added since the last flush to the file."""
+        """The number of bytes in memory that were added since the last flush to the file."""
         return len(self._chunk) + len(self._sealed)
 
     def add_topic(self, name: str, schema: TopicSchema) -> Topic:
@@ -109,7 +111,10 @@ class Container:
         return topic
 
     def add_message(self, topic: Topic, log_ns: int, publish_ns: int, data: bytes) -> None:
-        """Add one message. Times outside 0 to MAX_TIME are set to the nearer limit."""
+        """Add a message with its log and publish time (ns).
+
+        Times outside 0 to MAX_TIME are limited.
+        """
         log_ns = min(max(log_ns, 0), MAX_TIME)
         publish_ns = min(max(publish_ns, 0), MAX_TIME)
         if not topic.index:
@@ -150,7 +155,7 @@ class Container:
     def flush(self, *, sync: bool) -> None:
         """Write everything that was added since the last flush to the file.
 
-        Raises OutputError if the data cannot be written; then they are dropped.
+        Raises OutputError if the data cannot be written; they are then lost.
         """
         self._seal()
         if self._sealed:
@@ -164,12 +169,12 @@ class Container:
 
     @property
     def _next(self) -> int:
-        """The offset that the next sealed record will have in the file."""
+        """The file offset that the next record outside a chunk will have."""
         return self._file.position + len(self._sealed)
 
     def _seal(self) -> None:
         if self._chunk_times is None:
-            return  # Schemas and channels without a message stay in the open chunk.
+            return  # No message yet: its schemas and channels wait for the first one.
         content, self._chunk = self._chunk, bytearray()
         (start_ns, end_ns), self._chunk_times = self._chunk_times, None
         compressor = self._compressor if len(content) > SMALL else self._thorough
@@ -232,7 +237,7 @@ class Container:
                 offsets.append(SummaryOffset(opcode, at, len(group)))
                 at += len(group)
         section = b"".join(group for _, group in groups) + packed(*offsets)
-        # The CRC covers the summary and the footer up to the CRC itself.
+        # The CRC covers the summary, and the footer up to its CRC field.
         crc = zlib.crc32(section + footer(start, at)[: RECORD_HEAD.size + 16])
         return section, footer(start, at, crc)
 

@@ -54,7 +54,7 @@ def create_file(path: Path, *, replace: bool = False) -> BinaryIO:
 
 
 def check_path(path: Path, *, replace: bool = False) -> None:
-    """Raise UsageError if no log can be created at a path; create nothing."""
+    """Check that a log can be created at a path, without creating it; raise UsageError if not."""
     try:
         mode = path.stat().st_mode
     except FileNotFoundError as error:
@@ -77,7 +77,7 @@ def demand_unlocked(path: Path) -> None:
         with path.open("rb+", buffering=0) as file:
             _lock(file, path, is_shared=True)
     except OSError:
-        return  # Nobody can write to it.
+        return  # It cannot be opened for writing, so it counts as not being written.
 
 
 def _lock(file: BinaryIO, path: Path, *, is_shared: bool = False) -> None:
@@ -92,7 +92,7 @@ def _lock(file: BinaryIO, path: Path, *, is_shared: bool = False) -> None:
             f"{path}: another recorder is writing to it; name another, or end that one first"
         ) from None
     except OSError:
-        return  # A file system without locks.
+        return  # This file system has no locks.
 
 
 def _exists(path: Path) -> UsageError:
@@ -107,11 +107,11 @@ def _uncreated(path: Path, error: OSError | ValueError) -> UsageError:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Write the folder's entry for a new file to the disk, so that it survives a power cut."""
+    """Sync the folder to the disk, so that its entry for a new file survives a power cut."""
     try:
         descriptor = os.open(folder, os.O_RDONLY)
     except OSError:
-        return  # The folder may be written but not read; the kernel writes its entry later.
+        return  # This user may not read the folder; the kernel syncs it later.
     try:
         os.fsync(descriptor)
     except OSError:

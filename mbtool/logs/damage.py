@@ -1,8 +1,8 @@
 """Counts the damaged places of a log while it is read, and reports them."""
 
 # A damaged byte costs only the record that holds it. Skipped records are counted here. Where items
-# may be missing, a GAP event is put among the items, so that the decoder does not join bytes from
-# before the damage to bytes from after it.
+# (chunks, packets, transactions, events) may be missing, a GAP event is put among the items, so
+# that the decoder does not join bytes from before the damage to bytes from after it.
 #
 # Memory: the text of the first damage, and counts.
 
@@ -20,7 +20,7 @@ _MENDED = "mbtool recover makes a whole log of it"
 
 
 class Damage:
-    """The damaged places of one log; false if there are none."""
+    """Collects the damaged places of one log. Its truth value is False while there are none."""
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -29,31 +29,38 @@ class Damage:
         self._skipped = 0
         """The number of bytes of the log that were skipped in all."""
         self._hole = 0
-        """The number of skipped bytes, since the last GAP event, that may have held items."""
+        """The number of skipped bytes, since the last GAP event, that may have held captured bytes,
+        transactions or events."""
         self._hole_at = 0
 
     def __bool__(self) -> bool:
         return self._places > 0
 
     def add(self, error: DamageError, skipped: int = 0) -> None:
-        """Count a damaged place; `skipped` is the number of bytes left out for it."""
+        """Count a damaged place.
+
+        `skipped` is the number of bytes that the reader left out there.
+        """
         if not self._places:
             self._first = str(error).removeprefix(f"{self._name}: ")
         self._places += 1
         self._skipped += skipped
 
     def add_hole(self, error: DamageError, offset: int, skipped: int) -> None:
-        """Count a damaged place that may have held items and begins at a file offset."""
+        """Count damage at a file offset.
+
+        Its `skipped` bytes may have held chunks or transactions.
+        """
         self.add(error, skipped)
         if not self._hole:
             self._hole_at = offset
         self._hole += skipped
 
     def take_gap(self, ts_ns: int) -> list[WireEvent]:
-        """Return a list with a GAP event of time `ts_ns` for damage that was not reported yet.
+        """Return a GAP event, in a list, for the damage since the last one; an empty list if none.
 
-        The list is empty if there is no such damage. It is also empty at time 0, which means that
-        no item was read so far, so there is nothing before the gap.
+        `ts_ns` is the time of the event, UTC ns. At time 0 no item was read so far, so there is
+        nothing before the gap, and the list is empty, too.
         """
         if not self._hole or not ts_ns:
             return []
@@ -69,7 +76,7 @@ class Damage:
         return DamageError(f"{self._name}: {self._summary()}{rest}; {_MENDED}")
 
     def added_to(self, end: InputError) -> InputError:
-        """Return the error `end`, with which reading ended early, with the damage added to it."""
+        """Return an error like `end`, which ended the reading, with the damage in its text."""
         return type(end)(f"{end}; before that, {self._summary()}")
 
     def _summary(self) -> str:

@@ -1,7 +1,8 @@
-"""Syncs a growing file to the disk in a thread of its own; on a busy disk that takes seconds."""
+"""Syncs a growing file to the disk in a thread of its own, as a sync can take seconds."""
 
-# One sync at a time; a request that comes meanwhile is served by one more sync behind it. The
-# thread starts with the first request, so a log that is made from a file has none.
+# One sync runs at a time. Requests that come during a sync are served together by one more sync
+# after it. The thread starts with the first request. A log that is converted from a file requests
+# none, so it has no thread.
 
 from __future__ import annotations
 
@@ -16,10 +17,10 @@ sync_data = os.fdatasync if hasattr(os, "fdatasync") else os.fsync
 
 
 class DiskSync:
-    """Syncs one file on request."""
+    """Syncs one file to the disk, in a thread, when asked to."""
 
     def __init__(self, hold: Callable[[], BinaryIO]) -> None:
-        """`hold` returns a handle of the file that this object closes."""
+        """`hold` returns a new handle of the file, which the sync thread closes at its end."""
         self._hold = hold
         self._thread: Thread | None = None
         self._wanted = Event()
@@ -27,7 +28,7 @@ class DiskSync:
         self._error: OSError | None = None
 
     def request(self) -> None:
-        """Have everything that is written so far synced soon. Raises the OSError of a past sync."""
+        """Ask for a sync of everything written so far. Raises the OSError of an earlier sync."""
         if self._error is not None:
             raise self._error
         if self._thread is None:
@@ -36,7 +37,7 @@ class DiskSync:
         self._wanted.set()
 
     def close(self) -> None:
-        """Wait for the sync that is under way. A second call does nothing."""
+        """End the thread, after the sync that it is running. A second call does nothing."""
         self._is_closing = True
         self._wanted.set()
         if self._thread is not None:

@@ -1,4 +1,4 @@
-"""Joins reads of a serial line into one message of a log, and separates them again."""
+"""Packs many reads of a serial line into one message of a log, and unpacks them again."""
 
 # Layout: a protobuf message (protobuf.dev/programming-guides/encoding), which Foxglove and the mcap
 # tool read by the descriptor in the log. Its fields in the order in which they are written:
@@ -6,15 +6,15 @@
 #     09  8 bytes             fixed64 ts_ns         time of the first read, UTC ns, little-endian
 #     12  length, UTF-8       string link           name of the serial line
 #     1a  length, bytes       bytes data            bytes of all reads, one after the other
-#     20  varint              uint32 unit_ns        unit of the waits in ns: 10,000, 100 or 1
-#     2a  length, varints     int64 waits           units from each read to the next, first 0
+#     20  varint              uint32 unit_ns        unit of `waits` in ns: 10,000, 100 or 1
+#     2a  length, varints     int64 waits           time since the previous read, in units; first 0
 #     32  length, varints     uint32 sizes          bytes of each read; absent if each has one
 #     3a  length, varints     Direction directions  who sent each read: 0 unknown, 1 request,
 #                                                   2 response; absent if all are unknown
 #
 # A varint has 7 bits in each byte, the lowest first; bit 7 is set in all but its last byte. A
-# negative wait has the 64 bits of its two's complement. Lengths are varints, too. A wait between
-# two bytes of a line at 9600 baud or faster is a varint of one byte.
+# negative wait has the 64 bits of its two's complement. Lengths are varints, too. At 9600 baud or
+# faster, the wait between two consecutive bytes fits in a varint of one byte.
 #
 # Limit: MAX_READS reads in a message.
 
@@ -27,8 +27,8 @@ from mbtool.core import Chunk, Direction, Stamp
 
 MAX_READS = 4096
 UNITS_NS = (10_000, 100, 1)
-"""A message has the first of these units in which all its waits are whole numbers, so that no time
-is changed."""
+"""The units in ns for the times between reads. A message uses the first unit in which all these
+times are whole numbers, so that no time is rounded."""
 MAX_TIME_NS = 1 << 62
 
 _TIME = struct.Struct("<Q")
@@ -49,13 +49,13 @@ _FIELDS = {
 
 
 def is_joinable(chunk: Chunk) -> bool:
-    """True for a read of a serial port: only such chunks are joined."""
+    """True if a chunk is a read of a serial port. Only such chunks are joined into one message."""
     is_read = chunk.connection is None and chunk.stamp is Stamp.LAST_BYTE
     return is_read and 0 <= chunk.ts_ns < MAX_TIME_NS
 
 
 def joined(reads: list[Chunk]) -> bytes:
-    """The message of joinable reads of one link, at least one and at most MAX_READS."""
+    """Pack 1 to MAX_READS reads of one line into a message; each must satisfy `is_joinable`."""
     times = [read.ts_ns for read in reads]
     waits = [0, *(after - before for before, after in pairwise(times))]
     unit_ns = next(unit for unit in UNITS_NS if not any(wait % unit for wait in waits))
@@ -74,7 +74,10 @@ def joined(reads: list[Chunk]) -> bytes:
 
 
 def separated(message: bytes) -> list[Chunk]:
-    """The reads of a message, at least one. Raises ValueError if it is not one of `joined`."""
+    """Unpack the reads of a message, at least one.
+
+    Raises ValueError if `joined` did not make the message.
+    """
     numbers, texts = _fields_of(message)
     if not (numbers.keys() == {_TS_NS, _UNIT_NS} and {_LINK, _DATA, _WAITS} <= texts.keys()):
         raise ValueError("a field of joined reads is missing")
@@ -98,7 +101,7 @@ def separated(message: bytes) -> list[Chunk]:
 
 
 def descriptor() -> bytes:
-    """The descriptor of the message: a FileDescriptorSet, as MCAP keeps it for protobuf."""
+    """The message's protobuf descriptor, a FileDescriptorSet, which MCAP stores as schema."""
     values = b"".join(
         _field(2, _field(1, direction.name) + _number(2, number))
         for direction, number in _NUMBERS.items()
@@ -111,7 +114,7 @@ def descriptor() -> bytes:
 
 
 def _described(number: int) -> bytes:
-    """The FieldDescriptorProto of a field."""
+    """The FieldDescriptorProto (protobuf's description) of the field with this number."""
     name, kind = _FIELDS[number]
     label = 3 if number in (_WAITS, _SIZES, _SENDERS) else 1  # 1 optional, 3 repeated
     field = _field(1, name) + _number(3, number) + _number(4, label) + _number(5, kind)
@@ -119,9 +122,9 @@ def _described(number: int) -> bytes:
 
 
 def _fields_of(message: bytes) -> tuple[dict[int, int], dict[int, bytes]]:
-    """The fields that are one number, and all others, by field number.
+    """Return the integer fields of a message, and its length-delimited fields, both by number.
 
-    Raises ValueError for bytes that are no such message.
+    Raises ValueError if the bytes are no message of joined reads.
     """
     numbers: dict[int, int] = {}
     texts: dict[int, bytes] = {}
@@ -146,7 +149,10 @@ def _fields_of(message: bytes) -> tuple[dict[int, int], dict[int, bytes]]:
 
 
 def _unpacked(packed: bytes) -> list[int]:
-    """The numbers of a packed field. Raises ValueError if they are too many or cut off."""
+    """Decode the varints of a packed field.
+
+    Raises ValueError if more than MAX_READS, or if one is cut off.
+    """
     if packed.isascii() and len(packed) <= MAX_READS:
         return [*packed]
     numbers = []
@@ -160,7 +166,7 @@ def _unpacked(packed: bytes) -> list[int]:
 
 
 def _number_at(data: bytes, at: int) -> tuple[int, int]:
-    """The varint at an offset, and the offset behind it."""
+    """Return the varint at offset `at`, and the offset of the byte after it."""
     number = 0
     for place, byte in enumerate(data[at : at + 10]):
         number |= (byte & 0x7F) << 7 * place

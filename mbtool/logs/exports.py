@@ -33,11 +33,11 @@ if TYPE_CHECKING:
 
 _encode = msgspec.json.Encoder().encode
 _replace = msgspec.structs.replace
-"""Checks no types, so that it can put hex strings into fields of type bytes."""
+"""msgspec's replace. It checks no types, so it can put hex strings into fields of type bytes."""
 
 _EPOCH = datetime(1970, 1, 1)
 _FORMULA = ("=", "+", "-", "@")
-"""A spreadsheet takes a text that begins with one of these for a formula."""
+"""Signs at the beginning of a text that make a spreadsheet take the text for a formula."""
 _ONE_LINE = str.maketrans("\r\n", "  ")
 
 CSV_COLUMNS = (
@@ -83,7 +83,7 @@ CSV_COLUMNS = (
     "destination_mac",
     "vlan",
 )
-"""The columns in order. A column never changes its name or meaning; new columns come last."""
+"""The CSV columns in order. A column never changes its name or meaning; new ones come last."""
 
 
 def transaction_to_jsonl(transaction: NamedTransaction) -> bytes:
@@ -155,7 +155,7 @@ def _point_text(point: PointValue) -> str:
 def iso_time(ts_ns: int) -> str | None:
     """A time in UTC ns as ISO 8601: `2026-11-22T09:14:03.201000000Z`; None beyond the year 9999.
 
-    It always has nine decimals, so that texts sort as times.
+    The text always has nine decimals, so that sorting the texts sorts the times.
     """
     seconds, ns = divmod(ts_ns, 1_000_000_000)
     text = _second(seconds)
@@ -164,7 +164,7 @@ def iso_time(ts_ns: int) -> str | None:
 
 @lru_cache(maxsize=64)
 def _second(seconds: int) -> str | None:
-    """A whole second since 1970 as ISO 8601. Cached, as many rows are of the same second."""
+    """Format seconds since 1970 as ISO 8601. Cached, since many rows have the same second."""
     try:
         return (_EPOCH + timedelta(seconds=seconds)).isoformat()
     except OverflowError:
@@ -180,7 +180,7 @@ def _line(message: msgspec.Struct, ts_ns: int) -> bytes:
 
 
 def _escaped(line: bytes) -> bytes:
-    """A JSON text in which characters that cannot be printed are written as JSON escapes."""
+    """Return a JSON text with JSON escapes in place of the characters that cannot be printed."""
     text = line.decode()
     if text.isprintable():
         return line
@@ -188,7 +188,7 @@ def _escaped(line: bytes) -> bytes:
 
 
 def _harmless(text: str) -> str:
-    """A text without line ends and signs that control a terminal, and that is no formula."""
+    """Make a text safe to show: one line, no control characters, no formula of a spreadsheet."""
     text = text.translate(_ONE_LINE)
     text = "".join(one if one.isprintable() else "?" for one in text)
     return f"'{text}" if text.startswith(_FORMULA) else text

@@ -1,21 +1,24 @@
-"""Gives the sound records of a log, whatever has happened to its bytes."""
+"""Reads the intact records of a damaged log, repairs record heads, and skips the rest."""
 
-# A record is sound if the lengths of its fields add up to its own length, and if its CRC matches
-# where it has one. A record without such fields is sound if a record may begin behind it.
+# A record is sound (intact) if the lengths of its fields add up to its own length, and if its CRC
+# matches where it has one. A record without such fields is sound if the bytes behind it may be the
+# head of a record.
 #
-# Where a record is not sound, in this order:
+# If a record is not sound, these are tried in order:
 #
 #   1. Its opcode or a length may be damaged. If the bytes are a sound record of another kind or of
-#      another length, that record is given. A chunk and an attachment prove themselves by their
-#      CRC, others by the record that begins behind them.
-#   2. If a record may begin at its end, it is left out, and reading goes on there.
-#   3. Else the next record that proves itself is searched for, byte by byte.
+#      another length, that record is returned. A chunk and an attachment prove by their CRC that
+#      they are sound, other records by a valid head of the record behind them.
+#   2. If a record may begin at the end that its length states, the record is skipped, and reading
+#      goes on there.
+#   3. Otherwise the next record that proves to be sound is searched for, byte by byte.
 #
-# What is left out in 2 and 3 is a Hole. Where nothing is found up to the end of the file, the error
-# says if the file was cut off.
+# The bytes that are skipped in 2 and 3 are returned as a Hole. If nothing is found up to the end of
+# the file, the error says whether the file was cut off.
 #
-# Memory: one record, the records of one chunk, and SEARCH_BYTES. Time: checking candidates costs no
-# more than the limit of chunks.py allows for the bytes that were passed.
+# Memory: one record, the records of one chunk, and SEARCH_BYTES. Time: bytes that are checked as
+# possible records count against the limit on unpacked bytes in chunks.py, which grows with the
+# bytes of the log read so far.
 
 from __future__ import annotations
 
@@ -54,8 +57,9 @@ _BLOCKS = {
     Opcode.ATTACHMENT: (16, 2),
     Opcode.METADATA: (0, 2),
 }
-"""For each kind of record: the number of bytes before its blocks, and the number of blocks. A block
-is a length of 4 bytes and as many bytes. An attachment's data and CRC follow its blocks."""
+"""For each kind of record: the number of bytes before its blocks, and the number of its blocks. A
+block is a 4-byte length followed by that many bytes. An attachment's data and CRC follow its
+blocks."""
 
 _FIXED = {Opcode.FOOTER: _FOOTER_CONTENT, Opcode.DATA_END: _DATA_END_CONTENT}
 
@@ -71,16 +75,17 @@ _SUMMARY = frozenset(
         Opcode.STATISTICS, Opcode.METADATA_INDEX, Opcode.SUMMARY_OFFSET,
     )
 )  # fmt: skip
-"""The kinds of records that can follow a DataEnd."""
+"""The kinds of records that can follow the DataEnd record."""
 
 _ONLY_IN_SUMMARY = _SUMMARY - {Opcode.FOOTER, Opcode.SCHEMA, Opcode.CHANNEL}
 
-# The opcodes of records that prove themselves, and a length below 80 MiB.
+# Finds where a record that can be verified may begin: one of five opcodes, and behind it a length
+# below 80 MiB.
 _CANDIDATE = re.compile(rb"(?=[\x02\x06\x09\x0c\x0f].{3}[\0-\x04]\0{4})", re.DOTALL)
 
 
 class Hole(NamedTuple):
-    """Bytes of a log that are left out, because they are damaged."""
+    """A range of damaged bytes that the reader skips, from file offset `offset` up to `end`."""
 
     offset: int
     end: int
@@ -90,9 +95,9 @@ class Hole(NamedTuple):
 
 
 class SoundRecords:
-    """Reads the data section of a log; returns the sound records and the holes between them.
+    """Reads the data section of a log; returns intact records, and holes for the skipped bytes.
 
-    `repaired` is called with an error for each damaged record of which nothing is lost.
+    `repaired` is called with an error for each damaged record that was restored without a loss.
     """
 
     def __init__(self, records: RecordStream, repaired: Callable[[DamageError], None]) -> None:
@@ -100,15 +105,15 @@ class SoundRecords:
         self._repaired = repaired
         self._unpacker = Unpacker()
         self._why = ""
-        """The fault of the record that was checked last."""
+        """Why the record that was checked last is not intact, in words for the user."""
         self.crc_before = 0
-        """The CRC of all bytes before the record that was returned last."""
+        """The CRC of all bytes of the file before the record that was returned last."""
 
     def read(self) -> McapRecord | Hole:
-        """Return the next record; the content of a chunk is unpacked.
+        """Return the next intact record, with a chunk unpacked, or the hole before it.
 
-        Raises CutError where the file ends without a DataEnd, DamageError where nothing more can be
-        found. Both say where.
+        Raises CutError where the file ends without a DataEnd record, DamageError where no further
+        record can be found. Both name the file offset.
         """
         self.crc_before = self._records.crc
         self._why = "a record of a wrong length"
@@ -123,9 +128,9 @@ class SoundRecords:
         return self._healed(record) or self._passed_over(record) or self._search()
 
     def search(self) -> Hole:
-        """Go to the next record that proves itself, whatever bytes precede it.
+        """Skip to the next record that can be verified, and return the skipped bytes as a hole.
 
-        A record proves itself by its CRC or by the record that begins behind it.
+        A record is verified by its CRC, or by a valid head of the record behind it.
         """
         self._why = "no record"
         return self._search()
@@ -135,7 +140,7 @@ class SoundRecords:
         self._unpacker.allow(size)
 
     def _sound(self, record: McapRecord) -> McapRecord | None:
-        """The record if it is sound; a chunk is unpacked."""
+        """Return the record if it is intact, with a chunk unpacked; otherwise None."""
         opcode, content = record.opcode, record.content
         if opcode in _ONLY_IN_SUMMARY or not opcode:
             self._why = f"a record of kind {opcode:02X}H in a wrong place"
@@ -148,12 +153,13 @@ class SoundRecords:
             self._why = "a message shorter than its header"
             return None
         if opcode == Opcode.MESSAGE and _is_index(content):
-            return None  # One changed bit in the opcode can turn an index into a message.
+            return None  # A message index, in whose opcode one bit has changed.
         if opcode == PRIVATE and not content.strip(b"\0"):
-            return record  # The filler of a log; the record behind it may be damaged.
+            return record  # A filler record of zeros. The record behind it may be damaged.
         if not self._may_begin(_HEAD + len(content)):
             return None
-        # One changed bit in the opcode can turn a chunk into a record that readers ignore.
+        # One changed bit in the opcode can turn a chunk into a kind of record that readers ignore.
+        # So zstd data under such an opcode are not accepted.
         return None if is_zstd(content) and opcode != Opcode.MESSAGE else record
 
     def _sound_chunk(self, record: McapRecord) -> McapRecord | None:
@@ -175,7 +181,10 @@ class SoundRecords:
         return self._attachment_crc(0, length) is not False
 
     def _healed(self, record: McapRecord | None) -> McapRecord | None:
-        """The record at the position if only its opcode or a length is damaged; otherwise None."""
+        """Return the record at the position with its opcode or length corrected.
+
+        Returns None if that does not make the record intact.
+        """
         offset, why = self._records.position, self._why
         head = self._records.look(_HEAD)
         stated = len(record.content) if record is not None else None
@@ -191,7 +200,10 @@ class SoundRecords:
         return None
 
     def _passed_over(self, record: McapRecord | None) -> Hole | None:
-        """A hole for the record at the position, if another record may begin behind it."""
+        """Skip the damaged record at the position, and return it as a hole.
+
+        Returns None if no record may begin behind it.
+        """
         if record is None or not self._may_begin(_HEAD + len(record.content)):
             return None
         self._take(_HEAD + len(record.content))
@@ -223,7 +235,7 @@ class SoundRecords:
         return Hole(start, end, self._records.damaged(start, self._why))
 
     def _is_target(self, ahead: int) -> bool:
-        """True if a record that proves itself begins `ahead` bytes after the position."""
+        """True if a record that can be verified begins `ahead` bytes after the position."""
         opcode, length = RECORD_HEAD.unpack(self._records.look(_HEAD, ahead))
         if self._length_by_fields(opcode, ahead) != length:
             return False
@@ -232,9 +244,10 @@ class SoundRecords:
         return self._proven(opcode, ahead, length) is not None
 
     def _proven(self, opcode: int, ahead: int, length: int | None) -> bytes | None:
-        """The content of the record `ahead` bytes after the position, if it proves itself.
+        """Return the content of the record `ahead` bytes after the position; None if not verified.
 
-        The opcode and the length are those that the record should have. A chunk is unpacked.
+        `opcode` and `length` (bytes) are those that the record should have. The content of a chunk
+        is returned unpacked.
         """
         if length is None or length > MAX_RECORD or not self._unpacker.spend(length):
             return None
@@ -278,7 +291,7 @@ class SoundRecords:
         return True
 
     def _attachment_crc(self, ahead: int, length: int) -> bool | None:
-        """True if the CRC of an attachment matches, False if it does not, None if it has none."""
+        """True if an attachment's CRC matches, False if it does not, None if it has no CRC."""
         if length < _CRC.size or not self._unpacker.spend(length):
             return False
         content = self._records.look(length, ahead + _HEAD)
@@ -294,11 +307,14 @@ class SoundRecords:
             return False
         if head and not (0 < head[0] <= _LAST_OPCODE or head[0] >= PRIVATE):
             return False
-        # If the file is cut off inside the head, nothing else is known of it.
+        # If the file is cut off inside the head, the length is missing and cannot be checked.
         return len(head) < _HEAD or RECORD_HEAD.unpack(head)[1] <= MAX_RECORD
 
     def _length_by_fields(self, opcode: int, ahead: int) -> int | None:
-        """The length of the content of a record, by the lengths of its fields; None if unknown."""
+        """Compute a record's content length (bytes) from the lengths of its fields.
+
+        Returns None if unknown.
+        """
         if opcode in _FIXED:
             return _FIXED[Opcode(opcode)]
         ahead += _HEAD
@@ -323,7 +339,7 @@ class SoundRecords:
 
 
 def _is_index(content: bytes) -> bool:
-    """True if the content of a message outside of chunks is that of a message index."""
+    """True if the content of a supposed message is in fact that of a message index."""
     (size,) = _BLOCK_LENGTH.unpack_from(content, 2)
     is_whole = size == len(content) - 6 and size % 16 == 0
     return is_whole and content[_MESSAGE_FIELDS : _MESSAGE_FIELDS + 1] not in (b"{", b"\x09")

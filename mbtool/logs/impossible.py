@@ -1,7 +1,8 @@
-"""Counts the items of a log that are left out because a number in them is impossible."""
+"""Counts the messages of a log that are left out because a number in them is impossible."""
 
-# The types of the fields give the range of each number (modbus/transaction.py). The recorder writes
-# no number outside it, so such an item was made by another program or by hand.
+# The types of the fields give the range of each number (modbus/transaction.py), such as 0 to 255
+# for a unit. The recorder writes no number outside it, so such a message was made by another
+# program or by hand.
 
 from __future__ import annotations
 
@@ -21,14 +22,17 @@ _SHOWN = 40
 
 
 class ImpossibleItems:
-    """The number of items that were left out, and the fault of the first one."""
+    """Counts the messages that were left out, and keeps the fault of the first one."""
 
     def __init__(self) -> None:
         self._count = 0
         self._first = ""
 
     def note(self, error: Exception, data: bytes) -> bool:
-        """Count an item of a log if a number in it is out of range; return False if none is."""
+        """Count a message if `error` says that a number is out of range.
+
+        Returns False for other errors.
+        """
         match = _OUT_OF_RANGE.fullmatch(str(error))
         if match is None:
             return False
@@ -39,7 +43,7 @@ class ImpossibleItems:
         return True
 
     def events(self, ts_ns: int) -> Iterator[WireEvent]:
-        """Give one event that counts the items, if there are any. A second call gives none."""
+        """Yield one event that tells how many messages were left out. A second call yields none."""
         if self._count:
             text = (
                 f"{self._count} {plural(self._count, 'message')} of the log left out, with numbers "
@@ -50,7 +54,7 @@ class ImpossibleItems:
 
 
 def _field(data: bytes, name: str) -> object:
-    """The value of a field of a message; "too deep" if other fields keep it from being read."""
+    """Return one field of a JSON message; "too deep" if the message nests too deep to be parsed."""
     try:
         return msgspec.json.decode(data, type=dict[str, object])[name]
     except RecursionError:

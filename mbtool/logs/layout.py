@@ -21,36 +21,40 @@ if TYPE_CHECKING:
 MAGIC = b"\x89MCAP0\r\n"
 PROFILE = "mbtool"
 LIBRARY = "mbtool "
-"""The library in a log's header is this text, followed by the version of mbtool."""
+"""A log's header names the program that wrote it: this text, followed by the version of mbtool."""
 FORMAT_VERSION = 2
-"""The log format that is written."""
+"""The version of the log format that this program writes."""
 READ_VERSIONS = ("1", "2")
-"""The log formats that are read. In format 1 each read of a serial line is a message."""
+"""The versions of the log format that this program reads. In version 1 each read of a serial line
+is a message of its own."""
 
 CAPTURE = "mbtool.capture"
 EVIDENCE_ONLY = "evidence_only"
-"""A key of CAPTURE; its value is "true" in a log that holds nothing decoded."""
+"""A key of the metadata record CAPTURE. Its value is "true" in a log that contains captured bytes
+but nothing decoded."""
 LINK = "mbtool.link"
 DEVICE = "mbtool.device"
 STATUS = "mbtool.status"
 RECOVERED = "mbtool.recovered"
 DECODING_TOPIC = "decoding"
-"""The topic, without its slash, of the marks that say how far the decoder is behind."""
+"""The topic, without its slash, of the messages that say how far the decoder is behind the
+capture."""
 PROFILE_MEDIA_TYPE = "application/json"
 
 RECORD_HEAD = struct.Struct("<BQ")
 MESSAGE_HEAD = struct.Struct("<HIQQ")
-"""The head of a message, before its data: channel id, sequence number, log time, publish time."""
+"""The head of a message, before its data: channel id, sequence number, log time, publish time (both
+in ns)."""
 
 PRIVATE = 0x80
 """The first private opcode; readers skip private records that they do not know."""
 
 MAX_RECORD = 64 << 20
-"""The most bytes that a reader accepts in a record, and in an uncompressed chunk."""
+"""The most bytes that a reader accepts in a record, and in an unpacked chunk."""
 
 
 def packed(*records: McapRecord) -> bytes:
-    """Return records as the bytes that they have in the file, one after the other."""
+    """Encode MCAP records as bytes, one after the other."""
     builder = RecordBuilder()
     for record in records:
         record.write(builder)
@@ -59,7 +63,7 @@ def packed(*records: McapRecord) -> bytes:
 
 
 def empty_record(size: int) -> bytes:
-    """A private record of a given size, at least RECORD_HEAD.size."""
+    """Make a filler record, which readers ignore, of `size` bytes (at least RECORD_HEAD.size)."""
     return RECORD_HEAD.pack(PRIVATE, size - RECORD_HEAD.size) + bytes(size - RECORD_HEAD.size)
 
 

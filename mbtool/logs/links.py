@@ -14,15 +14,16 @@ SPEC = "spec"
 PORTS = "ports"
 RTU_PORTS = "rtu_ports"
 ANY_PORT = "any"
-"""In a link's metadata, PORTS and RTU_PORTS are keys of lists of TCP ports. The text ANY_PORT in
-the list PORTS means every TCP port."""
+"""Keys of a link's metadata. PORTS and RTU_PORTS have lists of TCP ports as values, separated by
+spaces. The text ANY_PORT in the list PORTS means every TCP port."""
 
 ACROSS = "across"
-"""In the metadata of a capture: packets of several interfaces belong to one network."""
+"""A key of the metadata record CAPTURE. It is present if the packets of several interfaces belong
+to one network, so that they are decoded together."""
 
 
 class LinkMetadata(Protocol):
-    """What a log, or a capture that was made from one, says of its links."""
+    """The metadata on links and devices that a log has, or a capture made from a log."""
 
     @property
     def capture(self) -> Mapping[str, str]: ...
@@ -35,7 +36,7 @@ class LinkMetadata(Protocol):
 
 
 def all_assignments(log: LinkMetadata, given: Assignments) -> Assignments:
-    """The user's assignments, and those of the log for devices that the user does not name."""
+    """The user's profile assignments, and the log's for devices that the user does not name."""
     named = {str(assignment.who) for assignment in given}
     of_log = (
         Assignment(parse_who(who), profile_from_json(log.profiles[name], f"profile {name}"))
@@ -52,12 +53,12 @@ def serial_lines(log: LinkMetadata) -> dict[str, SerialLink]:
 
 
 def names_any_port(log: LinkMetadata) -> bool:
-    """True if the recorder looked for Modbus at all TCP ports."""
+    """True if the recorder captured packets of all TCP ports, not only of named ones."""
     return any(ANY_PORT in one.get(PORTS, "").split() for one in log.links.values())
 
 
 def ports_of(log: LinkMetadata, key: str) -> tuple[int, ...]:
-    """The port numbers of all links under a key: PORTS or RTU_PORTS."""
+    """The TCP ports that all links list under a metadata key: PORTS or RTU_PORTS."""
     texts = (one.get(key, "") for one in log.links.values())
     ports = {port for text in texts for port in text.split()}
     return tuple(sorted(int(port) for port in ports if port.isdecimal() and len(port) <= 5))

@@ -1,8 +1,9 @@
 """Reads what follows the data section of a log: the summary, the footer and the magic bytes."""
 
-# The summary repeats what is in the data section, so damage in it costs no item. It is reported all
-# the same: other readers find the chunks by it, and a disk that has changed one byte may change
-# more. The CRC in the footer covers the summary and the footer itself.
+# The summary repeats what is in the data section, so damage in it loses no captured or decoded
+# data. It is reported nevertheless: other readers find the chunks by the summary, and a disk that
+# has changed one byte may change more. The CRC in the footer covers the summary and the footer
+# itself.
 #
 # Memory: one record.
 
@@ -26,7 +27,7 @@ _FOOTER_WRONG = "the footer, which tells where the summary is; all else was read
 
 
 def is_open_end(records: RecordStream) -> bool:
-    """True if the next record is the Footer of a log whose recorder writes on, or was killed."""
+    """True if the next record is the Footer of a log that was not closed, or not yet."""
     record = records.look_at_record()
     return (
         record is not None
@@ -37,9 +38,10 @@ def is_open_end(records: RecordStream) -> bool:
 
 
 def check_end(records: RecordStream) -> None:
-    """Read from behind the DataEnd to the end of the file.
+    """Check the summary, the footer and the magic bytes that follow the DataEnd record.
 
-    Raises CutError if the file ends before that, DamageError if anything in it is damaged.
+    Raises CutError if the file ends before they are complete, DamageError if anything in them is
+    damaged.
     """
     start = records.position
     records.restart_crc()
@@ -58,7 +60,8 @@ def check_end(records: RecordStream) -> None:
     found = records.crc
     records.take(_CRC_SIZE)
     if summary_start == 0:
-        # A log that was not closed has summary_start 0, even if its summary was being written.
+        # A log that was not closed has summary_start 0, even if it was ended while its summary was
+        # being written.
         if offsets_start or crc:
             raise records.damaged(offset, _FOOTER_WRONG)
     elif summary_start != start or crc not in (0, found):

@@ -5,10 +5,12 @@
 # array, and put back in order. If that fails, they are decoded one by one, so that a damaged
 # message costs no other one.
 #
-# A chunk of more than BATCH messages gives several lists. One of many reads counts as several.
+# A chunk of more than BATCH messages yields several lists. A message of many joined serial reads
+# counts as several messages, according to its bytes.
 #
-# A writer joins the reads of each serial line (evidence_blocks.py). Where such messages and those
-# of other evidence follow one another, the reads and packets come in the order of their times.
+# The writer joins many reads of each serial line into one message (evidence_blocks.py), so the
+# captured data of several links are not in the order of time in the file. Where messages with
+# captured data follow one another, their reads and packets are merged by time.
 #
 # Memory: BATCH messages, and the schema of each channel (at most 65,535).
 
@@ -42,7 +44,8 @@ if TYPE_CHECKING:
 
 BATCH = 4096
 _COUNTED = 16
-"""So many bytes of joined reads count as one message; one read takes 2 bytes or more."""
+"""This many bytes of joined serial reads count as one message in the limit BATCH; one read takes 2
+bytes or more."""
 
 _TYPES: dict[str, Any] = {
     schemas.CHUNK: ChunkMessage,
@@ -52,8 +55,8 @@ _TYPES: dict[str, Any] = {
 }
 _EVIDENCE = frozenset({schemas.EVIDENCE, schemas.CHUNK})
 _ARE_ITEMS = frozenset({schemas.TRANSACTION, schemas.DECODING})
-"""Schemas whose messages are items themselves."""
-# Making a decoder takes longer than reading a small log, so all readers share these.
+"""Schemas whose decoded messages are log items as they are, without a conversion."""
+# Creating a msgspec decoder takes longer than reading a small log, so all readers share these.
 _DECODERS: dict[str, msgspec.json.Decoder[Any]] = {
     name: msgspec.json.Decoder(type_) for name, type_ in _TYPES.items()
 }
@@ -64,22 +67,23 @@ _LIST_DECODERS: dict[str, msgspec.json.Decoder[Any]] = {
     schemas.DECODING: msgspec.json.Decoder(list[DecodingMark]),
 }
 # The fields of a Chunk have the same names in the log, so a Chunk is decoded directly, without a
-# ChunkMessage. Only a Packet has a link type; inside a text, the quotes around that name would be
-# escaped.
+# ChunkMessage in between. Only a Packet has the field link_type. A search for its name in quotes
+# finds no text value, as quotes inside a JSON string are escaped.
 _CHUNKS_DECODER: msgspec.json.Decoder[Any] = msgspec.json.Decoder(list[Chunk])
 _OF_A_PACKET = b'"link_type"'
 _NOT_DECODABLE = (msgspec.MsgspecError, ValueError, RecursionError)
-"""The errors of msgspec for bytes that are no message; ValueError for text that is not UTF-8."""
+"""The errors for bytes that are no message: those of msgspec, ValueError for text that is not
+UTF-8, RecursionError for JSON that nests too deep."""
 
 _MESSAGE = struct.Struct("<BQH4xQ")
-"""The head of a record and of the message in it: opcode, length, channel, log time."""
+"""The head of a record and of the message in it: opcode, length, channel id, log time (ns)."""
 _HEAD = RECORD_HEAD.size
 _DATA_AT = _HEAD + MESSAGE_HEAD.size
 _IS_MESSAGE = int(Opcode.MESSAGE)
 
 
 class MessageDecoder:
-    """Knows the channels of a log, and decodes its messages."""
+    """Decodes the messages of a log into items; remembers the log's schemas and channels."""
 
     def __init__(self, records: RecordStream, damage: Damage) -> None:
         self._records = records
@@ -89,13 +93,13 @@ class MessageDecoder:
         self.end_ns = 0
         """The log time (ns) of the last item that was decoded; 0 before the first."""
         self.impossible = ImpossibleItems()
-        """Counts the items that were left out because a number in them is impossible."""
+        """Counts the messages that were left out because a number in them is impossible."""
 
     def batches(self, record: McapRecord, wanted: frozenset[str]) -> Iterator[list[LogItem]]:
-        """Give the items of the wanted schemas in a chunk, or in a record outside of chunks.
+        """Yield the items of the wanted schemas in a chunk, or in a record outside of chunks.
 
-        A message that cannot be decoded is left out and counted as damage. A GAP event stands in
-        its place, in a list of its own.
+        A message that cannot be decoded is left out and counted as damage; a GAP event, in a list
+        of its own, takes its place.
         """
         data = record.content
         if record.opcode != Opcode.CHUNK:
@@ -108,10 +112,13 @@ class MessageDecoder:
                 yield from self._decoded(batch)
 
     def _walk(self, data: bytes, at: int, wanted: frozenset[str], batch: _Batch) -> int:
-        """Collect up to BATCH wanted messages; return the offset at which to go on."""
+        """Collect up to BATCH wanted messages of `data` from offset `at` on.
+
+        Returns the next offset.
+        """
         # Half of the time of reading a log is spent in this loop.
         end = len(data)
-        padded = data + bytes(_MESSAGE.size)  # So that each head can be unpacked whole.
+        padded = data + bytes(_MESSAGE.size)  # So that the last head can be unpacked whole.
         unpack, schema_of = _MESSAGE.unpack_from, self._channels.get
         add, add_schema = batch.raw.append, batch.order.append
         left = BATCH
@@ -141,7 +148,10 @@ class MessageDecoder:
         return at
 
     def _decoded(self, batch: _Batch) -> Iterator[list[LogItem]]:
-        """The items of a batch, after a GAP event if something is missing before them."""
+        """Decode a batch into lists of items.
+
+        A GAP event comes first if damage precedes the batch.
+        """
         if gap := self._damage.take_gap(batch.begin_ns):
             yield [*gap]
         try:
@@ -155,7 +165,7 @@ class MessageDecoder:
     def _note_end(self, batch: _Batch, items: list[LogItem]) -> None:
         self.end_ns = batch.end_ns
         if batch.order[-1] == schemas.EVIDENCE and isinstance(items[-1], Chunk):
-            self.end_ns = items[-1].ts_ns  # The message has the time of its first read.
+            self.end_ns = items[-1].ts_ns  # The message's log time is that of its first read.
 
     def _decoded_at_once(self, batch: _Batch) -> list[LogItem]:
         order, raw = batch.order, batch.raw
@@ -177,9 +187,9 @@ class MessageDecoder:
         return items
 
     def _decoded_alike(self, schema: str, raw: list[bytes]) -> list[Any]:
-        """Decode messages of one schema into items, or for EVIDENCE into lists of reads.
+        """Decode messages of one schema into items, or for EVIDENCE into lists of serial reads.
 
-        Raises one of _NOT_DECODABLE if one is damaged.
+        Raises one of _NOT_DECODABLE if a message is damaged.
         """
         if schema == schemas.EVIDENCE:
             return [separated(data) for data in raw]
@@ -224,7 +234,7 @@ class MessageDecoder:
             self._damage.add_hole(error, offset, len(content))
 
     def _unknown(self, channel: int, offset: int, data: bytes) -> str:
-        """Find the schema of a channel whose definition is lost with a chunk."""
+        """Find by a message the schema of a channel whose definition was in a damaged chunk."""
         if not self._damage:
             what = f"a message of an unknown channel ({channel})"
             self._damage.add(self._records.damaged(offset, what))
@@ -232,9 +242,9 @@ class MessageDecoder:
         return schema
 
     def _schema_of(self, data: bytes) -> str:
-        """The schema of a message; "" if it is no item.
+        """Find the schema of a message by trying to decode it; "" if it is no item.
 
-        Each type of item has required fields that no other has, so decoding finds the type.
+        Each type of item has required fields that no other type has, so only one type fits.
         """
         for schema, decoder in _DECODERS.items():
             with suppress(*_NOT_DECODABLE):
@@ -257,7 +267,10 @@ def _items_of(schema: str, data: bytes) -> list[LogItem]:
 
 
 def _merged(evidence: list[list[Chunk] | Chunk | Packet]) -> list[LogItem]:
-    """The evidence of several messages, in the order of its times if it is of several links."""
+    """Return the captured chunks and packets of several messages.
+
+    In order of time if of several links.
+    """
     by_link: dict[str, list[Chunk | Packet]] = {}
     for one in evidence:
         some = one if isinstance(one, list) else [one]
@@ -267,11 +280,11 @@ def _merged(evidence: list[list[Chunk] | Chunk | Packet]) -> list[LogItem]:
 
 
 class _Batch:
-    """Messages that were collected and are to be decoded."""
+    """Messages of one chunk that were collected and are not yet decoded."""
 
     def __init__(self, offset: int) -> None:
         self.offset = offset
-        """The file offset of the chunk."""
+        """The file offset of the chunk that contains the messages."""
         self.order: list[str] = []
         """The schema of each message."""
         self.raw: list[bytes] = []

@@ -18,7 +18,7 @@ LogItem = Chunk | Packet | NamedTransaction | WireEvent
 
 
 class ChunkMessage(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """A Chunk or a Packet; only a Packet has a link type."""
+    """A Chunk or a Packet, as it is written to a log; only a Packet has a link type."""
 
     ts_ns: int
     link: str
@@ -90,7 +90,7 @@ class EventMessage(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True
 
 
 class PointMessage(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """A point whose value has changed."""
+    """A point (a named value of a device) that has changed, as it is written to a log."""
 
     ts_ns: int
     link: str
@@ -104,14 +104,14 @@ class PointMessage(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True
 
 
 class DecodingMark(msgspec.Struct, frozen=True, kw_only=True):
-    """Says how far the decoder is behind the evidence; an item and its message at once."""
+    """Says how far the decoder is behind the capture. It is written to the log as it is."""
 
     ts_ns: int
     waiting: int
-    """Number of chunks and packets that are in the log and that the decoder still has to decode;
-    0 if it has caught up."""
+    """Number of chunks and packets before this mark that the decoder still has to decode; 0 if it
+    has caught up."""
     dropped: int
-    """Number of chunks and packets, since the mark before, that the decoder will not decode."""
+    """Number of chunks and packets, since the previous mark, that the decoder will never decode."""
 
 
 class Level(IntEnum):
@@ -133,7 +133,7 @@ class LogTime(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class LogMessage(msgspec.Struct, frozen=True, kw_only=True):
-    """A finding, in the form that Foxglove's Log panel shows (schema foxglove.Log)."""
+    """A finding (a broken rule), in the form of Foxglove's Log panel (schema foxglove.Log)."""
 
     timestamp: LogTime
     level: Level

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 _OTHER_SUFFIXES = frozenset({".pcap", ".pcapng", ".jsonl", ".csv"})
-"""Suffixes of file formats that are no log."""
+"""Suffixes of other file formats, which the file of a log must not have."""
 
 
 def create_log(
@@ -43,11 +43,11 @@ def create_log(
     keep: int | None = None,
     on_full: Callable[[str], None] = lambda _: None,
 ) -> LogWriter | RotatingLog:
-    """Create a log, and write to it everything that is needed to decode its evidence again.
+    """Create a log, and write to it everything that is needed to decode its captured bytes again.
 
     `ports`, `rtu_ports` and `any_port` are the TCP ports that the run decodes on interfaces. With
-    `evidence_only` the log tells its readers that they have to decode it. `continues`, `keep` and
-    `on_full` are those of a RotatingLog.
+    `evidence_only` the log is marked as holding captured bytes but no transactions, so that its
+    readers decode it. `continues`, `keep` and `on_full` are those of a RotatingLog.
 
     Raises UsageError if the file cannot be created or has the suffix of another format, OutputError
     if another recorder has it open.
@@ -95,14 +95,14 @@ def create_log(
 
 
 def with_point_topics(create: Callable[[], LogWriter | RotatingLog]) -> LogWriter | RotatingLog:
-    """Create a log in which each point also has a topic of its own."""
+    """Create a log in which each point (a named value of a device) also has a topic of its own."""
     log = create()
     log.give_points_topics()
     return log
 
 
 def check_log_path(path: str, *, overwrite: bool = False) -> None:
-    """Raise UsageError if `create_log` could not create a log at a path; create nothing."""
+    """Check that `create_log` could create a log at a path; raise UsageError if not."""
     _check_suffix(path)
     check_path(Path(path), replace=overwrite)
 

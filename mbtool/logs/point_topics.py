@@ -1,8 +1,8 @@
-"""Names a topic of its own for each point: `/points/LINK/unit_5/NAME`."""
+"""Names a topic for each point (named value) of a device: `/points/LINK/unit_5/NAME`."""
 
-# A viewer such as Foxglove then lists points by name. Its message paths take letters, digits, `_`
-# and `-` without quotes; any other character becomes `_`. Of two points whose topics would have one
-# name, the later one gets a number behind it.
+# With such topics a viewer such as Foxglove lists points by name. Foxglove's message paths take
+# letters, digits, `_` and `-` without quotes; any other character becomes `_`. If two points would
+# get the same topic name, a number is appended to that of the later one.
 #
 # Memory: at most MAX_POINT_TOPICS names. Points beyond them have no topic of their own.
 
@@ -19,14 +19,14 @@ _OTHERS = re.compile(r"[^A-Za-z0-9_-]+")
 
 
 class PointTopics:
-    """The names of the topics of points."""
+    """Gives each point a topic name that no other point of the log has."""
 
     def __init__(self) -> None:
         self._names: dict[tuple[str, int, str], str] = {}
         self._taken: set[str] = set()
 
     def name_of(self, point: PointMessage) -> str | None:
-        """The name of a point's topic; None if there are too many."""
+        """Return the name of a point's topic; None if MAX_POINT_TOPICS points already have one."""
         key = point.link, point.unit_id, point.name
         name = self._names.get(key)
         if name is None and len(self._names) < MAX_POINT_TOPICS:

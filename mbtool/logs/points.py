@@ -1,7 +1,7 @@
-"""Finds the points whose values have changed since they were last seen."""
+"""Finds the points (named values of devices) that have changed since they were last seen."""
 
-# Memory: the last value of at most MAX_POINTS points. Beyond that the point that has not changed
-# for longest is dropped, and counts as changed when it is seen again.
+# Memory: the last value of at most MAX_POINTS points. Beyond that, the point that has not changed
+# for the longest time is forgotten; it counts as changed when it is seen again.
 
 from __future__ import annotations
 
@@ -25,7 +25,10 @@ class PointChanges:
         self._last: dict[tuple[str, int, str | None, str], tuple[float | None, str]] = {}
 
     def changes(self, transaction: NamedTransaction, ts_ns: int) -> Iterator[PointMessage]:
-        """Give the points that changed; none if the transaction had no effect on the device."""
+        """Yield the points of a transaction that changed; none if it had no effect on the device.
+
+        `ts_ns` is the time for the yielded points, UTC ns.
+        """
         if not transaction.points or not transaction.took_effect:
             return
         link, unit, device = transaction.link, transaction.unit, transaction.device

@@ -1,24 +1,25 @@
-"""Reads a log: its items, and the metadata about them."""
+"""Reads a log: its items (chunks, packets, transactions, events) and its metadata."""
 
 # A log is read from start to end, in the order in which it was written. So it can come from a pipe,
-# and a log that is cut off gives all complete chunks before the cut. The metadata before the first
+# and a log that is cut off yields all complete chunks before the cut. The metadata before the first
 # item is known as soon as a LogReader is made; later metadata is added when it is reached.
 #
 # Errors: InputError for a file of another kind, CutError for a file that ends early, DamageError
 # for damaged bytes. The last two are raised after all intact items were returned.
 #
-# Damage: damaged records are left out (healing.py), and reading goes on at the next sound record.
-# Where items may be missing there is a GAP event without a link in their place. Each chunk has a
+# Damage: damaged records are skipped (healing.py), and reading goes on at the next intact record.
+# Where items may be missing, there is a GAP event without a link in their place. Each chunk has a
 # CRC, so no wrong item is returned. Damage that costs no item is reported as well: the CRC of the
 # data section and that of the summary show it at the end.
 #
-# Metadata and attachments are kept in memory, MAX_KEPT bytes of them; what comes later is told as
-# damage and left out.
+# Metadata and attachments are kept in memory, MAX_KEPT bytes of them; any beyond that are reported
+# as damage and left out.
 #
-# Values that nothing on a wire can have, such as unit -5: the item is left out, and one UNREADABLE
-# event at the end counts such items.
+# An item with a value that nothing on a wire can have, such as unit -5, is left out. One UNREADABLE
+# event at the end tells how many such items there were.
 #
-# The log of a recorder that was killed is complete, and only `closed` shows that it was.
+# The log of a recorder that was killed is complete; only `closed`, which is then False, tells it
+# from the log of a recorder that ended normally.
 
 from __future__ import annotations
 
@@ -51,7 +52,7 @@ MAX_KEPT = 32 << 20
 _EVIDENCE = frozenset({schemas.CHUNK, schemas.EVIDENCE})
 _ITEMS = _EVIDENCE | {schemas.TRANSACTION, schemas.WIRE_EVENT}
 _ITEM_OPCODES = frozenset({Opcode.CHUNK, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE})
-"""Records that hold items, or define their types."""
+"""The kinds of records that contain items, or that define the schemas and channels of items."""
 
 
 class LogReader(ClosesOnExit):
@@ -62,7 +63,8 @@ class LogReader(ClosesOnExit):
     links: dict[str, dict[str, str]]
     """The settings of each link, by the link's name."""
     devices: dict[str, str]
-    """The name of each device's profile; the key names the device as `--device` does."""
+    """The name of each device's profile. A key names a device in the form of the option
+    `--device`."""
     profiles: dict[str, bytes]
     """The profiles in use, by name, as JSON."""
     closed: bool
@@ -71,10 +73,11 @@ class LogReader(ClosesOnExit):
     def __init__(
         self, stream: ByteStream, name: str, *, wait: Callable[[], bool] | None = None
     ) -> None:
-        """Read the metadata before the first item; `wait` is as in `follow`.
+        """Read the metadata before the first item.
 
-        Raises InputError if the stream is not a log, CutError or DamageError if its head is not
-        whole.
+        `wait` makes the reader follow a log that is still being written: it is called at the end of
+        the file and returns True to look for more. Raises InputError if the stream is not a log,
+        CutError or DamageError if its beginning is not whole.
         """
         self._stream = stream
         self._name = name
@@ -85,7 +88,7 @@ class LogReader(ClosesOnExit):
         self._crc_holds = True
         """False once a part of the stream was read twice: then the CRC of its bytes is unknown."""
         self._kept = 0
-        """The number of bytes of metadata and attachments so far."""
+        """The number of bytes of metadata and attachments read so far."""
         self.capture = {}
         self.links = {}
         self.devices = {}
@@ -110,7 +113,7 @@ class LogReader(ClosesOnExit):
 
     @property
     def is_evidence_only(self) -> bool:
-        """True if the log holds nothing decoded, so that its reader decodes the evidence."""
+        """True if the log contains captured bytes only, so that its reader has to decode them."""
         return self.capture.get(EVIDENCE_ONLY) == "true"
 
     @property
@@ -119,31 +122,31 @@ class LogReader(ClosesOnExit):
         return self._messages.end_ns
 
     def items(self) -> Iterator[LogItem]:
-        """Give all items in the order in which they were written. A second call gives nothing."""
+        """Yield all items in the order in which they were written. A second call yields nothing."""
         return chain.from_iterable(self._read(_ITEMS))
 
     def transactions(self) -> Iterator[NamedTransaction]:
-        """Give only the transactions.
+        """Yield only the transactions.
 
-        A log is read once: call this, `items` or `evidence`, and only one of them.
+        A log is read once: call only one of `items`, `transactions` and `evidence`.
         """
         for batch in self.transaction_batches():
             yield from batch
 
     def transaction_batches(self) -> Iterator[list[NamedTransaction]]:
-        """Give only the transactions, in lists of up to some thousands; the fastest way to read.
+        """Yield only the transactions, in lists of up to some thousands; the fastest way to read.
 
         A log is read once: call only one of `items`, `transactions`, `evidence` and this.
         """
         for batch in self._read(frozenset({schemas.TRANSACTION})):
-            # A GAP event is in a list of its own.
+            # GAP events come in lists of their own; they are left out here.
             if isinstance(batch[0], NamedTransaction):
                 yield cast("list[NamedTransaction]", batch)
 
     def evidence(self) -> Iterator[Chunk | Packet | WireEvent]:
-        """Give only the captured bytes, and GAP events where the log is damaged.
+        """Yield only the captured bytes, and GAP events where the log is damaged.
 
-        A log is read once: call this, `items` or `transactions`, and only one of them.
+        A log is read once: call only one of `items`, `transactions` and `evidence`.
         """
         for batch in self._read(_EVIDENCE):
             for item in batch:
@@ -151,7 +154,7 @@ class LogReader(ClosesOnExit):
                     yield item
 
     def heard(self) -> Iterator[Chunk | Packet | WireEvent]:
-        """Give the captured bytes and the events, in the order in which they were written.
+        """Yield the captured bytes and the events, in the order in which they were written.
 
         A log is read once: call only one of `items`, `transactions`, `evidence` and this.
         """
@@ -161,10 +164,10 @@ class LogReader(ClosesOnExit):
                     yield item
 
     def undecoded(self) -> int:
-        """The number of chunks and packets that were not decoded when the log was made.
+        """Count the chunks and packets that the recorder captured but did not decode.
 
-        This reads the log; call nothing else before or after it. An estimate for a log whose
-        recorder still writes or was killed: the last moments are not counted.
+        This reads the whole log; call no other method that reads it. The count is an estimate for a
+        log whose recorder still writes or was killed: the last moments are not counted.
         """
         waiting = dropped = 0
         for batch in self._read(frozenset({schemas.DECODING})):
@@ -182,7 +185,8 @@ class LogReader(ClosesOnExit):
         if isinstance(record, Hole) or record.opcode != Opcode.HEADER:
             raise self._records.damaged(len(layout.MAGIC), "the header record is missing")
         header = self._records.parse(record, Header.read)
-        # One of the two is enough: a damaged byte may have changed the other.
+        # Either field shows that the file is a log of mbtool; a damaged byte may have changed the
+        # other.
         if header.profile != PROFILE and not header.library.startswith(LIBRARY):
             raise InputError(
                 f"{self._name}: an MCAP file of profile {header.profile!r}, "
@@ -198,10 +202,10 @@ class LogReader(ClosesOnExit):
             )
 
     def _data_section(self, wait: Callable[[], bool] | None) -> Iterator[McapRecord | Hole]:
-        """Yield the records before DataEnd, and the holes; then check the rest of the file.
+        """Yield the records before DataEnd, and holes for skipped bytes; then check the rest.
 
-        With `wait`, a log that is still open is read again from its DataEnd until it is closed or
-        `wait` returns False.
+        With `wait`, a log that is still being written is read again from its DataEnd record on,
+        until it is closed or `wait` returns False.
         """
         while True:
             record = self._sound.read()
@@ -213,19 +217,21 @@ class LogReader(ClosesOnExit):
                 return
             is_open = is_open_end(self._records)
             self._records.seek(record.offset)
-            # What is no open end was perhaps written while it was read; then the DataEnd is gone.
+            # An end that is not that of an open log: either the log was closed, or the recorder
+            # replaced the end while it was being read. In the second case another record is now in
+            # place of the DataEnd.
             self.closed = not is_open and self._records.look_at_record() == record
             if self.closed or (is_open and not wait()):
                 return
 
     def _check_end(self, record: McapRecord) -> None:
-        """Check the CRC of the data section, and what follows it."""
+        """Check the CRC of the data section, then the summary and the footer behind it."""
         if record.opcode == Opcode.FOOTER:
             self._damage.add(self._records.damaged(record.offset, "the end of the data is missing"))
             self.closed = True
             return
         expected = int.from_bytes(record.content, "little")
-        # Damage that was found before explains a wrong CRC.
+        # Damaged records, which were reported before, make this CRC wrong, too.
         if not self._damage and expected not in (0, self._sound.crc_before):
             what = "the CRC of the data section does not match"
             self._damage.add(self._records.damaged(record.offset, what))
@@ -236,7 +242,10 @@ class LogReader(ClosesOnExit):
             self._damage.add(error)
 
     def _learn(self, record: McapRecord | Hole) -> bool:
-        """Take the metadata of a record; return False instead if the record may hold items."""
+        """Keep the metadata of a record and return True.
+
+        Returns False if the record may hold items.
+        """
         if isinstance(record, Hole):
             if not record.has_items:
                 self._damage.add(record.error, record.end - record.offset)
@@ -273,7 +282,7 @@ class LogReader(ClosesOnExit):
                 self.devices[values.get("who", "")] = values.get("profile", "")
 
     def _read(self, wanted: frozenset[str]) -> Iterator[list[LogItem]]:
-        """Give the wanted items in lists, with GAP events where items may be missing."""
+        """Yield items of wanted schemas in lists, with GAP events where items may be missing."""
         messages, damage = self._messages, self._damage
         try:
             for record in self._data:
@@ -298,7 +307,7 @@ class LogReader(ClosesOnExit):
 
 
 def read_log(path: str | Path) -> Iterator[LogItem]:
-    """Give all items of a log in the order in which they were written.
+    """Yield all items of a log in the order in which they were written.
 
     Raises InputError if the file cannot be read or is not a log; CutError or DamageError if it is
     not whole, after the items that could be read.
@@ -308,7 +317,7 @@ def read_log(path: str | Path) -> Iterator[LogItem]:
 
 
 def follow(path: str | Path, wait: Callable[[], bool]) -> Iterator[LogItem]:
-    """Read a log that is being written; give items as they reach the disk.
+    """Read a log that is still being written; yield its items as they reach the disk.
 
     `wait` is called at the end of the file. It returns True to look again, or False to end. The
     iterator also ends when the log is closed. Raises InputError if the file cannot be read or is
@@ -317,7 +326,7 @@ def follow(path: str | Path, wait: Callable[[], bool]) -> Iterator[LogItem]:
     # Unbuffered, as the writer replaces the end of the file, and a buffer would keep the old end.
     with _open(path, buffering=0) as stream:
         while not stream.read(1) and wait():
-            pass  # The recorder has made the file and not yet begun it.
+            pass  # The recorder has created the file and written nothing yet.
         stream.seek(0)
         yield from LogReader(stream, str(path), wait=wait).items()
 

@@ -1,4 +1,4 @@
-"""Reads the records of an MCAP file one by one, and can look at bytes before it takes them."""
+"""Reads the records of an MCAP file one by one, and can read bytes ahead of them."""
 
 # The mcap package's StreamReader accepts a truncated field, trusts every length, and cannot wait
 # for more bytes. So only its record classes are used here.
@@ -7,8 +7,8 @@
 # contradicts itself) and InputError (another kind of file, or one that cannot be read). A record
 # has at most MAX_RECORD bytes.
 #
-# Memory: the bytes that were looked at and not taken, at most one record and what a search looks at
-# (healing.py).
+# Memory: the bytes that were read ahead and not consumed, at most one record and what a search for
+# the next intact record (healing.py) reads ahead.
 
 from __future__ import annotations
 
@@ -31,25 +31,26 @@ _T = TypeVar("_T")
 
 
 class ByteStream(Protocol):
-    """A source of a log's bytes."""
+    """The methods of a binary stream that reading a log needs."""
 
     def read(self, size: int, /) -> bytes: ...
 
     def seek(self, offset: int, /) -> int:
-        """Go to an offset in bytes; only `follow` calls this."""
+        """Go to an offset in bytes; only following a log that is still being written calls this."""
         ...
 
     def close(self) -> None: ...
 
 
 class McapRecord(NamedTuple):
-    """One record of the file."""
+    """One record of an MCAP file."""
 
     offset: int
     """The file offset of the record."""
     opcode: int
     content: bytes
-    """The bytes behind opcode and length; for a chunk that was checked, its unpacked records."""
+    """The bytes behind the opcode and the length; for a chunk that was checked, its unpacked
+    records."""
 
 
 class RecordStream:
@@ -59,17 +60,17 @@ class RecordStream:
         self._stream = stream
         self._name = name
         self._held = bytearray()
-        """The bytes at `position` that were read from the stream and not taken."""
+        """The bytes from `position` on that were read from the stream and not yet consumed."""
         self.position = 0
-        """The file offset of the next byte to take."""
+        """The file offset of the next byte to consume."""
         self.crc = 0
-        """The CRC of all bytes that were taken, until `restart_crc`."""
+        """The CRC of all bytes consumed so far, or since `restart_crc`."""
         self._end: InputError | None = None
-        """The error that stopped reading the stream; None if there was none."""
+        """The error that stopped reading the stream; None if there was none so far."""
 
     @property
     def end(self) -> int:
-        """The file offset behind the last byte that was looked at."""
+        """The file offset behind the last byte that was read ahead."""
         return self.position + len(self._held)
 
     def read_magic(self) -> None:
@@ -93,7 +94,7 @@ class RecordStream:
         self.take(len(MAGIC))
 
     def look_at_record(self) -> McapRecord | None:
-        """Return the next record and do not take it; None if it is too long or not all there."""
+        """Return the next record without consuming it; None if it is too long or incomplete."""
         head = self.look(RECORD_HEAD.size)
         if len(head) < RECORD_HEAD.size:
             return None
@@ -104,7 +105,7 @@ class RecordStream:
         return McapRecord(self.position, opcode, content) if len(content) == length else None
 
     def look(self, size: int, ahead: int = 0) -> bytes:
-        """Return `size` bytes that begin `ahead` bytes after the position, and do not take them.
+        """Return `size` bytes that begin `ahead` bytes after the position, without consuming them.
 
         Returns fewer bytes only where the file ends or cannot be read further.
         """
@@ -115,7 +116,7 @@ class RecordStream:
             return bytes(held[ahead : ahead + size])
 
     def take(self, size: int) -> None:
-        """Go `size` bytes forward; they must have been looked at."""
+        """Consume the next `size` bytes, which `look` must have returned before."""
         with memoryview(self._held) as held:
             self.crc = zlib.crc32(held[:size], self.crc)
         del self._held[:size]
@@ -125,17 +126,17 @@ class RecordStream:
         self.crc = 0
 
     def ends_as_a_file(self) -> bool:
-        """True if the bytes that are held end with the magic bytes, as a whole file does."""
+        """True if the bytes that were read ahead end with the magic bytes, as a whole file does."""
         return self._held.endswith(MAGIC)
 
     def seek(self, offset: int) -> None:
-        """Go back to an offset, to read what was written there meanwhile."""
+        """Go back to a file offset, to read what the recorder has written there meanwhile."""
         self._stream.seek(offset)
         self._held.clear()
         self.position = offset
 
     def parse(self, record: McapRecord, read: Callable[[ReadDataStream], _T]) -> _T:
-        """Parse a record with `read`, the method of one of mcap's classes.
+        """Parse a record with `read`, the class method of one of the mcap package's record classes.
 
         Raises DamageError if the record is too short for its fields.
         """
@@ -148,7 +149,10 @@ class RecordStream:
         return DamageError(f"{self._name}: damaged at byte {offset}: {what}")
 
     def cut(self, offset: int) -> InputError:
-        """The error for a file that ends, or cannot be read, inside the part behind an offset."""
+        """Return the error for a file that ends, or cannot be read, behind a file offset.
+
+        `offset` is where the incomplete record begins.
+        """
         if self._end is not None:
             return self._end
         return CutError(
@@ -161,7 +165,7 @@ class RecordStream:
             try:
                 piece = self._stream.read(missing)
             except EOFError:
-                return  # A compressed file that was cut off.
+                return  # A gzip or zstd file that was cut off.
             except InputError as error:
                 self._end = error
                 return

@@ -1,12 +1,13 @@
-"""Copies what is whole in a damaged log into a new log, and tells what was lost."""
+"""Copies the intact records of a damaged log into a new log, and reports what was lost."""
 
-# Messages are copied as they are, byte by byte, with their topics and times; metadata and
-# attachments too. Chunks, indexes and the summary are made anew. Where something was lost there is
-# a GAP event in the new log, so that no decoder joins the bytes before it to those behind it, and
-# metadata `mbtool.recovered` say what was lost in all.
+# Messages are copied unchanged, byte by byte, with their topics and times; metadata and attachments
+# too. Chunks, indexes and the summary are made anew. Where something was lost, the new log has a
+# GAP event, so that no decoder joins the bytes before the loss to those after it, and the metadata
+# record `mbtool.recovered` says how much was lost in all.
 #
-# The channel of a message tells its topic. It is defined in the chunk that first uses it. If that
-# chunk is lost the summary has it, and without a summary the message's own fields tell its type.
+# The channel of a message tells its topic. A channel is defined in the chunk that first uses it. If
+# that chunk is lost, the summary defines the channel; without a summary, the message's own fields
+# show its type.
 #
 # Memory: as for reading and writing a log, and the summary (summary.py). At most MAX_TOPICS topics.
 
@@ -61,11 +62,12 @@ _KINDS = {
     schemas.LOG: "findings",
 }
 _SHARED = frozenset((schemas.POINT_VALUE, schemas.LOG))
-"""The schemas of topics that all links share."""
+"""The schemas of messages whose topic is shared by all links."""
 
 _IS_MESSAGE = int(Opcode.MESSAGE)
 MAX_HEAD_RECORDS = 100
-"""At most this many records are searched for a sign that the file is a log."""
+"""At most this many records at the beginning are searched for a sign that the file is a log of
+mbtool."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,12 +79,13 @@ class LogLoss:
     end: int
     """The file offset behind the last lost byte."""
     what: str
-    """What is damaged, for the user."""
+    """What is damaged, in words for the user."""
     begin_ns: int | None
-    """The log time (ns) at which the lost part begins: that of the last message before it, or as
-    the summary says. None if unknown."""
+    """The log time (ns) at which the lost part begins: the earliest one of the lost chunks, as the
+    summary says, else that of the last message before the loss. None if unknown."""
     end_ns: int | None
-    """The log time (ns) at which the lost part ends; None if unknown."""
+    """The log time (ns) at which the lost part ends: the latest one of the lost chunks, as the
+    summary says, else that of the next message. None if unknown."""
 
 
 @dataclass(slots=True, kw_only=True)
@@ -96,14 +99,14 @@ class Recovered:
     losses: int = 0
     lost_bytes: int = 0
     remark: str = ""
-    """The first damage of which nothing was lost, for the user; "" if there is none."""
+    """The first damage that cost no data, in words for the user; "" if there is none."""
 
 
 class Recovery:
-    """Reads a damaged log once, and writes what is whole to a new one."""
+    """Reads a damaged log once, and writes its intact records to a new log."""
 
     def __init__(self, stream: BinaryIO, name: str, report: Callable[[LogLoss], None]) -> None:
-        """Take the damaged log; `report` is called for each loss, in the order of the file."""
+        """Take the damaged log; `report` is called for each lost part, in the order of the file."""
         self._name = name
         self._report = report
         self._summary = read_summary(stream, name) or LogSummary()
@@ -115,12 +118,13 @@ class Recovery:
         self._by_channel: dict[int, Topic | None] = {}
         self._now_ns: int | None = None
         self._waiting: Hole | None = None
-        """A loss that is reported as soon as the time of the next message is known."""
+        """A lost part that is reported as soon as the next message is read, whose log time is its
+        end."""
         self._ends = False
         self.result = Recovered()
 
     def run(self, path: Path, *, replace: bool = False) -> Recovered:
-        """Write what is whole to a new log; with `replace`, in place of a file that exists.
+        """Write the intact records to a new log; with `replace`, in place of an existing file.
 
         Raises InputError if the input is no log, UsageError or OutputError if the new log cannot be
         created or written.
@@ -141,7 +145,7 @@ class Recovery:
         return self.result
 
     def _head(self) -> list[McapRecord | Hole]:
-        """The records up to the first that shows that the file is a log."""
+        """Return the records up to the first one that shows that the file is a log of mbtool."""
         if self._records.look(len(MAGIC)) != MAGIC:
             self._repaired(self._records.damaged(0, "the first bytes of the file"))
         self._records.take(min(len(MAGIC), len(self._records.look(len(MAGIC)))))
@@ -166,7 +170,7 @@ class Recovery:
         return record.opcode == Opcode.CHUNK and b'"mbtool.' in record.content
 
     def _next(self) -> McapRecord | Hole:
-        """The next record; at the end of the log a DataEnd, or a hole up to the end of the file."""
+        """Return the next record or hole; last a DataEnd, or a hole up to the end of the file."""
         start = self._records.position
         try:
             record = self._sound.read()
@@ -245,7 +249,10 @@ class Recovery:
         self.result.messages += 1
 
     def _topic_of(self, channel_id: int, data: bytes) -> Topic | None:
-        """The topic of a channel; None if neither the log nor the message tells it."""
+        """Find the topic of a message by its channel, else by its data.
+
+        Returns None if neither tells it.
+        """
         channel = self._channels.get(channel_id)
         schema = self._schemas.get(channel.schema_id) if channel is not None else None
         if channel is not None and schema is not None:
@@ -277,7 +284,7 @@ class Recovery:
         self.result.remark = self.result.remark or f"{error}; nothing is lost there"
 
     def _lose(self, hole: Hole) -> None:
-        """Count a hole, unless the summary shows that no message or metadata was in it."""
+        """Note damaged bytes as lost, unless the summary shows that they held no data."""
         if self._summary.messages is not None and not self._summary.has_record_in(
             hole.offset, hole.end
         ):
@@ -288,7 +295,10 @@ class Recovery:
         self._waiting = hole
 
     def _tell(self, next_ns: int | None) -> None:
-        """Report the loss that waits; `next_ns` is the log time (ns) of the message behind it."""
+        """Report the lost part that was noted last, if any.
+
+        `next_ns` is the log time (ns) of the first message behind it; None at the end of the log.
+        """
         hole, self._waiting = self._waiting, None
         if hole is None:
             return

@@ -1,15 +1,15 @@
 """Writes a log over several files, each limited in size or time."""
 
-# The files are FILE-0001.mcap, FILE-0002.mcap, ...: a shell lists them in their order. Each is
-# a complete log, with the metadata, the links and the profiles. A file ends at the first tick or
-# item after it has reached its limit, so it is longer by up to one flush, and it has at least one
+# The files are FILE-0001.mcap, FILE-0002.mcap, ...: a shell lists them in their order. Each is a
+# complete log, with the metadata, the links and the profiles. A file ends at the first tick or item
+# after it has reached its limit, so it may exceed the limit by one flush, and it has at least one
 # item. A number whose file exists already is skipped. A transaction may be in the file after the
-# one with its evidence. The first file stays locked to the end, or until it is removed. A series in
-# which one file is locked is not begun anew by another recorder.
+# one with its captured bytes. The first file stays locked until the run ends or the file is
+# removed; no other recorder begins a series while a file of it is locked.
 #
-# With a limit of files the oldest one is removed before the next is begun, and also when the disk
-# is full. Only files that this run has finished are removed, or, in a series that goes on, those of
-# the runs before, too.
+# If the number of files is limited, the oldest one is removed before the next is begun, and also
+# when the disk is full. Only finished files of this run are removed; if the run continues an
+# existing series, those of the earlier runs, too.
 
 from __future__ import annotations
 
@@ -80,19 +80,21 @@ class RotatingLog(ClosesOnExit):
         keep: int | None = None,
         on_full: Callable[[str], None] = lambda _: None,
     ) -> None:
-        """Create the first file; with `continues`, the first part behind those that exist.
+        """Create the first file; with `continues`, the one after the existing files of the series.
 
-        With `keep` there are never more files than that; `on_full` gets a line for each file that
-        is removed before, because the disk is full.
+        With `keep` there are never more than `keep` files. `on_full` is called with a line for the
+        user for each file that is removed because the disk is full.
 
         Raises UsageError if the file exists (unless `replace` or `continues`; with `keep`, if any
-        part exists) or cannot be created, OutputError if another recorder writes to a part.
+        file of the series exists) or cannot be created, OutputError if another recorder writes to
+        one of them.
         """
         self._path = Path(path)
         self._keep = keep
         self._on_full = on_full
         self._finished: deque[Path] = deque()
-        """The finished files of this run, the oldest first; kept only if some are to be removed."""
+        """The finished files of the series that may be removed, oldest first; empty without a limit
+        of files."""
         self._rotation = rotation
         self._capture = dict(capture)
         self._replace = replace
@@ -100,12 +102,14 @@ class RotatingLog(ClosesOnExit):
         self._continues = continues
         self._metadata: list[Callable[[LogWriter], None]] = []
         self._mark: DecodingMark | None = None
-        """The last mark; a new file begins with it if the decoder is behind."""
+        """The last mark of how far the decoder is behind; a new file begins with it if the decoder
+        is behind."""
         self._status: Mapping[str, str] = {}
         self._began_ns: int | None = None
         self._now_ns: int | None = None
         self._first: BinaryIO | None = None
-        """A handle of the first file of this run, which keeps it locked."""
+        """A second handle of the first file of this run. It keeps that file locked after it is
+        finished."""
         self._take_series()
         self._writer = self._open()
         self._first = self._writer.hold()
@@ -140,11 +144,14 @@ class RotatingLog(ClosesOnExit):
         self._add_to_each(lambda writer: writer.add_profile(name, profile_json))
 
     def give_points_topics(self) -> None:
-        """Write each point that changes from now on to a topic of its own, too."""
+        """From now on, write each point that changes to a topic of its own, too."""
         self._add_to_each(lambda writer: writer.give_points_topics())
 
     def add_status(self, values: Mapping[str, str]) -> None:
-        """Add a heartbeat to the file that is being written; a new file begins with the last."""
+        """Add a heartbeat (the state of the recording).
+
+        Each later file begins with the last one.
+        """
         self._status = values
         self._writer.add_status(values)
 
@@ -162,7 +169,7 @@ class RotatingLog(ClosesOnExit):
             self._let_first_go()
 
     def _take_series(self) -> None:
-        """Look at the parts that exist: none may be written to, and a series may go on."""
+        """Check that no file of the series is being written; find the number of the next file."""
         parts = parts_of(self._path)
         for part in parts:
             if self._keep is not None and not self._continues:
@@ -174,7 +181,7 @@ class RotatingLog(ClosesOnExit):
                 self._finish(part)
 
     def _add_to_each(self, add: Callable[[LogWriter], None]) -> None:
-        """Add metadata to this file and to each later one."""
+        """Add metadata to the present file and to each later one."""
         self._metadata.append(add)
         add(self._writer)
 
@@ -213,7 +220,10 @@ class RotatingLog(ClosesOnExit):
         return writer
 
     def _finish(self, path: Path) -> None:
-        """Take a file that is finished; remove the oldest one if there are too many."""
+        """Note a finished file.
+
+        Remove the oldest so that there is room for one more below the limit.
+        """
         if self._keep is None:
             return
         self._finished.append(path)
@@ -221,7 +231,7 @@ class RotatingLog(ClosesOnExit):
             self._remove_oldest()
 
     def _make_room(self) -> bool:
-        """Remove the oldest finished file that can be removed; False if there is none."""
+        """Remove the oldest finished file that can be removed; return False if there is none."""
         while self._finished:
             oldest = self._finished[0]
             if self._remove_oldest():
@@ -232,7 +242,7 @@ class RotatingLog(ClosesOnExit):
         return False
 
     def _remove_oldest(self) -> bool:
-        self._let_first_go()  # A file that is held takes its room although it is removed.
+        self._let_first_go()  # An open handle would keep the file's disk space in use.
         try:
             self._finished.popleft().unlink()
         except OSError:
@@ -248,12 +258,12 @@ class RotatingLog(ClosesOnExit):
 
 
 def part_path(path: Path, number: int) -> Path:
-    """The file of a part, counted from 1, of a log that the user has named `path`."""
+    """The path of file `number`, counted from 1, of a log whose path the user gave as `path`."""
     return path.with_name(f"{path.stem}-{number:04}{path.suffix}")
 
 
 def parts_of(path: Path) -> list[Path]:
-    """The parts that exist of a log that the user has named `path`, in their order."""
+    """The existing numbered files of a log whose path the user gave as `path`, in their order."""
     numbered = re.compile(rf"{re.escape(path.stem)}-\d{{4,9}}{re.escape(path.suffix)}", re.ASCII)
     try:
         names = os.listdir(path.parent)
@@ -264,5 +274,5 @@ def parts_of(path: Path) -> list[Path]:
 
 
 def part_number(part: Path) -> int:
-    """The number of a part, by its name."""
+    """The number in the name of one file of a rotated log."""
     return int(part.stem.rpartition("-")[2])

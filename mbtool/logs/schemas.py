@@ -64,7 +64,8 @@ _POINT = {
     "text": "The value as the manual writes it",
     "unit": "The unit of measure",
 }
-"""The fields that a point has in a transaction and as a message of its own."""
+"""Descriptions of the fields of a point (a named value of a device). They are the same in a
+transaction and in a message of its own."""
 
 _DESCRIPTIONS: dict[type, dict[str, str]] = {
     ChunkMessage: {
@@ -165,7 +166,7 @@ _DESCRIPTIONS: dict[type, dict[str, str]] = {
 
 
 class TopicSchema(NamedTuple):
-    """The schema of a topic, as MCAP keeps it."""
+    """The schema of a topic's messages, in the parts in which MCAP stores it."""
 
     name: str
     encoding: str
@@ -175,7 +176,7 @@ class TopicSchema(NamedTuple):
 
 @cache
 def schema_of(name: str) -> TopicSchema:
-    """The schema called `name`."""
+    """Return the schema with this name, such as "mbtool.Transaction"."""
     if name == EVIDENCE:
         return TopicSchema(name, "protobuf", "protobuf", descriptor())
     return TopicSchema(name, "jsonschema", "json", json_schema(name))
@@ -183,7 +184,7 @@ def schema_of(name: str) -> TopicSchema:
 
 @cache
 def json_schema(name: str) -> bytes:
-    """The schema called `name`, as JSON."""
+    """Return the JSON schema with this name, encoded as JSON."""
     schema = _object(MESSAGE_TYPES[name])
     return msgspec.json.encode({"title": name, "description": _TITLES[name], **schema})
 
@@ -205,7 +206,7 @@ def _object(cls: type) -> dict[str, Any]:
 
 
 def _schema(type_: inspect.Type) -> tuple[dict[str, Any], Iterable[str]]:
-    """The schema of one type, and the values of an enumeration of strings."""
+    """Return the JSON schema of a type, and its values if it is an enumeration of strings."""
     match type_:
         case inspect.UnionType(types=(inspect.IntType(), inspect.FloatType(), *_)):
             return {"type": "number"}, ()

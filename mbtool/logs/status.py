@@ -1,8 +1,8 @@
-"""Reads how a recording is doing: from a log, also while it is being written."""
+"""Reads the state of a recording from its log, also while the log is being written."""
 
-# Only the heads of records are read, and those of metadata in full, so a log of a gigabyte takes a
-# moment. Reading ends at the first record that reaches beyond the file; metadata that is damaged is
-# passed over.
+# Only the heads of records are read, and metadata records in full, so a log of a gigabyte takes a
+# moment. Reading ends at the first record that reaches beyond the file; damaged metadata is
+# skipped.
 
 from __future__ import annotations
 
@@ -31,26 +31,26 @@ if TYPE_CHECKING:
 
 @dataclass(slots=True)
 class LogStatus:
-    """What a log says of its recording."""
+    """The state of a recording, as its log shows it."""
 
     size: int
     """The size of the file in bytes."""
     is_held: bool | None
-    """True if a recorder has the log open; None if the system does not tell."""
+    """True if a recorder has the log open; None if the system cannot tell."""
     capture: dict[str, str] = field(default_factory=dict)
     links: dict[str, str] = field(default_factory=dict)
     """The spec of each link, by its name."""
     heartbeat: dict[str, str] = field(default_factory=dict)
-    """The last heartbeat of `sniff --service`; empty if there is none."""
+    """The values of the last heartbeat that `sniff --service` wrote; empty if there is none."""
     is_closed: bool = False
     """True if the log has a summary, which it gets when it is closed."""
 
 
 def read_status(path: Path) -> LogStatus:
-    """Read a log. Raises InputError if the file cannot be read or is no log."""
+    """Read the state of a recording from its log; InputError if unreadable or no log."""
     try:
         if not path.is_file():
-            path.stat()  # Of a path that is not there, the error says so.
+            path.stat()  # Raises FileNotFoundError if nothing is there.
             raise InputError(f"{path}: not a regular file, so not a log")
         with path.open("rb") as stream:
             size = stream.seek(0, io.SEEK_END)
@@ -69,7 +69,7 @@ def read_status(path: Path) -> LogStatus:
 
 def _learn(status: LogStatus, opcode: int, content: bytes) -> None:
     if opcode == Opcode.FOOTER:
-        status.is_closed = any(content[:8])  # The offset of the summary; 0: there is none.
+        status.is_closed = any(content[:8])  # The offset of the summary; 0 means none.
         return
     try:
         record = Metadata.read(ReadDataStream(io.BytesIO(content)))
@@ -86,7 +86,7 @@ def _learn(status: LogStatus, opcode: int, content: bytes) -> None:
 
 
 def _records(stream: BinaryIO, size: int) -> Iterator[tuple[int, bytes]]:
-    """The metadata and the footer; other records are passed over."""
+    """Yield the opcode and the content of metadata records and of the footer; skip all others."""
     at = len(MAGIC)
     while at + RECORD_HEAD.size <= size:
         stream.seek(at)
@@ -101,7 +101,7 @@ def _records(stream: BinaryIO, size: int) -> Iterator[tuple[int, bytes]]:
 
 
 def _is_held(stream: BinaryIO) -> bool | None:
-    """True if a recorder has locked the file (creating.py)."""
+    """True if a recorder has locked the file (creating.py); None if the system has no locks."""
     if sys.platform == "win32":
         return None
     try:
@@ -109,5 +109,5 @@ def _is_held(stream: BinaryIO) -> bool | None:
     except BlockingIOError:
         return True
     except OSError:
-        return None  # A file system without locks.
+        return None  # This file system has no locks.
     return False

@@ -1,7 +1,7 @@
 """Reads the summary at the end of a log, which says what the log holds and where."""
 
-# The summary is used where the log before it is damaged: for the channels of messages whose own
-# definition is lost, and to tell what was lost. It is believed only if its CRC matches.
+# The summary is used where the log before it is damaged: to find the channels of messages whose own
+# definition is lost, and to tell how much was lost. It is used only if its CRC matches.
 #
 # Memory: the summary's bytes, at most MAX_RECORD (two chunks a second for a week: 130 MB are not
 # read), and a few numbers for each chunk.
@@ -68,9 +68,9 @@ class LogSummary:
 
 
 def read_summary(stream: BinaryIO, name: str) -> LogSummary | None:
-    """Read the summary of a log, and return the stream to its position before.
+    """Read the summary of a log, then set the stream back to the position that it had.
 
-    Returns None if the stream cannot seek, or if there is no whole summary.
+    Returns None if the stream cannot seek, or if there is no intact summary.
     """
     try:
         if not stream.seekable():

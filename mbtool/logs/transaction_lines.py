@@ -1,6 +1,6 @@
 """Reads transactions and events from the lines that exports.py writes as jsonl."""
 
-# Limit: a line of at most MAX_LINE bytes; that of the longest transaction has some kilobytes.
+# Limit: a line has at most MAX_LINE bytes; the longest transaction takes some kilobytes.
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ _decode = msgspec.json.Decoder(dict).decode
 
 
 def read_jsonl(file: BinaryIO, name: str) -> Iterator[NamedTransaction | WireEvent]:
-    """Give the transactions and events of a file of jsonl lines; `name` is the file's.
+    """Yield the transactions and events of a jsonl file; `name` is shown in error messages.
 
-    Raises InputError for a line that is neither.
+    Raises InputError for a line that is neither a transaction nor an event.
     """
     lines = iter(partial(file.readline, MAX_LINE + 1), b"")
     for number, line in enumerate(lines, 1):

@@ -1,12 +1,13 @@
-"""Finds out if a log holds evidence that was not decoded when the log was made."""
+"""Finds out if a log contains captured bytes that were not decoded when the log was made."""
 
-# A recorder writes a mark (DecodingMark) when its decoder falls behind, and one when it has caught
-# up. Few logs have any. A closed log lists its topics in its summary, so that only a log that has
-# marks, or was not closed, is read for them.
+# A recorder writes a mark (DecodingMark) when its decoder falls behind the capture, and one when it
+# has caught up. Few logs have any. A closed log lists its topics in its summary, so a log is
+# searched for marks only if its summary lists their topic or if it was not closed.
 #
-# A log that was not closed, because its recorder was killed or writes on, may lack the records of
-# its last moments without a mark: for less than BEHIND_NS of the recorder. If it is not large, it
-# is read to see if any of its evidence is later than its last record.
+# A log that was not closed, because its recorder was killed or is still writing, may lack the
+# decoded records of its last moments without a mark: the recorder writes a mark only when its
+# decoder is later than BEHIND_NS. If such a log is small, it is read to see if any of its captured
+# bytes are later than its last decoded record.
 
 from __future__ import annotations
 
@@ -31,8 +32,8 @@ from mbtool.logs.layout import (
 from mbtool.logs.reader import LogReader
 
 MAX_LOOKED_THROUGH = 16 << 20
-"""A log of at most so many bytes is decoded again for its last moments: for some seconds. For a
-larger one the user is told how to."""
+"""The largest size in bytes of an unclosed log that is decoded again for the sake of its last
+moments, which takes some seconds. For a larger one the user is told how to do it."""
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -40,13 +41,13 @@ if TYPE_CHECKING:
     from typing import BinaryIO
 
 UNDECODED_PIECES = "undecoded_pieces"
-"""A key of the metadata at the end of a log: how many chunks and packets were not decoded."""
+"""A key of the metadata at the end of a log: the number of chunks and packets not decoded."""
 
 
 def undecoded_pieces(path: str | Path) -> int:
-    """The number of chunks and packets of a log that were not decoded when it was made.
+    """Count the chunks and packets of a log that were not decoded when it was made.
 
-    0 for a file that is damaged or no log: what can be read of it is read as it is.
+    Returns 0 for a file that is damaged or no log.
     """
     try:
         with open(path, "rb") as stream:
@@ -59,9 +60,9 @@ def undecoded_pieces(path: str | Path) -> int:
 
 
 def ends_undecoded(path: str | Path) -> bool | None:
-    """True if the evidence of a log that was not closed goes on behind its last record.
+    """True if a log that was not closed has captured bytes later than its last decoded record.
 
-    None for a file that is larger than MAX_LOOKED_THROUGH, damaged or no log.
+    Returns None for a file that is larger than MAX_LOOKED_THROUGH, damaged or no log.
     """
     try:
         with open(path, "rb") as stream:
@@ -89,7 +90,7 @@ def _has_late_evidence(log: LogReader) -> bool:
 
 
 def _may_have_marks(stream: BinaryIO) -> bool:
-    """True if the summary of a log lists the topic of the marks, or if there is no summary."""
+    """True if the summary of a log lists the topic of decoding marks, or if there is no summary."""
     end = stream.seek(0, os.SEEK_END)
     if end < FOOTER_SIZE + len(MAGIC):
         return False
@@ -121,9 +122,9 @@ def _has_topic(stream: BinaryIO, group: SummaryOffset) -> bool:
 
 
 def _records(stream: BinaryIO, start: int, end: int) -> Iterator[tuple[int, bytes]]:
-    """The opcode and the content of each record in a part of a file.
+    """Yield the opcode and the content of each record between two file offsets.
 
-    Raises ValueError if it does not consist of whole records.
+    Raises ValueError if these bytes are not a sequence of whole records.
     """
     if not 0 <= end - start <= MAX_RECORD:
         raise ValueError("a part of a summary that is too long")

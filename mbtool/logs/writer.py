@@ -1,20 +1,20 @@
-"""Writes a log: evidence, its decoding, and the metadata for reading both."""
+"""Writes a log: captured bytes, what was decoded from them, and the metadata for reading both."""
 
-# Reads of serial lines are joined, as a message for each byte takes 40 times its space: those of
-# one line since the last flush become one message (evidence_blocks.py). What is written meanwhile
-# waits and stands behind them: first other evidence, then all else. Apart from that the order in
-# the file is that of the calls. So evidence that is written before it is decoded comes before the
-# transactions decoded from it.
+# Reads of serial lines are joined, as a message for each byte takes 40 times its space: the reads
+# of one line since the last flush become one message (evidence_blocks.py). Other items that are
+# written meanwhile are kept back, and follow the joined reads in the file: first other captured
+# data, then all else. Apart from that, the file has the order of the calls. So if captured bytes
+# are written before they are decoded, they come before the transactions decoded from them.
 #
 # The writer has no clock: `tick` gives it the time. It flushes once something may have been in
 # memory for FLUSH_AFTER_NS, so with ten ticks a second at most 0.6 s of a capture are in memory. If
-# that is LARGE bytes or more, it flushes after FLUSH_LARGE_AFTER_NS: large chunks pack well anyway.
-# What was flushed is synced to the disk at most every FLUSH_AFTER_NS, by a thread of its own
-# (disk_sync.py). A log that is made from a file needs no ticks.
+# LARGE bytes or more are in memory, it flushes after FLUSH_LARGE_AFTER_NS: large chunks are
+# compressed well anyway. Flushed data are synced to the disk at most once in FLUSH_AFTER_NS, by a
+# thread (disk_sync.py). A log that is converted from a file needs no ticks.
 #
-# Memory: MAX_READS reads and MAX_WAITING messages behind them, one chunk, the last value of each
-# point (points.py), and the file's indexes (container.py). Links after the first MAX_LINKS share
-# the topics of OTHER_LINKS; each of their messages still names its own link.
+# Memory: MAX_READS serial reads, MAX_WAITING messages kept back behind them, one chunk, the last
+# value of each point (points.py), and the file's indexes (container.py). Links after the first
+# MAX_LINKS share the topics of OTHER_LINKS; each of their messages still names its own link.
 
 from __future__ import annotations
 
@@ -71,15 +71,15 @@ FLUSH_AFTER_NS = 500_000_000
 FLUSH_LARGE_AFTER_NS = 150_000_000
 LARGE = 32 * 1024
 MAX_WAITING = 2000
-"""The most messages that wait behind joined reads."""
+"""The most messages that are kept back until the serial reads before them are joined."""
 MAX_READ_BYTES = 64 * 1024
-"""The most bytes of all joined reads."""
+"""The most bytes of serial reads that are kept until they are joined into messages."""
 MAX_LINKS = 10_000
 OTHER_LINKS = "others"
 
 
 _Waiting = tuple[Topic, int, int, bytes]
-"""A message with its topic, its log time and its publish time, both in ns."""
+"""A message that is kept back: its topic, log time and publish time (both in ns), and its data."""
 
 
 class LogWriter(ClosesOnExit):
@@ -121,12 +121,12 @@ class LogWriter(ClosesOnExit):
         self._file = CompleteFile(file, str(self._path), MAGIC + packed(header), make_room)
         self._container = Container(self._file)
         self._reads: dict[str, list[Chunk]] = {}
-        """The reads of serial lines since the last flush, by link."""
+        """The reads of serial lines since the last flush, by link name. They are not yet joined."""
         self._read_count = self._read_bytes = 0
         self._evidence: list[_Waiting] = []
-        """Evidence of other kinds that stands behind these reads."""
+        """Other captured chunks and packets, which will follow these reads in the file."""
         self._decoded: list[_Waiting] = []
-        """The messages that stand behind all of it."""
+        """All other messages, which will follow the reads and the captured data in the file."""
         self._topics: dict[tuple[str, str], Topic] = {}
         self._links: set[str] = set()
         self._encode = msgspec.json.Encoder().encode
@@ -134,7 +134,7 @@ class LogWriter(ClosesOnExit):
         self._point_topics: PointTopics | None = None
         self._flushed_ns = 0
         self._synced = 0
-        """The size of the file, without its tail, when a sync was requested last."""
+        """The file offset behind the last record when a sync was last requested."""
         self._synced_ns = 0
         self._capture = {
             "log_format": str(FORMAT_VERSION),
@@ -154,7 +154,10 @@ class LogWriter(ClosesOnExit):
         return self._file.size
 
     def hold(self) -> BinaryIO:
-        """Return a second handle of the file, which keeps the file locked until it is closed."""
+        """Return a second handle of the file.
+
+        The file stays locked until both handles are closed.
+        """
         return self._file.hold()
 
     def write(self, item: LogItem | DecodingMark) -> None:
@@ -173,14 +176,15 @@ class LogWriter(ClosesOnExit):
             self._add(topic, item.ts_ns, item.ts_ns, item)
         else:
             if item.kind is EventKind.GAP:
-                self._join_reads()  # No reader joins the bytes before it to those behind it.
+                self._join_reads()  # Reads before and after the gap must not be in one message.
             topic = self._topic(item.link, "events", schemas.WIRE_EVENT)
             self._add(topic, item.ts_ns, item.ts_ns, EventMessage.of(item))
 
     def add_finding(self, finding: Finding, known_ns: int) -> None:
-        """Add a finding that needed several records; it is certain since `known_ns`, UTC ns.
+        """Add a finding (a broken rule) that only several transactions together show.
 
-        Findings about one transaction are written with it.
+        `known_ns`, UTC ns, is the time of the item that made it certain. A finding about one
+        transaction is written together with the transaction.
         """
         sec, nsec = divmod(max(finding.ts_ns, 0), 1_000_000_000)
         place = finding.link if finding.unit is None else f"{finding.link} unit {finding.unit}"
@@ -196,7 +200,7 @@ class LogWriter(ClosesOnExit):
         self._add(self._topic("", "findings", schemas.LOG), known_ns, finding.ts_ns, message)
 
     def add_link(self, name: str, settings: Mapping[str, str]) -> None:
-        """Add a link's settings as metadata: its link spec and its TCP ports."""
+        """Add a link's settings as metadata: its LINK as text and its TCP ports."""
         self._join_reads()
         self._container.add_metadata(LINK, _clean({"name": name, **settings}))
 
@@ -206,11 +210,11 @@ class LogWriter(ClosesOnExit):
         self._container.add_metadata(DEVICE, _clean({"who": who, "profile": profile}))
 
     def give_points_topics(self) -> None:
-        """Write each point that changes from now on to a topic of its own, too."""
+        """From now on, write each point that changes to a topic of its own, too."""
         self._point_topics = PointTopics()
 
     def add_status(self, values: Mapping[str, str]) -> None:
-        """Add a heartbeat of the recording."""
+        """Add a heartbeat: metadata on the state of the recording."""
         self._join_reads()
         self._container.add_metadata(STATUS, _clean(values))
 
@@ -221,7 +225,7 @@ class LogWriter(ClosesOnExit):
         self._container.add_attachment(clean, PROFILE_MEDIA_TYPE, profile_json)
 
     def tick(self, now_ns: int) -> None:
-        """Take the time in ns, of any clock that goes forward, and flush if that is due.
+        """Flush to the file if that is due at `now_ns`, the time of a clock that goes forward.
 
         Raises OutputError if the file cannot be written.
         """
@@ -264,7 +268,7 @@ class LogWriter(ClosesOnExit):
             self._join_reads()
 
     def _join_reads(self) -> None:
-        """Add a message for the reads of each line since the last call, then what waits."""
+        """Write the serial reads since the last call, joined by line, then the other messages."""
         found, self._reads = self._reads, {}
         waiting, self._evidence, self._decoded = self._evidence + self._decoded, [], []
         self._read_count = self._read_bytes = 0
@@ -292,7 +296,7 @@ class LogWriter(ClosesOnExit):
             self._add(findings, known_ns, item.start_ns, _finding(code, item, known_ns))
 
     def _own_topic(self, point: PointMessage) -> Topic | None:
-        """The topic of a point of its own; None if there are too many, or if none was asked for."""
+        """The topic of a single point; None if there are too many, or if none was asked for."""
         name = None if self._point_topics is None else self._point_topics.name_of(point)
         if name is None:
             return None
@@ -321,7 +325,7 @@ class LogWriter(ClosesOnExit):
             self._join_reads()
 
     def _topic(self, link: str, kind: str, schema: str) -> Topic:
-        """Return the topic of a link's messages of one kind; for link "" the topic of all links."""
+        """Return a link's topic for one kind of messages; link "" means the topic of all links."""
         topic = self._topics.get((link, kind))
         if topic is not None:
             return topic
