@@ -1,4 +1,7 @@
-"""Device profiles (the contents of vendors' manuals), and transactions named by them."""
+"""Device profiles, and transactions with the names that profiles give to registers and bits.
+
+A profile holds as data what a vendor's manual says about a device.
+"""
 
 from mbtool.devices.assignment import Assignment, Assignments, Who, parse_assignment, parse_who
 from mbtool.devices.difference import Difference, DifferenceKind, Side

@@ -1,4 +1,4 @@
-"""Assigns profiles to slaves: WHO=PROFILE on the command line."""
+"""Assigns device profiles to slaves, as WHO=PROFILE on the command line says."""
 
 #     5=idec-ft1a-touch                  unit 5 on any link
 #     192.168.3.250=fa3-at1m8x           an address, all its ports and units
@@ -64,7 +64,10 @@ class Who:
         )
 
     def fits_slave(self, destination: str | None, unit: int) -> bool:
-        """True if the pattern matches the slave with `unit` at `destination`, as in `of_slave`."""
+        """True if the pattern matches the slave `unit` at `destination`.
+
+        `destination` is HOST:PORT; None on a serial line.
+        """
         slave = Who.of_slave(destination, unit)
         return self.fits(slave.host, slave.port, unit)
 
@@ -79,7 +82,7 @@ class Who:
 
 @dataclass(frozen=True, slots=True)
 class Assignment:
-    """One WHO=PROFILE from the user: the profile for all slaves that match WHO."""
+    """The profile that a user gives to all slaves that match a pattern (WHO=PROFILE)."""
 
     who: Who
     profile: Profile
@@ -88,8 +91,8 @@ class Assignment:
 def parse_assignment(text: str) -> Assignment:
     """Read WHO=PROFILE and load the profile.
 
-    Raises UsageError if the text has another form or no profile has that name, and the errors of
-    load_profile() for a file.
+    Raises UsageError if the text has another form or no profile has that name. If PROFILE is a
+    file, raises the errors of load_profile().
     """
     who, equals, profile = text.partition("=")
     if not equals or not who or not profile:
@@ -101,8 +104,9 @@ def parse_assignment(text: str) -> Assignment:
 
 
 def parse_who(text: str) -> Who:
-    """Read WHO. Raises UsageError if it is no pattern for slaves, or a number in it is out of
-    range.
+    """Read a pattern for slaves (WHO), such as `5`, `192.168.3.250/5` or `all`.
+
+    Raises UsageError if the text is no such pattern, or a number in it is out of range.
     """
     if text == "all":
         return Who()
@@ -128,14 +132,17 @@ class Assignments:
     def __init__(
         self, assignments: Iterable[Assignment] = (), applied: set[Who] | None = None
     ) -> None:
-        """Raises UsageError if one WHO has two profiles, or two profiles have one name."""
+        """Raises UsageError if one pattern has two profiles, or two profiles have one name.
+
+        The patterns that match slaves are added to the set `applied`, if it is given.
+        """
         self.applied = set() if applied is None else applied
         """The patterns (WHO) that have matched at least one slave so far."""
         # The first assignment that matches a slave must be the most specific one.
         self._assignments = sorted(assignments, key=lambda each: -each.who.specificity)
         self._cache: dict[tuple[str | None, int, Transport], Profile | None] = {}
-        # The profiles for ASCII mode are made only once, because Namer identifies a profile by its
-        # id().
+        # Make each profile for ASCII mode once, because Namer, which names transactions, caches
+        # by the id() of a profile.
         self._in_ascii = {
             each.profile.name: each.profile.in_mode(Transport.ASCII) for each in self._assignments
         }
@@ -150,7 +157,10 @@ class Assignments:
         self._demand_one_profile_for_a_name()
 
     def _demand_one_profile_for_a_name(self) -> None:
-        """Raise UsageError if two profiles have one name: a log identifies profiles by name."""
+        """Raise UsageError if two different profiles have one name.
+
+        A log identifies a profile by its name.
+        """
         named: dict[str, Profile] = {}
         for each in self._assignments:
             if named.setdefault(each.profile.name, each.profile) != each.profile:
@@ -159,12 +169,12 @@ class Assignments:
                 )
 
     def __iter__(self) -> Iterator[Assignment]:
-        """Each assignment, the most specific first."""
+        """The assignments, the one with the most specific pattern first."""
         return iter(self._assignments)
 
     @property
     def remarks(self) -> list[str]:
-        """A line for the user about each assignment that has matched no slave so far."""
+        """One line for the user about each assignment that has matched no slave so far."""
         return [
             f"--device {one.who}={one.profile.name}: has no effect, as no such slave is there"
             for one in self._assignments

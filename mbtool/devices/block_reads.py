@@ -1,9 +1,11 @@
-"""The ranges that a master may read from a device with blocks of registers."""
+"""Decides if a master may read a range of addresses from a device that has blocks of registers."""
 
-# A read of a block must begin at the block's first address, and must not extend beyond its end. A
-# read that begins elsewhere does not reach the block. In a profile, each point of a block has the
-# key `block`. If an area of another table has the same notation, the block is in that table, too:
-# WAGO's 0x2020 is the same for functions 03 and 04.
+# A device returns the registers of a block only to a read that begins at the block's first address
+# and does not extend beyond its last one. To a read that begins at another address, the device
+# returns the registers outside all blocks, which may have the same addresses. In a profile, each
+# point of a block has the key `block`, the block's first address. If an area of another table has
+# the same notation, the block is in that table, too: WAGO's 0x2020 is the same for functions 03
+# and 04.
 
 from __future__ import annotations
 
@@ -15,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def can_be_read(profile: Profile, table: Table, span: range) -> bool:
-    """True if a master may read a range with one request."""
+    """True if a master may read the addresses `span` with one request."""
     return profile.allows(table, span) and _respects_blocks(profile, table, span)
 
 
@@ -24,14 +26,16 @@ def _respects_blocks(profile: Profile, table: Table, span: range) -> bool:
     from_start = [point for point in in_blocks if point.block == span.start]
     if from_start:
         return span.stop <= 1 + max(max(point.all_addresses) for point in from_start)
-    # A read that does not begin at a block reaches only registers outside all blocks. So each
-    # address must have a point outside all blocks.
+    # A read that begins at no block returns only registers outside all blocks. So each address of
+    # the range that belongs to a block must also have a readable point outside all blocks.
     return _addresses(in_blocks, span) <= _addresses(readable, span)
 
 
 def _touched_points(profile: Profile, table: Table, span: range) -> tuple[list[Point], list[Point]]:
-    """Return the points of blocks that a range touches, and the readable points that it touches
-    outside all blocks.
+    """Return two lists of points that a range of addresses touches.
+
+    The first has the points of blocks, the second the readable points outside all blocks. Both are
+    empty if the device has no blocks.
     """
     if all(point.block is None for point in profile.points):
         return [], []
@@ -50,8 +54,9 @@ def _addresses(points: list[Point], span: range) -> set[int]:
 
 
 def _touches(point: Point, span: range) -> bool:
-    """True if a range has an address of the point, or one from the start of the point's block up to
-    the point.
+    """True if `span` contains an address of the point.
+
+    For a point in a block, the addresses from the block's first one up to the point count, too.
     """
     last = point.addresses[-1] + point.words - 1
     first = point.address if point.block is None else point.block

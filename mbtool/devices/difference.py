@@ -1,6 +1,6 @@
-"""A difference between two captures, with the names of their devices."""
+"""One difference between two captures, as `mbtool diff` reports it."""
 
-# replay/comparing.py finds differences, and views/differences.py shows them.
+# replay/comparing.py finds the differences, and views/differences.py shows them.
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import msgspec
 
 
 class DifferenceKind(StrEnum):
-    """The aspect in which two captures differ."""
+    """Tells in which aspect two captures differ: a latency, a value, and so on."""
 
     SLAVE = "slave"
     REQUEST = "request"
@@ -20,14 +20,14 @@ class DifferenceKind(StrEnum):
 
 
 class Side(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """The content of one of the two captures where they differ."""
+    """One of the two captures, at the place where they differ."""
 
     text: str
-    """The content in words, for readers; empty if the capture has nothing there."""
+    """This capture's content in words, for a user; empty if the capture has nothing there."""
     count: int | None = None
     """Number of transactions in this capture that the difference is about."""
     values: list[int] | None = None
-    """The values of the register, if the difference is about a single register; otherwise None."""
+    """The values of the register in this capture, if a single register differs; otherwise None."""
     median_ns: int | None = None
     p95_ns: int | None = None
 
@@ -41,11 +41,12 @@ class Difference(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """The link of the slave; None if the unit alone identifies the slave."""
     function: int | None = None
     reference: str | None = None
-    """The addresses that differ, in the vendor's notation."""
+    """The addresses that differ, in the vendor's notation, such as `HR400001`."""
     name: str | None = None
     """The name that the device's manual has for the addresses in `reference`."""
     what: str
-    """What differs: `read` or `written` values, the function with this name, or the `slave`."""
+    """The thing that differs: `read` (values that were read), `written` (values that were written),
+    `slave`, or the name of a function."""
     a: Side
     b: Side
     p: float | None = None

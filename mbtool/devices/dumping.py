@@ -77,8 +77,10 @@ def _comment(sentences: Iterable[str]) -> list[str]:
 
 
 def _functions(functions: Mapping[str, FunctionRule]) -> Iterator[list[str]]:
-    """Give the lines of one TOML table for all functions without an `answer`, then those of a table
-    for each function with an `answer`.
+    """Give the lines of each TOML table about functions.
+
+    The first table lists all functions whose rule has no key `answer`. Each rule with an `answer`
+    (the meaning of the response of a vendor's own function) gets a table of its own.
     """
     yield [
         "[functions]",
@@ -125,7 +127,7 @@ def _in_hex(texts: Texts, digits: int) -> dict[str, str]:
 
 
 def _keys(part: msgspec.Struct, leave_out: Iterable[str] = ()) -> dict[str, Any]:
-    """The keys of a part of a profile that differ from their defaults."""
+    """The keys and values of a part of a profile, such as a point, that differ from defaults."""
     keys = {name: getattr(part, name) for name in part.__struct_fields__ if name not in leave_out}
     defaults = _defaults(type(part))
     return {
@@ -145,7 +147,11 @@ def _defaults(part: type[msgspec.Struct]) -> dict[str, Any]:
 
 
 def _lines(keys: Mapping[str, Any], within: str = "", in_hex: Iterable[str] = ()) -> list[str]:
-    """Return a TOML line for each key. Long lists take several lines; long tables get a section."""
+    """Return a TOML line for each key. Long lists take several lines; long tables get a section.
+
+    `within` is the name of the TOML table that contains the keys. The values of the keys `in_hex`
+    are written in hexadecimal.
+    """
     lines, tables = [], []
     for key, value in keys.items():
         text = f"0x{value:04X}" if key in in_hex else _value(value)
@@ -169,8 +175,8 @@ def _value(value: Any) -> str:
         case float():
             return str(int(value)) if value.is_integer() and abs(value) < 1e15 else repr(value)
         case str():
-            # A text in quotes is the same in JSON and TOML, but TOML must also escape the character
-            # DEL.
+            # A quoted string is the same in JSON and TOML, except that TOML must also escape the
+            # character DEL.
             return json.dumps(str(value), ensure_ascii=False).replace("\x7f", "\\u007f")
         case list():
             return f"[{', '.join(map(_value, value))}]"

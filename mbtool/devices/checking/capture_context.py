@@ -1,4 +1,4 @@
-"""Facts about a capture that the rules use: device profiles, line settings, ports."""
+"""Facts about a capture that rules need beside its decoded records: profiles, line settings."""
 
 from __future__ import annotations
 
@@ -16,11 +16,16 @@ def _no_line(_: str) -> SerialFormat | None:
 
 @dataclass(frozen=True, slots=True)
 class CaptureContext:
-    """Facts that the rules use beside the records: the user's options, settings of the lines."""
+    """What the rules of `mbtool check` need beside the decoded records of a capture.
+
+    It holds the user's options and the settings of serial lines.
+    """
 
     assignments: Assignments = field(default_factory=Assignments)
     line_of: Callable[[str], SerialFormat | None] = _no_line
-    """Returns the settings of a serial link; None if the times of the link's bytes are unknown."""
+    """Returns the settings (baud rate, character format) of the serial link with a name.
+
+    None if the times of the link's bytes are unknown."""
     has_exact_times: Callable[[str], bool] = lambda _: False
     """True for a serial link if the time of every byte is exact, as from a logic analyser."""
     ports: frozenset[int] | None = None

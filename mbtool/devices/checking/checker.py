@@ -1,7 +1,7 @@
-"""Checks decoded records against all rules."""
+"""Checks the transactions and events of a capture against all rules of `mbtool check`."""
 
-# Each rule gets the records that concern it in the order in which they are decoded, which is the
-# order in which the transactions and events end. Rules do not read the clock. Their memory is
+# Each rule gets the records (transactions and events) that concern it in the order in which they
+# are decoded, which is the order in which they end. Rules do not read the clock. Their memory is
 # bounded; each module states its bounds. Findings that summarise many transactions come at the end
 # of the capture.
 #
@@ -34,8 +34,8 @@ if TYPE_CHECKING:
 
 
 _ONE_BY_ONE = 64
-"""So many rows are checked one by one before it is asked if the rules take the rest at once; then
-twice as many, and so on."""
+"""Number of rows (answered reads) that are checked one by one when the rules cannot check all rows
+at once. Then the rules are asked again; after each refusal, twice as many rows follow."""
 
 
 class Checker:
@@ -53,14 +53,14 @@ class Checker:
         self._security = SecurityRules(self._context.limits)
         self._ambiguous = 0
         self.remarks: list[str] = []
-        """Sentences for the user that are no findings, such as how many transactions are ambiguous.
-        Complete after `close`."""
+        """Sentences for the user that are no findings, such as the number of ambiguous
+        transactions. The list is complete after `close`."""
 
     def feed(self, record: NamedTransaction | WireEvent) -> Iterator[Finding]:
         """Check the next record, and give the findings that are certain now.
 
-        A transaction must have been named by this edition of mbtool, because its finding codes are
-        taken as they are.
+        The finding codes in a transaction are used as they are, so `Namer.name` of this version of
+        mbtool must have set them.
         """
         if isinstance(record, WireEvent):
             yield from self._event(record)
@@ -70,7 +70,8 @@ class Checker:
     def feed_rows(self, rows: QuietRows) -> Iterator[Finding]:
         """Check many answered reads of slaves without profiles, with the same result as `feed`.
 
-        Those at the beginning are checked one by one until every rule knows what is asked.
+        Transactions at the beginning are checked one by one, until no rule needs to see the
+        remaining ones one by one.
         """
         begin, count = 0, _ONE_BY_ONE
         while begin < len(rows):
@@ -87,7 +88,7 @@ class Checker:
 
     def _takes(self, run: QuietRun) -> bool:
         if self._responses.has_pending and self._connections.has_pending:
-            return False  # The findings of both would come in another order.
+            return False  # Together, their findings would come in another order than from `feed`.
         rules = (self._responses, self._connections, self._polls, self._security)
         return all(one.takes(run) for one in rules)
 
@@ -113,8 +114,8 @@ class Checker:
         yield from self._transactions.check(one, profile)
         is_serial = one.transport.is_serial
         format_ = self._context.line_of(one.link) if is_serial else None
-        # A response to a broadcast breaks the rule MB-301, and is not reported as MB-403 in
-        # addition.
+        # A response to a broadcast is reported as MB-301. It must not also be reported as MB-403,
+        # a response without a request.
         if not self._lines.is_response_to_broadcast(one):
             yield from self._responses.transaction(one, profile)
         if is_serial:

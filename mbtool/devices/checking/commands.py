@@ -10,8 +10,8 @@
 # in normal operation. Every other command counts as one that stops the device: start and stop, the
 # load of a program, and unknown commands.
 #
-# Memory: a window (sliding_window.py) for each of the last MAX_WRITERS pairs of a master that
-# writes and its slave, and for each source of commands.
+# Memory: the times of recent cases (sliding_window.py) for each of the last MAX_WRITERS pairs of a
+# master and a slave that it writes to, and for each of as many masters that send such commands.
 
 from __future__ import annotations
 
@@ -70,7 +70,10 @@ class CommandRules:
         self._commands = _windows(limits.stop_command)
 
     def transaction(self, transaction: NamedTransaction, source: str, slave: str) -> None:
-        """Take the next transaction with a request into account."""
+        """Count the next transaction if it writes or stops a device. It must have a request.
+
+        `source` is the IP address of the master, or the name of the serial line.
+        """
         known = FUNCTIONS.get(transaction.function)
         if known is not None and known.writes:
             self._note_write(transaction, source, slave)
@@ -101,7 +104,7 @@ class CommandRules:
 
 
 def stop_command(transaction: NamedTransaction) -> str | None:
-    """The command of a request that stops or restarts a device; None for other requests."""
+    """The name of the command, if a request stops or restarts a device; otherwise None."""
     if transaction.function == _DIAGNOSTICS:
         name = _STOPPING_DIAGNOSTICS.get(transaction.sub_function or 0)
         return None if name is None else f"{name} (08/{transaction.sub_function:04X})"

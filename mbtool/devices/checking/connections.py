@@ -9,11 +9,12 @@
 # RTU-201  RTU over TCP: a wrong CRC
 #
 # A capture may begin and end inside an ADU, and may miss bytes in between. So unreadable bytes are
-# no finding if they come before the first ADU of a connection that was open before the capture,
-# right before or after missing bytes, or within EDGE_NS of the end of the capture.
+# no finding in three cases: before the first ADU of a connection that was open before the capture,
+# right before or after missing bytes, and within EDGE_NS of the end of the capture.
 #
 # Memory: ids and times of the last MAX_RECENT transactions of each connection (lru_dict.py), and
-# at most MAX_PENDING events that may still turn out to be next to missing bytes or at the end.
+# at most MAX_PENDING events with unreadable bytes, which wait because missing bytes or the end of
+# the capture may follow.
 
 from __future__ import annotations
 
@@ -58,8 +59,8 @@ class ConnectionRules:
         self._ports = ports
         self._connections: LruDict[tuple[str, str | None], _Connection] = LruDict(_Connection)
         self._pending: deque[WireEvent] = deque()
-        """Events with bytes that are no ADU. They wait until it is certain that no bytes are
-        missing next to them, and that the capture goes on for EDGE_NS."""
+        """Events with bytes that are no ADU. They become findings when the capture has gone on for
+        EDGE_NS after them without missing bytes on their connection."""
         self._last_ns = 0
 
     def transaction(self, transaction: NamedTransaction) -> Iterator[Finding]:
@@ -88,11 +89,15 @@ class ConnectionRules:
 
     @property
     def has_pending(self) -> bool:
-        """True if events wait until it is certain that they are findings."""
+        """True if events with unreadable bytes wait until it is certain that they are findings."""
         return bool(self._pending)
 
     def takes(self, run: QuietRun) -> bool:
-        """True if `run` may be called: no request of the run came while an earlier one was open."""
+        """True if `run` may check these transactions together.
+
+        That is so if all earlier requests on their connections were answered before their first
+        request, so that no two requests were pending at the same time.
+        """
         keys = [(one.link, one.source) for one in run.connections]
         if not self._connections.has_room(keys):
             return False
@@ -103,7 +108,7 @@ class ConnectionRules:
         return True
 
     def run(self, run: QuietRun) -> Iterator[Finding]:
-        """Take many transactions, with the same result as one by one."""
+        """Check many transactions together, with the same result as `transaction` for each."""
         yield from self._advance(run.last_response_ns)
         for one in run.connections:
             connection = self._connections[one.link, one.source]
@@ -134,7 +139,10 @@ class ConnectionRules:
                     yield event_finding("TCP-202", self._pending.popleft())
 
     def close(self) -> Iterator[Finding]:
-        """Drop the pending events: they are within EDGE_NS of the end of the capture."""
+        """Drop unreadable bytes within EDGE_NS of the end of the capture.
+
+        They may belong to an ADU that the end of the capture cuts.
+        """
         yield from self._advance(self._last_ns)
         self._pending.clear()
 
@@ -144,16 +152,19 @@ class ConnectionRules:
             yield event_finding("TCP-202", self._pending.popleft())
 
     def _is_complete(self, event: WireEvent) -> bool:
-        """True if the event's connection is known and misses no bytes, so that an ADU should
-        follow.
+        """True if the capture has all bytes of the event's connection since the last transaction.
+
+        Then an ADU should come next, and unreadable bytes are a finding.
         """
         return any(
             key in self._connections and not self._connections[key].is_cut for key in _keys(event)
         )
 
     def _note_loss(self, event: WireEvent) -> None:
-        """Remember that a connection misses bytes, and drop its pending events of the last EDGE_NS:
-        their bytes belong to the incomplete ADU.
+        """Remember that the capture misses bytes of a connection.
+
+        Unreadable bytes of this connection from the last EDGE_NS are no finding, because they
+        probably belong to the incomplete ADU.
         """
         for key in _keys(event):
             if key in self._connections:
@@ -170,7 +181,10 @@ class ConnectionRules:
 
 
 def _keys(event: WireEvent) -> tuple[tuple[str, str | None], ...]:
-    """The two keys that the event's connection may have, as either end may be the sender."""
+    """The two keys that the event's connection may have: its source may be the master or the slave.
+
+    A key is the link and the HOST:PORT of the master.
+    """
     return (event.link, event.source), (event.link, event.destination)
 
 

@@ -50,12 +50,15 @@ RESET_NS = 2_000_000_000
 """The time in ns after a remote reset in which a module accepts no connection."""
 
 MIN_UNANSWERED = 3
-"""The default of 00F4H, the number of alive checks after which a module disconnects."""
+"""Number of alive checks (keep-alive probes) without an answer after which a module disconnects:
+the default of its register 00F4H."""
 
 _SETTINGS = range(0x0102, 0x0144)
-"""The settings of the analog modules that take effect with Y9, in the holding registers."""
+"""Addresses of the holding registers with the settings of the analog modules. The settings take
+effect when the master sets the coil Y9."""
 _VALUES = range(0x02, 0x0A)
-"""The addresses of the values of the eight channels: RWr2 to RWr9, RWw2 to RWw9."""
+"""Addresses of the values of the eight channels: RWr2 to RWr9 (input registers), and RWw2 to RWw9
+(holding registers)."""
 _UNANSWERED = re.compile(r"^connection closed: reset.*, the last (\d+) unanswered$")
 _REMOTE_RESET = 0x41
 _REQUEST_FLAG = "Initial data setting request flag"
@@ -68,8 +71,8 @@ class _Module:
     """The master's HOST:PORT of each open connection, and the time of its last request (ns); at
     most MAX_CONNECTIONS."""
     recent: deque[tuple[int, Finding]] = field(default_factory=lambda: deque(maxlen=MAX_RECENT))
-    """The time (ns) of each recent request and connection attempt, and the finding to report if a
-    reset less than RESET_NS earlier is decoded later."""
+    """The time (ns) of each recent request and connection attempt, and its finding FA3-X4. The
+    finding is reported if a reset less than RESET_NS earlier is decoded later."""
     reset_by: str | None = None
     """HOST:PORT of the master that requested a remote reset; None once its connection is closed."""
     reset_ns: int | None = None
@@ -77,11 +80,11 @@ class _Module:
     """HOST:PORT of each master that got a finding FA3-X4 after the last reset; each gets only
     one."""
     is_requested: bool = False
-    """True from the write that sets the request flag, Y9, to the write that clears it."""
+    """True from the write that sets Y9, the request flag, to the write that clears it."""
     is_completed: bool = False
-    """True if the completion flag, X9, was read as 1 since Y9 was set."""
+    """True if the master read X9, the completion flag, as 1 since Y9 was set."""
     has_new_settings: bool = False
-    """True from a write of settings to the next write that sets Y9, or to the finding."""
+    """True from a write of settings until Y9 is set to apply them, or until FA3-X6 is reported."""
 
 
 class Fa3Rules:
@@ -149,10 +152,10 @@ class Fa3Rules:
                 yield from self._attempt(module, attempt_ns, finding)
 
     def _attempt(self, module: _Module, at_ns: int, finding: Finding) -> Iterator[Finding]:
-        """Report the finding, once for each master, if the module was reset less than RESET_NS
-        earlier.
+        """Report FA3-X4, once for each master, if the module was reset less than RESET_NS before.
 
-        Otherwise remember it, because the reset can be decoded later.
+        `finding` is about a request or connection attempt at `at_ns`. If no reset came before it,
+        remember it, because the transaction of the reset can be decoded later.
         """
         since_ns = module.reset_ns
         if since_ns is not None and since_ns < at_ns < since_ns + RESET_NS:
@@ -164,7 +167,10 @@ class Fa3Rules:
 
 
 def _is_reset(transaction: NamedTransaction, profile: Profile) -> bool:
-    """True for a remote reset with the data in the manual; a module ignores other data."""
+    """True if the request is a remote reset (41H) with the data that the manual fixes.
+
+    A module ignores a reset with other data.
+    """
     rule = profile.rule(_REMOTE_RESET)
     if transaction.function != _REMOTE_RESET:
         return False
@@ -177,7 +183,10 @@ def _with_time(finding: Finding, after_ns: int) -> Finding:
 
 
 def _handshake(module: _Module, transaction: NamedTransaction) -> Iterator[Finding]:
-    """Follow the initial data setting. Gives FA3-X5 if Y9 is cleared before X9 was read as 1."""
+    """Follow the handshake that applies settings: set Y9, wait until X9 is 1, clear Y9.
+
+    Gives FA3-X5 if Y9 is cleared before X9 was read as 1.
+    """
     if transaction.outcome is not Outcome.OK:
         return
     known = FUNCTIONS.get(transaction.function)
@@ -201,7 +210,10 @@ def _handshake(module: _Module, transaction: NamedTransaction) -> Iterator[Findi
 def _unapplied(
     module: _Module, transaction: NamedTransaction, profile: Profile
 ) -> Iterator[Finding]:
-    """Give FA3-X6 if values are read or written after settings without Y9 between."""
+    """Give FA3-X6 if channel values are read or written while new settings are not applied.
+
+    Settings are applied when Y9 is set after they were written.
+    """
     known = FUNCTIONS.get(transaction.function)
     if known is None or transaction.address is None or transaction.outcome is not Outcome.OK:
         return
@@ -235,5 +247,5 @@ def _alive_check(event: WireEvent) -> Iterator[Finding]:
 
 
 def is_fa3(profile: Profile) -> bool:
-    """True if the profile is that of an FA3 module, or extends one."""
+    """True if the profile is that of an FA3 module, or extends such a profile."""
     return profile.behaviour is BehaviourName.FA3

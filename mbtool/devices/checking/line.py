@@ -1,9 +1,10 @@
-"""The rules for serial lines: silences, damage, the master's pace, and broadcasts."""
+"""The rules for serial lines: silences, damaged bytes, requests that come too soon, broadcasts."""
 
 # MB-301, MB-302    a slave responds to a broadcast; the master tries to read with a broadcast
-# RTU-101..104      silences; silences.py finds them
-# RTU-201..203      damage
-# RTU-301, RTU-302  the master's pace; not checked if RTU-104 says that the times are useless
+# RTU-101..104      wrong silences; silences.py finds them
+# RTU-201..203      wrong check sums, unreadable bytes, damaged characters
+# RTU-301, RTU-302  a request comes too soon after another frame or a broadcast; not checked if
+#                   RTU-104 says that the times are useless
 #
 # A capture may begin and end inside a frame, so unreadable bytes before the first frame of a line
 # and after the last one are no finding.
@@ -42,14 +43,14 @@ _DIAGNOSTICS = 0x08
 
 @dataclass(slots=True)
 class _Cases:
-    """All cases of one kind: the first case, and how many there are."""
+    """A summary of the requests to one unit that break one rule by coming too soon."""
 
     first: NamedTransaction
     number: int = 0
     least_ns: int = 0
-    """The shortest silence before the request of a case, in ns."""
+    """The shortest silence before one of these requests, in ns."""
     required: str = ""
-    """The silence that is required before the request, as text: `28bits`, `100 ms`."""
+    """The silence that is required before a request, as text: `28bits`, `100 ms`."""
 
 
 @dataclass(slots=True)
@@ -58,7 +59,8 @@ class _Line:
     pace: dict[tuple[str, int], _Cases] = field(default_factory=dict)
     """The requests that came too soon, by code (RTU-301, RTU-302) and unit; at most 256 units."""
     stray: WireEvent | None = None
-    """The unreadable bytes after the last frame. They are a finding if another frame follows."""
+    """The unreadable bytes after the last frame; None if there are none. They are the finding
+    RTU-202 if another frame follows."""
     format: SerialFormat | None = None
     """The settings of the line; None if the times of its bytes are unknown."""
     end_ns: int | None = None
@@ -68,22 +70,25 @@ class _Line:
 
 
 class LineRules:
-    """Checks records of serial lines. Findings with counts come at the end of the capture."""
+    """Checks transactions and events of serial lines.
+
+    Findings that count cases come at the end of the capture.
+    """
 
     def __init__(self, has_exact_times: Callable[[str], bool] = lambda _: False) -> None:
-        """`has_exact_times` is True for a link if the time of every byte is exact."""
+        """`has_exact_times` returns True for a link if the time of every byte is exact."""
         self._has_exact_times = has_exact_times
         self._lines: LruDict[str, _Line] = LruDict(_Line)
         self.remarks: list[str] = []
-        """Sentences about wrong silences that are too few for a finding; complete after `close`."""
+        """Sentences about wrong silences that are too few for a finding. Complete after `close`."""
 
     def transaction(
         self, transaction: NamedTransaction, profile: Profile | None, format_: SerialFormat | None
     ) -> Iterator[Finding]:
         """Check the next transaction, and give the findings that are certain now.
 
-        Without `format_`, the times of the line's bytes are unknown, so the master's pace is not
-        checked.
+        `format_` are the settings of the line. None means that the times of its bytes are unknown;
+        then no request is found to come too soon.
         """
         line = self._lines[transaction.link]
         line.silences.note(transaction, format_, line.end_ns)
@@ -123,14 +128,17 @@ class LineRules:
                 line.stray = event
 
     def is_response_to_broadcast(self, transaction: NamedTransaction) -> bool:
-        """True if the next transaction, not yet checked, is the response to a broadcast."""
+        """True if a transaction is the response to the broadcast right before it.
+
+        Call it before the transaction is checked.
+        """
         if not transaction.transport.is_serial or transaction.link not in self._lines:
             return False
         broadcast = self._lines[transaction.link].broadcast
         return broadcast is not None and _responds_to(broadcast, transaction)
 
     def close(self) -> Iterator[Finding]:
-        """Give the findings with counts, at the end of the capture."""
+        """Give the findings that count cases, about silences and requests that come too soon."""
         for link, line in self._lines.items():
             silences = line.silences
             if line.format is not None and self._has_exact_times(link):
@@ -158,7 +166,7 @@ class LineRules:
         required = profile.timing.request_interval if profile is not None else None
         if required is not None:
             required_ns = Silence.parse(required).ns(format_.baud, format_.character_bits)
-            # A time stamp is only exact to the duration of one character.
+            # Allow an error of one character, because time stamps are only exact to that.
             if silence_ns < required_ns - format_.character_ns:
                 _add_pace(line, "RTU-301", transaction, silence_ns, required)
 
@@ -189,8 +197,8 @@ def _summary(code: str, cases: _Cases, text: str) -> Finding:
 def _responds_to(broadcast: NamedTransaction, transaction: NamedTransaction) -> bool:
     """True if `transaction` is the response to `broadcast`, the frame right before it.
 
-    A response to a write of one value equals its request. So it may be decoded as a request without
-    a response.
+    The response to a write of one value equals its request. So it may have been decoded as a
+    request that got no response.
     """
     if broadcast.request_ns is None or transaction.function != broadcast.function:
         return False

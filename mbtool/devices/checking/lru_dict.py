@@ -15,8 +15,9 @@ MAX_ENTRIES = 4096
 
 
 class LruDict(Generic[K, V]):
-    """A dictionary that makes the entry of a missing key, and removes the least recently used entry
-    when it is full.
+    """A dictionary that makes an entry for a missing key with `make`.
+
+    When it has `limit` entries, it removes the least recently used one for each new one.
     """
 
     def __init__(self, make: Callable[[], V], limit: int = MAX_ENTRIES) -> None:
@@ -35,13 +36,14 @@ class LruDict(Generic[K, V]):
         return value
 
     def get(self, key: K) -> V | None:
-        """Return the entry of a key; None if there is none. Unlike `[]`, it makes no entry, and
-        does not count as a use.
+        """Return the value of a key; None if there is none.
+
+        Unlike `[]`, it makes no entry, and does not make the entry a recently used one.
         """
         return self._entries.get(key)
 
     def has_room(self, keys: Iterable[K]) -> bool:
-        """True if entries of all these keys can be made without removing another one."""
+        """True if entries for all these keys fit without removing another entry."""
         new = {key for key in keys if key not in self._entries}
         return len(self._entries) + len(new) <= self._limit
 

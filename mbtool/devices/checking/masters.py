@@ -1,4 +1,4 @@
-"""The rules about hosts that are not the usual masters: a second writer, a late identification."""
+"""The rules about hosts that are not the usual masters of a slave (SEC-101, SEC-205)."""
 
 # SEC-101  a second master writes to a slave. Of two hosts that send requests to one slave, the
 #          first master is the host that began earlier. The other host is the second master in two
@@ -52,14 +52,16 @@ class _Master:
     first_ns: int
     last_ns: int
     predecessor: str | None
-    """A host that was already a master of the slave when this host began.
+    """IP address of a host that was already a master of the slave when this host began.
 
-    It had sent requests for at least the limit's time, and had not stopped. None if there was none.
+    That host had sent requests for at least the time of the limit, and had not stopped. None if
+    there was no such host.
     """
     window: SlidingWindow
     """Counts this host's writes as the second master of the slave (SEC-101)."""
     uncounted_ns: deque[int]
-    """The times (ns) of this host's last writes that are not in `window`."""
+    """The times (ns) of this host's last writes that are not in `window`, because no other host
+    was known to be the first master."""
     last_write: NamedTransaction | None = None
 
 
@@ -73,7 +75,7 @@ class MasterRules:
         self._first_time_ns = limits.identification.window_ns
         self._began_ns: int | None = None
         self._known: set[str] = set()
-        """The hosts that sent something at the beginning of the capture."""
+        """IP addresses of the hosts that sent something at the beginning of the capture."""
         late = SecurityLimit(limits.identification.number, _EVER_NS)
         self._identifications = LruDict[str, SlidingWindow](lambda: SlidingWindow(late), MAX_HOSTS)
         """Counts the reads of an identification by each host that is not in `_known`."""
@@ -86,7 +88,7 @@ class MasterRules:
             self._known.add(host)
 
     def transaction(self, transaction: NamedTransaction, host: str, slave: str) -> None:
-        """Take the next request of a host to a slave on a network into account."""
+        """Count the next request of `host` (an IP address) to `slave` (HOST:PORT)."""
         at_ns = transaction.start_ns
         self.heard(host, at_ns)
         masters = self._slaves[slave]
@@ -102,7 +104,10 @@ class MasterRules:
             self._note_identification(transaction, host, slave)
 
     def takes(self, run: QuietRun) -> bool:
-        """True if `run` may be called: each host of the run is known as a master of its slaves."""
+        """True if `run` may take these transactions together.
+
+        That is so if each host has already sent requests to each of its slaves.
+        """
         if self._began_ns is None or len(self._known) + len(run.connections) > MAX_HOSTS:
             return False
         for one in run.connections:
@@ -112,7 +117,7 @@ class MasterRules:
         return True
 
     def run(self, run: QuietRun) -> None:
-        """Take many reads of registers and bits, with the same result as one by one."""
+        """Count many reads together, with the same result as `transaction` for each."""
         for one in run.connections:
             host = host_of(one.source)
             self.heard(host, one.least_ns)
@@ -156,7 +161,11 @@ class MasterRules:
         return abs(write.start_ns - other.start_ns) <= self._writes.window_ns
 
     def _count(self, second: _Master, first: str) -> None:
-        """Count the writes of a second master."""
+        """Count the writes of the master `second` as those of a second master (SEC-101).
+
+        `first` is the IP address of the first master. Writes that were counted earlier do not
+        count again.
+        """
         counted = 0
         while second.uncounted_ns:
             counted += second.window.add(second.uncounted_ns.popleft())

@@ -1,4 +1,6 @@
-"""The rule about polls that are usually regular, but sometimes early or late (MB-404)."""
+"""The rule about polls whose requests usually come regularly, but sometimes early or late
+(MB-404).
+"""
 
 # A poll is a series of equal requests to one unit; a period is the time from one of them to the
 # next. The periods of a poll are regular if their interquartile range is at most MAX_SPREAD of
@@ -35,11 +37,12 @@ if TYPE_CHECKING:
 MAX_POLLS = 4096
 MAX_PERIODS = 256
 MIN_PERIODS = 20
-"""A finding needs at least so many periods: the median of fewer periods is too uncertain."""
+"""A poll gets a finding only if it has at least so many periods (times from one request to the
+next). The median of fewer periods is too uncertain."""
 MIN_IRREGULAR = 5
 MIN_IRREGULAR_SHARE = 0.03
-"""A finding needs at least this share of irregular periods, 0 to 1. A lower share are occasional
-pauses, which every capture has."""
+"""A poll gets a finding only if at least this share of its periods, 0 to 1, is irregular. Every
+capture has a few irregular periods, as masters pause occasionally."""
 MAX_SPREAD = 0.2
 MIN_PERIOD_NS = 20_000_000
 
@@ -55,7 +58,7 @@ class _Poll:
     """The sampled periods: the hash of the period's number, and the period in ns."""
     count: int = 0
     hash_limit: int = _HASHES
-    """The periods whose hashes are below this limit are in the sample."""
+    """The sample contains the periods whose hashes are below this limit."""
     shortest: int = 0
     longest: int = 0
 
@@ -73,7 +76,7 @@ class _Poll:
         self.count += 1
 
     def note_all(self, times: Sequence[int]) -> None:
-        """Note requests at these times, with the same result as one by one."""
+        """Add requests at these times (ns), with the same result as `note` for each."""
         periods = [*map(sub, times, (self.last_ns, *times))]
         if not periods or min(periods) < 0:
             for at_ns in times:
@@ -98,13 +101,19 @@ class _Poll:
 
 
 class PollRules:
-    """Finds polls with irregular periods, MB-404. All findings come at the end of the capture."""
+    """Finds polls whose requests sometimes come early or late (MB-404).
+
+    All findings come at the end of the capture.
+    """
 
     def __init__(self) -> None:
         self._polls: LruDict[tuple[object, ...], _Poll] = LruDict(_Poll, MAX_POLLS)
 
     def transaction(self, transaction: NamedTransaction) -> None:
-        """Add the next transaction to its poll. Its times must be known exactly."""
+        """Add the next transaction to its poll, the series of requests equal to its own.
+
+        The times of transactions must be known.
+        """
         at_ns = transaction.request_ns
         if at_ns is None:
             return
@@ -115,11 +124,11 @@ class PollRules:
             poll.note(at_ns)
 
     def takes(self, run: QuietRun) -> bool:
-        """True if `run` may be called."""
+        """True if `run` may take these transactions, because it needs to drop no other poll."""
         return self._polls.has_room(map(_key, run.polls))
 
     def run(self, run: QuietRun) -> None:
-        """Add many transactions, with the same result as one by one."""
+        """Add many transactions together, with the same result as `transaction` for each."""
         for one in run.polls:
             poll, times = self._polls[_key(one)], one.request_ns
             if poll.first is None:

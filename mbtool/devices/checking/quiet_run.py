@@ -1,8 +1,9 @@
-"""Answered reads of a network that break no rule by themselves, many at once."""
+"""Many answered Modbus/TCP reads that break no rule by themselves, as figures for the rules."""
 
-# Most transactions of a capture are such, and arrays give them. What rules remember of them (the
-# last request of a connection, the periods of a poll) they take from the figures here, without a
-# look at each one.
+# Most transactions of a capture are such reads; columns/ decodes them into arrays, without an
+# object for each. A rule must still remember something of them, such as the last request of a
+# connection or the periods of a poll. The rules take that from these figures, without checking
+# each transaction. A "run" here is a stretch of such reads with no other record between them.
 
 from __future__ import annotations
 
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class QuietPoll(NamedTuple):
-    """The equal requests of a run, of whatever master."""
+    """The equal requests to one unit in a stretch of answered reads, from all masters."""
 
     link: str
     unit: int
@@ -25,12 +26,15 @@ class QuietPoll(NamedTuple):
     address: int
     quantity: int
     first: int
-    """The number of the first one among all rows."""
+    """The row number of the first of these requests, for `QuietRun.transaction`."""
     request_ns: list[int]
 
 
 class QuietConnection(NamedTuple):
-    """The requests of a run on one connection. Each came after the response to the one before."""
+    """The requests on one connection in a stretch of answered reads.
+
+    Each request came after the response to the request before it.
+    """
 
     link: str
     source: str
@@ -38,24 +42,29 @@ class QuietConnection(NamedTuple):
     destination: str
     units: frozenset[int]
     first_ns: int
-    """The time of the first request."""
+    """The time of the first request, in ns."""
     least_ns: int
+    """The least time of a request, in ns; less than `first_ns` if the clock was set back."""
     last_request_ns: int
     last_response_ns: int
     recent: list[tuple[int, int, int]]
-    """Transaction id, time of the request, time of the response (ns) of the last ones."""
+    """Transaction id, time of the request (ns) and time of the response (ns) of the last
+    transactions."""
 
 
 @dataclass(slots=True)
 class QuietRun:
-    """Reads with the outcome OK, without findings, verdicts and retries, on a network."""
+    """Figures about consecutive Modbus/TCP reads with the outcome OK.
+
+    None of the reads has a finding, a verdict or a retry.
+    """
 
     polls: list[QuietPoll]
-    """In the order of their last requests."""
+    """The reads grouped by equal requests; the groups are in the order of their last requests."""
     connections: list[QuietConnection]
-    """In the order of their last requests."""
+    """The reads grouped by connection; the groups are in the order of their last requests."""
     transaction: Callable[[int], NamedTransaction]
-    """Makes the transaction of a row, by its number among all rows."""
+    """Makes the transaction with a row number, which `QuietPoll.first` gives."""
 
     @property
     def last_request_ns(self) -> int:
@@ -67,14 +76,14 @@ class QuietRun:
 
 
 class QuietRows(Protocol):
-    """All rows between two records of another kind."""
+    """Consecutive answered reads (rows) that break no rule, up to the next other record."""
 
     def __len__(self) -> int: ...
 
     def run(self, begin: int) -> QuietRun:
-        """The rows from a number to the last one."""
+        """The figures about the rows from index `begin` to the last row."""
         ...
 
     def transactions(self, begin: int, end: int) -> Sequence[NamedTransaction]:
-        """The rows from a number up to another, one by one."""
+        """The transactions of the rows from index `begin` up to, but not including, `end`."""
         ...

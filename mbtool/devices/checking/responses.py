@@ -1,4 +1,4 @@
-"""Rules about missing responses, retries, and responses without a request."""
+"""The rules about missing responses, retries, and responses without a request."""
 
 # MB-401  a request has no response
 # MB-402  a request has a response only after a retry; its earlier copies are then no MB-401
@@ -43,10 +43,11 @@ if TYPE_CHECKING:
 MAX_PENDING = 4096
 MAX_RETRIES = 16
 PATIENCE_NS = 5_000_000_000
-"""How long a request waits for its response or for the response to a retry, in ns. A response in
-this time after the beginning of a capture may belong to a request before the capture."""
+"""How long a request waits for its response, or for the response to a retry, in ns. A response
+that comes within this time of the beginning of the capture may have a request before the
+capture."""
 EDGE_NS = 1_000_000_000
-"""A request within so many ns of the end of the capture may have a response after the end."""
+"""A request in the last so many ns of the capture may have a response after its end."""
 
 _DIAGNOSTICS, _FORCE_LISTEN_ONLY = 0x08, 0x04
 _LOST = frozenset((EventKind.GAP, EventKind.CUT, EventKind.DISCARDED))
@@ -56,7 +57,7 @@ _DAMAGE = frozenset((EventKind.SKIPPED, EventKind.BAD_CHECK, EventKind.FOREIGN))
 _Connection = tuple[str, str | None]
 """The link of a connection, and the master's HOST:PORT (None on a serial line)."""
 _Request = tuple[_Connection, int, bytes]
-"""The connection, unit and PDU of a request: a retry has the same as the request that it
+"""The connection, unit and PDU of a request. A retry has the same three as the request that it
 repeats."""
 
 
@@ -67,9 +68,9 @@ class _ConnectionState:
     is_complete: bool = False
     """True if the connection was opened during the capture, and no bytes were lost since."""
     has_request: bool = False
-    """True if a request came since the beginning of the capture, and since bytes were last lost."""
+    """True if the capture has a request of the connection after the last loss of bytes."""
     is_damaged: bool = False
-    """True if unreadable bytes came since the last request."""
+    """True if unreadable bytes came after the last request."""
     last_request_ns: int = 0
     last_loss_ns: int | None = None
 
@@ -90,7 +91,8 @@ class ResponseRules:
         self._pending: OrderedDict[_Request, deque[NamedTransaction]] = OrderedDict()
         self._pending_count = 0
         self._retries: LruDict[_Request, deque[_Retry]] = LruDict(lambda: deque(maxlen=MAX_RETRIES))
-        """The retries of each request that had a response."""
+        """For each request, its retries that had a response. The transaction of an earlier copy
+        of the request can be decoded after them."""
         self._last_ns = 0
 
     def transaction(
@@ -113,7 +115,7 @@ class ResponseRules:
             state.last_request_ns = max(state.last_request_ns, at_ns)
             return
         if transaction.outcome is Outcome.NOT_CAPTURED:
-            self._forget(connection, transaction.unit)  # The capture lacks one half.
+            self._forget(connection, transaction.unit)  # The capture lacks request or response.
             return
         if transaction.outcome is Outcome.UNSOLICITED:
             if _is_surely_unsolicited(state, at_ns) and not is_ambiguous:
@@ -140,7 +142,10 @@ class ResponseRules:
         return bool(self._pending)
 
     def takes(self, run: QuietRun) -> bool:
-        """True if `run` may be called: no request of the run may answer one that is pending."""
+        """True if `run` may take these transactions together.
+
+        That is so if none of them may be the answered retry of a pending request.
+        """
         units = {(one.link, unit) for one in run.connections for unit in one.units}
         if any((connection[0], unit) in units for connection, unit, _ in self._pending):
             return False
@@ -148,7 +153,7 @@ class ResponseRules:
         return self._states.has_room(connections) and self._has_responded.has_room(units)
 
     def run(self, run: QuietRun) -> Iterator[Finding]:
-        """Take many transactions, with the same result as one by one."""
+        """Check many answered reads together, with the same result as `transaction` for each."""
         yield from self._advance(run.last_request_ns)
         self._last_ns = max(self._last_ns, run.last_response_ns)
         for one in run.connections:
@@ -161,7 +166,7 @@ class ResponseRules:
             self._has_responded[poll.link, poll.unit][0] = True
 
     def event(self, event: WireEvent) -> Iterator[Finding]:
-        """Take the next event into account, and give the findings that are certain now."""
+        """Note lost or damaged bytes, and give the findings that are certain now."""
         yield from self._advance(event.ts_ns)
         if event.kind in _LOST and not event.link:  # Part of a log is missing.
             self._pending.clear()
@@ -187,8 +192,8 @@ class ResponseRules:
     def close(self) -> Iterator[Finding]:
         """Report the requests that are still pending at the end of the capture.
 
-        A request in the last EDGE_NS is not reported, because the response may come after the end.
-        But on a serial line it is, if the master has sent another request since.
+        A request in the last EDGE_NS is not reported, because its response may come after the end
+        of the capture. On a serial line it is reported if the master has sent another request.
         """
         pending, self._pending = self._pending, OrderedDict()
         for (connection, _, _), transactions in pending.items():
@@ -200,9 +205,7 @@ class ResponseRules:
                     yield self._no_response_finding(one)
 
     def _advance(self, now_ns: int) -> Iterator[Finding]:
-        """Give a finding for each request that has been pending for more than PATIENCE_NS at
-        `now_ns`.
-        """
+        """Give a finding for each request that has waited more than PATIENCE_NS for a response."""
         self._last_ns = max(self._last_ns, now_ns)
         while self._pending:
             transactions = next(iter(self._pending.values()))
@@ -213,8 +216,8 @@ class ResponseRules:
     def _add_unanswered(
         self, request: _Request, transaction: NamedTransaction
     ) -> Iterator[Finding]:
-        # A TCP request without a response is decoded when its timeout ends. The response to its
-        # retry may be decoded before that.
+        # Over TCP, the transaction of a request without a response is decoded when its timeout
+        # ends. So an answered retry of this request may have been decoded before.
         for retry in self._retries.get(request) or ():
             if 0 < retry.transaction.start_ns - transaction.start_ns <= PATIENCE_NS:
                 if not retry.is_reported:
@@ -236,7 +239,7 @@ class ResponseRules:
         return self._no_response_finding(oldest)
 
     def _forget(self, connection: _Connection, unit: int | None = None) -> None:
-        """Drop the pending requests of a connection, or of one unit on it."""
+        """Drop the pending requests of a connection, or of one unit on it, without a finding."""
         for key in [k for k in self._pending if k[0] == connection and unit in (None, k[1])]:
             self._pending_count -= len(self._pending.pop(key))
 
@@ -255,7 +258,11 @@ def _retry_finding(first: NamedTransaction, answered: NamedTransaction, times: i
 
 
 def _is_surely_unsolicited(state: _ConnectionState, at_ns: int) -> bool:
-    """True if the capture would contain the request of a response at `at_ns`, if there was one."""
+    """True if a response at `at_ns` certainly had no request.
+
+    That is so if the capture would contain the request: no bytes before the response are lost or
+    damaged.
+    """
     if state.is_damaged:
         return False
     if state.has_request or state.is_complete:
@@ -281,6 +288,6 @@ def _needs_no_response(transaction: NamedTransaction, profile: Profile | None) -
 
 
 def _request_bytes(transaction: NamedTransaction) -> bytes:
-    """The request PDU; all bytes of a request whose PDU cannot be read."""
+    """The PDU of the request. If the PDU cannot be read, all bytes of the request."""
     raw = transaction.request_raw
     return whole_pdu(transaction.transport, raw) or raw or b""

@@ -1,4 +1,4 @@
-"""The table of all rules: code, severity, meaning and source."""
+"""The table of all rules of `mbtool check`: code, severity, meaning and source."""
 
 # docs/findings.md has a section for each row, with an example; a test compares the two.
 #
@@ -26,23 +26,24 @@ class Severity(StrEnum):
     WARNING = "warning"
     """Behaviour that may work in one case and fail in another."""
     NOTE = "note"
-    """A fact that is worth knowing, but not necessarily wrong."""
+    """A fact that is worth knowing, but need not be a fault."""
 
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """A rule of the standard, or one kind of rule in all devices' manuals."""
+    """A rule of the standard, or one kind of rule that devices' manuals have."""
 
     code: str
-    """The code of a rule of the standard, like MB-101; or the letter of a kind of rule, like Q."""
+    """The code of a rule of the standard, such as MB-101; or one letter, such as Q, for a kind of
+    rule in devices' manuals."""
     severity: Severity
     meaning: str
-    """A sentence about a record that breaks the rule."""
+    """A sentence that says how a transaction or event breaks the rule."""
     source: str
 
     @property
     def is_of_devices(self) -> bool:
-        """True for a kind of rule of devices' manuals, whose `code` is only a letter."""
+        """True if this is a kind of rule in devices' manuals, with one letter as its `code`."""
         return len(self.code) == 1
 
 
@@ -162,14 +163,17 @@ _ROWS = (
 )  # fmt: skip
 
 RULES = {row[0]: Rule(*row) for row in _ROWS}
-"""The rules of the standard by their code, and those of manuals by their letter."""
+"""The rules by their code. For a rule of devices' manuals, the key is its letter."""
 
 _OF_A_DEVICE = re.compile(r"(?P<prefix>.+)-(?P<letter>[A-Z])(?P<number>\d{1,3})", re.ASCII)
 
 
 @dataclass(frozen=True, slots=True)
 class DeviceCode:
-    """The parts of a code like FT1A-Q16."""
+    """The parts of the code of a finding about a device's manual, such as FT1A-Q16.
+
+    They are the prefix FT1A, the rule of the letter Q, and the function or exception code 16.
+    """
 
     prefix: str
     rule: Rule
@@ -185,7 +189,7 @@ class DeviceCode:
 
 
 def rule_of(code: str) -> Rule | None:
-    """The rule of a code; None if this edition does not know the code."""
+    """The rule of a finding's code; None if this version of mbtool does not know the code."""
     rule = RULES.get(code)
     if rule is not None:
         return rule

@@ -7,8 +7,8 @@
 # SEC-204  a unit refuses many of a master's register addresses, with exception 02 or 03
 #
 # A master that polls may also use many units and registers, but it repeats the same requests.
-# unpolled.py leaves out everything that is polled. As a poll may be known only late, the findings
-# come at the end of the capture.
+# unpolled.py leaves out everything that a master polls. As a poll may be recognised late, the
+# findings come at the end of the capture.
 
 from __future__ import annotations
 
@@ -49,7 +49,10 @@ class ScanRules:
     def transaction(
         self, transaction: NamedTransaction, source: str, slave: str, profile: Profile | None
     ) -> None:
-        """Take the next transaction with a request into account."""
+        """Count the next transaction for the rules about scans. It must have a request.
+
+        `source` is the master's IP address, or the name of the serial line.
+        """
         if not self._units.is_polled((source, slave), transaction.unit):
             self._note_unit(transaction, source, slave)
         if transaction.exception in _REFUSED_ADDRESS:
@@ -58,7 +61,7 @@ class ScanRules:
             self._note_function(transaction, source, slave)
 
     def takes(self, run: QuietRun) -> bool:
-        """True if the transactions of a run need not be taken: their units are polled."""
+        """True if all units in these transactions are polled: then no rule need count them."""
         return all(
             self._units.is_polled((host_of(one.source), one.destination), unit)
             for one in run.connections
@@ -66,7 +69,7 @@ class ScanRules:
         )
 
     def opened(self, event: WireEvent) -> None:
-        """Take the opening of a connection into account."""
+        """Count the opening of a connection as an attempt to reach an IP address (SEC-201)."""
         source, host = host_of(event.source), host_of(event.destination)
         self._hosts.note(
             (source,),
@@ -76,7 +79,10 @@ class ScanRules:
         )
 
     def close(self) -> None:
-        """At the end of the capture, count everything that was not polled."""
+        """Count the IP addresses, units, functions and registers that no master polled.
+
+        Call it at the end of the capture.
+        """
         for things in (self._hosts, self._units, self._functions, self._registers):
             things.close()
 
@@ -144,9 +150,9 @@ class ScanRules:
 
 
 def _finding(code: str, transaction: NamedTransaction, text: str) -> Finding:
-    """Make a finding about several units, functions or registers.
+    """Make a finding about several units, functions or registers from the first case.
 
-    It is made from the first case, but without the unit, function and reference of this case.
+    It leaves out the unit, function and reference, which belong to the first case only.
     """
     one = transaction_finding(code, transaction, text)
     return replace(one, unit=None, function=None, reference=None)
@@ -157,12 +163,15 @@ def _hosts(source: str) -> str:
 
 
 def _request(transaction: NamedTransaction) -> int:
-    """A hash of a request: equal requests to one unit have the same."""
+    """A hash of a request's function, address and quantity, to recognise a repeated request."""
     return hash((transaction.function, transaction.address, transaction.quantity))
 
 
 def _is_missing(transaction: NamedTransaction, profile: Profile | None) -> bool:
-    """True if the unit refuses the function, or is not expected to have it."""
+    """True if the unit refuses the function with exception 01, or should not have it.
+
+    A unit should not have a function that neither the standard nor its profile lists.
+    """
     if transaction.exception == ExceptionCode.ILLEGAL_FUNCTION:
         return True
     if transaction.function in FUNCTIONS:

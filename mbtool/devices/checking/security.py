@@ -25,7 +25,10 @@ if TYPE_CHECKING:
 
 
 class SecurityRules:
-    """Finds SEC-101 to SEC-205. Ambiguous transactions must be left out."""
+    """Finds attacks and scans (SEC-101 to SEC-205).
+
+    The caller must leave out ambiguous transactions, which may have been misread.
+    """
 
     def __init__(self, limits: SecurityLimits) -> None:
         self._cases = SecurityCases()
@@ -34,7 +37,7 @@ class SecurityRules:
         self._scans = ScanRules(limits, self._cases)
 
     def transaction(self, transaction: NamedTransaction, profile: Profile | None) -> None:
-        """Take the next transaction into account."""
+        """Count the next transaction for all rules about attacks and scans."""
         if transaction.request_raw is None:
             return
         slave = transaction.destination
@@ -47,15 +50,15 @@ class SecurityRules:
         self._scans.transaction(transaction, source, slave, profile)
 
     def takes(self, run: QuietRun) -> bool:
-        """True if `run` may be called."""
+        """True if `run` may take these transactions together."""
         return self._masters.takes(run) and self._scans.takes(run)
 
     def run(self, run: QuietRun) -> None:
-        """Take many transactions into account, with the same result as one by one."""
+        """Count many answered reads together, with the same result as `transaction` for each."""
         self._masters.run(run)
 
     def event(self, event: WireEvent) -> None:
-        """Take the next event of a network into account."""
+        """Note the opening of a TCP connection. Other events do not matter to these rules."""
         if event.kind is EventKind.OPENED:
             self._masters.heard(host_of(event.source), event.ts_ns)
             self._scans.opened(event)

@@ -1,4 +1,7 @@
-"""Collects the cases of each source and rule, so that they become one finding with their number."""
+"""Collects the cases of one rule and one source, and makes one finding of them with their number.
+
+A source is a host, or a serial line.
+"""
 
 # Memory: for each combination of source and rule, the number of cases, MAX_EXAMPLES examples and
 # one finding. There are at most MAX_SOURCES combinations; later ones get no finding.
@@ -22,7 +25,8 @@ MAX_SOURCES = 4096
 @dataclass(slots=True)
 class _SourceCases:
     finding: Finding
-    """The finding about the first case; {count} and {examples} in the message are filled later."""
+    """The finding about the first case. `summary` fills in {count} and {examples} in its
+    message."""
     count: int = 0
     examples: list[str] = field(default_factory=list)
     has_more_examples: bool = False
@@ -39,7 +43,7 @@ class _SourceCases:
                 break
 
     def summary(self) -> Finding:
-        """The finding about all cases."""
+        """One finding about all cases, with their number and some examples in its message."""
         examples = ", ".join(self.examples) + (", ..." if self.has_more_examples else "")
         message = self.finding.message.replace("{count}", str(self.count))
         message = message.replace("{examples}", examples)
@@ -51,10 +55,13 @@ class SecurityCases:
 
     def __init__(self) -> None:
         self._cases: dict[tuple[str, str], _SourceCases] = {}
-        """The cases, by the code of the rule and the source."""
+        """The cases; the key is the code of the rule and the source (a host or serial line)."""
 
     def add(self, source: str, finding: Finding, count: int, examples: Iterable[str] = ()) -> None:
-        """Add cases of one source. Only the finding of its first cases is kept."""
+        """Add `count` cases of one source (a host or serial line) to those of the same rule.
+
+        Only the finding that is passed with the first of these cases is used.
+        """
         key = (finding.code, source)
         cases = self._cases.get(key)
         if cases is None:
@@ -64,21 +71,23 @@ class SecurityCases:
         cases.add(count, examples)
 
     def close(self) -> Iterator[Finding]:
-        """Give a finding for each rule and source, by code and time."""
+        """Give one finding for each rule and source, sorted by the rule's code and by time."""
         found = (cases.summary() for cases in self._cases.values())
         yield from sorted(found, key=lambda one: (one.code, one.ts_ns))
 
 
 def host_of(end: str) -> str:
-    """The host of HOST:PORT."""
+    """The host in a text HOST:PORT; the whole text if it has no port."""
     return end.rpartition(":")[0] or end
 
 
 def master_text(transaction: NamedTransaction) -> str:
-    """The master, for a message: its host; the masters of a serial line have no addresses."""
+    """Text for a message: the master's host; on a serial line, where it has no address, `the
+    master`.
+    """
     return "the master" if transaction.source is None else host_of(transaction.source)
 
 
 def place_text(transaction: NamedTransaction) -> str:
-    """The slave's address or line, for a message: `10.0.0.2:502`, `the line rs485`."""
+    """Text for a message: the slave's HOST:PORT, or its serial line, as in `the line rs485`."""
     return transaction.destination or f"the line {transaction.link}"

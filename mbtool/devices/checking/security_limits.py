@@ -1,7 +1,7 @@
 """The limits of the rules about attacks and scans: a number of cases within a time."""
 
 # The default limits are chosen so that ordinary operation stays below them; docs/findings.md gives
-# the reason of each. The module that checks a rule says which cases count within a limit's time.
+# the reason for each. The module that checks a rule says which cases it counts.
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _PATTERN = re.compile(
 
 @dataclass(frozen=True, slots=True)
 class SecurityLimit:
-    """A rule reports a finding if at least `number` cases occur within `window_ns`."""
+    """The limit of a rule: at least `number` cases within `window_ns` nanoseconds are a finding."""
 
     number: int
     window_ns: int
@@ -46,9 +46,10 @@ class SecurityLimits:
 
     second_writer: SecurityLimit = SecurityLimit(1, 10 * _SECOND_NS)
     write_flood: SecurityLimit = SecurityLimit(300, 5 * _SECOND_NS)
-    """The limit for writes on a network."""
+    """The limit for writes to one slave on a network."""
     line_write_flood: SecurityLimit = SecurityLimit(150, 5 * _SECOND_NS)
-    """The limit for writes on a serial line; at 9600 baud it carries about 40 per second."""
+    """The limit for writes on a serial line, which carries about 40 writes per second at 9600
+    baud."""
     stop_command: SecurityLimit = SecurityLimit(1, 60 * _SECOND_NS)
     host_scan: SecurityLimit = SecurityLimit(10, 60 * _SECOND_NS)
     unit_scan: SecurityLimit = SecurityLimit(10, 60 * _SECOND_NS)
@@ -58,9 +59,10 @@ class SecurityLimits:
 
     @classmethod
     def parse(cls, texts: Iterable[str]) -> Self:
-        """Read texts like `SEC-201=20/60s`; the rules that none of them names keep their default.
+        """Read texts such as `SEC-201=20/60s`: the code of a rule, a number of cases, a time.
 
-        Raises UsageError for a text of another form, and for a rule that is named twice.
+        A rule that no text names keeps its default limit. Raises UsageError for a text of another
+        form, and for a rule that is named twice.
         """
         limits: dict[str, SecurityLimit] = {}
         for text in texts:

@@ -53,12 +53,12 @@ _T3_5_CHARACTERS = 3.5
 
 @dataclass(slots=True)
 class _Silences:
-    """All transactions of one unit with one kind of wrong silence."""
+    """A summary of all transactions of one unit that have one kind of wrong silence."""
 
     first: NamedTransaction
     number: int = 0
     least_ns: int | None = None
-    """The shortest of the silences, in ns; None if none is known."""
+    """The shortest of the wrong silences, in ns; None if the length of none is known."""
 
     def add(self, silence_ns: int | None = None) -> None:
         self.number += 1
@@ -80,13 +80,15 @@ class LineSilences:
     wrong: dict[tuple[Verdict, int], _Silences] = field(default_factory=dict)
     """The transactions with a wrong silence, by the kind of silence and the unit."""
     too_soon: dict[tuple[bool, int], _Silences] = field(default_factory=dict)
-    """The transactions whose request (True) or response (False) comes too soon, by unit."""
+    """The transactions whose request or response comes too soon after the frame before it. The key
+    is True for a request, False for a response, and the unit."""
 
     def note(
         self, transaction: NamedTransaction, format_: SerialFormat | None, end_ns: int | None
     ) -> None:
-        """Take the next transaction of the line; `end_ns` is when the last frame before it
-        ended.
+        """Count the wrong silences of the line's next transaction.
+
+        `end_ns` is the time (ns) at which the frame before it ended.
         """
         self.transactions += 1
         self.of_unit[transaction.unit] += 1
@@ -107,8 +109,8 @@ class LineSilences:
         if latency_ns is not None and latency_ns < format_.t3_5_ns:
             self._add_too_soon(transaction, latency_ns, is_request=False)
         before_ns = silence_before(transaction, format_, end_ns)
-        # A transaction also counts as glued if only the next request follows it too soon. So the
-        # silence before this request is computed from the frame's length, which is exact enough.
+        # The verdict GLUED may also mean that only the next request follows too soon. So compute
+        # the silence before this request from the length of its frame.
         if before_ns is not None and before_ns < 2 * format_.t3_5_ns:
             is_next = latency_ns is None or latency_ns >= format_.t3_5_ns
             if is_next or before_ns < format_.t3_5_ns:
@@ -122,12 +124,19 @@ class LineSilences:
 
     @property
     def are_in_blocks(self) -> bool:
-        """True if so many transactions are glued or split that an adapter must be the reason."""
+        """True if an adapter delivers bytes in blocks, so that the silences say nothing.
+
+        It is assumed if the share of transactions without silence between their frames, or with a
+        silence inside a frame, is at least ADAPTER_SHARE.
+        """
         share = self.in_blocks / max(self.transactions, 1)
         return share >= ADAPTER_SHARE and self.transactions >= MIN_TRANSACTIONS
 
     def block_finding(self) -> Finding:
-        """RTU-104, for a line whose silences `are_in_blocks`."""
+        """Make the finding RTU-104: the silences say nothing, because bytes come in blocks.
+
+        Call it only if `are_in_blocks`.
+        """
         first = next(one.first for (sign, _), one in self.wrong.items() if sign in _BLOCK_SIGNS)
         return transaction_finding(
             "RTU-104",
@@ -137,8 +146,9 @@ class LineSilences:
         )
 
     def findings(self, remarks: list[str], format_: SerialFormat | None) -> Iterator[Finding]:
-        """RTU-101 to RTU-103, for times from an adapter. Silences too few for a finding get a
-        remark in `remarks`.
+        """Give RTU-101 to RTU-103 for a line whose times come from an adapter, driver or packets.
+
+        Wrong silences that are too few for a finding are told in a sentence, added to `remarks`.
         """
         few: Counter[str] = Counter()
         for (sign, unit), cases in self.wrong.items():
@@ -158,7 +168,7 @@ class LineSilences:
         ]
 
     def exact_findings(self, format_: SerialFormat) -> Iterator[Finding]:
-        """RTU-101 to RTU-103, for exact times of every byte."""
+        """Give RTU-101 to RTU-103 for a line on which the time of every byte is exact."""
         for (sign, unit), cases in self.wrong.items():
             code, text = _SILENCES[sign]
             if sign is not Verdict.GLUED:
@@ -174,7 +184,8 @@ def silence_before(
 ) -> int | None:
     """The silence, in ns, from `end_ns` to the request's first byte; None if it is unknown.
 
-    It is computed from the end and the length of the request, so it is exact to about a character.
+    The time of the first byte is computed from the end and the length of the request, so it is
+    exact to about the duration of one character.
     """
     request_ns, raw = transaction.request_ns, transaction.request_raw
     if end_ns is None or request_ns is None or raw is None or request_ns < end_ns:
@@ -193,7 +204,10 @@ def _too_soon_text(is_request: bool, cases: _Silences, total: int, format_: Seri
 
 
 def _which_t3_5(format_: SerialFormat | None, *, keeps_characters: bool = False) -> str:
-    """A text that says that t3.5 is fixed on this line (above 19200 baud); empty if it is not."""
+    """A text that says how long t3.5 is if the standard fixes it (above 19200 baud); else empty.
+
+    `keeps_characters` is True if the silence is at least 3.5 characters long all the same.
+    """
     if format_ is None or not format_.has_fixed_silences:
         return ""
     fixed = f"above 19200 baud the standard fixes t3.5 at {format_.t3_5_ns / 1e6:.2f} ms"

@@ -1,8 +1,8 @@
-"""Counts cases that come close together: at least the limit's number within the limit's time."""
+"""Counts the cases of a rule that come close together: so many within so much time."""
 
-# A window is any span of time of at most the limit's length, its ends included. It is full if it
-# contains at least the limit's number of cases. The times of cases may be slightly out of order,
-# because a request without a response is decoded late.
+# A limit says how many cases must come within how much time. A window is any span of time of at
+# most that length, its ends included. It is full if it contains at least that number of cases. The
+# times of cases may be slightly out of order, because a request without a response is decoded late.
 #
 # Memory: the times of the last cases, fewer than KEPT x the limit's number.
 
@@ -18,21 +18,25 @@ KEPT = 4
 
 
 class SlidingWindow:
-    """Counts the cases that are in a full window."""
+    """Counts the cases of a rule that lie in a full window.
+
+    A window is a span of time as long as the limit says. It is full if it contains at least the
+    limit's number of cases.
+    """
 
     __slots__ = ("_counted_to_ns", "_limit", "_times", "first_ns")
 
     def __init__(self, limit: SecurityLimit) -> None:
         self._limit = limit
         self._times: list[int] = []
-        """The times of the last cases, in ns, in order."""
+        """The times of the last cases, in ns, sorted."""
         self._counted_to_ns: int | None = None
         """The time of the last case that was counted, in ns."""
         self.first_ns: int | None = None
-        """The time of the first case in the first full window, in ns; None if none was full."""
+        """The time (ns) of the first case in the first full window; None if none was full yet."""
 
     def add(self, at_ns: int) -> int:
-        """Add a case, and return the number of cases that are newly counted because of it.
+        """Add a case at a time (ns), and return how many cases are counted for the first time now.
 
         The number is 0 unless a full window contains the new case.
         """
@@ -51,7 +55,9 @@ class SlidingWindow:
         return counted
 
     def _full_window(self, place: int) -> int | None:
-        """The index in `_times` at which the first full window with the case `place` begins."""
+        """The index in `_times` of the first case of the earliest full window that contains the
+        case with the index `place`; None if no full window contains it.
+        """
         times, number, window_ns = self._times, self._limit.number, self._limit.window_ns
         for begin in range(max(0, place - number + 1), min(place, len(times) - number) + 1):
             if times[begin + number - 1] - times[begin] <= window_ns:
@@ -59,7 +65,10 @@ class SlidingWindow:
         return None
 
     def _count(self, begin: int) -> int:
-        """Number of cases not yet counted in the full window that begins at the index `begin`."""
+        """Count the cases of the full window that begins at the index `begin` in `_times`.
+
+        Returns the number of cases that were not counted before.
+        """
         times, known_ns = self._times, self._counted_to_ns
         end = begin + self._limit.number
         if known_ns is None:

@@ -1,4 +1,4 @@
-"""Makes findings about single transactions, with figures in their messages."""
+"""Makes findings from the finding codes of transactions, with figures in their messages."""
 
 # Each finding has a code that naming.py has put into the transaction. `mbtool check` names every
 # transaction again, so that today's rules also apply to a log from an older version, or to a log
@@ -39,8 +39,9 @@ _READS_OR_WRITES = TABLE_FUNCTIONS - {0x16, 0x17}
 
 
 class TransactionRules:
-    """Turns the finding codes of transactions into findings. Caches the value ranges of each
-    profile.
+    """Turns the finding codes of transactions into findings.
+
+    Caches the ranges of values that each profile allows.
     """
 
     def __init__(self) -> None:
@@ -49,7 +50,7 @@ class TransactionRules:
     def check(self, transaction: NamedTransaction, profile: Profile | None) -> Iterator[Finding]:
         """Give a `Finding` for each finding code in a transaction.
 
-        `profile` is the slave's profile, by which the values were named; None if it has none.
+        `profile` is the profile by which the transaction was named; None if the slave has none.
         """
         for code in transaction.findings:
             yield transaction_finding(code, transaction, self._message(code, transaction, profile))
@@ -84,7 +85,10 @@ class TransactionRules:
     def _manual_message(
         self, letter: str, text: str, transaction: NamedTransaction, profile: Profile | None
     ) -> str:
-        """The message for a rule of the device's manual."""
+        """The message of a finding about the device's manual.
+
+        `letter` is the kind of rule, such as Q; `text` is a text about the rule for this device.
+        """
         if letter == "F":
             return text
         if letter == "Q":
@@ -155,7 +159,7 @@ def _wrong_quantity(transaction: NamedTransaction) -> str:
 
 
 def _written(transaction: NamedTransaction) -> int:
-    """Number of registers that a request with function 17H writes."""
+    """Number of registers that a request with function 17H writes; 0 for another function."""
     return (written_by_17h(transaction) or (0, 0))[1]
 
 

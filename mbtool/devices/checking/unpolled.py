@@ -1,4 +1,4 @@
-"""Counts what a master requests without polling it: addresses, units, functions, registers."""
+"""Counts the addresses, units, functions or registers that a master requests but does not poll."""
 
 # A "thing" is an address, unit, function or register that a rule about scans counts. A "scope" is
 # the source, slave and unit within which things are counted together. A master polls a thing if it
@@ -12,8 +12,8 @@
 #
 # Memory: MAX_THINGS things that are not known to be polled, and as many that are. If there are
 # more, the oldest thing not known to be polled is counted as never polled. For each of at most
-# MAX_ENTRIES scopes (lru_dict.py) a window (sliding_window.py), and as many things as the rule's
-# limit says.
+# MAX_ENTRIES scopes (lru_dict.py): the times of recent cases (sliding_window.py), and as many
+# things as the rule's limit says.
 
 from __future__ import annotations
 
@@ -32,10 +32,11 @@ if TYPE_CHECKING:
 
 MAX_THINGS = 8192
 MAX_ATTEMPTS = 4
-"""So many repetitions of a request without a response are a poll; most retries end after three."""
+"""A master polls if it repeats a request without a response so many times. Most masters stop after
+three retries."""
 
 OPENED = 0
-"""Used instead of the hash of a request for the opening of a connection."""
+"""Stands for the opening of a connection, where otherwise the hash of a request is used."""
 
 _Scope = tuple[Hashable, ...]
 _Thing = tuple[_Scope, Hashable]
@@ -43,14 +44,18 @@ _Thing = tuple[_Scope, Hashable]
 
 @dataclass(slots=True)
 class _Attempts:
-    """The requests of a master to one thing that it is not known to poll."""
+    """The requests of a master to one thing that it does not poll as far as is known.
+
+    A thing is an IP address, unit, function or register.
+    """
 
     request: int
-    """The hash of the remembered request."""
+    """The hash of the one request that is remembered, to recognise its repetition."""
     is_answered: bool
     """True if the remembered request has a response."""
     text: str
-    """The thing as text, such as an address, for an example in a message."""
+    """The requested IP address, unit, function or register as text, for an example in a
+    message."""
     finding: Finding
     number: int = 1
     """The number of requests so far."""
@@ -58,7 +63,10 @@ class _Attempts:
     """Number of times that the remembered request was repeated."""
 
     def is_poll(self, request: int, *, is_answered: bool) -> bool:
-        """Take the next request into account. True if the master is now known to poll."""
+        """Take the next request into account; `request` is its hash.
+
+        Returns True if the master is now known to poll, because it repeated a request.
+        """
         if request == OPENED and self.request != OPENED:
             return False
         if self.request == OPENED and request != OPENED:
@@ -76,7 +84,10 @@ class _Attempts:
 
 
 class _UnpolledThings:
-    """The things of one scope that are not polled, and a window over their times."""
+    """The things that one source requests from one slave and does not poll.
+
+    A thing is an IP address, unit, function or register. `window` counts them over time.
+    """
 
     def __init__(self, limit: SecurityLimit) -> None:
         self.window = SlidingWindow(limit)
@@ -84,7 +95,11 @@ class _UnpolledThings:
 
 
 class Unpolled:
-    """Counts the unpolled things for one rule, and adds them to `cases`."""
+    """Counts for one rule what masters request but do not poll, and adds it to `cases`.
+
+    A thing is an IP address, unit, function or register. A scope is the source, slave and unit
+    within which things are counted together; its first item is the source.
+    """
 
     def __init__(self, limit: SecurityLimit, cases: SecurityCases) -> None:
         self._cases = cases
@@ -94,11 +109,11 @@ class Unpolled:
         self._scans: LruDict[_Scope, _UnpolledThings] = LruDict(lambda: _UnpolledThings(limit))
 
     def is_polled(self, scope: _Scope, item: Hashable) -> bool:
-        """True if a thing is known to be polled."""
+        """True if a thing (an IP address, unit, function or register) is known to be polled."""
         return (scope, item) in self._polled
 
     def set_polled(self, scope: _Scope, item: Hashable) -> None:
-        """Leave a thing out, because the master polls it."""
+        """Count a thing (an IP address, unit ...) no longer, because the master polls it."""
         self._attempts.pop((scope, item), None)
         self._polled[scope, item] = None
         if len(self._polled) > MAX_THINGS:
@@ -113,11 +128,11 @@ class Unpolled:
         *,
         is_answered: bool = False,
     ) -> bool:
-        """Take a request to a thing into account. True if the thing is now known to be polled.
+        """Take a request to a thing (an IP address, unit, function or register) into account.
 
-        The first item of `scope` is the source. `describe` is called for the first request to a
-        thing; it returns a text about the thing as an example, and the finding to use if this is
-        the first case of a scan.
+        Returns True if the thing is now known to be polled. `request` is the hash of the request.
+        `describe` is called for the first request to a thing. It returns the thing as text, for an
+        example in a message, and the finding to use if this is the first case of a scan.
         """
         thing = (scope, item)
         if thing in self._polled:
@@ -133,7 +148,7 @@ class Unpolled:
         return False
 
     def close(self) -> None:
-        """Count all things that are not known to be polled, at the end of the capture."""
+        """Count all things that no master polled. Call it at the end of the capture."""
         left, self._attempts = self._attempts, OrderedDict()
         for thing, attempts in sorted(left.items(), key=lambda one: one[1].finding.ts_ns):
             self._settle(thing, attempts)

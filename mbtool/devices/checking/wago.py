@@ -28,12 +28,13 @@ if TYPE_CHECKING:
 @dataclass(slots=True)
 class _Coupler:
     first: NamedTransaction | None = None
-    """The first transaction with exception 04 after the last other response; None if none."""
+    """The first transaction with exception 04 since the coupler last gave another response; None
+    if there is none."""
     is_reported: bool = False
 
 
 class WagoRules:
-    """Finds finding WAGO-X1 in the transactions of couplers: an expired watchdog."""
+    """Finds couplers whose watchdog has expired (finding WAGO-X1)."""
 
     def __init__(self) -> None:
         self._couplers: LruDict[str, _Coupler] = LruDict(_Coupler)
@@ -56,5 +57,5 @@ class WagoRules:
 
 
 def is_wago(profile: Profile) -> bool:
-    """True if the profile is that of a WAGO 750 coupler, or extends one."""
+    """True if the profile is that of a WAGO 750 coupler, or extends such a profile."""
     return profile.behaviour is BehaviourName.WAGO
