@@ -1,8 +1,8 @@
 """Loads device profiles: built-in ones by name, a user's own by path."""
 
-# A profile file is TOML; docs/devices.md lists its keys. A file may extend another one, given by
-# the key `extends`: a built-in name, or a path relative to the file. Then the file has only keys
-# that differ, and is merged with the extended file:
+# A profile file is TOML; docs/devices.md lists its keys. A file may extend another one, which the
+# key `extends` names: a built-in profile, or a path relative to the file. Then the file has only
+# the keys that differ, and is merged with the extended file:
 #
 #   functions, exceptions,
 #   timing                  merged key by key
@@ -48,8 +48,9 @@ _T = TypeVar("_T", bound=msgspec.Struct)
 
 
 def builtin_profiles() -> list[str]:
-    """The names of the built-in profiles, sorted. Reads no file."""
-    # A file whose name begins with an underscore is no device; it only serves to be extended.
+    """The names of the built-in profiles, sorted. Lists their folder, but opens no file."""
+    # Leave out files whose name begins with an underscore: they describe no device, and only serve
+    # other profiles as a common base.
     return sorted(path.stem for path in _BUILT_IN.glob("[!_]*.toml"))
 
 
@@ -68,15 +69,15 @@ def load_profile(name_or_path: str) -> Profile:
 
 
 def profile_to_json(profile: Profile) -> bytes:
-    """A profile, with all that it extends, as JSON for the attachment of a log."""
+    """Write a profile as JSON, for the attachment of a log. The JSON needs no other profile."""
     return msgspec.json.encode(profile)
 
 
 def profile_from_json(data: bytes, file: str) -> Profile:
-    """Make a profile from the JSON that profile_to_json makes. `file` is the name for messages.
+    """Read a profile from the JSON that profile_to_json() writes.
 
-    Raises ProfileError if the data is no JSON object, is too large or nests too deep, or has
-    mistakes.
+    `file` names the source in messages. Raises ProfileError if the data is no JSON object, is too
+    large or nests too deep, or has mistakes.
     """
     if len(data) > MAX_JSON_BYTES:
         raise ProfileError(file, "size", f"more than {MAX_JSON_BYTES} bytes are no profile")
@@ -125,8 +126,8 @@ def _guess(name: str) -> str:
 def _read(path: Path, extending: tuple[Path, ...] = ()) -> dict[str, Any]:
     """Read the keys of a file, merged with those of all files that it extends.
 
-    `extending` are the files that extend this one, in the order in which they are read. Raises
-    InputError if a file cannot be read, and ProfileError for mistakes in it.
+    `extending` are the files that led to this one by their key `extends`, the user's file first.
+    Raises InputError if a file cannot be read, and ProfileError for mistakes in it.
     """
     file = str(path)
     keys = _read_toml(path)
@@ -174,8 +175,8 @@ def _merge(extended: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
             merged[key] = extended[key] | own[key]
     for key in ("areas", "points"):
         if key in extended and key in own:
-            # If two areas or points of one file have the same name, both are kept, so that
-            # validation reports them.
+            # Replace the part of the same name once only. If `own` has two parts of one name, keep
+            # both, so that validation reports the mistake.
             indices = {part.name: index for index, part in enumerate(extended[key])}
             merged[key] = list(extended[key])
             for part in own[key]:
@@ -187,9 +188,10 @@ def _merge(extended: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
 
 
 def _parse_parts(keys: dict[str, Any], file: str) -> dict[str, Any]:
-    """Check the keys of a file, and convert areas, points and functions.
+    """Check the keys of a file, and convert its areas, points and functions to their classes.
 
-    The other keys keep their TOML values, which are converted after merging.
+    All other keys keep their TOML values; they are converted after the file is merged with the one
+    that it extends.
     """
     _refuse_unknown(Profile, keys, file, "")
     parts = dict(keys)
@@ -224,7 +226,10 @@ def _parse_list(cls: type[_T], value: Any, file: str, key: str) -> list[_T]:
 
 
 def _parse_points(value: Any, file: str) -> list[Point]:
-    """Parse points. The default stride is the number of addresses that each point takes."""
+    """Parse the points of a file.
+
+    A point without the key `stride` gets the number of addresses that each of its values takes.
+    """
     points = _parse_list(Point, value, file, "points")
     return [
         point if "stride" in keys else _side_by_side(point)
@@ -254,8 +259,9 @@ def _parse_functions(value: Any, file: str) -> dict[str, FunctionRule]:
 
 
 def _convert(cls: type[_T], value: Any, file: str, key: str) -> _T:
-    """Convert the keys of one part of a profile to `cls`. Raises ProfileError for the first wrong
-    key.
+    """Convert the keys of one part of a profile to `cls`.
+
+    `key` is the part's name for messages. Raises ProfileError for the first wrong key.
     """
     if not isinstance(value, dict):
         raise ProfileError(file, key, f"expected a table, {{ key = value }}, not {_shown(value)}")
@@ -312,7 +318,7 @@ def _parse_texts(value: Any, file: str, key: str) -> dict[int, str]:
     return texts
 
 
-# An error message of msgspec looks like "Expected `int` <= 65535 - at `$.first`".
+# Matches an error message of msgspec, such as "Expected `int` <= 65535 - at `$.first`".
 _MESSAGE = re.compile(r"(?P<problem>.*?)(?:, got .*?)?(?: - at `\$\.?(?P<path>[^`]*)`)?")
 _STEP = re.compile(r"(\w+)|\[(\d+)\]")
 _WORDS = {
@@ -327,7 +333,10 @@ _WORDS = {
 
 
 def _explain(message: str, cls: type[msgspec.Struct], value: Any) -> tuple[str, str]:
-    """Return the key that an error message of msgspec is about, and a text for the user."""
+    """Return the key that an error message of msgspec is about, and a text for the user.
+
+    `value` is the table that was to be converted to `cls`.
+    """
     match = _MESSAGE.fullmatch(message)
     if match is None or not match["path"]:
         return "", message
@@ -355,7 +364,7 @@ def _expected_list(value: object, choices: list[str], *, of_numbers: bool = Fals
 
 
 def _choices(cls: type[msgspec.Struct], path: str) -> list[str]:
-    """The values that a key can have, if its type is an enumeration; otherwise an empty list."""
+    """The texts that a key of `cls` can have if its type is an enumeration; otherwise none."""
     hint = typing.get_type_hints(cls)[re.split(r"[.\[]", path)[0]]
     for kind in (hint, *typing.get_args(hint)):
         if isinstance(kind, type) and issubclass(kind, StrEnum):

@@ -1,4 +1,4 @@
-"""Drafts a profile from the observed traffic of a slave."""
+"""Drafts a device profile from the observed traffic of a slave."""
 
 # Functions and addresses that the slave accepted are in the draft, and so are its exception codes.
 # Functions that it refused with exception 01, and addresses that it refused with 02 or 03, are not.
@@ -45,10 +45,11 @@ _PREFIXES = {
     Table.HOLDING_REGISTERS: "HR",
     Table.INPUT_REGISTERS: "IR",
 }
-"""The letters before the address in the names of areas and points, by table."""
+"""By table, the letters before the address in the names of drafted areas and points: HR10."""
 
 _READ, _WRITTEN, _NO_RESPONSE = 1, 2, 4
-"""Flags of an address: a request read it; a request wrote it; no request for it had a response."""
+"""Flags of an address, in this order: a request read it; a request wrote it; no request for it had
+a response."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +61,10 @@ class Draft:
 
 
 def draft_profile(seen: ObservedSlave, name: str, file: str) -> Draft:
-    """Draft a profile of the slave. Never raises. `file` is the capture, for comments."""
+    """Draft a profile of the slave. Never raises.
+
+    `name` is the name of the profile. `file` is the path of the capture, for comments.
+    """
     file = PurePath(file).name
     flags = _address_flags(seen)
     comments: dict[str, list[str]] = {}
@@ -113,8 +117,9 @@ def _head(seen: ObservedSlave, file: str, left_out: int) -> list[str]:
 
 
 def _address_flags(seen: ObservedSlave) -> dict[Table, bytearray]:
-    """Return the flags of each address by table. An address has 0 if nobody requested it, or the
-    slave refused every request for it.
+    """Return the flags (_READ, _WRITTEN, _NO_RESPONSE) of each address, by table.
+
+    The flags are 0 if nobody requested the address, or the slave refused every request for it.
     """
     flags = {table: bytearray(1 << 16) for table in Table}
     for request, replies in seen.requests.items():
@@ -132,8 +137,9 @@ def _address_flags(seen: ObservedSlave) -> dict[Table, bytearray]:
 
 
 def _combined(known: int, flag: int) -> int:
-    """Combine the flags of one address from two requests. _NO_RESPONSE stays only if neither had a
-    response.
+    """Combine the flags of one address from two requests.
+
+    _NO_RESPONSE stays only if neither request had a response.
     """
     if not known or known & flag & _NO_RESPONSE:
         return known | flag
@@ -165,9 +171,9 @@ def _areas(
 
 
 def _runs(flags: bytearray) -> Iterator[tuple[int, int]]:
-    """Give the first and last address of each range of addresses with flags.
+    """Give the first and last address of each range of addresses whose flags are not 0.
 
-    A range does not mix addresses that responded with addresses that never did.
+    The slave responded to requests for all addresses of a range, or for none of them.
     """
     kinds = ((0 if not flag else 2 if flag & _NO_RESPONSE else 1) for flag in flags)
     for kind, group in groupby(enumerate(kinds), key=itemgetter(1)):
@@ -179,7 +185,9 @@ def _runs(flags: bytearray) -> Iterator[tuple[int, int]]:
 def _about_area(
     area: Area, flags: bytearray, refused: Sequence[tuple[ObservedRequest, Replies]]
 ) -> Iterator[str]:
-    """Yield comments on an area: addresses never written or read, requests refused next to it."""
+    """Yield comments on an area: which addresses were never written or read, and which requests
+    next to it the slave refused.
+    """
     if flags[0] & _NO_RESPONSE:
         yield "Asked for, but never answered: perhaps there is nothing here."
     if area.access is Access.READ and area.table.is_writable:
@@ -213,7 +221,7 @@ def _ranges_text(addresses: Sequence[int]) -> str:
 
 @dataclass(slots=True)
 class _Function:
-    """A summary of the slave's responses to requests with one function."""
+    """Counts the slave's responses to requests with one function."""
 
     ok: int = 0
     silent: int = 0
@@ -222,8 +230,8 @@ class _Function:
     refused: Counter[int] = field(default_factory=Counter)
     """Number of requests that the slave refused, by exception code."""
     least_refused: int = 1 << 16
-    """The smallest quantity that the slave refused with exception 03 although it has the
-    addresses."""
+    """The smallest quantity that the slave refused with exception 03, although it accepted other
+    requests for the same addresses; 1 << 16 if there is none."""
 
 
 def _functions(seen: ObservedSlave) -> tuple[dict[str, FunctionRule], list[str]]:
@@ -276,7 +284,9 @@ def _about_function(code: int, one: _Function) -> Iterator[str]:
 
 
 def _limit(code: int, one: _Function) -> int | None:
-    """The largest accepted quantity, if a larger one was refused; else None."""
+    """The limit of a function's quantity: the largest accepted one, if the slave refused a larger
+    one; otherwise None.
+    """
     known = FUNCTIONS.get(code)
     if known is None or not 0 < one.most < one.least_refused < known.limit:
         return None
@@ -290,16 +300,16 @@ def _exceptions(seen: ObservedSlave) -> set[int]:
 def _points(
     profile: Profile, seen: ObservedSlave, comments: dict[str, list[str]]
 ) -> tuple[list[Point], int]:
-    """Return points for the registers with sampled values.
+    """Return points for the registers whose values were sampled, at most MAX_POINTS.
 
-    The second result is the number of registers without a point, beyond MAX_POINTS.
+    The second result is the number of registers that get no point because of this limit.
     """
     points: list[Point] = []
     left_out = 0
     for table in (Table.HOLDING_REGISTERS, Table.INPUT_REGISTERS):
         taken: set[int] = set()
-        # Use reads before writes, and long ranges before short ones, as these show best which
-        # registers form one value.
+        # Guess from reads before writes, and from long ranges before short ones, because long
+        # reads show best which registers form one value.
         requests = sorted(
             (request for request in seen.samples if request.table is table),
             key=lambda request: (request.writes, -request.quantity, request.address or 0),

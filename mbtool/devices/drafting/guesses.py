@@ -1,6 +1,6 @@
 """Guesses the types of registers from sampled values, with a reason for each guess."""
 
-# The user can judge each guess by its reason. Types, in the order in which they are tried:
+# The user can judge each guess by its reason. The types are tried in this order:
 #
 #   string        at least _MIN_TEXT_WORDS registers with printable ASCII characters, mostly letters
 #                 and digits, that never change
@@ -30,13 +30,14 @@ if TYPE_CHECKING:
     from mbtool.devices.observed_slave import Samples
 
 MAGNITUDES = (1e-4, 1e8)
-"""The usual absolute values of measurements: from the first number to below the second."""
+"""Measurements usually have an absolute value from the first number to below the second. Registers
+that would be a float beyond that are probably no float."""
 _FEW_DIGITS = 5
 _MIN_TEXT_WORDS = 4
 _NEAR_ZERO = 0x1000
 _MAX_LISTED = 6
 _UNAVAILABLE = (0x7FFF, 0x8000, 0xFFFF)
-"""Values that often mean "no value"."""
+"""Numbers in a register that often mean that the device has no value."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,8 +64,8 @@ def guess_registers(
 ) -> list[Guess]:
     """Guess the types of all registers of a range that begins at address `first`.
 
-    `pairs` are the addresses from which a request asked for exactly two registers. `plural` is the
-    word for the samples in the texts of reasons, such as "writes".
+    `samples` are observed values of these registers. `pairs` are the addresses from which a request
+    asked for exactly two registers. `plural` is the word for the samples in reasons: "writes".
     """
     columns = list(zip(*samples.rows, strict=False))
     guesses: list[Guess] = []
@@ -91,7 +92,7 @@ def _text(first: int, columns: Sequence[Sequence[int]], at: int, samples: Sample
     letters = sum(chr(byte).isalnum() for byte in data)
     if letters * 10 < len(data) * 6:
         return None
-    # Zeros or spaces behind a text are padding and belong to the text.
+    # Registers with zeros or spaces after a text are padding, so they belong to the string.
     while end < len(columns) and not samples.changes[end] and columns[end][0] in (0, 0x2020):
         end += 1
     words = min(end - at, READ_LIMIT)
@@ -132,7 +133,11 @@ def _pair(
 def _float_reason(
     pairs: Sequence[tuple[int, int]], *, is_alone: bool, is_beside: bool
 ) -> str | None:
-    """The reason to guess that pairs of high and low word are floats; None if there is none."""
+    """The reason to guess that two registers hold a 32-bit float; None if there is none.
+
+    `pairs` are their values as (high word, low word). `is_alone` is True if a request asked for
+    just these two; `is_beside` is True if another float comes right before them.
+    """
     values = [_float(*pair) for pair in pairs]
     low, high = MAGNITUDES
     nonzero = [value for value in values if value != 0]
@@ -164,7 +169,10 @@ def _has_few_digits(value: float) -> bool:
 
 
 def _carries(pairs: Sequence[tuple[int, int]]) -> bool:
-    """True if the high word goes up by one exactly when the low word goes down, at least once."""
+    """True if pairs of (high word, low word) look like a 32-bit counter.
+
+    The high word goes up by one exactly when the low word goes down, and does so at least once.
+    """
     carries = 0
     for (high, low), (next_high, next_low) in pairwise(pairs):
         if next_high == high:
@@ -219,9 +227,9 @@ def _single(
 
 
 def _crosses_zero(values: Collection[int]) -> bool:
-    """True if some values are small positive and some are small negative numbers.
+    """True if 16-bit values, read as signed, are both small positive and small negative numbers.
 
-    FFFFH does not count as -1, because it may mean "no value".
+    FFFFH does not count as -1, because it may mean that there is no value.
     """
     near, far = _NEAR_ZERO, 0x10000 - _NEAR_ZERO
     return (

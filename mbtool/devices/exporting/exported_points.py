@@ -1,4 +1,7 @@
-"""What every export needs: the points of a profile one by one, and what cannot be said."""
+"""Used by every export of a profile: lists its points one by one, and collects losses.
+
+A loss is something that the profile says, but the other program's format cannot express.
+"""
 
 from __future__ import annotations
 
@@ -23,25 +26,25 @@ NOT_SCALED = "as in the register, since another register of the device holds the
 
 @dataclass(frozen=True, slots=True)
 class ExportedMap:
-    """A profile in another program's words."""
+    """A profile written in the format of another program."""
 
     text: str
     lacking: tuple[str, ...] = ()
-    """Sentences: what the profile says and the text does not."""
+    """Sentences for the user about what the profile says and `text` cannot express."""
 
 
 @dataclass(frozen=True, slots=True)
 class SinglePoint:
-    """One value of a profile: a point, or one of a series."""
+    """One value of a profile: a point, or one value of a point that stands for a series."""
 
     point: Point
-    """As the profile has it, with the name and address of this value, and a count of 1."""
+    """The profile's point, but with the name and address of this one value, and a count of 1."""
     reference: str
     access: Access
 
     @property
     def letters(self) -> str:
-        """The order of the bytes on the wire, as letters: ABCD is big-endian."""
+        """The order of the value's bytes on the wire, as letters: ABCD is big-endian."""
         swaps = self.point.byte_order is ByteOrder.LOW_FIRST
         words = ["BA" if swaps else "AB", "DC" if swaps else "CD"]
         if self.point.word_order is WordOrder.LOW_FIRST and self.point.words > 1:
@@ -50,7 +53,7 @@ class SinglePoint:
 
 
 class Lacking:
-    """Collects what cannot be said, each with the names of the points that it is about."""
+    """Collects what an export cannot express, with the names of the points that it concerns."""
 
     def __init__(self) -> None:
         self._names: dict[str, list[str]] = {}
@@ -64,7 +67,10 @@ class Lacking:
 
 
 def single_points(profile: Profile) -> Iterator[SinglePoint]:
-    """The values of a profile, by table and address; of points at one address the first."""
+    """The values of a profile, sorted by table and address.
+
+    A point that stands for a series gives one value for each of its addresses.
+    """
     for point in sorted(profile.points, key=lambda one: (one.table, one.address)):
         for address in point.addresses:
             area = profile.area(point.table, address, point.words)
@@ -76,7 +82,7 @@ def single_points(profile: Profile) -> Iterator[SinglePoint]:
 
 
 def number_text(number: float) -> str:
-    """A number without a needless fraction: 1, 0.1, 2.5e-05."""
+    """Write a number, without `.0` if it is whole: 1, 0.1, 2.5e-05."""
     return str(int(number)) if number == int(number) else repr(number)
 
 

@@ -1,7 +1,7 @@
 """Writes a profile as the `modbus:` part of a configuration of Home Assistant."""
 
 # Registers become sensors, bits become binary sensors, coils that may be written become switches
-# (Home Assistant, integration Modbus). Texts are written as in JSON, which is YAML.
+# (Home Assistant, integration Modbus). Texts are written as JSON strings, which YAML accepts.
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _TYPES = {
 
 
 def export_home_assistant(profile: Profile, unit: int = 1) -> ExportedMap:
-    """The values of a profile as YAML."""
+    """Write the values of a profile as YAML. `unit` is the number of the slave to poll."""
     lacking = Lacking()
     platforms: dict[str, list[dict[str, str]]] = {
         "sensors": [], "binary_sensors": [], "switches": []

@@ -32,13 +32,13 @@ _TYPES = {
     PointType.BIT_FIELD: "hex16",
     PointType.NIBBLE_FIELD: "hex16",
 }
-"""The spelling of types whose name a register list does not have; the others keep their names."""
+"""What a register list calls a type of point. A type that is not here keeps its name."""
 _ACCESS = {Access.READ: "R", Access.WRITE: "W", Access.READ_WRITE: "RW"}
 _ABOUT_FIELDS = "a field of channels or octets is a hexadecimal number"
 
 
 def export_register_list(profile: Profile) -> ExportedMap:
-    """The points of a profile as CSV, one row each, with addresses as on the wire."""
+    """Write the values of a profile as CSV, one row each, with addresses as on the wire."""
     lacking = Lacking()
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")

@@ -1,8 +1,9 @@
 """Writes a profile as a SunSpec model in JSON."""
 
-# A model stands for consecutive holding registers that begin with the model's number (ID) and its
-# length (L), so only a profile that has these can be one. Groups become plain points, as a profile
-# has none. A scale is a power of ten, or a scale factor that the device holds.
+# A SunSpec model describes consecutive holding registers, of which the first has the model's number
+# (ID) and the second its length (L). So only a profile with these two points can be exported. The
+# model has no groups of points, as a profile has none. A SunSpec scale is a power of ten, or a
+# register of the device (a scale factor) holds that power.
 
 from __future__ import annotations
 
@@ -39,9 +40,9 @@ _TYPES = {
 
 
 def export_sunspec(profile: Profile) -> ExportedMap:
-    """The holding registers of a profile as a model.
+    """Write the holding registers of a profile as a SunSpec model in JSON.
 
-    Raises UsageError if the profile has no ID with a default, followed by L.
+    Raises UsageError if the profile has no point `ID` with a default, followed by a point `L`.
     """
     lacking = Lacking()
     registers = [one for one in single_points(profile) if one.point.table.is_bits is False]
@@ -118,7 +119,7 @@ def _type(point: Point) -> str:
 
 
 def _power(scale: float) -> int | None:
-    """The power of ten that a scale is; None if it is none."""
+    """The exponent if a scale is a power of ten (-1 for 0.1); otherwise None."""
     if scale <= 0:
         return None
     power = round(math.log10(scale))

@@ -1,7 +1,8 @@
 """Writes a profile as a configuration of Telegraf's Modbus input."""
 
-# The style of requests is used (plugins/inputs/modbus of Telegraf): a request for each table and
-# byte order, with a field for each value. Telegraf reads only. Its factor has no offset.
+# The configuration uses the style `request` of plugins/inputs/modbus: a request for each table and
+# byte order, with a field for each value. Telegraf only reads. It can scale a value, but cannot add
+# an offset.
 
 from __future__ import annotations
 
@@ -39,7 +40,10 @@ _TYPES = {
 
 
 def export_telegraf(profile: Profile, unit: int = 1) -> ExportedMap:
-    """The values of a profile that a master may read, as TOML."""
+    """Write the values of a profile that a master may read as TOML for Telegraf.
+
+    `unit` is the number of the slave to poll.
+    """
     lacking = Lacking()
     requests: dict[tuple[Table, str], list[str]] = {}
     for one in single_points(profile):
@@ -69,7 +73,7 @@ def export_telegraf(profile: Profile, unit: int = 1) -> ExportedMap:
 
 
 def _can_be_read(one: SinglePoint, lacking: Lacking) -> bool:
-    """True if Telegraf can read a value; note what it cannot say about it."""
+    """True if Telegraf can read a value. Notes in `lacking` what Telegraf cannot express of it."""
     point = one.point
     if one.access is Access.WRITE:
         lacking.note("left out, as they can only be written", point.name)
@@ -106,5 +110,5 @@ def _field(point: Point) -> str:
 
 
 def _quoted(text: str) -> str:
-    """A text as TOML writes it."""
+    """A text in quotes, as TOML needs it."""
     return json.dumps(text)

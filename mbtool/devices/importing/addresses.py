@@ -1,6 +1,6 @@
 """Reads the addresses in a register list, and decides how they are counted."""
 
-#   4x0012, HR12      the letters name the table; 4x0001 is address 0
+#   4x0012, HR12      the text before the number names the table; 4x0001 is address 0
 #   0x0BB7, 0BB7H     hexadecimal: the address on the wire
 #   40001, 300012     references, if every number of the list can be one and fits its table
 #   12                the address on the wire, or a number counted from 1
@@ -37,7 +37,7 @@ class AddressCell:
     suffix: str = ""
     radix: Radix = Radix.DECIMAL
     digits: int = 0
-    """The number of digits, with leading zeros."""
+    """The number of digits in the cell, counting leading zeros."""
     bit: int | None = None
     """The bit of the register that the cell names, 3 in `40001.3`; None if it names none."""
     last: int | None = None
@@ -52,9 +52,7 @@ class AddressCell:
 
     @property
     def table(self) -> Table | None:
-        """The table that the letters before the number stand for, as HR does; None if they name
-        none.
-        """
+        """The table that the text before the number names (HR, 4x); None if it names none."""
         return _PREFIX_TABLES.get(self.prefix.lower()) if self.is_decimal else None
 
     @property
@@ -91,8 +89,8 @@ def read_addresses(
 ) -> list[AddressCell | None]:
     """Read the cells of the address column; the result has None for a cell without an address.
 
-    `heading` is the column's heading after columns.fold(). `style` is the kind of numbers that the
-    user gives; None if the user gives none.
+    `heading` is the column's heading in lower case (columns.fold()). `style` says how the user
+    wants the numbers to be counted; None if the user does not say it.
     """
     is_hex = style is AddressStyle.HEXADECIMAL or (style is None and _is_bare_hex(cells, heading))
     in_front = any(re.match(r"\s*[134][xX]", cell) for cell in cells)
@@ -112,12 +110,15 @@ def read_addresses(
 
 
 def _is_bare_hex(cells: Sequence[str], heading: str) -> bool:
-    """True if the addresses are hexadecimal without a mark such as 0x or H: `0BB7`."""
+    """True if the addresses are hexadecimal numbers without a mark such as 0x or H: `0BB7`.
+
+    `heading` is the column's heading in lower case.
+    """
     there = [cell.strip() for cell in cells if not is_nothing(cell)]
     if not there or not all(re.fullmatch(r"[0-9A-Fa-f]{1,6}", one) for one in there):
         return False
-    # A single letter before digits, as in D100, is probably part of a name, not a hexadecimal
-    # digit.
+    # A single letter before digits, as in D100, is probably a vendor's prefix, not a hexadecimal
+    # digit. So look for a letter after a digit, or two letters.
     letters = any(re.search(r"\d[A-Fa-f]|[A-Fa-f]{2}", one) for one in there)
     return letters or bool(re.search(r"\bhex", heading))
 
@@ -152,7 +153,8 @@ def _address(match: re.Match[str], prefix: str, suffix: str, radix: Radix) -> Ad
     last = (match["last"] or "").upper().removeprefix("0X")
     try:
         number = int(first, 16) if radix is Radix.HEX else int(first)
-        # In `40001-2`, the last number has only the digits that differ from the first one: 40002.
+        # A range may shorten its last number: `40001-2` is 40001 to 40002. So try the number as it
+        # stands, and with the leading digits of the first number.
         whole = first[: max(len(first) - len(last), 0)] + last
         ends = [int(one, 16) if radix is Radix.HEX else int(one) for one in (last, whole) if last]
     except ValueError:
@@ -170,7 +172,7 @@ def decide_style(
     """Decide how the decimal numbers of a list are counted. Returns the style and a reason as text.
 
     Each address comes with the table that its row names, or None. `heading` is the heading of the
-    address column after columns.fold().
+    address column in lower case (columns.fold()).
     """
     numbers = [address.number for address, _ in addresses]
     least, most = min(numbers), max(numbers)
@@ -196,9 +198,9 @@ def _can_be_reference(address: AddressCell, table: Table | None) -> bool:
 
 
 def reference_table(number: int, digits: int) -> Table | None:
-    """The table that the first digit names in a reference of five or six digits: 40001, 300012.
+    """The table that the first digit of a five- or six-digit reference names: 40001, 300012.
 
-    None if the number is no such reference.
+    None if the number is no such reference. `digits` is its number of digits.
     """
     if digits not in (5, 6):
         return None
@@ -207,7 +209,8 @@ def reference_table(number: int, digits: int) -> Table | None:
 
 
 def table_and_base(address: AddressCell, style: AddressStyle) -> tuple[Table | None, int]:
-    """The table that an address names, or None; and the number that means address 0 on the wire.
+    """Return two things: the table that an address names (or None), and the number that the list
+    writes for address 0 on the wire, such as 40001.
 
     `style` says how decimal numbers are counted. Raises ValueError if they are references, and this
     number is not a reference.
@@ -218,7 +221,8 @@ def table_and_base(address: AddressCell, style: AddressStyle) -> tuple[Table | N
         return address.table, 1
     if style is not AddressStyle.REFERENCES:
         return address.table, int(style is AddressStyle.ONE_BASED)
-    # A spreadsheet removes leading zeros: the reference 00001 becomes 1.
+    # Spreadsheets remove leading zeros, so that the reference 00001 becomes 1. Take fewer digits
+    # for five.
     digits = max(address.digits, 5)
     table = reference_table(address.number, digits)
     if table is None:

@@ -1,7 +1,8 @@
-"""Makes areas of the points of a register list."""
+"""Makes a profile's areas (ranges of addresses) from the points of a register list."""
 
-# An area is a range of addresses in the list. If the list leaves out fewer than MAX_HOLE addresses,
-# the area includes this hole, since masters read over such holes and most devices allow it.
+# An area covers neighbouring addresses of the list. If the list leaves out fewer than MAX_HOLE
+# addresses between two points, the area includes them, since masters read over such holes and most
+# devices allow it.
 
 from __future__ import annotations
 
@@ -19,7 +20,8 @@ if TYPE_CHECKING:
     from mbtool.devices.importing.points import RowPoint
 
 MAX_HOLE = 16
-"""An area ends before a hole of this many addresses that the list leaves out."""
+"""An area does not include a hole of this many addresses that the list leaves out; it ends there
+instead."""
 
 _READ_FUNCTIONS = {
     known.table: code
@@ -30,10 +32,10 @@ _WRITE_FUNCTIONS = {Table.COILS: (0x05, 0x0F), Table.HOLDING_REGISTERS: (0x06, 0
 
 
 def make_areas(made: Sequence[RowPoint]) -> tuple[list[Area], list[Point], dict[str, FunctionRule]]:
-    """Return the areas, the points, and the functions by code.
+    """Return the areas, the points, and the rules of functions by code.
 
-    A point only has an access of its own if its area has another one. The functions are those that
-    the list names, and those that read and write its tables.
+    A point gets a key `access` only if its access differs from that of its area. The functions are
+    those that the list names, and those that read and write the tables of the list.
     """
     runs: list[list[RowPoint]] = []
     for one in made:
@@ -62,7 +64,7 @@ def _goes_on(last: RowPoint, one: RowPoint) -> bool:
 def _area(run: Sequence[RowPoint], taken: Collection[str]) -> Area:
     """Make one area from consecutive rows, named after its table and the list's numbers.
 
-    `taken` are the names in use. If the name is among them, the address is added to it.
+    `taken` are the names of other areas. If the name is among them, the address is added to it.
     """
     rights = {one.area.access for one in run}
     access = rights.pop() if len(rights) == 1 else Access.READ_WRITE

@@ -1,6 +1,7 @@
-"""Makes a profile of points whose addresses are known: areas and functions follow from them."""
+"""Makes a profile from points whose addresses are known; derives its areas and functions."""
 
-# An area goes on over a hole of fewer than MAX_HOLE addresses, as in a profile of a register list.
+# If fewer than MAX_HOLE addresses lie between two points, one area includes both points and these
+# addresses. The import of register lists does the same.
 
 from __future__ import annotations
 
@@ -30,7 +31,7 @@ _TABLES = list(Table)
 
 @dataclass(frozen=True, slots=True)
 class PlacedPoint:
-    """A point, and what a master may do with it."""
+    """A point, and the access that a master has to it (read, write or both)."""
 
     point: Point
     access: Access
@@ -38,7 +39,7 @@ class PlacedPoint:
 
 @dataclass(frozen=True, slots=True)
 class ImportedDevice:
-    """What a file of another program says of a device."""
+    """A device as a file of another program describes it."""
 
     name: str
     title: str
@@ -47,14 +48,16 @@ class ImportedDevice:
     remarks: Sequence[str]
     vendor: str = "unknown"
     span: range | None = None
-    """The holding registers that the device has, points or not; None for those of its points."""
+    """Addresses of all holding registers of the device. None if it has only the registers of its
+    points."""
     finding_prefix: str | None = None
 
 
 def assemble(device: ImportedDevice, file: str) -> ImportedList:
-    """Make the profile, and its text with the remarks at the top.
+    """Make the profile, and its TOML text with the remarks in a comment at the top.
 
-    Points that overlap an earlier one are left out. Raises UsageError if there is no point.
+    Of points that overlap, only the one with the lowest address is used. Raises UsageError if
+    there is no point. `file` is the name of the file that was read, for messages.
     """
     remarks = list(device.remarks)
     points = _apart(device.points, remarks)
@@ -86,7 +89,10 @@ def assemble(device: ImportedDevice, file: str) -> ImportedList:
 
 
 def _apart(points: Sequence[PlacedPoint], remarks: list[str]) -> list[PlacedPoint]:
-    """The points in order, without those that overlap others, each with a name of its own."""
+    """Sort the points by table and address, leave out overlapping ones, and make names unique.
+
+    Adds a sentence to `remarks` for each point that is left out.
+    """
     kept: list[PlacedPoint] = []
     names: set[str] = set()
     ends: dict[Table, int] = {}

@@ -1,11 +1,12 @@
 """Reads the rows below the headings of a register list."""
 
-# A row with an address is a value. Of rows without one
+# A row with an address is a value. A row without an address is one of these:
 #
-# - a heading that names a table ("Input registers", "Eingangsregister (FC 04)") gives this table to
-#   the rows below that name none,
-# - `Bit 3: Alarm` and `1 = Auto` belong to the row above,
-# - any other row is text, and is left out.
+# - a heading that names a table ("Input registers", "Eingangsregister (FC 04)"): the rows below it
+#   that name no table are in this table
+# - a bit or value with its meaning, such as `Bit 3: Alarm` or `1 = Auto`: it belongs to the row
+#   above
+# - any other text, which is left out
 
 from __future__ import annotations
 
@@ -27,14 +28,14 @@ if TYPE_CHECKING:
     from mbtool.devices.importing.report import ImportReport
 
 _MAX_SECTION = 80
-"""The most characters of a heading between the rows. A longer text is no heading."""
+"""A heading between the rows has at most so many characters. A longer text is no heading."""
 
 _TOO_LONG = "stands behind the last heading; a delimiter within a cell needs quotes around it"
 _ADDRESS_WANTED = "is no address, as 40001, 4x0001, 12, 0x0102, 0102H and HR12 are"
 
 
 def tell_columns(sheet: Sheet, report: ImportReport) -> None:
-    """Report the row of headings, the guessed meanings of columns, and the unused columns."""
+    """Tell the user the row of headings, the guessed meanings of columns, and unused columns."""
     if any(cell.strip() for row in sheet.rows[: sheet.heading_row] for cell in row):
         row = sheet.heading_row + 1
         report.tell(f"row {row} is taken for the headings, and the rows above it are left out")
@@ -63,11 +64,13 @@ class BodyReader:
         self._section: TableCell | None = None
         self._rows: list[ListRow] = []
         self._follows_row = False
-        """True if the row above is the last one in `_rows`, or adds bits or texts to it."""
+        """True if the row above the next one was added to `_rows`, or added bits or texts to the
+        last row there."""
 
     def read(self) -> list[ListRow]:
-        """Return the rows that have an address. A row that cannot be read is a problem in the
-        report.
+        """Return the rows that have an address.
+
+        A row that cannot be read is left out, and becomes a problem in the report.
         """
         column = self._sheet.addresses
         cells = [column.of(row) for row in self._sheet.body]
@@ -77,7 +80,7 @@ class BodyReader:
         ):
             if any(not is_nothing(cell) for cell in row):
                 self._follows_row = self._read(number, row, address)
-        # Rows with a problem are left out here, so that no mistake is reported twice.
+        # Leave out the rows with a problem, so that merge_bits() does not report them again.
         good = [row for row in self._rows if row.row not in self._report.bad_rows]
         return merge_bits(good, self._report)
 
@@ -133,8 +136,8 @@ class BodyReader:
 def _section(texts: Sequence[str], cell: str, *, is_address: bool) -> TableCell | None:
     """The table that a row names as a heading for the rows below it; None if it is no such heading.
 
-    `texts` are all cells of the row with text; `cell` is the cell in the address column. Function
-    codes may stand in a second cell.
+    `texts` are all cells of the row that have text; `cell` is the cell in the address column. A
+    heading has one such cell, or a second one with function codes.
     """
     distinct = list(dict.fromkeys(texts))
     text = " ".join(distinct)

@@ -1,7 +1,8 @@
 """Reads the cells of a register list: numbers, factors, rights, tables, texts and ranges."""
 
-# Each function reads one cell, or returns None if it holds nothing of that kind. The functions
-# know the usual spellings in English, most of those in German and French, and decimal commas.
+# Each function reads the text of one cell as one kind of value, and returns None if the text is no
+# such value. It knows the usual spellings in English, most of those in German and French, and
+# decimal commas.
 
 from __future__ import annotations
 
@@ -51,8 +52,8 @@ class Factor:
 
     number: float
     divides: bool | None = None
-    """True if the factor divides the register's number, False if it multiplies it, None if the cell
-    does not say which."""
+    """True if the factor divides the number in the register, False if it multiplies it, None if
+    the cell does not say which."""
 
 
 _TEN_TO = re.compile(r"10\s*(?:\^|\*\*|[eE])\s*(?P<power>[+-]?\d{1,2})")
@@ -76,7 +77,10 @@ def parse_factor(text: str) -> Factor | None:
 
 
 def parse_unit(text: str) -> tuple[float | None, str | None]:
-    """Read a unit. Returns the factor before it, 0.1 in `0.1 V`, and the unit; None if missing."""
+    """Read a unit of measure. Returns the factor before it, 0.1 in `0.1 V`, and the unit itself.
+
+    Each of the two is None if it is missing.
+    """
     text = " ".join(text.split())
     if is_nothing(text):
         return None, None
@@ -96,7 +100,7 @@ _ACCESS = {
 
 
 def parse_access(text: str) -> Access | None:
-    """Read what a master may do: `R`, `RO`, `R/W`, `read/write`, `W`, `read only`, `lesen`.
+    """Read the access that a master has: `R`, `RO`, `R/W`, `read/write`, `W`, `lesen`.
 
     Returns None if the text is something else.
     """
@@ -138,7 +142,7 @@ class TableCell:
     table: Table | None
     """The table; None if the function codes belong to several tables, or to none of the four."""
     functions: tuple[int, ...] = ()
-    """Empty if the cell names no function code, or a code that belongs to no table."""
+    """The function codes in the cell. Empty if it has none, or one that belongs to no table."""
 
 
 def parse_table(text: str) -> TableCell | None:
@@ -162,7 +166,8 @@ def _table_of(codes: list[str]) -> TableCell:
         else int(code)
         for code in codes
     ]
-    # A code 10 is taken as 10H, which writes registers: decimal 10 (0AH) is no such function.
+    # Take the code 10 as 10H, which writes registers, because decimal 10 (0AH) is no function that
+    # reads or writes a table.
     numbers = [16 if number == 10 else number for number in numbers]
     known = {FUNCTIONS[number].table if number in FUNCTIONS else None for number in numbers}
     functions = () if None in known else tuple(dict.fromkeys(numbers))
@@ -192,14 +197,16 @@ def parse_bits(text: str) -> dict[int, str] | None:
 
 
 def _parse_pairs(text: str, number: str, next_one: str) -> dict[int, str] | None:
-    """Read pairs of a number and a text; None if the text is something else.
+    """Read pairs of a number and a text, such as `0=off, 1=on`; None if the text is no such list.
 
-    Two pairs are separated by a separator, or the second begins where the pattern `next_one` fits.
+    `number` is the pattern of the number. Pairs are separated by a line end or one of `;|,`, or the
+    pattern `next_one` finds the beginning of each further pair.
     """
     pair = re.compile(rf"\s*{number}{_IS}\s*", re.IGNORECASE)
     splits = [text.split(sign) for sign in ("\n", ";", "|", ",")]
     splits.append(re.split(rf"\s+(?={next_one})", text))
-    # A text may contain a separator, such as a comma. Try first the one that gives most parts.
+    # A pair's text may itself contain a comma or another separator. Try the separators in the
+    # order of how many parts they give, the most first.
     for parts in sorted(splits, key=len, reverse=True):
         pairs = [pair.fullmatch(part.rstrip(" ,;|")) for part in parts if part.strip()]
         found = {_whole(one["number"]): one["text"] for one in pairs if one is not None}

@@ -1,9 +1,9 @@
-"""Finds the columns of a register list: its delimiter, its row of headings, what each means."""
+"""Finds the delimiter, the row of headings and the meanings of the columns of a register list."""
 
 # The row of headings is the one, among the first MAX_PREAMBLE rows, with the most headings that the
-# user names; if several are equal, the one with the most known headings. A heading is known as a
-# whole, or by its last words: a "register description" is a description. Headings are English,
-# German or French.
+# user names; if several are equal, the one with the most headings that this module knows. It knows
+# a heading as a whole, or by its last words: a "register description" is a description. Headings
+# are English, German or French.
 #
 # Several columns may have names or descriptions. For any other meaning, only the first column is
 # used. If the user names a column for a meaning, only this column is used.
@@ -54,7 +54,7 @@ SYNONYMS = {
     "function": Meaning.TABLE, "max": Meaning.MAXIMUM, "min": Meaning.MINIMUM,
     "order": Meaning.WORD_ORDER, "quantity": Meaning.LENGTH, "values": Meaning.TEXTS,
 }  # fmt: skip
-"""Other words for meanings that the user may write in --column."""
+"""Other words that the user may write for a column's meaning in the option --column."""
 
 _HEADINGS = {
     Meaning.ADDRESS: "address, addr, adr, adresse, register, registers, reg, registre, reference, "
@@ -108,17 +108,17 @@ _FILLER = frozenset(
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """A column of the list."""
+    """A column of a register list whose meaning is known."""
 
     index: int
     heading: str
     meaning: Meaning
     is_named: bool = False
-    """True if the user says what the column holds, so that it is not guessed."""
+    """True if the user says what the column contains; False if its heading tells it."""
 
     @property
     def hint(self) -> str:
-        """The heading in lower case, without accents, single spaces between its words."""
+        """The heading in lower case, without accents and marks, for a search for words in it."""
         return fold(self.heading)
 
     def of(self, row: Sequence[str]) -> str:
@@ -157,10 +157,10 @@ class Sheet:
 
 
 def find_sheet(text: str, file: str, named: Mapping[Meaning, str] | None = None) -> Sheet:
-    """Split a text into cells and find its columns; `named` are the headings that the user names.
+    """Split the text of a CSV file into cells and find its columns.
 
-    Raises UsageError if the text is no CSV, or has no column of addresses or several, or lacks a
-    column that the user names.
+    `named` are the headings that the user names, by meaning. Raises UsageError if the text is no
+    CSV, has no column of addresses or several, or lacks a column that the user names.
     """
     named = named or {}
     problems: list[str] = []
@@ -174,8 +174,8 @@ def find_sheet(text: str, file: str, named: Mapping[Meaning, str] | None = None)
             continue
         first = rows[:MAX_PREAMBLE]
         sheets += [Sheet(rows, at, _columns(row, named)) for at, row in enumerate(first) if row]
-    # If several delimiters are equally likely, max() takes the first. The semicolon is before the
-    # comma, because it is less often part of a text.
+    # If several delimiters are equally likely, max() takes the first. DELIMITERS has the semicolon
+    # before the comma, because a comma is more often part of a cell's text.
     best = max(sheets, key=_likeness, default=None)
     if problems and (best is None or best.column(Meaning.ADDRESS) is None):
         raise UsageError(f"{problems[0]}; a quote that opens a cell must close it")
@@ -186,7 +186,11 @@ def find_sheet(text: str, file: str, named: Mapping[Meaning, str] | None = None)
 
 
 def _likeness(sheet: Sheet) -> tuple[int, int, bool, int]:
-    """A measure of how much the row of headings looks like one; more is greater."""
+    """A measure of how likely a row is the row of headings; the greatest is the most likely.
+
+    It has the number of headings that the user names, the number of known headings, True if one is
+    of addresses, and the number of cells.
+    """
     named = sum(column.is_named for column in sheet.columns)
     has_address = sheet.column(Meaning.ADDRESS) is not None
     return named, len(sheet.columns), has_address, len(sheet.headings)
@@ -232,7 +236,7 @@ def _columns(row: Sequence[str], named: Mapping[Meaning, str]) -> tuple[Column, 
 
 
 def meaning_of(heading: str) -> Meaning | None:
-    """The meaning of a column with this heading; None if the heading is not known."""
+    """The meaning of a column with this heading, such as `unit`; None if it is not known."""
     plain = fold(heading)
     if not plain or len(plain) > 60 or _OF_THE_SLAVE.search(plain):
         return None
@@ -249,7 +253,10 @@ def meaning_of(heading: str) -> Meaning | None:
 
 
 def fold(text: str) -> str:
-    """A text in lower case, without accents and marks, so that spellings can be compared."""
+    """A text in lower case, without accents and marks and with single spaces.
+
+    This allows a comparison of different spellings.
+    """
     lowered = text.lower().translate(str.maketrans("äöüéèêà", "aoueeea")).replace("ß", "ss")
     return " ".join(re.sub(r"[^a-z0-9/]+", " ", lowered).split())
 

@@ -1,14 +1,14 @@
-"""Makes a profile of the `modbus:` part of a configuration of Home Assistant."""
+"""Makes a profile from the `modbus:` part of a configuration of Home Assistant."""
 
-# What is taken (Home Assistant, integration Modbus):
+# These entries become points (Home Assistant, integration Modbus):
 #
 #     sensors                  registers with type, scale, offset, precision, unit, swap, count
-#     binary_sensors           a coil or discrete input; of a register, the register
-#     switches, lights, fans   what they write: a coil or a holding register
-#     climates                 the measured temperature, and the register of the set one
+#     binary_sensors           a coil or a discrete input; the whole register if it reads one
+#     switches, lights, fans   the coil or holding register that they write
+#     climates                 the measured temperature, and the register of the wanted temperature
 #
-# Everything else is left out and told: covers, sensors of a type `custom`, and types of 8 bits. The
-# file is YAML; tags such as !secret are texts.
+# Everything else is left out, and the user is told so: covers, sensors of a type `custom`, and
+# types of 8 bits. The file is YAML; tags such as !secret are read as text.
 #
 # Limits: MAX_VALUES values.
 
@@ -60,10 +60,11 @@ _UNIT_KEYS = ("slave", "device_address")
 def import_home_assistant(
     data: bytes, file: str, name: str, *, unit: int | None = None
 ) -> ImportedList:
-    """Make the profile of a device.
+    """Make the profile of one device from a configuration of Home Assistant.
 
-    `unit` chooses among several devices of the file. Raises UsageError if the file is no such
-    configuration, or has several devices and `unit` is None.
+    `data` is the content of the file, `file` its name, `name` that of the profile. `unit` chooses
+    among several devices of the file. Raises UsageError if the file is no such configuration, or
+    has several devices and `unit` is None.
     """
     entries = _entries(_hubs(_parsed(data, file), file), file)
     units = sorted({one.unit for one in entries})
@@ -88,7 +89,7 @@ def import_home_assistant(
 
 @dataclass(frozen=True, slots=True)
 class _HubEntry:
-    """An entity of a hub."""
+    """An entity (such as a sensor) of a hub, which is Home Assistant's word for a connection."""
 
     platform: str
     unit: int
@@ -111,7 +112,7 @@ def _parsed(data: bytes, file: str) -> Any:
 
 
 def _hubs(parsed: Any, file: str) -> list[dict[str, Any]]:
-    """The hubs, in a whole configuration or in the part for Modbus alone."""
+    """The hubs (connections) in a whole configuration, or in its part below `modbus:` alone."""
     hubs = parsed.get("modbus", parsed) if isinstance(parsed, dict) else parsed
     if isinstance(hubs, dict):
         hubs = [hubs]
@@ -144,13 +145,13 @@ def _unit_of(values: dict[str, Any]) -> int:
 
 @dataclass(slots=True)
 class _EntityReader:
-    """Makes points of entries."""
+    """Makes points from the entries of a configuration."""
 
     points: list[PlacedPoint] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
 
     def read(self, entry: _HubEntry) -> None:
-        """Make the points of an entry; tell the reason if there is none."""
+        """Make the points of an entry. If it can have none, add the reason to `remarks`."""
         name = _text(entry.values.get("name")) or "unnamed"
         try:
             if entry.platform in _SWITCHED:
@@ -204,7 +205,7 @@ class _EntityReader:
             self.points.append(PlacedPoint(_replaced(point, fields), Access.READ_WRITE))
 
     def _add_series(self, point: Point, count: int) -> None:
-        """Add a point, or as many as there are side by side."""
+        """Add `count` points with consecutive addresses, of which `point` is the first."""
         if point.address + count * point.words > ADDRESSES:
             raise ValueError("leaves the addresses that there are")
         if len(self.points) + count > MAX_VALUES:
@@ -216,7 +217,10 @@ class _EntityReader:
 
 
 def _told(point: Point, values: dict[str, Any]) -> Point:
-    """The point with its scale, unit and order."""
+    """Return the point with the scale, unit, word order and byte order of its entry.
+
+    Raises ValueError if one of them is impossible.
+    """
     swap = str(values.get("swap", "none"))
     if swap not in _SWAPS:
         raise ValueError(f"has the swap {swap}")
@@ -260,7 +264,10 @@ def _whole(number: object, greatest: int = MAX_VALUES) -> int:
 
 
 def _no_value(told: object, allowed: range) -> int:
-    """The number for no value, which Home Assistant also takes in hexadecimal."""
+    """Read the number in the register that means that there is no value (`nan_value`).
+
+    It may be a number, or hexadecimal digits as text. Raises ValueError if it is not in `allowed`.
+    """
     number = told
     with suppress(ValueError):
         number = int(told, 16) if isinstance(told, str) else told
@@ -281,7 +288,10 @@ def _length(values: dict[str, Any]) -> int:
 
 
 def _text(value: object) -> str | None:
-    """A text on one line, without the braces that a profile's names give a meaning."""
+    """A text on one line, at most 200 characters; None if it is empty.
+
+    Parentheses replace braces, because a brace in a point's name begins a placeholder such as {n}.
+    """
     if value is None:
         return None
     text = "".join(one if one.isprintable() else " " for one in str(value))

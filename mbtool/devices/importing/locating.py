@@ -1,14 +1,15 @@
-"""Gives each row of a register list its table, its address on the wire and its notation."""
+"""Finds the table, the address on the wire and the notation of each row of a register list."""
 
-# The first source that names a table for a row wins:
+# The table of a row comes from the first of these sources that names one:
 #
 #     1  the row's number (4x0001, HR1, 40001)
 #     2  the row's table column, or the heading above the row
 #     3  the user (--table)
-#     4  otherwise an on/off value is a coil, or a discrete input if the list says that it can only
-#        be read; any other value is in holding registers
+#     4  if no source names one, an on/off value is a coil, or a discrete input if the list says
+#        that it can only be read; any other value is in holding registers
 #
-# If 1 names a table, and 2 (or 3, if 2 names none) names another table, the row has a problem.
+# If source 1 names a table, and source 2 (or 3, if 2 names none) names another one, the row is
+# reported as a problem.
 
 from __future__ import annotations
 
@@ -35,7 +36,8 @@ class LocatedRow(NamedTuple):
 
     row: ListRow
     area: Area
-    """An area that contains only the address of this row, and says how the list writes it."""
+    """An area that contains only the address of this row. Its prefix, base and other keys say how
+    the list writes the address."""
 
 
 def locate_rows(
@@ -43,7 +45,7 @@ def locate_rows(
 ) -> list[LocatedRow]:
     """Find the table and the address on the wire of each row. `column` is the column of addresses.
 
-    A row for which there is no table or address becomes a problem in the report.
+    A row whose table or address is impossible is left out, and becomes a problem in the report.
     """
     style = _style(rows, column, options, report)
     digits: dict[object, set[int]] = {}
@@ -99,7 +101,8 @@ def _said_table(row: ListRow, table: Table | None) -> Table | None:
 
 
 def _place(row: ListRow, style: AddressStyle, table: Table | None) -> tuple[Table | None, int]:
-    """The row's table, or None if nothing names one; and the number that means address 0.
+    """Return two things: the row's table (None if nothing names one), and the number that the list
+    writes for address 0.
 
     Raises ValueError if the address is not 0 to 65535, if two different tables are named, or if the
     row can be written but its table cannot.
@@ -128,9 +131,9 @@ def _functions(row: ListRow) -> tuple[int, ...]:
 
 
 def _usual_access(row: ListRow, table: Table) -> Access:
-    """The access (read, write) of a row that does not state it.
+    """The access (read, write or both) of a row that does not state it.
 
-    It follows from the functions that the row names, or else from the table.
+    It follows from the functions that the row names; if it names none, from the table.
     """
     functions = _functions(row)
     if not table.is_writable:

@@ -1,4 +1,4 @@
-"""The user's options for a register list: facts that need not be guessed then."""
+"""The user's options for the import of a register list: facts that the import need not guess."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class AddressStyle(StrEnum):
 
 
 class Scaling(StrEnum):
-    """The use of the factor in the list: to multiply or to divide the number in the register."""
+    """Tells if the factor in a list multiplies or divides the number in the register."""
 
     MULTIPLY = "multiply"
     DIVIDE = "divide"
@@ -35,18 +35,22 @@ class Scaling(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImportOptions:
-    """The user's options for a register list. A fact that is None is taken from the list."""
+    """The user's options for the import of a register list.
+
+    The import takes a fact that is None here from the list, or guesses it.
+    """
 
     columns: Mapping[Meaning, str] = field(default_factory=dict)
     """The headings of the columns that the user names, by meaning."""
     addresses: AddressStyle | None = None
     table: Table | None = None
-    """The table for rows for which the list names no table."""
+    """The table of the rows for which the list names none."""
     scaling: Scaling | None = None
     word_order: WordOrder | None = None
-    """The word order for values for which the list names none."""
+    """The word order of the values for which the list names none."""
     skip_bad: bool = False
-    """True to leave out unreadable rows; False to make no profile if a row is unreadable."""
+    """True to leave out unreadable rows. If it is False and a row is unreadable, no profile is
+    made."""
 
 
 def parse_columns(said: Sequence[str]) -> dict[Meaning, str]:

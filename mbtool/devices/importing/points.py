@@ -1,7 +1,7 @@
-"""Makes points from the rows of a register list whose addresses are known."""
+"""Makes points of a profile from the rows of a register list, whose addresses are known."""
 
 # If a row has more registers than one value of its type takes, it is a series of values. Two rows
-# at one address are a problem.
+# with the same address are reported as a problem.
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ _WORD_ORDERS = {WordOrder.HIGH_FIRST: "high word first", WordOrder.LOW_FIRST: "l
 
 @dataclass(frozen=True, slots=True)
 class RowPoint:
-    """A point, and the row that it came from."""
+    """A point, and the row of the register list from which it was made."""
 
     point: Point
     row: ListRow
     area: Area
-    """An area that contains only the first address of the point, and says how the list writes
-    it."""
+    """An area that contains only the first address of the point. Its prefix, base and other keys
+    say how the list writes the address."""
 
     @property
     def reference(self) -> str:
@@ -42,17 +42,17 @@ class RowPoint:
 
     @property
     def end(self) -> int:
-        """The first address after the point."""
+        """The first address after the point (after all values if it is a series)."""
         return self.point.address + self.point.words * self.point.count
 
 
 def make_points(
     rows: Sequence[LocatedRow], word_order: WordOrder | None, report: ImportReport
 ) -> list[RowPoint]:
-    """Make the points of the rows, in the order of their tables and addresses.
+    """Make the points of the rows, sorted by table and address.
 
-    `word_order` applies to values for which the list names no word order. A row that cannot be a
-    point becomes a problem in the report.
+    `word_order` applies to values for which the list names none. A row that cannot be a point is
+    left out, and becomes a problem in the report.
     """
     made: list[RowPoint] = []
     is_named = False
@@ -76,8 +76,9 @@ def make_points(
 
 
 def _point(row: ListRow, area: Area, word_order: WordOrder | None, report: ImportReport) -> Point:
-    """The point of a row. Raises ValueError if its type, number of registers, factor and table do
-    not fit one another.
+    """Make the point of a row.
+
+    Raises ValueError if the row's type, number of registers, factor and table do not fit together.
     """
     type_ = _type(row, area.table, report)
     kind = type_.type
@@ -116,9 +117,9 @@ def _point(row: ListRow, area: Area, word_order: WordOrder | None, report: Impor
 
 
 def _size(row: ListRow, area: Area, words: int) -> int:
-    """Number of addresses that a row takes; one value takes `words`.
+    """Number of addresses that a row takes; `words` is the number for one value of its type.
 
-    Raises ValueError if the number is no multiple of `words`, or goes beyond address 65535.
+    Raises ValueError if it is no multiple of `words`, or if the row ends beyond address 65535.
     """
     size = row.address.registers or (None if area.table.is_bits else row.registers) or words
     if size % words:
@@ -129,7 +130,7 @@ def _size(row: ListRow, area: Area, words: int) -> int:
 
 
 def _type(row: ListRow, table: Table, report: ImportReport) -> TypeSpelling:
-    """The row's type in `table`. Raises ValueError if the table cannot hold such values."""
+    """The type of a row's value. Raises ValueError if `table` cannot hold values of that type."""
     type_ = row.type
     if table.is_bits:
         if type_ is not None and not type_.is_switch:
@@ -163,7 +164,10 @@ def _string_words(row: ListRow, type_: TypeSpelling, report: ImportReport) -> in
 
 
 def _texts(row: ListRow, type_: TypeSpelling) -> tuple[dict[int, str], list[str]]:
-    """Return the texts that fit the type, and notes with the texts that do not."""
+    """Return the meanings of the value's numbers; none if the type cannot have all these numbers.
+
+    The second result has a note for each meaning that the point cannot have, such as that of a bit.
+    """
     kind, texts = type_.type, dict(row.texts)
     if type_.is_switch:
         texts = texts or {0: "off", 1: "on"}
@@ -179,10 +183,10 @@ def _texts(row: ListRow, type_: TypeSpelling) -> tuple[dict[int, str], list[str]
 
 
 def _limits(row: ListRow, kind: PointType, words: int) -> tuple[dict[str, float], list[str]]:
-    """Return the keys for the range and the default, or notes if they would be ambiguous.
+    """Return the keys `minimum`, `maximum` and `default` of a point, and notes in place of others.
 
-    The range and the default of a scaled value are ambiguous: a list does not say whether they are
-    before or after scaling.
+    If a value is scaled, the list does not say whether its range and default are before or after
+    scaling. Then they become notes.
     """
     is_plain = kind.is_number and (row.scale, row.offset) == (1, 0)
     said = {"minimum": row.minimum, "maximum": row.maximum, "default": row.default}
@@ -198,7 +202,10 @@ def _limits(row: ListRow, kind: PointType, words: int) -> tuple[dict[str, float]
 
 
 def _is_default(row: ListRow) -> bool:
-    """True if the row's default is a whole number from 0 to 7FFFH, and within the row's range."""
+    """True if the row's default can be one of a point.
+
+    It must be a whole number from 0 to 7FFFH, and within the row's range.
+    """
     default, low, high = row.default, row.minimum, row.maximum
     if default is None or default != int(default) or not 0 <= default <= 0x7FFF:
         return False
@@ -223,8 +230,9 @@ def _without_overlaps(made: Sequence[RowPoint], report: ImportReport) -> list[Ro
 
 
 def _with_unique_names(made: Sequence[RowPoint]) -> list[RowPoint]:
-    """Give every point a name of its own: a name that is taken gets the point's reference behind
-    it.
+    """Give every point a name of its own.
+
+    If another point has the name, the point's reference (such as HR12) is appended to it.
     """
     taken: set[str] = set()
     named = []

@@ -1,8 +1,8 @@
 """Makes a profile from a register list: a vendor's table of registers, saved as CSV."""
 
-# Facts that the user gives are not guessed. Each guess is reported in a remark; the remarks are
-# also in a comment at the top of the profile. All unreadable rows are reported together; then no
-# profile is made, unless the user lets such rows be left out.
+# The import guesses what neither the list nor the user states. A remark reports each guess; the
+# remarks are also in a comment at the top of the profile. All unreadable rows are reported
+# together. Then no profile is made, unless the user allows that such rows are left out.
 #
 # Limits: a file of at most MAX_BYTES bytes and MAX_ROWS rows.
 
@@ -36,7 +36,7 @@ MAX_ROWS = 20_000
 
 
 class BadRowsError(UsageError):
-    """Rows of a register list cannot be read; `lines` has a message for each of them."""
+    """Raised if rows of a register list cannot be read; `lines` has the messages about them."""
 
     def __init__(self, file: str, report: ImportReport) -> None:
         count = len(report.bad_rows)
@@ -49,13 +49,13 @@ class BadRowsError(UsageError):
 
 @dataclass(frozen=True, slots=True)
 class ImportedList:
-    """A profile made from a list."""
+    """A profile made from a register list, or from a file of another program."""
 
     profile: Profile
     text: str
     """The profile as the text of a TOML file."""
     remarks: tuple[str, ...]
-    """Sentences about each guess, and about everything that was left out."""
+    """Sentences for the user about each guess, and about everything that was left out."""
 
 
 def import_register_list(
@@ -63,8 +63,8 @@ def import_register_list(
 ) -> ImportedList:
     """Make a profile from a register list; `data` is the file's content, `file` its name.
 
-    Raises BadRowsError if rows cannot be read and the options do not skip them, and UsageError if
-    the file is no register list.
+    Without `name`, the profile is named after the file. Raises BadRowsError if rows cannot be read
+    and the options do not skip them, and UsageError if the file is no register list.
     """
     options, report = options or ImportOptions(), ImportReport()
     sheet = find_sheet(_decode(data, file, report), file, options.columns)
@@ -119,15 +119,16 @@ _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]")
 
 
 def _plain_text(text: str) -> str:
-    """Return a text with Python's line ends, and without control characters, which no profile may
-    have.
+    """Return a text with line feeds as line ends, and without other control characters.
+
+    No text of a profile may have control characters.
     """
     text = text.replace("\r\n", "\n").replace("\r", "\n")
     return text if text.isprintable() else _CONTROL.sub("", text)
 
 
 def _text(profile: Profile, remarks: Sequence[str]) -> str:
-    """The profile as the text of a TOML file, with the guesses in a comment at the top."""
+    """The profile as the text of a TOML file, with the remarks in a comment at the top."""
     return dump_profile(
         profile,
         {

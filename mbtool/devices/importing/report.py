@@ -8,14 +8,14 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
 MAX_PROBLEMS = 100
-"""The most problems that get a line of their own. One more line names the rows of all others."""
+"""At most so many problems get a line of their own. One more line names the rows of all others."""
 
 _SHOWN = 40
-"""The most characters of a cell that a problem shows."""
+"""A message about a problem shows at most so many characters of the cell."""
 
 
 class ImportReport:
-    """The remarks on one list, and the problems of its rows."""
+    """The remarks on one register list, and the problems of its rows, for the user."""
 
     def __init__(self) -> None:
         self._remarks: dict[str, list[int]] = {}
@@ -23,14 +23,16 @@ class ImportReport:
         self.bad_rows: set[int] = set()
 
     def tell(self, remark: str, row: int | None = None) -> None:
-        """Add a remark on the list, or on the row with a number. Equal remarks become one, with all
-        rows.
+        """Add a remark on the whole list, or on the row with the number `row`.
+
+        Equal remarks on several rows become one remark with the numbers of all these rows.
         """
         self._remarks.setdefault(remark, []).extend(() if row is None else (row,))
 
     def add_problem(self, row: int, heading: str | None, text: str, problem: str) -> None:
-        """Add a problem: what is wrong with the cell `text` of a row. The profile will lack that
-        row.
+        """Add a problem with a row, which the profile then lacks.
+
+        `problem` says what is wrong with the cell `text` in the column `heading`.
         """
         self.bad_rows.add(row)
         shown = " ".join(text.split())
@@ -44,7 +46,7 @@ class ImportReport:
 
     @property
     def problem_lines(self) -> list[str]:
-        """A line for each problem, in the order of the rows. Every row with a problem is named."""
+        """Lines about the problems, in the order of the rows; each row with a problem is named."""
         known = sorted(self._problems.items(), key=lambda one: min(one[1]))
         lines = [f"{_rows(rows)}{problem}" for problem, rows in known[:MAX_PROBLEMS]]
         others = set[int]().union(*(rows for _, rows in known[MAX_PROBLEMS:]))

@@ -1,8 +1,8 @@
 """Reads the rows of a register list: each value with its type, scale, unit and rights."""
 
-# Every cell that cannot be read is a problem of the row. The other cells of the row are still read,
-# so that all problems are reported together. Only one thing is decided for a whole column: whether
-# its factors multiply or divide.
+# A cell that cannot be read is reported as a problem of the row. The other cells of the row are
+# still read, so that all problems are reported together. One decision is made for a whole column:
+# its factors all multiply or all divide, unless a cell says otherwise.
 
 from __future__ import annotations
 
@@ -41,20 +41,20 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 MAX_NAME = 120
-"""The most characters of a name; longer names are cut."""
+"""A name has at most so many characters; longer names are cut."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ListRow:
-    """One row of the list."""
+    """One row of a register list, with the values of its cells."""
 
     row: int
     """The number of the row in the file; the first row is 1."""
     name: str
     address: AddressCell
     table: TableCell | None
-    """The table that the row's own cell names, or else the heading above the row; None if neither
-    does."""
+    """The table that the row's cell names; if it names none, the one that the heading above the
+    row names; None if neither names one."""
     type: TypeSpelling | None
     registers: int | None
     order: Order | None
@@ -85,8 +85,9 @@ class RowReader:
     def read(
         self, number: int, row: Sequence[str], address: AddressCell, section: TableCell | None
     ) -> ListRow:
-        """Read a row with the number `number` in the file; `section` is the table that the heading
-        above the row names.
+        """Read the row with the number `number` in the file.
+
+        `section` is the table that the heading above the row names; None if it names none.
         """
         self._number, self._row = number, row
         bit = self._number_of(Meaning.BIT)
@@ -131,19 +132,18 @@ class RowReader:
         return self.name(row).lower().strip("().- ") in _RESERVED
 
     def name(self, row: Sequence[str]) -> str:
-        # In a point's name, braces stand for a number that mbtool fills in, so parentheses replace
-        # them.
+        # Replace braces, because in a point's name they mark a number that mbtool fills in: {n}.
         name = next(iter(self._words(row)), "").replace("{", "(").replace("}", ")")
         return name[:MAX_NAME].strip()
 
     def _words(self, row: Sequence[str]) -> list[str]:
-        """The row's texts in columns of names, then those in columns of descriptions."""
+        """The row's texts in all columns of names, then those in all columns of descriptions."""
         columns = [*self._sheet.all(Meaning.NAME), *self._sheet.all(Meaning.DESCRIPTION)]
         texts = (" ".join(column.of(row).split()) for column in columns)
         return [text for text in texts if not is_nothing(text)]
 
     def _text(self, meaning: Meaning) -> str:
-        """The row's text in the column of a meaning; empty if there is none."""
+        """The text of the row's cell in the column with a meaning; empty if there is none."""
         column = self._sheet.column(meaning)
         text = column.of(self._row) if column is not None else ""
         return "" if is_nothing(text) else text
@@ -154,9 +154,9 @@ class RowReader:
         self._report.add_problem(self._number, heading, text, problem)
 
     def _read(self, meaning: Meaning, parse: Callable[[str], T | None], problem: str) -> T | None:
-        """Read the row's cell in the column of a meaning with `parse`; None if it is empty.
+        """Read the row's cell in the column with a meaning, using `parse`; None if it is empty.
 
-        A text for which `parse` returns None becomes a problem in the report.
+        If `parse` returns None, the cell is reported as a problem with the text `problem`.
         """
         text = self._text(meaning)
         value = parse(text) if text else None
@@ -181,7 +181,8 @@ class RowReader:
         column = self._sheet.column(Meaning.WORD_ORDER)
         if order is None or column is None or "word" not in column.hint:
             return order
-        return order[0], ByteOrder.HIGH_FIRST  # Here "little" is only about words, not bytes.
+        # In a column headed "word order", "little" is only about words, not about bytes.
+        return order[0], ByteOrder.HIGH_FIRST
 
     def _access(self) -> Access | None:
         column = self._sheet.column(Meaning.ACCESS)
@@ -192,10 +193,10 @@ class RowReader:
         return self._read(Meaning.ACCESS, parse_access, _ACCESS_WANTED)
 
     def _scaled(self, type_: TypeSpelling | None) -> tuple[float, int | None, str | None]:
-        """Return the scale, the number of decimals, and the unit.
+        """Return the scale, the number of decimals, and the unit of the row's value.
 
-        The scale is the product of the row's factors. If there are none, it is the factor in the
-        unit's cell; if there is none, it follows from the number of decimals.
+        The scale is the product of the row's factors. If the row has none, it is the factor in the
+        cell of the unit. If that has none, it follows from the number of decimals.
         """
         unit_factor, unit = parse_unit(self._text(Meaning.UNIT))
         places = self._number_of(Meaning.DECIMALS)
@@ -216,7 +217,7 @@ class RowReader:
         text = self._text(meaning)
         if text in self._names and parse_factor(text) is None:
             self._report.tell("scaled by another register, kept as a note", self._number)
-            return 1.0  # In SunSpec, another register holds the power of ten.
+            return 1.0  # The cell names a register that holds a power of ten, as in SunSpec.
         factor = self._read(meaning, parse_factor, _SCALE_WANTED)
         if factor is None:
             return None
@@ -225,10 +226,10 @@ class RowReader:
         return 1 / factor.number if divides else float(factor.number)
 
     def _values(self) -> tuple[dict[int, str], dict[int, str], str | None]:
-        """Return the texts of numbers, the names of bits, and the cell that lists them.
+        """Return the meanings by number, the names by bit, and the text of the cell with them.
 
-        A range or a description may list them, too, but one number alone does not count there: it
-        may be prose.
+        They may be in a column of values, of ranges or of descriptions. In the last two, a single
+        number with a text does not count, because it may be prose.
         """
         for meaning in (Meaning.TEXTS, Meaning.RANGE, Meaning.DESCRIPTION):
             for text in (column.of(self._row) for column in self._sheet.all(meaning)):
@@ -242,7 +243,10 @@ class RowReader:
         return {}, {}, None
 
     def _notes(self, used: str | None) -> list[str]:
-        """The row's texts to keep as notes: all but the name and the list of values in `used`."""
+        """The row's texts to keep as notes of the point.
+
+        They are all texts except the name and `used`, the text that lists the meanings of numbers.
+        """
         notes = [
             text for text in self._words(self._row) if text not in (self.name(self._row), used)
         ]
@@ -260,7 +264,7 @@ class RowReader:
         return [*notes, *prose]
 
     def _factors_divide(self, scaling: Scaling | None) -> bool:
-        """True if a factor without a mark such as x or / divides the register's number."""
+        """True if a factor without a mark such as x or / divides the number in the register."""
         column = self._sheet.column(Meaning.SCALE)
         if scaling is not None or column is None:
             return scaling is Scaling.DIVIDE
@@ -284,7 +288,8 @@ class RowReader:
 def merge_bits(rows: Sequence[ListRow], report: ImportReport) -> list[ListRow]:
     """Merge all rows that name bits of one register into one row.
 
-    The result is the row of the whole register, if the list has one, else a new row without a name.
+    If the list has a row of the whole register, the bits are added to that row; otherwise to a new
+    row without a name.
     """
     merged = [row for row in rows if row.address.bit is None]
     places = {_register(row): at for at, row in enumerate(merged)}
@@ -326,7 +331,8 @@ _THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}")
 """Matches a number whose comma may be a decimal comma or a thousands separator: 1,000."""
 
 _UNITS_OF_LENGTH = {Meaning.LENGTH: 1, Meaning.LENGTH_IN_BYTES: 2, Meaning.LENGTH_IN_BITS: 16}
-"""Number of units of a length column in one register: 1 register, 2 bytes or 16 bits."""
+"""For each kind of length column, how many of its units make one register: 1 register, 2 bytes or
+16 bits."""
 
 _PROSE: tuple[tuple[Meaning, Callable[[str], object], str], ...] = (
     (Meaning.TEXTS, lambda _: None, ""),
@@ -335,8 +341,8 @@ _PROSE: tuple[tuple[Meaning, Callable[[str], object], str], ...] = (
     (Meaning.MAXIMUM, parse_number, "maximum: "),
     (Meaning.DEFAULT, parse_number, "default: "),
 )
-"""Columns whose cells may hold prose instead of a value: the meaning, the function that reads a
-value, and the word to write before the prose in a note."""
+"""Columns whose cells may contain prose in place of a value. Each has its meaning, the function
+that reads a value, and the word to write before the prose in a note."""
 
 _MULTIPLIERS = ("multipl", "factor", "faktor", "facteur", "resolution", "coefficient", "lsb",
                 "accuracy", "precision", "step", "auflosung", "conversion")  # fmt: skip

@@ -1,8 +1,9 @@
-"""Reads the spellings that register lists have for types, and for the order of words and bytes."""
+"""Reads types and word and byte orders as register lists spell them."""
 
 # A type may be followed by its word and byte order (`FLOAT32 CDAB`, `32BIT_UINT_3412`, `UINT32 (low
-# word first)`) or its length (`STRING[16]`). If only a family of types is named (`INT`, `float`),
-# the number of registers decides. The whole word must be known: `FLOTE` is an error, not a float.
+# word first)`) or its length (`STRING[16]`). If a cell names only a family of types (`INT`,
+# `float`), the number of registers decides. The whole word must be a known one: `FLOTE` is an
+# error, not a float.
 
 from __future__ import annotations
 
@@ -27,11 +28,12 @@ class TypeSpelling:
     order: Order | None = None
     """The word and byte order; None if the cell names none."""
     length: int | None = None
-    """The length of a string, as the cell gives it; None if it gives none."""
+    """The length of a string in the cell, in registers or characters; None if it has none."""
     length_is_registers: bool = False
-    """True if `length` counts registers, False if it counts characters, two in a register."""
+    """True if `length` counts registers. False if it counts characters, two of which are in a
+    register."""
     is_switch: bool = False
-    """True if the value is only off or on, in a table of bits or in a register of its own."""
+    """True if the value is only off or on, as a coil, a discrete input or a whole register."""
     is_bits: bool = False
     """True if the value is a set of bits, each with its own meaning."""
 
@@ -44,9 +46,9 @@ _LETTERS = {
     "ab": HIGH_LOW, "ba": HIGH_SWAPPED,
 }  # fmt: skip
 
-# In the programs that most people use to read registers, "little endian byte swap" means CDAB and
-# "big endian byte swap" means BADC. A swap of words or bytes without an endianness is taken from
-# big endian.
+# Phrases for word and byte orders. In the programs that most people use to read registers, "little
+# endian byte swap" means CDAB and "big endian byte swap" means BADC. A phrase that names a swap but
+# no endianness means a swap of big endian.
 _PHRASES = (
     (r"little ?endian byte ?swap(?:ped)?|mid(?:dle)? ?little ?endian", LOW_HIGH),
     (r"little ?endian word ?swap(?:ped)?|(?:big ?endian )?byte ?swap(?:ped)?", HIGH_SWAPPED),
@@ -103,7 +105,10 @@ _NAMES = {
 
 
 def parse_order(text: str) -> Order | None:
-    """The order that a cell names: `CDAB`, `big-endian word swap`, `LSW first`; None if none."""
+    """Read a word and byte order: `CDAB`, `big-endian word swap`, `LSW first`.
+
+    Returns None if the text names no order.
+    """
     words = re.findall(r"[a-z0-9&]+", text.lower())
     if (letters := "".join(words)) in _LETTERS:
         return _LETTERS[letters]
@@ -112,9 +117,9 @@ def parse_order(text: str) -> Order | None:
 
 
 def parse_type(text: str, registers: int | None = None) -> TypeSpelling | None:
-    """Read a type; None if it is not known.
+    """Read the type of a value, such as `FLOAT32 CDAB`; None if it is not known.
 
-    `registers` is how many registers the list gives to the value, or None.
+    `registers` is the number of registers that the list states for the value; None if it does not.
     """
     words = re.findall(r"[a-z0-9]+", text.lower())
     orders = (parse_order(" ".join(words[at:])) for at in range(1, len(words)))
@@ -133,9 +138,10 @@ def parse_type(text: str, registers: int | None = None) -> TypeSpelling | None:
 
 
 def _number(name: str, bits: int | None, order: Order | None) -> TypeSpelling | None:
-    """Read the name of a number, which may say its bits: `uint32`, `32bitfloat`, `dword`.
+    """Read the name of a numeric type: `uint32`, `32bitfloat`, `dword`.
 
-    Returns None if the name is not known. `bits` follows from the number of registers.
+    `bits` is the size of the value if the number of registers is known; it decides if the name
+    implies no size. Returns None if the name is not known.
     """
     numbers = set(re.findall(r"\d+", name))
     letters = re.sub(r"\d+(?:bits?)?", "", name)
@@ -151,9 +157,10 @@ def _number(name: str, bits: int | None, order: Order | None) -> TypeSpelling | 
 
 
 def _family(letters: str, *, has_bits: bool) -> tuple[dict[int, PointType], int | None]:
-    """The types of a family by their number of bits, and the usual number of bits, or None.
+    """Return the types of a family (such as all signed integers) by their number of bits.
 
-    There are no types if the name is not known.
+    The second result is the usual number of bits of this name; None if it has none. If the name is
+    not known, there are no types. `has_bits` is True if a number of bits stands beside the letters.
     """
     if letters in _NAMES:
         return _NAMES[letters]

@@ -1,8 +1,9 @@
-"""Makes a profile of SunSpec models in JSON, as github.com/sunspec/models has them."""
+"""Makes a profile from SunSpec models in JSON, as github.com/sunspec/models has them."""
 
-# The register map of a device begins with the two registers of the text "SunS", at 40000, 0 or
-# 50000; the models follow one another. Where each begins and how long it is, a device says itself
-# (devices/sunspec_map.py); without that, each is as long as its file says.
+# The register map of a SunSpec device begins with the text "SunS" in two registers, at 40000, 0 or
+# 50000. The device's models (tables of registers) follow one another. The registers of the device
+# tell the number and length of each model (devices/sunspec_map.py). If the device was not read,
+# each model is taken to be as long as its file says.
 
 from __future__ import annotations
 
@@ -24,17 +25,18 @@ if TYPE_CHECKING:
 
 BASE = 40000
 _END_WORDS = 2
-"""The registers FFFFH and 0 that end the map."""
+"""Number of registers that end the map of a device: one with FFFFH and one with 0."""
 MAX_REPEAT = 1000
 
 
 def import_sunspec(
     files: Sequence[tuple[str, bytes]], name: str, *, base: int = BASE, repeat: int = 1
 ) -> ImportedList:
-    """Make the profile of a device with these models, one behind the other from `base` on.
+    """Make the profile of a device with these SunSpec models, one after the other.
 
-    `files` are names and contents. `repeat` is how often groups are there whose number the device
-    tells. Raises UsageError if a file is no model, or if the models need too many addresses.
+    `files` are the names and contents of the models' files. `base` is the address of the text
+    "SunS". `repeat` says how often a group of points occurs if only the device knows it. Raises
+    UsageError if a file is no model, or if the models need too many addresses.
     """
     models = [read_model(file, data) for file, data in files]
     layout = ModelLayout(base)
@@ -49,10 +51,11 @@ def import_sunspec(
 def import_sunspec_map(
     found: SunSpecMap, files: Sequence[tuple[str, bytes] | None], name: str
 ) -> ImportedList:
-    """Make the profile of a device that was asked for its models.
+    """Make the profile of a device whose SunSpec models were read from its registers.
 
-    `files` are the name and content for each model of the device; None for a model that is not
-    known. Raises UsageError as `import_sunspec` does, and if no model is known.
+    `files` has the name and content of the file of each model of the device, or None for a model
+    without a file. Raises UsageError if a file is no model, if the models need too many addresses,
+    or if no model has a file.
     """
     known = [(each, *file) for each, file in zip(found.models, files, strict=True) if file]
     if not known:
@@ -74,7 +77,7 @@ def import_sunspec_map(
 
 
 def read_model(file: str, data: bytes) -> SunModel:
-    """Read a model. Raises UsageError if it is none."""
+    """Read the JSON file of a SunSpec model. Raises UsageError if it is no such file."""
     try:
         return msgspec.json.decode(data, type=SunModel)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
@@ -110,7 +113,10 @@ def _titles(models: Sequence[SunModel]) -> str:
 
 
 def _prefixes(models: Sequence[SunModel]) -> list[str]:
-    """What the names of each model's points begin with; of equal models the later have a number."""
+    """For each model, the beginning of the names of its points: `inverter.`, `inverter[2].`.
+
+    A single model has an empty one.
+    """
     if len(models) == 1:
         return [""]
     counts: Counter[str] = Counter()
@@ -123,7 +129,10 @@ def _prefixes(models: Sequence[SunModel]) -> list[str]:
 
 
 def _repeat(file: str, model: SunModel, place: FoundModel) -> int:
-    """How often the groups are there whose number the device tells, by the model's length."""
+    """Compute how often the repeating groups of a model occur in a device.
+
+    It follows from the length of the model that the device tells (`place.words`).
+    """
     once, none = words_of(file, model, 1), words_of(file, model, 0)
     if once <= none:
         return 1

@@ -1,7 +1,7 @@
 """Places the points of SunSpec models at their addresses."""
 
-# A model is a group of points; groups may hold groups, and a group may repeat as often as a point
-# of the device tells, or as its length allows.
+# A model is a group of points. Groups may contain groups. A group may repeat; a point of the
+# device, or the length of the model, tells how often. SunSpec's types become these types of points:
 #
 #     int16 .. float64, string, enum16, enum32, bitfield16   as they are
 #     count, acc16, acc32, acc64, bitfield32, bitfield64,
@@ -10,8 +10,8 @@
 #     pad                                                    no point
 #     ipv6addr                                               left out
 #
-# The number for no value is that of the SunSpec Device Information Model Specification. Those of 64
-# bits without sign are too large for TOML.
+# For most types, the SunSpec Device Information Model Specification defines a number that means "no
+# value". Those of unsigned 64-bit types are left out, because they are too large for TOML.
 
 from __future__ import annotations
 
@@ -50,14 +50,14 @@ NO_VALUES = {
     "uint16": 0xFFFF, "enum16": 0xFFFF, "bitfield16": 0xFFFF,
     "uint32": 0xFFFF_FFFF, "enum32": 0xFFFF_FFFF, "bitfield32": 0xFFFF_FFFF,
 }  # fmt: skip
-"""The number that means no value, by SunSpec's type."""
+"""For each SunSpec type, the number in the registers that means "no value"."""
 _PAD = "pad"
 _SCALE_FACTOR = "sunssf"
 _WORD_BITS = range(16)
 
 
 class SunSymbol(msgspec.Struct, frozen=True):
-    """A value of an enumeration, or a bit, and its name."""
+    """The name of one value of an enumeration, or of one bit, in a SunSpec model."""
 
     name: str
     value: int
@@ -65,7 +65,7 @@ class SunSymbol(msgspec.Struct, frozen=True):
 
 
 class SunPoint(msgspec.Struct, frozen=True):
-    """A point of a model."""
+    """A point of a SunSpec model, with the keys of its JSON file."""
 
     name: str
     type: str
@@ -81,7 +81,7 @@ class SunPoint(msgspec.Struct, frozen=True):
 
 
 class SunGroup(msgspec.Struct, frozen=True):
-    """A group of points, and of further groups behind them."""
+    """A group of points in a SunSpec model, which may contain further groups after the points."""
 
     name: str
     count: int | str | None = None
@@ -91,14 +91,16 @@ class SunGroup(msgspec.Struct, frozen=True):
 
 
 class SunModel(msgspec.Struct, frozen=True):
-    """A model: its number and its outermost group."""
+    """A SunSpec model: its number and its outermost group of points."""
 
     id: int
     group: SunGroup
 
 
 def words_of(file: str, model: SunModel, repeat: int) -> int:
-    """How many registers a model has, if the groups whose number the device tells are `repeat`."""
+    """Number of registers of a SunSpec model, with `repeat` copies of each group whose count only
+    the device knows.
+    """
     layout = ModelLayout(0)
     begin = layout.at
     layout.add_model(file, model, "", repeat)
@@ -107,28 +109,31 @@ def words_of(file: str, model: SunModel, repeat: int) -> int:
 
 @dataclass(slots=True)
 class _Unscaled:
-    """A point whose scale factor is looked for when its model is complete."""
+    """A point that needs a scale factor from another point, which may come later in the model."""
 
     index: int
     factor: str
     scopes: tuple[str, ...]
-    """What the names in the groups around the point begin with; its own group is the last."""
+    """For each group around the point, the prefix of the names in it; the innermost is last."""
 
 
 @dataclass(slots=True)
 class ModelLayout:
-    """Places models one behind the other, behind the mark at `base`."""
+    """Gives the points of SunSpec models their addresses, one model after the other.
+
+    The map begins with the text "SunS" at the address `base`.
+    """
 
     base: int
     at: int = 0
-    """The next address."""
+    """The address of the next point."""
     points: list[PlacedPoint] = field(default_factory=list)
     _told: dict[str, list[str]] = field(default_factory=dict)
     _unscaled: list[_Unscaled] = field(default_factory=list)
     _factors: set[str] = field(default_factory=set)
-    """The names of the scale factors of the model that is being placed."""
+    """The names of the scale factors in the current model."""
     _end: int = ADDRESSES
-    """Where the model that is being placed ends at the latest."""
+    """The first address after the current model, if the device tells its length; else 65536."""
 
     def __post_init__(self) -> None:
         mark = Point(
@@ -142,15 +147,17 @@ class ModelLayout:
         self.at = self.base + 2
 
     def begin(self, address: int) -> None:
-        """Place the next model at an address."""
+        """Let the next model begin at `address`."""
         self.at = address
 
     def add_model(
         self, file: str, model: SunModel, prefix: str, repeat: int, words: int | None = None
     ) -> None:
-        """Place the points of a model; of `words` registers only, if the device tells its length.
+        """Give the points of a model their addresses, from the current address on.
 
-        Groups whose number the device tells are there `repeat` times.
+        `prefix` begins the name of each point. `repeat` is the number of copies of each group whose
+        count only the device knows. `words` is the number of registers that the model has in the
+        device; points beyond it are left out.
         """
         self._end = ADDRESSES if words is None else min(self.at + words, ADDRESSES)
         self._add_group(_Place(file, repeat, words is not None), model.group, (prefix,))
@@ -164,7 +171,7 @@ class ModelLayout:
             yield f"{what}: {few}{f' and {more} more' if more > 0 else ''}"
 
     def _add_group(self, place: _Place, group: SunGroup, scopes: tuple[str, ...]) -> None:
-        """Place the points of a group, then those of the groups in it."""
+        """Give the points of a group their addresses, then those of the groups in it."""
         if len(scopes) > MAX_DEPTH + 1:
             raise UsageError(f"{place.file}: groups in more than {MAX_DEPTH} groups")
         for point in group.points:
@@ -238,7 +245,10 @@ class ModelLayout:
         )
 
     def _scale(self, points: Sequence[_Unscaled]) -> None:
-        """Give points their scale factors: each is in the group of its point, or around it."""
+        """Set `scale_from` of points whose scale another point holds.
+
+        That point is in the same group or in a group around it.
+        """
         for one in points:
             names = (f"{scope}{one.factor}" for scope in reversed(one.scopes))
             factor = next((name for name in names if name in self._factors), None)
@@ -257,7 +267,7 @@ class ModelLayout:
 
 @dataclass(frozen=True, slots=True)
 class _Place:
-    """What holds for all groups of a model."""
+    """Facts about the model that hold for all its groups."""
 
     file: str
     repeat: int
@@ -271,5 +281,8 @@ class _Place:
 
 
 def _clean(text: str | None) -> str | None:
-    """A text on one line; None if there is none."""
+    """A text on one line, with parentheses in place of braces; None if it is empty.
+
+    A brace in a point's name would begin a placeholder such as {n}.
+    """
     return " ".join(text.replace("{", "(").replace("}", ")").split()) or None if text else None
