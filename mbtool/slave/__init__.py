@@ -1,1 +1,1 @@
-"""The slave that mbtool plays, in four packages: device, families, faults and shells."""
+"""The slave that mbtool simulates, in four packages: device, families, faults and shells."""

@@ -1,4 +1,7 @@
-"""A slave as its profile describes it: register image, responder, moving values. No I/O."""
+"""A simulated slave as its profile describes it: register image, responses, changing values.
+
+No I/O.
+"""
 
 from mbtool.slave.device.behaviour import Behaviour, DeviceOutput
 from mbtool.slave.device.connection_policy import ConnectionPolicy

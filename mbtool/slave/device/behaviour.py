@@ -1,8 +1,8 @@
-"""The methods of a device that a profile cannot describe; the responder calls them."""
+"""What a simulated device does beyond its profile: methods that the responder calls."""
 
 # A profile lists the registers, functions and exceptions of a device. A Behaviour adds code for
-# what a list cannot describe, such as an output that follows a register. The class here adds
-# nothing. The class of a device family overrides these members:
+# what a list cannot describe, such as an output that follows a register. The base class adds
+# nothing; the class of a device family overrides some of these members:
 #
 #     own          the functions that neither read nor write registers or bits, by function code
 #     watches      True if `barred` and `answered` are to be called for each request
@@ -24,8 +24,8 @@
 # All methods run in the slave's thread, and those that need the time get it as an argument. Only
 # `outputs` may be called from another thread.
 #
-# Memory: the results of `allows` for at most MAX_ALLOWED ranges. They are kept because the search
-# through a profile's blocks takes longer than all other work on a request.
+# Memory: the results of `allows` for at most MAX_ALLOWED ranges. They are kept because searching
+# the profile's areas and blocks takes longer than all other work on a request.
 
 from __future__ import annotations
 
@@ -56,14 +56,14 @@ class DeviceOutput:
     name: str
     value: int
     text: str
-    """The value in the unit of the output, as people read it, such as "1.900 V" or "on"."""
+    """The value as text for people, with its unit, such as "1.900 V" or "on"."""
 
 
 class Behaviour:
-    """A device that does only what its profile says; the base class of device families."""
+    """A device that does only what its profile says; the base class of all device families."""
 
     kept: tuple[tuple[Table, range], ...] = ()
-    """The addresses whose values survive a restart."""
+    """The address ranges whose values survive a restart of the simulated device."""
     watches = False
     units = range(1, 248)
     """The unit numbers that the device can have on a serial line."""
@@ -74,9 +74,10 @@ class Behaviour:
         self.own: Mapping[int, OwnFunction] = {}
         self.rules: ConnectionPolicy | None = None
         self.keep: Callable[[], None] | None = None
-        """Saves the registers in `kept`, when one of them has changed. None if nothing is saved."""
+        """Called when a register in `kept` has changed: saves them to a file. None if nothing is
+        saved."""
         self._allowed: dict[tuple[Table, int, int, bool], bool] = {}
-        """Known results of `allows`, by its arguments; at most MAX_ALLOWED."""
+        """Cached results of `allows`, by its arguments; at most MAX_ALLOWED."""
         self._has_write_areas = any(area.access is Access.WRITE for area in profile.areas)
 
     def barred(self, pdu: bytes, now_ns: int) -> int | None:
@@ -111,9 +112,9 @@ class Behaviour:
         return None
 
     def is_live(self, table: Table, span: range) -> bool:
-        """True if a read of this range may give other values than the image holds.
+        """True if a read of this range may return other values than the image holds.
 
-        Then each read of it calls `refusal` and `shown`. The answer for a range never changes.
+        Then each read of it calls `refusal` and `shown`. The result for a range never changes.
         """
         return False
 
@@ -125,7 +126,8 @@ class Behaviour:
         return values
 
     def standing(self, table: Table, span: range) -> list[int]:
-        """Return the present values of a range that is to be written.
+        """Return the present values of the registers or bits that a write to this range would
+        replace.
 
         A mask write (16H) needs them, as it changes only some bits of a register.
         """
@@ -134,8 +136,8 @@ class Behaviour:
     def store(self, table: Table, span: range, values: Sequence[int]) -> None:
         """Store the values that a master writes to a range that `allows` permits.
 
-        Some addresses mean one thing when read and another when written. The image holds the value
-        that is read there, so a value written there is not stored.
+        Some addresses have one register for reads and another for writes. The image holds the one
+        for reads, so a value written to such an address is not stored.
         """
         if not self._has_write_areas:
             self.image.set(table, span.start, values)
@@ -158,5 +160,5 @@ class Behaviour:
         """
 
     def outputs(self) -> tuple[DeviceOutput, ...]:
-        """The state of all outputs."""
+        """Return the state of all outputs of the device, to be shown to people."""
         return ()

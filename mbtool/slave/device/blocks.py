@@ -1,11 +1,11 @@
-"""Registers that a device gives out in blocks: a read must begin at the block's first address."""
+"""Registers that can only be read as a block, from the block's first address on."""
 
-# In the profile, a point of a block has the key `block`. The block's registers are stored apart
-# from the table. A read that begins at the block's first address returns the block's registers; a
-# read that begins at a later address returns the table's. devices/block_reads.py says which reads
-# are allowed.
+# A block is a group of registers that exists beside the table of the same addresses: points with
+# the key `block` in the profile. A read that begins at a block's first address returns the block's
+# registers; a read that begins at a later address returns the table's. devices/block_reads.py says
+# which reads are allowed.
 #
-# Size: a block ends with its last point, so it has at most 65536 registers.
+# Memory: a block ends with its last point, so it has at most 65536 registers.
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ if TYPE_CHECKING:
 
 
 class Blocks:
-    """The blocks of one device, by table and first address."""
+    """The register blocks of one device, by table and first address."""
 
     def __init__(self) -> None:
         self._blocks: dict[tuple[Table, int], list[int]] = {}
 
     @classmethod
     def of(cls, profile: Profile) -> Self:
-        """The blocks of a device, full of zeros."""
+        """Return the blocks that a device's profile describes, all registers 0."""
         blocks = cls()
         for table in Table:
             points = [point for point in profile.points if point.table is table]
@@ -40,7 +40,7 @@ class Blocks:
         return blocks
 
     def get(self, table: Table, span: range) -> list[int] | None:
-        """Return the registers that a read of `span` gets from a block.
+        """Return the registers that a read of the addresses `span` gets from a block.
 
         Returns None if the read does not begin at the first address of a block.
         """
@@ -59,7 +59,7 @@ class Blocks:
         block[offset : offset + len(values)] = values
 
     def share(self, table: Table, with_table: Table) -> None:
-        """Let `table` use the blocks of `with_table`, from now on."""
+        """Let `table` use the same blocks as `with_table`."""
         for (of, first), block in list(self._blocks.items()):
             if of is with_table:
                 self._blocks[table, first] = block

@@ -6,8 +6,8 @@
 #     lost              a connection has ended, and why
 #     closed_until_ns   all connections are to be closed now, and none is accepted until this time
 #
-# The policy also says how the sockets' keep-alive and idle times are to be set. A request may
-# change these values; `changed` is then True until the shell has read them again.
+# The policy also gives the sockets' keep-alive and idle times. A request may change these times;
+# `changed` is then True until the shell has read them again.
 #
 # Memory: one Peer for each accepted connection, at most `places` of them, and the last MAX_NOTES
 # messages for the user.
@@ -21,8 +21,9 @@ from enum import Enum, auto
 
 MAX_NOTES = 16
 SPARE_NS = 1_000_000_000
-"""If all places are taken, a master that has sent nothing for so long since it connected leaves its
-place to a new one (TCP guide, V1.0b, 4.3.2: the oldest unused connection is closed)."""
+"""If the limit of connections is reached, a connection of which nothing came in its first SPARE_NS
+is closed in favour of a new one (TCP guide, V1.0b, 4.3.2: the oldest unused connection is closed).
+In ns."""
 
 
 class Loss(Enum):
@@ -44,7 +45,8 @@ class Peer:
     heard_ns: int
     """The time in ns when the master last sent bytes, or connected. The shell updates it."""
     connected_ns: int = -1
-    """The time in ns when the master connected; -1 if its place is never given to another."""
+    """The time in ns when the master connected; -1 if this connection is never closed in favour of
+    another."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +74,7 @@ class KeepAlive:
 
 
 class ConnectionPolicy:
-    """The policy of a device whose manual states none.
+    """Decides which connections a simulated device accepts, for a device whose manual has no rules.
 
     At most `places` masters may be connected, and an idle connection is closed after `idle_s`.
     """
@@ -88,7 +90,7 @@ class ConnectionPolicy:
         """
         self.peers: list[Peer] = []
         self.notes: deque[str] = deque(maxlen=MAX_NOTES)
-        """Messages that tell the user what the policy has done."""
+        """Messages for the user, such as that a connection was closed, and why."""
 
     @property
     def keep_alive(self) -> KeepAlive | None:
@@ -97,7 +99,9 @@ class ConnectionPolicy:
 
     @property
     def split_s(self) -> float:
-        """How long a request in several TCP segments may take to arrive, in seconds."""
+        """The longest time that a request in several TCP segments may take to arrive, in
+        seconds.
+        """
         return math.inf
 
     @property
@@ -127,5 +131,5 @@ class ConnectionPolicy:
 
 
 def _is_unused(peer: Peer, now_ns: int) -> bool:
-    """True if a master has sent nothing since it connected, SPARE_NS ago or earlier."""
+    """True if a master connected at least SPARE_NS ago and has sent nothing."""
     return peer.heard_ns == peer.connected_ns <= now_ns - SPARE_NS

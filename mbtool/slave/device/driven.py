@@ -1,11 +1,12 @@
-"""A device with values that change over time."""
+"""A simulated device with values that change over time."""
 
 # The values are computed when a request arrives, so nothing runs between two requests. Time counts
 # from the first request. If a master writes to an address with a changing value, the written value
 # stays until a request comes at least RESOLUTION_NS after the last computation.
 #
-# A device that averages its inputs (Behaviour.inputs_set) also gets the input values at fewer than
-# MAX_BETWEEN moments between the previous request and this one.
+# A device that averages its inputs (Behaviour.inputs_set) needs their values between two requests
+# too. So they are also computed for moments between the previous request and this one, fewer than
+# MAX_BETWEEN.
 
 from __future__ import annotations
 
@@ -25,7 +26,7 @@ MAX_BETWEEN = 64
 
 
 class DrivenDevice:
-    """Sets the changing values of a device, then lets the device answer."""
+    """A responder that sets the changing values of a device, then lets it answer the request."""
 
     def __init__(self, device: DeviceResponder, driven: Sequence[Driven]) -> None:
         self._device = device

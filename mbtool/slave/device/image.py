@@ -1,10 +1,10 @@
-"""The four tables of an embedded slave: the contents of its registers and bits."""
+"""The four tables of a simulated slave: the contents of its registers and bits."""
 
 # Every address of every table exists here and is 0 at first. The profile says which addresses the
 # device has, and the responder checks that.
 #
 # A register is stored as on the wire, high byte first, and a bit as a byte of 0 or 1, so that the
-# data of a response is one slice. Size: 384 KiB, and the profile's blocks (blocks.py). It never
+# data of a response is one slice. Memory: 384 KiB, and the profile's blocks (blocks.py); it never
 # grows.
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ class RegisterImage:
         self.blocks.share(table, with_table)
 
     def cells(self, table: Table, span: range) -> tuple[bytearray, slice]:
-        """Return the bytes that hold a table, and the slice of them that holds a range.
+        """Return the bytes that hold a table, and the slice of them for the addresses `span`.
 
         A register has two bytes, a bit has one. The bytes are not a copy: a caller that keeps both
         results can read the present values of the range at any later time.

@@ -13,7 +13,7 @@
 #     HR400022 = { from = "site.mcap", what = "HR400001", unit = 3, speed = 2, loop = false }
 #
 # Lines are applied in their order: where ranges overlap, the later line counts. A changing value
-# overrides all constant ones. Access rights are ignored, so inputs can have values.
+# overrides all constant ones. Access rights of the profile are ignored, so inputs can be set too.
 #
 # Limits: a file of at most 4 MiB, enough for a value for every address of all four tables.
 
@@ -50,15 +50,16 @@ _FORMS = {
 _GREATEST = 1e300
 """The greatest number allowed. Twice the difference of two such numbers is still a finite float."""
 _STEPS = 20
-"""The default step of a walk: the difference of the lowest and highest value, divided by this."""
+"""The default step of a walk is the difference of its lowest and highest value, divided by this."""
 
 Course = Callable[[int], list[int]]
-"""Takes a moment, in ns since the first request; returns the registers or the bit at that time."""
+"""How a value changes over time: takes a time, in ns since the first request, and returns the
+contents of the registers or the bit at that time."""
 
 
 @dataclass(frozen=True, slots=True)
 class Driven:
-    """A register, bit or point whose value changes."""
+    """A register, bit or point whose value changes over time."""
 
     target: ValueTarget
     course: Course
@@ -66,7 +67,7 @@ class Driven:
 
 @dataclass(frozen=True, slots=True)
 class FromCapture:
-    """A request to repeat a recorded value: which value, from which capture, and how fast."""
+    """Names a recorded value to repeat: which value, from which capture, and how fast."""
 
     path: Path
     table: Table
@@ -75,16 +76,14 @@ class FromCapture:
     unit: int | None
     """The unit that the value belongs to; None for the only unit in the capture."""
     link: str | None
-    """The link that the unit is on; None if the unit is on only one link in the capture."""
+    """The link of the unit in the capture; None if the unit is on only one link there."""
     speed: float
     loop: bool
 
 
 Recall = Callable[[FromCapture], Course]
-"""Reads from a capture how a value changed over time.
-
-Raises UsageError if the capture does not have the value, InputError if it cannot be read.
-"""
+"""Reads from a capture how a value changed over time, and returns it as a Course. Raises UsageError
+if the capture does not have the value, InputError if it cannot be read."""
 
 
 def load_image(
@@ -97,12 +96,10 @@ def load_image(
 ) -> list[Driven]:
     """Write the constant values of a file into an image, and return the values that change.
 
-    `source` is the file, or its keys and values. Captures that it names are then looked for in the
-    current directory.
-
-    `only` is given when the file is a device's saved state: the file may then set only these
-    addresses, each to the content of a register, and no value may change. `recall` reads values
-    from captures; if it is None, the file may not use captures. Raises InputError for a file that
+    `source` is the file, or its keys and values; captures that it names are then looked for in the
+    current directory. `only` is given for the file in which a device's state is saved: then it may
+    set only these addresses, each to the content of a register, and no value may change. `recall`
+    reads values from captures; None if the file may not name any. Raises InputError for a file that
     is no TOML, UsageError for a wrong key or value; the image then holds the values of the lines
     before the wrong one.
     """
@@ -156,7 +153,7 @@ def _is_among(table: Table, span: range, parts: Sequence[tuple[Table, range]]) -
 
 
 class _Movement:
-    """A TOML table in the file that says how a value changes, such as `{ ramp = [0, 9] }`."""
+    """A changing value as the values file describes it, such as `{ ramp = [0, 9] }`."""
 
     def __init__(
         self,

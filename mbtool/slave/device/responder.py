@@ -1,4 +1,4 @@
-"""Answers requests as a device does, from its profile and its register image."""
+"""Answers requests as the simulated device would, from its profile and its register image."""
 
 # The checks, in the standard's order (V1.1b3, section 7 and the state diagrams of section 6):
 #
@@ -11,18 +11,19 @@
 #     4  execution  the behaviour refuses it (Behaviour.refusal)               the behaviour's code
 #
 # The profile says which exception code each check gives; FT1A Touch, for example, has only 01 and
-# 02. Nothing is written before every check has passed. A range may run from one area into the next
-# if there is no hole between them.
+# 02. Nothing is written before every check has passed. A request may span several areas of the
+# profile if there is no address without an area between them.
 #
 # Functions answered: 01-06, 0F, 10, 16, 17, and the device's own (Behaviour.own). Any other gets
 # exceptions.function, even if the profile lists it.
 #
 # Masters poll the same few ranges. A read that has passed its checks once always passes them, as
-# profiles do not change. So the responder remembers where the values of such a read are, for at
-# most MAX_KNOWN request PDUs; then it forgets all of them. A read whose values may differ from the
-# image (Behaviour.is_live) is not remembered.
+# profiles do not change. So for at most MAX_KNOWN request PDUs the responder remembers where in the
+# image the values are, and skips the checks; with more, it forgets all of them. A read whose values
+# may differ from the image (Behaviour.is_live) is not remembered.
 #
-# A responder is one device; units.py decides which unit numbers it answers to.
+# A responder is one device. It ignores the unit number: units.py passes it the requests that are
+# for it.
 
 from __future__ import annotations
 
@@ -47,26 +48,26 @@ if TYPE_CHECKING:
 MAX_KNOWN = 4096
 
 _PLAIN_READS = READS - {0x17}
-"""Functions that only read; their response is a byte count and the values."""
+"""Functions that only read, not 17H: the response consists of a byte count and the values."""
 
 
 _Known = tuple[bytes, bytearray, slice, bool]
-"""How to answer a known read.
-
-The function code and byte count of the response; the bytes of the table; the slice of them that
-holds the values; True if they are bits.
-"""
+"""How to answer a read whose checks were passed before. The function code and byte count of the
+response; the bytes of the table; the slice of them that holds the values; True if they are bits."""
 
 
 class DeviceResponder:
-    """One device. Between two requests other code may read and write its image."""
+    """A simulated device that answers requests.
+
+    Between two requests, other code may change its image.
+    """
 
     def __init__(self, behaviour: Behaviour) -> None:
         self._profile = behaviour.profile
         self.behaviour = behaviour
         self.image = behaviour.image
         self._known: dict[bytes, _Known] = {}
-        """How to answer the reads that have passed all checks, by request PDU."""
+        """By request PDU, how to answer reads that have passed all checks once."""
 
     def respond(self, unit: int, pdu: bytes, now_ns: int) -> Response | None:
         """Return the response to a request PDU, or None if there is none. `unit` is ignored."""
@@ -143,7 +144,7 @@ class DeviceResponder:
 
 
 class _RefusedError(Exception):
-    """A check has failed: the request gets an exception response with this code."""
+    """Raised if a check fails: the request gets an exception response with this code."""
 
     def __init__(self, code: int) -> None:
         super().__init__(code)

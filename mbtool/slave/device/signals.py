@@ -1,4 +1,4 @@
-"""Values that change over time, each a function of the time since the slave was first asked."""
+"""Values that change over time, each computed from the time since the slave's first request."""
 
 # Times are integer nanoseconds from 0 on.
 #
@@ -8,9 +8,9 @@
 #     walk    begins in the middle and takes a random step at regular times; the size of a step is
 #             normally distributed, and the walk turns back at the lowest and the highest value
 #
-# Ramp, sine and steps depend on the time alone. A walk is made step by step from its seed, so the
-# same seed gives the same walk. If more than MAX_STEPS steps are due since the last request, only
-# MAX_STEPS of them are computed, so that the answer to a request is delayed by at most about 50 ms.
+# Ramp, sine and steps depend on the time alone. A walk is computed step by step from its seed, so
+# the same seed gives the same walk. If more than MAX_STEPS steps are due since the last request,
+# only MAX_STEPS of them are computed, so that a response is delayed by at most about 50 ms.
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ class Walk:
     _random: Random = field(init=False, repr=False)
     _value: float = field(init=False, repr=False)
     _number: int = field(init=False, default=0, repr=False)
-    """Number of steps that were due so far, computed or left out."""
+    """The number of steps that were due so far, including those left out because of MAX_STEPS."""
 
     def __post_init__(self) -> None:
         self._random = Random(self.seed)
@@ -121,7 +121,7 @@ class Walk:
         return self._value
 
     def _turned_back(self, value: float) -> float:
-        """Return a value that is beyond the lowest or the highest value, mirrored at that end."""
+        """Reflect a value outside the range of the walk at the limit that it has crossed."""
         width = self.highest - self.lowest
         if not width:
             return self.lowest

@@ -1,7 +1,7 @@
 """Passes each request to the right slave, where several slaves share a serial line or endpoint."""
 
-# A responder is one device and answers requests for any unit. Units passes it only the requests
-# that are for it, by the rules of the link:
+# A responder is one device and answers requests for any unit. Units selects the responder for each
+# request, by the rules of the link:
 #
 #     serial line   unit 0 is a broadcast: every slave executes it and none answers (Serial Line
 #                   V1.02, 2.1). A unit that no slave here has belongs to another slave: silence.
@@ -26,7 +26,7 @@ BROADCAST_UNIT = 0
 
 
 class Units:
-    """A responder that passes each request to the slave with the request's unit number."""
+    """Passes each request to the slave with the request's unit number; is itself a responder."""
 
     def __init__(
         self,
@@ -35,9 +35,10 @@ class Units:
         any_unit: Responder | None = None,
         broadcast: bool = False,
     ) -> None:
-        """`any_unit` answers the requests for units that `slaves` does not have.
+        """Take the slaves by unit number.
 
-        If `broadcast` is true, all slaves execute a request for unit 0, and none answers.
+        `any_unit` answers requests for units that `slaves` does not have; None for no response. If
+        `broadcast` is true, all slaves execute a request for unit 0, and none answers.
         """
         self._slaves = dict(slaves)
         self._any_unit = any_unit
@@ -59,10 +60,10 @@ def units_on(
     device: Responder,
     others: Mapping[int, Responder] | None = None,
 ) -> Units:
-    """Put a device on a link under the number `unit`, with other slaves beside it.
+    """Return a responder for a device with the number `unit` and other slaves on the same link.
 
-    Requests are passed on by the rules of the link (see the top of this file). A device that
-    answers any unit gets the requests for units that no other slave has.
+    Requests are passed on by the rules of the link (see the top of this file). A device whose
+    profile says that it answers any unit gets the requests for units that no other slave has.
     """
     serial = is_line(link)
     any_unit = device if profile.any_unit and not serial else None

@@ -1,4 +1,4 @@
-"""Finds the register, bit or point that a key of a values file names."""
+"""Finds the register, bit or point that a key of a values file (image_file.py) names."""
 
 # A key may be, in upper or lower case:
 #
@@ -9,9 +9,9 @@
 #                            registers are values in the unit of the point at this address.
 #     a table and address    "holding 9005". The value is read in the same way as for a reference.
 #
-# A reference may stand for several points: T5 of FT1A SmartAXIS is a contact, a current value and a
-# preset value. Such a reference does not say which point is meant, so it is refused, and the error
-# lists the points' names.
+# A reference (the vendor's notation of an address) may stand for several points: T5 of FT1A
+# SmartAXIS is a contact, a current value and a preset value. Such a reference does not say which
+# point is meant, so it is refused, and the error lists the points' names.
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ _FLOATS = (PointType.FLOAT32, PointType.FLOAT64)
 
 @dataclass(frozen=True, slots=True)
 class ValueTarget:
-    """The register, bit or point that a value is for; converts the value to registers."""
+    """The register, bit or point that a value is for; converts values to register contents."""
 
     table: Table
     address: int
@@ -60,7 +60,7 @@ class ValueTarget:
 
     @property
     def words(self) -> int:
-        """Number of registers or bits of one value."""
+        """The number of registers (or bits) that one value takes."""
         return self.point.words if self.point is not None else 1
 
     def registers(self, value: object, *, stored: bool = False) -> list[int]:
@@ -80,7 +80,8 @@ class ValueTarget:
         return self._encoded(self.point, value)
 
     def all_registers(self, value: object, *, stored: bool = False) -> list[int]:
-        """Convert a value, or a list of contents of consecutive registers or bits.
+        """Convert a value, or a list of contents of consecutive registers or bits, to register
+        contents.
 
         Raises UsageError as `registers` does, for an empty list, and for a list where the key is
         the name of a point.
@@ -108,8 +109,10 @@ class ValueTarget:
         return self._encoded(self.point, round(value))
 
     def _encoded(self, point: Point, value: float | str) -> list[int]:
-        """The registers of a value. At an address it is the number in the registers where the
-        device holds the scale.
+        """Return the register contents of a value in the point's unit.
+
+        If the point's scale is in another register of the device, a value given for an address, not
+        for the point's name, is not scaled.
         """
         if point.scale_from is not None and not self.is_named:
             point = replace(point, scale_from=None)
@@ -202,7 +205,7 @@ class ValueTargets:
         return table, address
 
     def _meanings(self, key: str) -> Iterator[str]:
-        """Yield the names of the points that a reference may mean, each in another area."""
+        """Yield the names of the points that a reference may mean; each is in another area."""
         for area in self._profile.areas:
             try:
                 place = parse_reference(replace(self._profile, areas=[area]), key)

@@ -1,4 +1,4 @@
-"""Device families that do more than read and write registers. No I/O."""
+"""Simulated device families with functions beyond reading and writing registers. No I/O."""
 
 from mbtool.slave.families.behaviours import make_device
 

@@ -30,11 +30,12 @@ BEHAVIOURS: Mapping[str, Callable[[Profile, RegisterImage], Behaviour]] = {
     "lt830": Lt830,
     "wago": Wago,
 }
-"""The class for each `behaviour` that a profile can name, or for one of its models ("fa3/0014")."""
+"""By the `behaviour` that a profile names, the class that makes it; "NAME/MODEL CODE" for one model
+of a family ("fa3/0014")."""
 
 
 def make_device(profile: Profile, image: RegisterImage) -> DeviceResponder:
-    """A device that answers from its image, with the behaviour that its profile names."""
+    """Return a device that answers from its image, with the behaviour that its profile names."""
     return DeviceResponder(behaviour_of(profile, image))
 
 

@@ -1,18 +1,19 @@
-"""Averaging and scaling of an analog input over time."""
+"""Simulates the averaging and scaling of an analog input over time (FA3 modules)."""
 
-# An input keeps its value until it is set again. A module converts the input every CONVERSION_NS.
-# The setting of the channel says what the module makes of the converted values:
+# A simulated input keeps its value until it is set again. A real module converts the input every
+# CONVERSION_NS, and makes one of these of the converted values, as the channel's setting says:
 #
 #     sampling   each value as it is
 #     period     the mean of each period; a period is a time or a number of conversions
 #     moving     the mean of the last N conversions, N from the setting
 #
-# Here a mean is weighted by time, which gives the same result as averaging the conversions. There
-# is no result before the first period, or the first N conversions, are complete. Fractions are cut
-# off, as in the manual's example of scaling, where 37.5 becomes 37.
+# Here, a mean is computed from the input's values and how long each of them lasted; this gives the
+# same result as averaging the conversions. There is no result before the first period, or the first
+# N conversions, are complete. Fractions are cut off, as in the manual's example of scaling, where
+# 37.5 becomes 37.
 #
-# Memory: a moving mean keeps at most MAX_STEPS changes of the input. For the time before the oldest
-# change that it still has, it uses the value of that change.
+# Memory: a moving mean keeps the last MAX_STEPS changes of the input. If its window begins earlier
+# than the oldest of them, it uses that change's value for the time before.
 
 from __future__ import annotations
 
@@ -41,7 +42,7 @@ class Processing(Protocol):
 
 
 class Sampling:
-    """Gives the input's present value, without a mean."""
+    """Returns the input's present value, without averaging."""
 
     def __init__(self) -> None:
         self._value: int | None = None
@@ -54,7 +55,9 @@ class Sampling:
 
 
 class PeriodMean:
-    """Gives the mean of the last complete period."""
+    """Averages the input over one period after the other; returns the mean of the last complete
+    one.
+    """
 
     def __init__(self, period_ns: int, value: int, now_ns: int) -> None:
         self._period_ns = period_ns
@@ -86,7 +89,7 @@ class PeriodMean:
 
 
 class MovingMean:
-    """Gives the mean of the last `window_ns`."""
+    """Averages the input over the last `window_ns` nanoseconds."""
 
     def __init__(self, window_ns: int, value: int, now_ns: int) -> None:
         self._window_ns = window_ns
@@ -108,7 +111,7 @@ class MovingMean:
         for since_ns, value in reversed(self._steps):
             total += value * (until_ns - max(since_ns, first_ns))
             until_ns = since_ns
-        if until_ns > first_ns:  # The steps from first_ns to here were forgotten.
+        if until_ns > first_ns:  # The changes before were dropped.
             total += self._steps[0][1] * (until_ns - first_ns)
         return cut(total, self._window_ns)
 

@@ -15,8 +15,8 @@
 # a restart. The embedded slave always uses the address of its link: the value is stored without
 # effect.
 #
-# Outputs follow the coils and registers while a master is connected. While none is, as at the
-# start, they are held or cleared.
+# Outputs follow the coils and registers while a master is connected. While no master is connected,
+# also before the first one, they are held or cleared.
 #
 # Memory: the last MAX_HISTORY alarms.
 
@@ -89,7 +89,7 @@ class Fa3(Behaviour):
                 self.keep()
 
     def restarted(self) -> None:
-        """Called after a remote reset has restored coils and registers."""
+        """Called after a remote reset (function 41H) has restored coils and registers."""
 
     def _non_volatile(self) -> list[int]:
         return self.image.get(Table.HOLDING_REGISTERS, NON_VOLATILE.start, len(NON_VOLATILE))

@@ -50,7 +50,7 @@ _FLAGS = range(0x10, 0x18)  # X10 to X17, Y10 to Y17
 _VALUES = range(0x02, 0x0A)  # RWr2 to RWr9, RWw2 to RWw9
 
 _CONVERSION = 0x0102  # a bit for each channel; 0 enables conversion
-_BY_CHANNEL = range(0x0105, 0x0107)  # four bits a channel: averaging process, or HOLD/CLEAR
+_BY_CHANNEL = range(0x0105, 0x0107)  # 4 bits a channel: averaging process, or HOLD/CLEAR
 _AVERAGING = range(0x0107, 0x010F)
 _SCALING = 0x0133  # a bit for each channel; 0 enables scaling
 _SCALING_LIMITS = range(0x0134, 0x0144)  # two registers a channel: lower and upper limit
@@ -82,7 +82,7 @@ class _Fa3Analog(Fa3):
         self.image.set(Table.DISCRETE_INPUTS, _INITIAL_SETTING, [0])
 
     def take_settings(self, now_ns: int) -> None:
-        """Read the settings from the holding registers, and work with them from now on."""
+        """Apply the settings in the holding registers from `now_ns` on."""
 
     def _words(self, span: range) -> list[int]:
         return self.image.get(Table.HOLDING_REGISTERS, span.start, len(span))
@@ -102,7 +102,7 @@ class _Fa3Analog(Fa3):
 
 @dataclass(frozen=True, slots=True)
 class _InputSetting:
-    """The settings for the conversion of one input."""
+    """The settings of one analog input, from the holding registers."""
 
     process: int
     average: int
@@ -113,7 +113,7 @@ class _InputSetting:
 
 @dataclass(slots=True)
 class _InputChannel:
-    """The state of one input while it is converted, with the value that a master reads."""
+    """The conversion of one analog input, and the value that a master reads from it."""
 
     processing: Processing
     limits: tuple[int, int]
@@ -156,7 +156,8 @@ class Fa3AnalogInput(_Fa3Analog):
     def convert(self, now_ns: int) -> Sequence[_InputChannel | None]:
         """Convert the inputs that the image holds, and return the channels with their new values.
 
-        In an average, an input that has changed counts with its new value from this call on.
+        A disabled channel is None. In an average, an input that has changed counts with its new
+        value from this call on.
         """
         for one, value in zip(self._channels, self._inputs(), strict=True):
             if one is not None:
@@ -191,9 +192,10 @@ class Fa3AnalogInput(_Fa3Analog):
     def _begin(
         self, before: Sequence[_InputChannel | None], now_ns: int
     ) -> list[_InputChannel | None]:
-        """Start conversion with the settings in the holding registers.
+        """Start conversion with the settings in the holding registers; return the new channels.
 
-        Each channel keeps its value from `before`, or 0, until its first new value is complete.
+        Each channel shows the value that it had in `before`, or 0, until its first new value is
+        complete.
         """
         channels: list[_InputChannel | None] = []
         for setting, value, last in zip(self._read_settings(), self._inputs(), before, strict=True):
@@ -211,7 +213,8 @@ class Fa3AnalogOutput(_Fa3Analog):
     def __init__(self, profile: Profile, image: RegisterImage) -> None:
         super().__init__(profile, image)
         self._standing = [0] * len(CHANNELS)
-        """The outputs of the channels while no master is connected, as digital values."""
+        """The channels' outputs, as digital values, for the time in which no master is
+        connected."""
         self._forget_settings()
 
     def restarted(self) -> None:
@@ -255,7 +258,7 @@ class Fa3AnalogOutput(_Fa3Analog):
 
     def _text(self, channel: int, value: int) -> str:
         lower, upper = self._warning_limits[channel]
-        # Until a master sets the limits, both are equal: nearly every value would give a warning.
+        # At first both limits are 0; without this check nearly every value would be outside them.
         warns = self._warns[channel] and lower < upper and not lower <= value <= upper
         volts = f"{1 + 4 * value / FULL_SCALE:.3f} V"
         return f"{volts}, beyond its warning limits {lower}..{upper}" if warns else volts

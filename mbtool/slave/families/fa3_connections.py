@@ -56,10 +56,10 @@ class Fa3Connections(ConnectionPolicy):
         alarm: Callable[[int], None],
         linked: Callable[[bool], None],
     ) -> None:
-        """`alarm` is called with the code of each alarm.
+        """Take the functions to call.
 
-        `linked` is called with True when the first master has connected, and with False when the
-        last one has gone.
+        `alarm` is called with the code of each alarm. `linked` is called with True when the first
+        master has connected, and with False when the last one has gone.
         """
         super().__init__(PLACES, math.inf)
         self._image = image
@@ -78,7 +78,7 @@ class Fa3Connections(ConnectionPolicy):
         }
         self._closed_until_ns: int | None = None
         self._rejected: dict[str, int] = {}
-        """The IP addresses that may not connect, each with the time in ns when it may again."""
+        """By IP address that may not connect at present, the time in ns when it may again."""
 
     @property
     def keep_alive(self) -> KeepAlive:
@@ -128,9 +128,10 @@ class Fa3Connections(ConnectionPolicy):
             self._linked(False)
 
     def set_timers(self) -> None:
-        """Apply 00F2H-00F5H, which a master may have changed.
+        """Note that a master may have changed the times in registers 00F2H-00F5H.
 
-        These are the keep-alive times and the time in which all parts of a request must arrive.
+        These are the keep-alive times and the time in which all parts of a request must arrive; the
+        shell applies them.
         """
         self.changed = True
 

@@ -82,10 +82,9 @@ class Wago(Behaviour):
         self._counters = self._first_counters()
         self._went_well = 0
         self._at_first: list[int] | None = None
-        """The settings (register contents) that a restart brings back.
-
-        They were read at the first request, or saved later; None before the first request.
-        """
+        """The watchdog settings, as register contents, that a restart of the coupler brings back.
+        They were read at the first request, or saved later by a master; None before the first
+        request."""
         self._set_idle_time()
 
     def barred(self, pdu: bytes, now_ns: int) -> int | None:
@@ -151,7 +150,9 @@ class Wago(Behaviour):
             self._went_well = self._went_well + 1 & 0xFFFF
 
     def _alone(self, function: Callable[[bytes], bytes]) -> Callable[[bytes, int], bytes]:
-        """Wrap a function whose requests have no data: a request with data gets an exception."""
+        """Wrap the handler of a function code whose requests have no data: one with data gets an
+        exception.
+        """
 
         def own(pdu: bytes, now_ns: int) -> bytes:
             if len(pdu) > 1:
@@ -208,7 +209,7 @@ class Wago(Behaviour):
             self._count(Counter.BAD_ADDRESS)
 
     def _is_value_wrong(self, pdu: bytes) -> bool:
-        """True if a refused request is wrong in its form, quantity or value.
+        """True if a refused request has a wrong form, quantity or value, not only a wrong address.
 
         The exception code alone does not tell: functions 01 and 02 give code 02 for a wrong
         quantity and for a wrong address.

@@ -1,9 +1,9 @@
 """The process image of a WAGO 750 coupler: where its inputs and outputs are read and written."""
 
-# Sources: as in wago.py. Functions 03 and 04 read the same registers, 01 and 02 the same bits.
-# Reads from 0000 on return inputs; writes from 0000 on set outputs, which are read back 0200H
-# higher. A second range works in the same way: registers written from 6000H on are read back at
-# 7000H, bits written from 3000H on at 4000H.
+# Sources: the manuals named in wago.py. Functions 03 and 04 read the same registers, 01 and 02 the
+# same bits. Reads from 0000 on return inputs; writes from 0000 on set outputs, which are read back
+# at addresses 0200H higher. A second range works in the same way: registers written from 6000H on
+# are read back at 7000H, bits written from 3000H on at 4000H.
 #
 # The digital inputs and outputs can also be read and written in registers, behind all analog data.
 # Registers 1022H to 1025H give the sizes of the analog and digital outputs and inputs in bits. They
@@ -32,7 +32,8 @@ _OUTPUTS = (
     (COILS, range(0x0200), range(0x0200, 0x0400)),
     (COILS, range(0x3000, 0x35F8), range(0x4000, 0x45F8)),
 )
-"""Ranges of outputs: table, addresses where masters write, addresses where they read back."""
+"""The ranges of outputs: table, addresses at which masters write them, addresses at which masters
+read them back and where they are stored."""
 _SIZES = range(0x1022, 0x1026)
 """Registers with the sizes, in bits, of analog outputs and inputs, digital outputs and inputs."""
 _OUTPUT_BASE = 0x0200
@@ -56,7 +57,7 @@ class ProcessImage:
         )
 
     def read(self, span: range, values: list[int]) -> list[int]:
-        """Put digital data into `values` and return them.
+        """Insert the digital inputs and outputs that appear in registers into `values`; return it.
 
         `values` are the contents of the registers `span` in the image.
         """
@@ -68,13 +69,13 @@ class ProcessImage:
         return values
 
     def standing(self, table: Table, span: range) -> list[int]:
-        """Return the present values of a range that is to be written."""
+        """Return the values that a range of outputs has before a master writes to it."""
         span = stored_range(table, span)
         values = self._image.get(table, span.start, len(span))
         return values if table.is_bits else self.read(span, values)
 
     def write(self, table: Table, span: range, values: Sequence[int]) -> None:
-        """Write values to a range; values for outputs go where masters read them back.
+        """Store values that a master writes; outputs are stored where masters read them back.
 
         A value for a register of digital data also sets the bits.
         """
@@ -95,10 +96,10 @@ class ProcessImage:
 
 
 def _digital_parts(sizes: Sequence[int]) -> list[tuple[int, range, range]]:
-    """Return where the digital outputs, and the digital inputs, are in registers and as bits.
+    """Return the places of the digital outputs, and of the digital inputs.
 
-    Each item has the address of the first bit, the addresses of the registers, and the addresses of
-    the bits. There is no item for outputs, or inputs, without digital data.
+    Each item has the address of the first bit, the range of registers that show the bits, and the
+    range of the bits. There is no item for outputs, or inputs, without digital data.
     """
     parts = []
     for base, analog, digital in ((_OUTPUT_BASE, *sizes[::2]), (0, *sizes[1::2])):
@@ -111,7 +112,7 @@ def _digital_parts(sizes: Sequence[int]) -> list[tuple[int, range, range]]:
 
 
 def stored_range(table: Table, span: range) -> range:
-    """Return the addresses where a written range is stored and read back."""
+    """Return the addresses where values written to `span` are stored and read back."""
     for each, first, stands in _OUTPUTS:
         if table is each and span.start in first:
             by = stands.start - first.start

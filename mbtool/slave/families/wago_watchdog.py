@@ -73,7 +73,8 @@ class Watchdog:
         self._time_ns = 0
         self._last_trigger = 0
         self._stop_place = 0
-        """Number of values of the stop sequence (AAAAH, 5555H) written to 1005H so far: 0 or 1."""
+        """How many values of the stop sequence (AAAAH, 5555H) were written to 1005H so far: 0 or
+        1."""
 
     @property
     def is_active(self) -> bool:
@@ -84,10 +85,11 @@ class Watchdog:
         return self._status is Status.EXPIRED
 
     def heard(self, function: int, now_ns: int) -> bool:
-        """Called with each request: let the watchdog expire if its time has passed.
+        """Called with each request: let the watchdog expire if its time has passed, else restart
+        it.
 
-        Otherwise restart it; the ordinary watchdog only if the function is in the mask. Returns
-        True if the alternative watchdog expired, so that all outputs must become 0.
+        The ordinary watchdog is restarted only if the function is in the mask. Returns True if the
+        alternative watchdog expired, so that all outputs must become 0.
         """
         is_alternative = bool(self._register(ALTERNATIVE))
         is_over = self.is_active and now_ns - self._since_ns >= self._time_ns
@@ -108,7 +110,7 @@ class Watchdog:
         return len(writes) == 1 and writes.start in _ENDING
 
     def written(self, span: range, now_ns: int) -> None:
-        """Called after a write to the registers `span`: start, restart or stop as they say."""
+        """Called after a master wrote the registers `span`: start, restart or stop the watchdog."""
         for address in span:
             value = self._register(address)
             if address == TRIGGER:
@@ -121,7 +123,7 @@ class Watchdog:
                 self._set_status(Status.OFF)
 
     def reset(self) -> None:
-        """Put the watchdog into the state that it has after a start of the device."""
+        """Put the watchdog into the state after a restart of the coupler: off, never triggered."""
         self._set_status(Status.OFF)
         self._set(LEAST_LEFT, _NEVER_TRIGGERED)
         self._last_trigger = self._stop_place = 0

@@ -1,4 +1,4 @@
-"""Reads faults from a TOML file."""
+"""Reads the faults that a slave is to simulate from a TOML file."""
 
 # The file has a seed and a [[faults]] table for each fault:
 #
@@ -53,19 +53,20 @@ _TAKES = {
     FaultKind.OFFSET: ("by",),
 }
 _ADDED = {FaultKind.WRONG_UNIT: (1, 0xFF), FaultKind.WRONG_ID: (1, 0xFFFF)}
-"""The range of the key `by`: adding any of these numbers gives another unit or transaction id."""
+"""The range of the key `by` of some faults: adding one of these numbers gives another unit, or
+another transaction id."""
 _DEFAULT_GAP_MS = 20
 _MS = 1_000_000
 _S = 1_000_000_000
 
 
 class FaultFile:
-    """The faults and the seed of one file."""
+    """The faults in one file, and the seed of their random generators."""
 
     def __init__(self, source: Path | Mapping[str, Any], profiles: Iterable[Profile] = ()) -> None:
         """Read a file, or take its keys and values.
 
-        The profiles say which addresses the references in the file stand for.
+        `profiles` are needed for references (the vendor's notation of addresses) in the file.
         Raises InputError for a file that cannot be read or is no TOML, UsageError for a wrong key
         or value.
         """

@@ -1,4 +1,4 @@
-"""Faults that a slave simulates; conditions say for which requests."""
+"""Faults that a slave simulates, and the conditions under which each of them acts on a request."""
 
 # FaultySlave passes requests to another responder, a device or a recording, and changes the
 # responses. `FaultCondition` says which requests a fault is for, and `Fault` what happens to the
@@ -9,9 +9,9 @@
 # in the file. For each request that fits all other conditions, the fault draws one number and
 # compares it with the probability.
 #
-# A request is executed even if its response becomes an exception or is left out. With the kind
-# STUCK, masters always read the first value that the slave gave after the fault began. A fault can
-# do this for at most MAX_STUCK addresses; further addresses are read as usual.
+# A request is executed even if its response is replaced by an exception or left out. With the kind
+# STUCK, masters always read the first value that the slave gave after the fault began. A fault
+# keeps such values for at most MAX_STUCK addresses; other addresses are read as usual.
 
 from __future__ import annotations
 
@@ -68,17 +68,19 @@ class FaultCondition:
     until_ns: int | None = None
     """The fault acts from `from_ns` until `until_ns`, both in ns since the first request."""
     nth: int = 1
-    """The fault begins with the nth request that fits the fields above; 1 is the first."""
+    """The fault begins with the nth request that fits `units`, `functions`, `span` and the times; 1
+    is the first."""
     every: int = 1
-    """From the nth request on, the fault acts on every request (1), on every fifth (5), ..."""
+    """From the nth request on, the fault acts on every request (1), on every fifth (5), and so
+    on."""
     times: int | None = None
-    """The fault acts on at most so many requests; None for no limit."""
+    """The most requests on which the fault acts; None for no limit."""
     probability: float = 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fault:
-    """A fault: its kind, the requests that it is for, and the parameters of its kind."""
+    """A fault: its kind, the requests on which it acts, and the parameters of its kind."""
 
     kind: FaultKind
     match: FaultCondition = field(default_factory=FaultCondition)
@@ -125,7 +127,9 @@ class FaultySlave:
 
 
 class _Active:
-    """One fault at work: counts the requests that fit it, and decides for which it acts."""
+    """A fault with its counters: counts the requests that fit it, and decides on which of them it
+    acts.
+    """
 
     def __init__(self, fault: Fault, chance: Random) -> None:
         self._fault = fault
@@ -175,9 +179,9 @@ class _Active:
     def _with_other_values(
         self, unit: int, pdu: bytes, request: Pdu, access: RegisterAccess | None, answer: Response
     ) -> Response:
-        """Return a response to a read with other values at the fault's addresses.
+        """Return a response to a read, with its values at the fault's addresses changed.
 
-        A response to any other request is returned as it is.
+        A response to any other request is returned unchanged.
         """
         if access is None or not access.reads or answer.pdu[:1] != pdu[:1]:
             return answer

@@ -1,4 +1,4 @@
-"""Chooses the shell that plays a slave on a link: serial or TCP."""
+"""Chooses the class that serves a slave on a link: a TCP endpoint or a serial line."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ def open_shell(
     """Return a shell, not yet started, that will answer on a link with a responder's responses.
 
     `allowed` are the machines that may connect, and `rules` the device's rules for connections;
-    neither has any use on a serial line. With `strict_timing`, requests on an RTU line whose
-    silences are not kept get no response. Raises UsageError if no slave can answer on such a link,
-    and if the timing is to be strict on a link that has no silences.
+    neither has any use on a serial line. With `strict_timing`, a request on an RTU line gets no
+    response if the silences around it are too short, or one inside it too long. Raises UsageError
+    if no slave can answer on such a link, and for strict timing on a link that is no RTU line.
     """
     where = slave_link(link)
     if isinstance(where, SerialLink):

@@ -1,7 +1,7 @@
 """The base class of all shells: a thread that answers requests on a link until it is stopped."""
 
-# A shell owns the link and the clock; the responder decides what to answer. Only the shell's thread
-# may call the responder, so two shells never share one.
+# A shell owns the sockets or the port, and the clock; the responder decides what to answer. Only
+# the shell's thread may call the responder, so two shells never share one.
 
 from __future__ import annotations
 
@@ -24,18 +24,20 @@ STOP_TIMEOUT_S = 5.0
 
 
 class Shell(ABC):
-    """Answers on a link between `start` and `stop`, or inside `with`."""
+    """Answers requests on a link between `start` and `stop`, or inside a `with` statement."""
 
     def __init__(self) -> None:
         self.turned_away = 0
-        """Number of connections refused because `places` others were open."""
+        """The number of connections refused because `places` others were open."""
         self._thread: threading.Thread | None = None
         self._failure: Exception | None = None
 
     @property
     @abstractmethod
     def place(self) -> str:
-        """The link as text; instead of TCP port 0, it has the port that the system chose."""
+        """The link as text for the user; a TCP port 0 is replaced by the port that the system
+        chose.
+        """
 
     @property
     def places(self) -> int:
@@ -71,7 +73,7 @@ class Shell(ABC):
     def stop(self) -> None:
         """Stop answering, and close the link. A second call does nothing."""
         if self._thread is not None and self._thread.is_alive():
-            with suppress(RuntimeError):  # Its event loop has just been closed.
+            with suppress(RuntimeError):  # RuntimeError: its event loop was closed meanwhile.
                 self._interrupt()
             self._thread.join(STOP_TIMEOUT_S)
 
@@ -95,7 +97,10 @@ class Shell(ABC):
 
     @abstractmethod
     def _open(self) -> None:
-        """Open the link, in the thread that calls `start`. Raises the errors that `start` names."""
+        """Open the link, in the thread that calls `start`.
+
+        Raises LinkError or UsageError, as `start` describes.
+        """
 
     @abstractmethod
     def _run(self) -> None:

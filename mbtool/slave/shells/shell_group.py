@@ -14,7 +14,7 @@ _GLANCE_S = 0.0
 
 
 class ShellGroup:
-    """Shells on different links; a context manager that starts and stops all of them."""
+    """Several shells on different links; a context manager that starts and stops all of them."""
 
     def __init__(self, shells: Sequence[Shell]) -> None:
         self._shells = shells
@@ -22,7 +22,7 @@ class ShellGroup:
 
     @property
     def place(self) -> str:
-        """The link as text; of several, their number."""
+        """The link as text for the user; if there are several, their number."""
         count = len(self._shells)
         return self._shells[0].place if count == 1 else f"{count} links"
 
@@ -33,7 +33,7 @@ class ShellGroup:
 
     @property
     def turned_away(self) -> int:
-        """Number of connections refused because a shell had as many as it takes."""
+        """The number of connections refused because a shell had as many as it accepts at once."""
         return sum(shell.turned_away for shell in self._shells)
 
     def notes(self) -> list[str]:

@@ -1,10 +1,10 @@
-"""Keeps a device's non-volatile registers in a file, from one run to the next."""
+"""Keeps the non-volatile registers of a simulated device in a file between two runs."""
 
 # The file is TOML with the device's references as keys, like a file of start values
 # (image_file.py). It is written when a non-volatile register has changed, before the master gets
 # the response. The content goes into a second file, which is synced to the disk and then renamed.
-# So after a crash or a power cut the file holds the old state or the new one. The second file may
-# remain; it always has the same name, so the next write replaces it.
+# So after a crash or a power cut the file holds the old state or the new one, never a mixture. The
+# second file may remain after a crash; it always has the same name, so the next write replaces it.
 
 from __future__ import annotations
 
@@ -31,11 +31,12 @@ def keep_state(
     device: DeviceResponder,
     on_trouble: Callable[[str], None],
 ) -> None:
-    """Load a device's state from a file, if the file exists, and save the state there from now on.
+    """Load a device's state from a file, if it exists, and save the state there at each change.
 
     Raises UsageError for a device without non-volatile registers and for a file with keys for other
     registers, InputError for a file that cannot be read, OutputError for one that cannot be
-    written. If a later write fails, the device goes on, and `on_trouble` gets a line for the user.
+    written. If a later write fails, the device continues, and `on_trouble` gets a line for the
+    user.
     """
     kept = device.behaviour.kept
     if not kept:
@@ -74,7 +75,7 @@ def _resolved(path: Path) -> Path:
     try:
         path = path.resolve()
         path.exists()
-    except (OSError, RuntimeError) as error:  # A folder without permission, or links in a circle.
+    except (OSError, RuntimeError) as error:  # No permission, or links in a circle.
         reason = getattr(error, "strerror", None) or error
         raise InputError(f"{path}: cannot be read: {reason}") from error
     return path
@@ -97,7 +98,7 @@ def _replace(path: Path, text: str) -> None:
         with contextlib.suppress(OSError):
             beside.unlink()
         raise
-    if hasattr(os, "O_DIRECTORY"):  # The new name is on the disk once its folder is synced.
+    if hasattr(os, "O_DIRECTORY"):  # A rename survives a power cut only if the folder is synced.
         folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
         try:
             os.fsync(folder)

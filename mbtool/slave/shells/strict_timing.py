@@ -1,4 +1,4 @@
-"""Decides which RTU requests get an answer from a slave that demands the standard's silences."""
+"""Decides, for a slave that demands the standard's silences, which RTU requests get a response."""
 
 # Serial Line V1.02, 2.5.1.1, and the manual of FT1A Touch, 4.1: at least 3.5 characters of silence
 # come before each message and after it, and no such silence is inside. A real slave takes all bytes
@@ -7,9 +7,10 @@
 #     a silence of t3.5 or longer is inside it                 it is two messages, both incomplete
 #     a shorter silence, or none, is before or after it        it is part of a longer message
 #
-# A silence between t1.5 and t3.5 inside a request is tolerated: a late read would look the same.
+# A silence between t1.5 and t3.5 inside a request is accepted: it may be caused by this machine
+# reading the port late.
 #
-# Memory: one request, held until the line has been silent for t3.5.
+# Memory: one request, which waits until the line has been silent for t3.5.
 
 from __future__ import annotations
 
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 
 
 class StrictTiming:
-    """Holds back a request until the silences before, inside and after it are known to be right."""
+    """Delays a request until the silences before, inside and after it are known to be right."""
 
     def __init__(self, line: SerialFormat) -> None:
         self._t3_5_ns = line.t3_5_ns
@@ -33,7 +34,7 @@ class StrictTiming:
     def hear(self, size: int, now_ns: int) -> None:
         """Called after each read of the port, with the number of bytes and the time of the last.
 
-        Drops the held request if these bytes came too soon after it.
+        Drops the waiting request if these bytes came less than t3.5 after it.
         """
         if self._held is not None:
             silence_ns = now_ns - size * self._character_ns - self._held.end_ns
@@ -41,7 +42,9 @@ class StrictTiming:
                 self._held = None
 
     def hold(self, request: Adu) -> None:
-        """Hold a complete request, unless the silence before or inside it is wrong."""
+        """Let a complete request wait for the silence behind it; drop it if a silence before or
+        inside it is wrong.
+        """
         before_ns, inside_ns = request.silence_before_ns, request.longest_silence_ns
         is_apart = before_ns is None or before_ns >= self._t3_5_ns
         is_apart &= Verdict.GLUED not in request.verdicts
@@ -49,7 +52,7 @@ class StrictTiming:
         self._held = request if is_apart and is_whole else None
 
     def due(self, now_ns: int) -> Adu | None:
-        """Return the request that is held, once the line has been silent for t3.5 after it."""
+        """Return the waiting request once the line has been silent for t3.5 after it; else None."""
         held = self._held
         if held is None or now_ns - held.end_ns < self._t3_5_ns:
             return None

@@ -1,8 +1,9 @@
 """One master's connection to a TCP slave: requests in, responses out, in the same order."""
 
-# Most reads bring exactly one request, which is answered straight from the buffer. Everything else
-# goes through the splitter: requests in pieces, bytes that are no request, RTU frames, and all
-# requests while someone watches the exchanges.
+# Most reads of the socket bring exactly one request, which is answered straight from the buffer.
+# All else goes through the splitter, which finds requests in a stream of bytes: requests in pieces,
+# bytes that are no request, RTU frames, and all requests if `on_exchange` is set, which needs them
+# as ADUs.
 #
 # Responses are sent in the order of their requests; a delayed response delays the ones behind it. A
 # response with a simulated fault is sent as modbus/distortion.py says, and may end the connection.
@@ -11,9 +12,9 @@
 # request for idle_s is closed. If the last part of a request does not come within split_s of its
 # first part, the request is dropped and the connection closed.
 #
-# Memory: the splitter's incomplete ADU, and the responses to Bounds.waiting requests. While so many
-# responses are pending, or the master reads none, the connection is not read. The last read before
-# that may still add responses: READ_BYTES / 8 on Modbus/TCP, whose shortest ADU has 8 bytes, and
+# Memory: one incomplete request, and the responses to Bounds.waiting requests. While so many
+# responses are pending, or the master does not read them, the socket is not read. The last read
+# before may still add responses: READ_BYTES / 8 on Modbus/TCP, whose shortest ADU has 8 bytes, and
 # READ_BYTES / 4 with RTU frames, whose shortest has 4.
 
 from __future__ import annotations
@@ -108,11 +109,13 @@ class MasterConnection(asyncio.BufferedProtocol):
         self._splitter = (RtuStreamSplitter if shell.is_rtu else MbapSplitter)(Direction.REQUEST)
         self._reads_in_place = not shell.is_rtu and shell.on_exchange is None
         self._is_in_pieces = False
-        """True if the splitter holds part of a request, or is looking for the next request."""
+        """True if the splitter has part of a request, or is looking for the next one after bad
+        bytes."""
         self._pending: deque[tuple[int, bytes | ConnectionEnding]] = deque()
-        """Bytes to be sent, or how to end the connection; each with the time when, in ns."""
+        """What to send: bytes, or the way to end the connection; each with the time to do it, in
+        ns."""
         self._has_ended = False
-        """True once the master has ended its direction of the connection with FIN."""
+        """True once the master has sent FIN: it sends no more requests."""
         self._peer_is_slow = False
         self._is_paused = False
         self._last_request_ns = self._clock()
@@ -127,7 +130,7 @@ class MasterConnection(asyncio.BufferedProtocol):
     def keep_alive(self, setting: KeepAlive | None) -> None:
         """Switch TCP keep-alive on with the times of `setting`; off if it is None."""
         sock = self._transport.get_extra_info("socket")
-        with suppress(OSError):  # The connection may have broken just now; asyncio will say so.
+        with suppress(OSError):  # The connection may be broken; asyncio reports it.
             sock.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, setting is not None)
             if setting is None:
                 return
@@ -197,7 +200,7 @@ class MasterConnection(asyncio.BufferedProtocol):
     def _answer_in_place(self, nbytes: int, now_ns: int) -> bool:
         """Answer the request in the buffer, if the buffer holds exactly one request.
 
-        Otherwise, or if all requests must go through the splitter, do nothing and return False.
+        Otherwise, or if all requests must go through the splitter, does nothing and returns False.
         """
         if self._is_in_pieces or not self._reads_in_place or not MBAP_BYTES < nbytes <= MAX_TCP_ADU:
             return False
@@ -216,7 +219,7 @@ class MasterConnection(asyncio.BufferedProtocol):
         return True
 
     def _split(self, data: bytes, now_ns: int) -> None:
-        """Pass bytes through the splitter, and answer the requests that they complete."""
+        """Find requests in bytes with the splitter, and answer those that are complete."""
         events = self._splitter.feed(data, now_ns)
         for event in events:
             if isinstance(event, Adu):
@@ -227,7 +230,7 @@ class MasterConnection(asyncio.BufferedProtocol):
                 if self._shell.on_exchange is not None:
                     self._shell.on_exchange(event, answer)
                 if (self._rules.closed_until_ns or 0) > now_ns:
-                    break  # A remote reset closes the connection, so later requests are lost.
+                    break  # A remote reset closes it: later requests are lost.
         self._is_in_pieces = not self._splitter.is_idle
         self._watch_parts(has_ended_one=bool(events))
 
@@ -244,7 +247,7 @@ class MasterConnection(asyncio.BufferedProtocol):
     def _send_due(self) -> None:
         """Send the responses that are due now, and set a timer for the later ones.
 
-        If nothing is left to send and the master sends no more, close the connection.
+        If nothing is left to send and the master has sent FIN, close the connection.
         """
         if self._send_timer is not None:
             self._send_timer.cancel()
@@ -287,7 +290,9 @@ class MasterConnection(asyncio.BufferedProtocol):
                 self._transport.resume_reading()
 
     def _watch_idle(self) -> None:
-        """Close the connection if no complete request came for idle_s; else set a timer again."""
+        """Close the connection if no complete request came for idle_s seconds; else set a timer to
+        check again.
+        """
         if math.isinf(self._rules.idle_s):
             return
         rest_s = self._rules.idle_s - (self._clock() - self._last_request_ns) / 1e9
@@ -297,7 +302,7 @@ class MasterConnection(asyncio.BufferedProtocol):
             self._idle_timer = self._loop.call_later(rest_s, self._watch_idle)
 
     def _watch_parts(self, *, has_ended_one: bool) -> None:
-        """Start the timer of a request whose last part is missing, or stop it.
+        """Start the timer for the missing last part of a request, or stop it.
 
         `has_ended_one` is True if the last read completed a request.
         """

@@ -1,12 +1,12 @@
-"""Plays slaves at a TCP endpoint: Modbus/TCP, or RTU over TCP."""
+"""Simulates slaves at a TCP endpoint: Modbus/TCP, or RTU over TCP."""
 
 # Each master has a MasterConnection (tcp_connection.py). The listener (ports/tcp_listener.py)
-# decides which machines may connect. The rules of the played device (connection_policy.py), or
+# decides which machines may connect. The rules of the simulated device (connection_policy.py), or
 # Bounds if the device has none, decide how many masters stay connected, and how long.
 #
-# These get no response: a request whose protocol id is not 0, bytes that are no request, and
-# requests for which the responder gives none. Bytes from one master never affect the connections of
-# others.
+# No response is sent to a request whose protocol id is not 0, to bytes that are no request, and to
+# a request for which the responder returns None. Bytes from one master never affect the connections
+# of others.
 #
 # Bounds sets the first three of these limits; a device's own rules replace the first two, and the
 # user's limits (ports/connection_limits.py) replace both:
@@ -45,16 +45,17 @@ MAX_REFUSED_HOSTS = 64
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Bounds:
-    """The limits of one endpoint; the top of this file describes them."""
+    """The limits of one endpoint: connections, seconds without a request, responses that wait."""
 
     connections: int = 32
     idle_s: float = 600.0
     waiting: int = 16
-    """Most pending responses of a connection; 16 is the number in the TCP guide (V1.0b, 4.3.2)."""
+    """The most pending responses of a connection; 16 is the number in the TCP guide (V1.0b,
+    4.3.2)."""
 
 
 class TcpSlave(Shell):
-    """Answers the connections of one endpoint."""
+    """Accepts masters at one TCP endpoint, and answers their requests with a responder."""
 
     def __init__(
         self,
@@ -66,10 +67,11 @@ class TcpSlave(Shell):
         rules: ConnectionPolicy | None = None,
         on_exchange: OnExchange | None = None,
     ) -> None:
-        """`rules` decide which connections the played device accepts, and when it closes them.
+        """Take the endpoint and what answers there.
 
-        None means a device without rules of its own: `bounds` then sets how many connections
-        there may be, and how long one may be idle.
+        `rules` decide which connections the simulated device accepts, and when it closes them. None
+        means a device without rules of its own: `bounds` then sets how many connections there may
+        be, and how long one may be idle.
         """
         super().__init__()
         self.link = link
@@ -146,7 +148,9 @@ class TcpSlave(Shell):
             self._woken.set()
 
     def _tell_refused(self, host: str, refusal: str) -> None:
-        """Report a refused machine, but only once: it will usually try again and again."""
+        """Report a refused machine to the user, but only once: it will usually try again
+        and again.
+        """
         if host not in self._refused_hosts and len(self._refused_hosts) < MAX_REFUSED_HOSTS:
             self._refused_hosts.add(host)
             self.rules.notes.append(f"a master was turned away: {refusal}")
@@ -161,7 +165,7 @@ class TcpSlave(Shell):
         try:
             with asyncio.Runner(loop_factory=lambda: self._loop) as runner:
                 runner.run(self._serve())
-        finally:  # Also if the slave was stopped before it began to serve.
+        finally:  # Also if it was stopped before it began to serve.
             self._listener.close()
 
     def _interrupt(self) -> None:
@@ -188,8 +192,9 @@ class TcpSlave(Shell):
     async def _finish_accepting(self) -> None:
         """Wait until asyncio has made a MasterConnection for each connection that it accepted.
 
-        asyncio runs a task for each of them; closing the server earlier would drop them. Meanwhile
-        no other connection is accepted, except on Windows, whose event loop cannot stop accepting.
+        asyncio runs a task for each of them; closing the server earlier would drop them. While this
+        waits, no other connection is accepted, except on Windows, whose event loop cannot stop
+        accepting.
         """
         with suppress(NotImplementedError):
             asyncio.get_running_loop().remove_reader(self._listener.sock)
@@ -200,7 +205,7 @@ class TcpSlave(Shell):
         while self.connections:
             for connection in list(self.connections):
                 connection.abort()
-            await asyncio.sleep(0)  # asyncio ends an aborted connection in the loop's next round.
+            await asyncio.sleep(0)  # asyncio ends an aborted connection in its next round.
 
     async def _stay_closed(self) -> None:
         self._woken.clear()
