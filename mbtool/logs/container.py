@@ -113,7 +113,7 @@ class Container:
     def add_message(self, topic: Topic, log_ns: int, publish_ns: int, data: bytes) -> None:
         """Add a message with its log and publish time (ns).
 
-        Times outside 0 to MAX_TIME are limited.
+        Times outside 0 to MAX_TIME are set to the nearer limit.
         """
         log_ns = min(max(log_ns, 0), MAX_TIME)
         publish_ns = min(max(publish_ns, 0), MAX_TIME)

@@ -151,7 +151,7 @@ def _fields_of(message: bytes) -> tuple[dict[int, int], dict[int, bytes]]:
 def _unpacked(packed: bytes) -> list[int]:
     """Decode the varints of a packed field.
 
-    Raises ValueError if more than MAX_READS, or if one is cut off.
+    Raises ValueError if there are more than MAX_READS, or if one is cut off.
     """
     if packed.isascii() and len(packed) <= MAX_READS:
         return [*packed]

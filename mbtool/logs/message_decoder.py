@@ -269,7 +269,7 @@ def _items_of(schema: str, data: bytes) -> list[LogItem]:
 def _merged(evidence: list[list[Chunk] | Chunk | Packet]) -> list[LogItem]:
     """Return the captured chunks and packets of several messages.
 
-    In order of time if of several links.
+    They are in the order of time if they come from several links.
     """
     by_link: dict[str, list[Chunk | Packet]] = {}
     for one in evidence:

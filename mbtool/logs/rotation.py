@@ -222,7 +222,7 @@ class RotatingLog(ClosesOnExit):
     def _finish(self, path: Path) -> None:
         """Note a finished file.
 
-        Remove the oldest so that there is room for one more below the limit.
+        Removes the oldest ones so that there is room for one more below the limit.
         """
         if self._keep is None:
             return

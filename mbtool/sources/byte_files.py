@@ -1,14 +1,15 @@
 """Reads the bytes of a serial line from files without times: raw, or hexadecimal text."""
 
 # Hexadecimal text is pairs of digits, with or without 0x before each, separated by white space, by
-# commas or not at all, in rows of any length. From a # on, a row is a comment.
+# commas or not at all, in rows of any length. A # begins a comment that lasts to the end of the
+# row.
 #
 # The bytes in such files have no times (Stamp.UNKNOWN). They get invented times: as if they had
-# come without gaps at the line's speed, from 1970-01-01 on. These keep the bytes in order and show
-# how far into the file a byte is. The file's date is not used, as it need not be the date of the
-# recording.
+# come without gaps at the line's baud rate, from 1970-01-01 on. These times keep the bytes in order
+# and show how far into the file a byte is. The file's date is not used, as it need not be the date
+# of the recording.
 #
-# Memory: at most READ_BYTES of a file.
+# Memory: at most READ_BYTES of a file at a time.
 
 from __future__ import annotations
 
@@ -32,25 +33,24 @@ _SHOWN = 20
 
 
 class SerialBytes(NamedTuple):
-    """The bytes of a serial line in a file of any kind."""
+    """The bytes of a serial line that a file of any kind contains."""
 
     line: LineSettings
-    """The line's settings: given by the user, else found in the file."""
+    """The line's settings: those that the user gave, else those that were found from the file."""
     pieces: Iterator[Chunk]
-    """The bytes, piece by piece.
+    """The bytes in the order of the file, as consecutive chunks.
 
     The iterator raises InputError for bad content, CutError for a file that was cut off, and
-    OSError if reading fails.
-    """
+    OSError if reading fails."""
 
 
 def read_raw(stream: BinaryIO, name: str, link: str, line: LineSettings) -> SerialBytes:
-    """Read a file that contains only the bytes of the line."""
+    """Read a file that contains nothing but the bytes of the line."""
     return SerialBytes(line, _back_to_back(_blocks(stream), name, link, line))
 
 
 def read_hex(stream: BinaryIO, name: str, link: str, line: LineSettings) -> SerialBytes:
-    """Read a text that has the bytes in hexadecimal."""
+    """Read a text file that contains the bytes of the line in hexadecimal."""
     return SerialBytes(line, _back_to_back(_from_hex(stream, name), name, link, line))
 
 
@@ -78,7 +78,7 @@ def _from_hex(stream: BinaryIO, name: str) -> Iterator[bytes]:
     row = 1
     in_comment = False
     rest = b""
-    """The last word of a piece, or the end of a long word: the next piece may continue it."""
+    """The unfinished word at the end of the last read: the next read may continue it."""
     while piece := stream.readline(READ_BYTES):
         is_whole = piece.endswith(b"\n")
         text, sharp, _ = (b"" if in_comment else rest + piece).partition(b"#")
@@ -87,8 +87,8 @@ def _from_hex(stream: BinaryIO, name: str) -> Iterator[bytes]:
         words = _PARTED.split(text)
         last = words.pop()
         if not is_whole and not in_comment:
-            # The next piece may continue the last word, so it is kept for then. If it is long, its
-            # complete pairs of digits are read now, so that only a short text is kept.
+            # The next read may continue the last word, so it is kept for then. If it is long, its
+            # complete pairs of digits are decoded now, so that only a short text is kept.
             even = len(last) // 2 * 2 if len(last) > _SHOWN else 0
             words.append(last[:even])
             rest = last[even:]
@@ -107,7 +107,7 @@ def _from_hex(stream: BinaryIO, name: str) -> Iterator[bytes]:
 def _all_pairs(words: list[bytes], name: str, row: int) -> bytes:
     try:
         return bytes.fromhex(b" ".join(words).decode("ascii"))
-    except ValueError:  # One word has a 0x, or is wrong: read the words one by one.
+    except ValueError:  # A word begins with 0x or is wrong: decode each by itself.
         return b"".join(_pairs(word, name, row) for word in words if word)
 
 

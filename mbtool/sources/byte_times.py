@@ -4,14 +4,14 @@
 #     0.0311790,0.0315970,tx,01
 #
 # The header names the columns, in any order. Only the times and the byte are used, not `line` or
-# any other column: all rows are of one bus, in the order of time. Times are seconds, since the
-# start of the recording or since 1970; a recording that starts at 0 is shown as starting in 1970.
-# An analyser that counts from its trigger gives negative times to the bytes before the trigger:
-# then the time of the first row is shown as 0.
+# any other column: all rows are of one serial line, in the order of time. Times are in seconds,
+# since the start of the recording or since 1970; a recording that starts at 0 is shown as starting
+# in 1970. An analyser that counts from its trigger gives negative times to the bytes before the
+# trigger: then all times are shifted so that the first row is at 0.
 #
-# The time of a byte is the arrival of its last bit. sigrok's decoder gives the end of the data bits
-# as t_end_s. If t_end_s is less than one character time after t_start_s, the time is t_start_s plus
-# one character time.
+# The time of a byte is the arrival of its stop bit. sigrok's decoder gives the end of the data bits
+# as t_end_s. So if t_end_s is less than one character time after t_start_s, the time of the byte is
+# t_start_s plus one character time.
 #
 # The line's settings are found from the first rows: the duration of a byte gives the baud rate, and
 # the shortest time between the starts of two bytes gives the number of bits of a character. 10 bits
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
 START, END, BYTE = "t_start_s", "t_end_s", "byte_hex"
 LOOKED_AT = 1000
-"""The line's settings are found from this number of first rows."""
+"""The number of rows at the beginning from which the line's settings are found."""
 MAX_ROW = 4096
 """The most bytes that a row may have."""
 
@@ -57,7 +57,8 @@ _BAUDS = (
 _TOLERANCE = 0.02
 """A measured baud rate is taken as a usual baud rate if they differ by at most 2 %."""
 _LENGTHS = (8, 11, 10)
-"""The possible numbers of bits between start and end of a row: 8 data bits, or a character."""
+"""The possible numbers of bit times between t_start_s and t_end_s of a row: 8 data bits only, or a
+whole character of 10 or 11 bits."""
 _SHOWN = 40
 
 
@@ -72,8 +73,8 @@ def read_byte_times(
 ) -> SerialBytes:
     """Read the header and the first rows, which give the line's settings if `line` is None.
 
-    A wrong header or row raises InputError, but only after the iterator has returned the bytes
-    before it.
+    A wrong header or row raises InputError, but only after the iterator has returned the bytes of
+    the rows before it.
     """
     rows = _rows(stream, name)
     first: list[_Row] = []
@@ -81,7 +82,7 @@ def read_byte_times(
     try:
         first.extend(islice(rows, LOOKED_AT))
     except InputError as error:
-        problem = error  # Raised later, after the rows before it are returned.
+        problem = error  # Raised after the bytes of the rows before it.
     line = line or LineSettings(_format(first))
     return SerialBytes(line, _chunks(chain(first, rows), name, link, line, problem))
 
@@ -106,7 +107,7 @@ def _chunks(
 
 
 def _format(rows: Sequence[_Row]) -> SerialFormat:
-    """Return the line settings that fit the times of the rows; if none fit, the default."""
+    """Return the line settings that fit the times of the rows, else the default settings."""
     width_ns = median_low([row.end_ns - row.start_ns for row in rows]) if rows else 0
     if not width_ns:
         return SerialFormat()
@@ -119,8 +120,8 @@ def _format(rows: Sequence[_Row]) -> SerialFormat:
         return SerialFormat()
     steps = (after.start_ns - before.start_ns for before, after in pairwise(rows))
     shortest_ns = min((step for step in steps if step >= width_ns), default=0)
-    # The limit between 10 and 11 bits is 10.5 bits: no clock is off by half a bit in one
-    # character.
+    # A character of 10 bits is told from one of 11 bits by a limit of 10.5 bit times: no clock is
+    # off by half a bit time within one character.
     is_short = bits == 10 or 0 < shortest_ns * baud < 10.5e9
     return SerialFormat(baud, 8, "N" if is_short else "E", 1)
 
@@ -164,7 +165,7 @@ def _rows(stream: BinaryIO, name: str) -> Iterator[_Row]:
 
 
 def _cells(stream: BinaryIO, name: str, number: int) -> tuple[list[str], bool]:
-    """Read a row; return its cells, and true if it ends with a line feed.
+    """Read a row; return its cells, and True if it ends with a line feed.
 
     Returns no cells at the end of the file. Raises InputError if the row is too long.
     """

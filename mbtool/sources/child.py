@@ -1,19 +1,20 @@
 """Starts and ends the child processes that read ports and note the time of each byte.
 
-In the main process the decoder is busy, which would make the times wrong.
+In the main process the decoder is busy, so that reads, and the times noted after them, would be
+late.
 """
 
 # A child runs a module of this package and writes to its standard output. Nothing is written to its
 # standard input; the parent keeps it open as long as the child must run. When the parent closes it,
-# or ends in any way, the child reads the end of file and ends.
+# or exits for any reason, the child reads the end of file and exits.
 #
 # A child has a process group of its own, so that Ctrl-C in the terminal reaches only the parent,
 # which then ends its children. The option -P keeps the current folder out of the child's search
 # path for modules: a user may have a file serial.py there, which would be imported in place of
 # pyserial.
 #
-# subprocess is used, not multiprocessing: that would import the parent's main module again, with
-# the whole command line, and start a resource tracker as a second process.
+# subprocess is used, not multiprocessing: multiprocessing would import the parent's main module
+# again, with the whole command line, and start a resource tracker as a second process.
 
 from __future__ import annotations
 
@@ -36,8 +37,8 @@ GRACE_S = 5.0
 def start_child(module: str, *arguments: str, files: Sequence[int] = ()) -> subprocess.Popen[bytes]:
     """Run a module of this package as a child, with pipes for its standard input and output.
 
-    It has the descriptors `files`, too (not on Windows). Its clock tells the same time as the
-    parent's. Raises LinkError if the system starts no more processes.
+    The child inherits the file descriptors `files` (not on Windows). Its clock tells the same time
+    as the parent's. Raises LinkError if the system starts no more processes.
     """
     try:
         return _started(module, *arguments, files=files)
@@ -80,10 +81,7 @@ def tell_to_end(child: subprocess.Popen[bytes]) -> None:
 
 
 def end_child(child: subprocess.Popen[bytes]) -> int:
-    """Tell a child to end, and kill it if it has not ended after GRACE_S.
-
-    Returns its exit status.
-    """
+    """Tell a child to end, kill it if it still runs after GRACE_S, and return its exit status."""
     tell_to_end(child)
     try:
         return child.wait(GRACE_S)

@@ -3,15 +3,15 @@
 # A file is recognised by its first bytes, not by its name: first the compression, then the kind of
 # capture inside. An uncompressed file keeps its seekable stream, which the reader of a log may
 # need. If the user gives the settings of a serial line, a file of no known kind is taken as the
-# bytes of that line, or, if it is a text, as these bytes in hexadecimal. The bytes of an ASCII line
-# are text themselves: for such a line, a text counts as hexadecimal if it has no colon and its
-# digits are in separate pairs. The byte order mark that some programs put before a text is skipped.
+# bytes of that line, or, if it is a text, as these bytes in hexadecimal. On an ASCII line the bytes
+# themselves are text; so for such a line, a text counts as hexadecimal only if it has no colon and
+# its digits are in separate pairs. A byte order mark before a text is skipped.
 #
 # Limits: a compressed stream is unpacked INPUT_BYTES at a time, so the memory it needs is bounded
 # (zlib 0.5 MiB; zstd 16 MiB at most, plus a window of at most MAX_WINDOW). A small file cannot cost
-# hours: it may unpack to FREE_BYTES, and further to MAX_RATIO times its bytes read so far. Captures
-# are packed to a 3rd or a 10th, a log, whose chunks are packed, hardly. If a stream ends before its
-# end mark, all bytes that can be unpacked are read, then CutError is raised.
+# hours: it may unpack to FREE_BYTES plus MAX_RATIO times its bytes read so far. Captures are
+# compressed to a third or a tenth; a log, whose chunks are compressed already, hardly shrinks. If a
+# stream ends before its end mark, all bytes that can be unpacked are read, then CutError is raised.
 
 from __future__ import annotations
 
@@ -48,7 +48,8 @@ MAX_WINDOW = 128 * 1024 * 1024
 MAX_RATIO = 100
 FREE_BYTES = 64 * 1024 * 1024
 FREE_BYTES_OF_LOG = 4 * 1024 * 1024
-"""Less than FREE_BYTES, as the chunks in a log may unpack to many times their bytes again."""
+"""The number of bytes to which a compressed log may unpack whatever its size. It is less than
+FREE_BYTES, as the chunks inside a log are unpacked once more."""
 
 _HEAD = 64
 _BUFFER = 64 * 1024
@@ -69,7 +70,7 @@ _OTHERS = {
 
 
 class CaptureKind(StrEnum):
-    """The kinds of capture files."""
+    """The kinds of capture files that this program reads."""
 
     PCAP = "pcap"
     PCAPNG = "pcapng"
@@ -85,7 +86,7 @@ class CaptureKind(StrEnum):
 
 
 TIMED_KINDS = frozenset((CaptureKind.BYTE_TIMES, CaptureKind.SIGROK))
-"""The kinds that have a time for each byte of a serial line."""
+"""The kinds of files that have a time for each byte of a serial line."""
 PACKET_KINDS = frozenset((CaptureKind.PCAP, CaptureKind.PCAPNG))
 _TEXT_KINDS = frozenset((CaptureKind.HEX, CaptureKind.BYTE_TIMES))
 
@@ -106,7 +107,8 @@ class CaptureFile:
         its end mark, and OSError if the system cannot read the file.
         """
         self.head: CaptureHead | None = None
-        """What the file says of its links, known with its first packet; None if it says nothing."""
+        """What the file says of its links. It is known once the first packet is read; None if the
+        file says nothing."""
         self._file = file
         self._size = _size(file)
 
@@ -160,7 +162,7 @@ class CaptureFile:
         return (read_raw if self.kind is CaptureKind.RAW else read_hex)(*of_file, line)
 
     def guarded(self, items: Iterator[_Item]) -> Iterator[_Item]:
-        """Pass on what is read from the stream; raise InputError in place of an OSError."""
+        """Yield `items`, which are read from the stream, and turn an OSError into InputError."""
         try:
             yield from items
         except OSError as error:
@@ -189,18 +191,18 @@ class CaptureFile:
 
 
 def place_of(path: str) -> tuple[object, bool]:
-    """Return a key that is the same for all paths to one file, and true if the file is a pipe."""
+    """Return a key that is the same for all paths to one file, and True if the file is a pipe."""
     if path == STANDARD_INPUT:
         return path, True
     try:
         status = os.stat(path)
-    except (OSError, ValueError):  # When the file is opened, the error says what is wrong.
+    except (OSError, ValueError):  # Opening the file will raise the error for the user.
         return path, False
     return (status.st_dev, status.st_ino), stat.S_ISFIFO(status.st_mode)
 
 
 def shown_name(path: str) -> str:
-    """The name of a file in messages and records; a byte that is no UTF-8 is written in hex."""
+    """The name of a file for messages and records; bytes that are no UTF-8 are shown in hex."""
     if path == STANDARD_INPUT:
         return "standard input"
     return os.fsencode(path).decode("utf-8", "backslashreplace")
@@ -252,7 +254,7 @@ def _open(path: str | Path) -> io.BufferedIOBase:
 
 
 def _peek(stream: io.BufferedIOBase) -> tuple[bytes, io.BufferedIOBase]:
-    """Read a stream's first bytes; return them, and a stream that begins with them again."""
+    """Return the first bytes of a stream, and a stream that begins with the same bytes."""
     head = b""
     try:
         while len(head) < _HEAD and (more := stream.read1(_HEAD - len(head))):
@@ -260,7 +262,7 @@ def _peek(stream: io.BufferedIOBase) -> tuple[bytes, io.BufferedIOBase]:
     except CutError:
         if not head:
             raise
-        # The next read after these bytes raises the error again.
+        # The stream raises the CutError again when the bytes behind `head` are read.
     if stream.seekable():
         stream.seek(0)
         return head, stream
@@ -296,7 +298,7 @@ class _Unpacker(Protocol):
 
 
 class _Unpacked(io.RawIOBase):
-    """The unpacked content of a file of one or several consecutive compressed streams."""
+    """The unpacked content of a file of one compressed stream, or of several in a row."""
 
     def __init__(
         self,
@@ -312,10 +314,10 @@ class _Unpacked(io.RawIOBase):
         self._unpacker: _Unpacker | None = None
         self._ready = memoryview(b"")
         self._left = FREE_BYTES
-        """The number of bytes that may still be unpacked."""
+        """The number of bytes that may still be unpacked before the limit is reached."""
 
     def is_log(self) -> None:
-        """Lower the limit to that of a log."""
+        """Lower the limit on unpacked bytes to that of a compressed log."""
         self._left -= FREE_BYTES - FREE_BYTES_OF_LOG
 
     def readable(self) -> bool:
@@ -350,7 +352,7 @@ class _Unpacked(io.RawIOBase):
         unpacked = []
         while data:
             if self._unpacker is None:
-                data = data.lstrip(b"\0")  # A gzip file may end in zeros: padding for tapes.
+                data = data.lstrip(b"\0")  # A gzip file may end in zeros, the padding for tapes.
                 if not data:
                     break
                 self._unpacker = self._begin()
@@ -368,7 +370,7 @@ def _unpacked(name: str, head: bytes, stream: io.BufferedIOBase) -> _Unpacked | 
         gzip_window = 16 + zlib.MAX_WBITS
         return _Unpacked(stream, lambda: zlib.decompressobj(gzip_window), zlib.error, name)
     if head.startswith(_ZSTD):
-        import zstandard  # Imported here, since few files need it.
+        import zstandard  # Imported here, as few files are compressed with zstd.
 
         context = zstandard.ZstdDecompressor(max_window_size=MAX_WINDOW)
         return _Unpacked(stream, context.decompressobj, zstandard.ZstdError, name)
@@ -413,7 +415,7 @@ def _is_text(head: bytes) -> bool:
     except UnicodeDecodeError as error:
         if error.start <= len(head) - 4:
             return False
-        text = head[: error.start].decode("utf-8")  # The last character may be incomplete.
+        text = head[: error.start].decode("utf-8")  # The head may end inside a character.
     return all(character.isprintable() or character in "\t\r\n" for character in text)
 
 

@@ -1,7 +1,7 @@
 """The queue from the live sources to the consumer of chunks and packets."""
 
 # The consumer is the recorder (workflows/shared/recorder.py), which passes the items on to the
-# decoder in a second Inbox; without a log it is the decoder itself.
+# decoder through a second Inbox; without a log the consumer is the decoder itself.
 #
 # Any number of sources, each in a thread of its own, put items (chunks, packets, events) into one
 # Inbox, and one consumer takes them out. The items of one source come out in the order in which the
@@ -13,18 +13,19 @@
 # few large gaps are easier to read than many small ones. In place of the lost items come a
 # DISCARDED event for each link, which says how much was lost, and a StreamGap for each direction of
 # a connection that lost bytes; it keeps the decoder from joining the bytes before and after the
-# gap. If a connection ends meanwhile, its gaps come before its end, so only the gaps of open
-# connections are kept.
+# gap. If such a connection ends while the inbox is full, its StreamGaps are put before its
+# StreamClosed, so that gaps are remembered only for open connections.
 #
 # Sources and consumer share one interpreter. A busy consumer would slow down a capture: each system
 # call of the capture releases the interpreter's lock and gets it back only milliseconds later. So a
 # source fetches from the kernel inside the context `first`. Meanwhile the consumer waits, for at
-# most STANDSTILL_S at a time, but not if the inbox is half full. The consumer of a second Inbox,
-# made with `behind`, waits for the same sources.
+# most STANDSTILL_S at a time, but not if the inbox is more than half full. The consumer of a second
+# Inbox, made with `behind`, waits for the same sources.
 #
-# StreamOpened and StreamClosed, with its gaps, are accepted up to twice the limit, so that the
-# consumer knows which connections are open; Ended is always accepted. A new Quiet replaces the
-# previous Quiet of the same link. A Quiet that does not fit is dropped and not counted as lost.
+# StreamOpened and StreamClosed, with the gaps before it, are accepted up to twice the limit, so
+# that the consumer knows which connections are open; Ended is always accepted. A new Quiet replaces
+# a Quiet of the same link that is last in the queue. A Quiet that does not fit is dropped and not
+# counted as lost.
 
 from __future__ import annotations
 
@@ -49,24 +50,24 @@ ITEM_COST = 256
 
 @dataclass(frozen=True, slots=True)
 class Ended:
-    """The last item of a source: nothing follows from it."""
+    """The last item of a source: no item of this source comes after it."""
 
     link: str
     error: LinkError | None = None
-    """The error that ended the source; None if the program ended it."""
+    """The error that ended the source; None if the program closed the source."""
 
 
 Item = StreamItem | Packet | Quiet | Ended
 
 
 class Sink(Protocol):
-    """Something that a source can put its items into, such as an Inbox."""
+    """Anything that takes the items of a source, such as an Inbox."""
 
     def put(self, item: Item) -> object: ...
 
 
 class PatientSink(Sink, Protocol):
-    """A sink whose consumer waits while a source fetches."""
+    """A sink whose consumer waits while a source fetches data from the kernel."""
 
     def first(self) -> AbstractContextManager[None]: ...
 
@@ -75,10 +76,10 @@ class Inbox:
     """A bounded queue from many sources to one consumer. Any thread may use it."""
 
     def __init__(self, limit: int = DEFAULT_LIMIT, *, behind: Inbox | None = None) -> None:
-        """`behind` is the inbox whose items, once recorded, are put into this one.
+        """`behind` is another inbox, whose items are put into this one once they are in the log.
 
-        Then what this one discards is in the log, and its DISCARDED events say so and count no
-        loss.
+        Then the items that this inbox discards are in the log, and its DISCARDED events say so and
+        count no lost bytes.
         """
         self._limit = limit
         self._filled_by_sources = self if behind is None else behind
@@ -88,7 +89,7 @@ class Inbox:
         self._losses: dict[str, _Loss] = {}
         self._changed = Condition()
         self._first = 0
-        """Number of sources that are inside the context of `first`."""
+        """The number of sources that are inside the context `first`, so that the consumer waits."""
         self._calm = Event()
         self._calm.set()
 
@@ -103,7 +104,8 @@ class Inbox:
     def put(self, item: Item) -> bool:
         """Put an item, without waiting; return False if it was discarded.
 
-        The top of this file says what a full inbox does.
+        A full inbox discards all new items except Ended and the beginnings and ends of connections,
+        until the consumer has emptied it to half of the limit.
         """
         with self._changed:
             if isinstance(item, Ended):
@@ -121,7 +123,8 @@ class Inbox:
     def first(self) -> Iterator[None]:
         """A context in which a source fetches and puts items while the consumer waits.
 
-        The top of this file says when the consumer does not wait.
+        The consumer waits for at most STANDSTILL_S at a time, and not if the inbox is more than
+        half full.
         """
         with self._changed:
             self._first += 1
@@ -135,7 +138,7 @@ class Inbox:
                     self._calm.set()
 
     def get(self, timeout: float | None = None) -> Item | None:
-        """Take out and return the next item; return None if none comes in `timeout` seconds.
+        """Take out and return the next item; None if none comes in `timeout` seconds.
 
         Without a timeout this waits until an item comes.
         """
@@ -152,7 +155,7 @@ class Inbox:
             return item
 
     def take(self, timeout: float, most: int) -> list[Item]:
-        """Take out up to `most` items; an empty list if none comes in `timeout` seconds."""
+        """Take out up to `most` items, at least one; none if no item comes in `timeout` seconds."""
         self._let_sources_go_first()
         with self._changed:
             if not self._items:
@@ -189,7 +192,7 @@ class Inbox:
         loss = self._losses.setdefault(_link(item), _Loss())
         loss.ts_ns = item.ts_ns
         if isinstance(item, WireEvent) and item.kind is EventKind.DISCARDED:
-            loss.size += item.missing  # The item itself reports a loss; add it.
+            loss.size += item.missing  # This lost event itself reports a loss: add its numbers.
             loss.dropped += item.packets
             return
         loss.items += 1
@@ -228,15 +231,15 @@ class Inbox:
 
 @dataclass(slots=True)
 class _Loss:
-    """The items that one link has lost since the inbox became full."""
+    """Counts what one link has lost since the inbox became full."""
 
     ts_ns: int = 0
     items: int = 0
     size: int = 0
     packets: int = 0
-    """Number of lost items that were packets of a network interface."""
+    """The number of lost items that were packets of a network interface."""
     dropped: int = 0
-    """Packets that the kernel dropped in that time, as counted in lost DISCARDED events."""
+    """The number of packets that the kernel dropped, as lost DISCARDED events reported them."""
     streams: dict[tuple[Connection, Direction], int] = field(default_factory=dict)
 
     @property
@@ -244,7 +247,7 @@ class _Loss:
         return f"; the kernel dropped {self.dropped} packets" if self.dropped else ""
 
     def take_gaps(self, connection: Connection) -> list[StreamGap]:
-        """Return the losses of a connection, as a gap for each direction, and forget them."""
+        """Remove a connection's losses, and return a StreamGap for each direction that has any."""
         lost = [
             (direction, self.streams.pop((connection, direction), 0))
             for direction in (Direction.REQUEST, Direction.RESPONSE)

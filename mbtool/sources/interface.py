@@ -4,21 +4,23 @@
 # kernel has removed back into the packet; it decodes nothing. The filter is our own
 # (port_filter.py), so neither libpcap nor tcpdump is needed. Linux only.
 #
-# The kernel notes the time of a packet by the system's clock, which may be set during a capture. So
-# how far that clock is ahead of `now_ns` is measured before each fetch, and subtracted from the
-# times. scapy returns the time as a float, exact to 0.25 us. At the beginning of a capture it can
-# be some 30 us late (seen on the loopback). The kernel buffers packets until the thread here
-# fetches them: 32 MiB if the process has the privilege, else net.core.rmem_max. The kernel counts
-# packets that do not fit. The count is read every second and at the end, and reported as an event.
-# Each packet that passed the filter is either fetched or counted, so the sum is exact.
+# The kernel notes the time of a packet by the system's clock, which somebody may set during a
+# capture. So the difference between that clock and `now_ns`, which never steps, is measured before
+# each fetch and subtracted from the packets' times. scapy returns the time as a float, exact to
+# 0.25 us. At the beginning of a capture it can be some 30 us late (seen on the loopback). The
+# kernel buffers packets until the thread here fetches them: 32 MiB if the process has the
+# privilege, else net.core.rmem_max. The kernel counts packets that do not fit. The count is read
+# every second and at the end, and reported as an event. Each packet that passed the filter is
+# either fetched or counted, so the sum is exact.
 #
-# net:any uses the same kind of socket, bound to no interface. With each packet comes the kind of
-# the interface that received it; packets of kinds that cannot be read are left out, with one event
-# for each kind. No interface is made promiscuous.
+# The link net:any uses the same kind of socket, bound to no interface. With each packet comes the
+# hardware type of the interface that received it; packets of types that cannot be read are left
+# out, with one event for each type. No interface is made promiscuous.
 #
-# net:A,B uses a socket for each interface, and merges their packets in the order of their times: a
-# packet is held back while another interface may still deliver an earlier one, but at most _FETCH
-# packets of each interface. If the clock was set back, packets stamped before that are not held.
+# The link net:A,B uses a socket for each interface, and merges their packets in the order of their
+# times: a packet is held back while another interface may still deliver an earlier one, but at most
+# _FETCH packets of each interface. If the system's clock was set back, packets with time stamps
+# from before that are not held back.
 #
 # scapy takes 0.1 s to import, so it is imported only when a capture starts.
 
@@ -57,20 +59,23 @@ _ARPHRD_LOOPBACK = 772
 _LINK_TYPES = {1: 1, _ARPHRD_LOOPBACK: 1, 65534: 101, 512: 101, 768: 101, 769: 101, 776: 101}
 
 _MAX_PACKET = 2**17
-"""The most bytes read of a packet. Even a segment not yet split to the MTU has only 64 KiB."""
+"""The most bytes that are read of a packet. Even a TCP segment that the card has yet to split to
+the MTU has only 64 KiB."""
 _BUFFER = 32 * 2**20
 """Size in bytes of the kernel's buffer for one interface, if the process has the privilege."""
 _FETCH = 1000
 """The most packets of one interface that are fetched before the loop reads the clock again."""
 _LAST_FETCHES = 100
-"""At the end of a capture, up to _FETCH packets are fetched at most so many times."""
+"""At the end of a capture, the packets that still wait in the kernel are fetched in at most this
+many rounds of up to _FETCH packets."""
 _TICK_S = 0.1
 _SOON_S = 0.002
 """The longest wait for packets, in seconds, while packets of other interfaces are held back."""
 _SETTLE_NS = 1_000_000
-"""The longest time in ns from a packet's time stamp until the packet can be fetched."""
+"""The longest time in ns between a packet's time stamp and the moment at which it can be
+fetched."""
 _AHEAD_NS = 1_000_000_000
-"""If a packet's time stamp is so many ns ahead of the clock, the clock has been set back."""
+"""If a packet's time stamp is this many ns ahead of the clock, the clock has been set back."""
 _STATISTICS_NS = 1_000_000_000
 
 # Constants of linux/if_ether.h, asm-generic/socket.h and linux/if_packet.h that Python's socket
@@ -86,7 +91,7 @@ _PACKET_AUXDATA = 8
 
 @dataclass(slots=True)
 class _Capture:
-    """An interface that is being captured."""
+    """One network interface that is being captured."""
 
     name: str
     socket: Any
@@ -94,10 +99,14 @@ class _Capture:
     link_type: int | None = None
     """The link type of all packets (LINKTYPE_); None for net:any, where each packet has its own."""
     held: list[Packet] = field(default_factory=list)
-    """Packets that wait for earlier ones of other interfaces, in the order of their times."""
+    """Packets that are held back, as another interface may still deliver earlier ones; in the order
+    of their times."""
 
     def release(self, horizon_ns: int | None = None) -> list[Packet]:
-        """Take out the held packets up to the time `horizon_ns`; all of them if it is None."""
+        """Take out and return the packets held back.
+
+        Only packets up to the time `horizon_ns` (UTC ns) are taken out, or all if it is None.
+        """
         count = len(self.held)
         if horizon_ns is not None:
             count = bisect_right(self.held, horizon_ns, key=attrgetter("ts_ns"))
@@ -106,9 +115,9 @@ class _Capture:
 
 
 class InterfaceSource(LiveSource[InterfaceLink]):
-    """Listens to interfaces while its context is open.
+    """Captures packets of one or several network interfaces while its context is open.
 
-    Entering the context raises LinkError if an interface cannot be listened to.
+    Entering the context raises LinkError if an interface cannot be captured.
     """
 
     _inbox: PatientSink
@@ -121,9 +130,10 @@ class InterfaceSource(LiveSource[InterfaceLink]):
         self._captures: list[_Capture] = []
         self._clocks = ClockWatch()
         self._told: set[int] = set()
-        """The hardware types already reported as unreadable."""
+        """The hardware types (ARPHRD_) that were already reported as unreadable."""
         self._alarm: tuple[int, int] | None = None
-        """Both ends of a pipe; closing the second end wakes the thread, which then ends."""
+        """The read end and the write end of a pipe. Closing the write end wakes the thread, which
+        then ends."""
 
     def open(self) -> None:
         try:
@@ -152,9 +162,10 @@ class InterfaceSource(LiveSource[InterfaceLink]):
             each.socket.close()
 
     def _prepare(self, name: str, listener: socket.socket) -> int | None:
-        """Set the filter; return the link type of all packets, None if each has its own.
+        """Set the kernel's packet filter.
 
-        Raises LinkError if packets of this interface cannot be read.
+        Returns the link type of all packets, None if each has its own. Raises LinkError if packets
+        of this interface cannot be read.
         """
         if name == ANY_INTERFACE:
             _prepare(listener, port_filter(self._ports, is_loopback=None))
@@ -195,7 +206,7 @@ class InterfaceSource(LiveSource[InterfaceLink]):
             self._inbox.put(Ended(self.link, error))
 
     def _fetch(self) -> bool:
-        """Fetch waiting packets of all interfaces; return true if more may be waiting."""
+        """Fetch waiting packets of all interfaces; return True if more may be waiting."""
         if len(self._captures) == 1:
             (capture,) = self._captures
             packets, more = self._receive(capture)
@@ -226,7 +237,7 @@ class InterfaceSource(LiveSource[InterfaceLink]):
             self._inbox.put(packet)
 
     def _receive(self, capture: _Capture) -> tuple[list[Packet], bool]:
-        """Fetch at most _FETCH packets of an interface, and true if more may be waiting."""
+        """Fetch at most _FETCH packets of an interface; also return True if more may be waiting."""
         packets: list[Packet] = []
         asked_ns, from_system = now_ns(), self._clocks.from_system
         with suppress(BlockingIOError):
@@ -236,7 +247,8 @@ class InterfaceSource(LiveSource[InterfaceLink]):
                     _, data, seconds = capture.socket.recv_raw(_MAX_PACKET)
                 else:
                     # recv_raw does not return the interface that received the packet, nor its
-                    # hardware type. _recv_raw does; it is private, but scapy offers no other way.
+                    # hardware type. _recv_raw does; it is a private method, but scapy offers no
+                    # other way.
                     data, heard_by, seconds = capture.socket._recv_raw(
                         capture.socket.ins, _MAX_PACKET
                     )
@@ -307,7 +319,7 @@ def capture_trouble() -> Trouble | None:
 
 
 def _program() -> str:
-    """Return a command that starts this program under sudo; sudo has its own search path."""
+    """Return a command that starts this program under sudo, which has its own search path."""
     script = os.path.join(os.path.dirname(sys.executable), "mbtool")
     if not os.path.exists(script):
         return f"{sys.executable} -m mbtool"
@@ -363,7 +375,7 @@ def _called(link: InterfaceLink, name: str) -> str:
 
 
 def _hearing_all() -> socket.socket:
-    """A socket that receives from all interfaces, with the options that scapy sets on its own."""
+    """Open a socket that receives from all interfaces, with the options that scapy would set."""
     listener = socket.socket(socket.AF_PACKET, socket.SOCK_RAW, socket.htons(_ETH_P_ALL))
     listener.setsockopt(_SOL_PACKET, _PACKET_AUXDATA, 1)
     listener.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
@@ -371,7 +383,7 @@ def _hearing_all() -> socket.socket:
 
 
 def _prepare(listener: socket.socket, program: Sequence[bytes]) -> None:
-    """Enlarge the kernel's buffer, set the filter, and drop the packets that came before it."""
+    """Enlarge the kernel's buffer, set the filter, and drop packets that came before the filter."""
     _attach(listener, drop_everything())
     listener.setblocking(False)
     with suppress(BlockingIOError):

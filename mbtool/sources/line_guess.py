@@ -1,16 +1,16 @@
 """Finds a serial line's settings by listening, and says how certain they are. Never writes."""
 
-# The settings are tried one after the other, likely ones first, until nearly all bytes are frames
-# with a correct checksum. With each setting the port is read until it is clear that the setting is
-# right or wrong, but at most for LISTEN_S. Bytes before the first silence are skipped, since they
-# began while the port had other settings; but at most SKIPPED bytes, as some lines have no visible
-# silence.
+# The settings are tried one after the other, likely ones first, until nearly all bytes are in
+# frames with a correct checksum. With each setting the port is read until it is clear that the
+# setting is right or wrong, but at most for LISTEN_S. Bytes before the first silence are skipped,
+# since they may have been received with the previous setting; but at most SKIPPED bytes, as some
+# lines have no visible silence.
 #
 # This takes a second on a busy line with usual settings. If hardly any bytes come, it takes
 # LISTEN_S for each of 24 settings: four minutes.
 #
-# A setting with parity is certain only if the driver is known to mark bytes with wrong parity: it
-# must have marked some with another setting, or with the other parity.
+# A setting with parity is called certain only if the driver is known to mark bytes with wrong
+# parity: it must have marked some while another setting, or the other parity, was tried.
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 LISTEN_S = 10
 """The longest time for which a setting is tried, in seconds."""
 SKIPPED = 300
-"""The most bytes that are skipped before the first silence."""
+"""The most bytes that are skipped, with each setting, before the first silence."""
 
 
 def guess_line(
@@ -45,8 +45,9 @@ def guess_line(
 ) -> tuple[SerialLink, str]:
     """Return the link with the settings found, and a sentence that says how certain they are.
 
-    If the link has two ports, only the port at the master's side is read. Raises LinkError if the
-    port cannot be opened, if no bytes come, and if no settings fit the bytes.
+    If the link has two ports, only the port at the master's side is read. `open_` opens a port to
+    listen; `clock` returns the time in ns. Raises LinkError if the port cannot be opened, if no
+    bytes come, and if no settings fit the bytes.
     """
     to_hear = settings_to_try()
     port = open_(link.ports[0], to_hear[0])
@@ -83,14 +84,15 @@ def _guess(
 
 
 class _Listener:
-    """Reads the line with one setting after the other."""
+    """Reads the serial port with one setting after the other."""
 
     def __init__(self, port: ListeningPort, clock: Callable[[], int], *, only_ascii: bool) -> None:
         self._port = port
         self._clock = clock
         self._only_ascii = only_ascii
         self.marked = 0
-        """Number of bytes that the driver has marked as damaged, with all settings so far."""
+        """The number of bytes that the driver has marked as damaged, with all settings tried so
+        far."""
 
     def listen(self, heard_as: SerialFormat) -> SettingsTrial | None:
         """Read the port with a setting, and return how well the bytes fit it.
@@ -114,7 +116,7 @@ class _Listener:
                 skipped += len(data)
             else:
                 hearing.feed(data, self._port.damaged, at_ns)
-            # Do not end right after data: the frame may continue, as some adapters make pauses
+            # Do not stop right after data: the frame may continue, as some adapters make pauses
             # inside a frame.
             if (not data or hearing.heard >= ENOUGH) and hearing.is_decided:
                 break
@@ -123,7 +125,7 @@ class _Listener:
 
 
 def _how_sure(heard_as: SerialFormat, listener: _Listener) -> str:
-    """Say how certain the settings are; the parity only if the driver is known to mark errors."""
+    """Say how certain the settings are. Without marks of damaged bytes, the parity stays open."""
     if heard_as.parity == "N" or listener.marked:
         return "sure"
     hearing = listener.listen(other_parity(heard_as))

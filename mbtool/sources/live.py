@@ -1,7 +1,7 @@
-"""Opens the live source that a LINK names."""
+"""Creates the live source (serial port, interface or tap) that a LINK of the user names."""
 
-# The module of a source is imported only when such a source is asked for, as the imports of scapy
-# and pyserial take long.
+# The module of a source is imported only when it is needed, as the imports of scapy and pyserial
+# take long.
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ def live_source(
 ) -> LiveSource[Any]:
     """Return the source for a link, not yet open.
 
-    `ports` are the TCP ports whose packets are captured from an interface; if it is empty, packets
-    of all ports. `allowed` are the machines that may connect to a tap. With `returns`, a serial
-    port or an interface that is lost is opened again when it is back. Raises UsageError for a link
-    that cannot be captured.
+    `ports` are the TCP ports whose packets are captured from an interface; an empty list means all
+    ports. `allowed` are the machines that may connect to a tap. With `returns`, a serial port or an
+    interface that is lost is opened again when it is back. Raises UsageError for a link that cannot
+    be captured.
     """
     if returns and isinstance(link, SerialLink | InterfaceLink):
         from mbtool.sources.returning import ReturningSource

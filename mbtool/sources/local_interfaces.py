@@ -32,15 +32,15 @@ _KINDS = {
     776: "tunnel",
     65534: "tunnel",
 }
-"""What the user reads for hardware types (ARPHRD_ of linux/if_arp.h) other than Ethernet."""
+"""Names for the user of hardware types other than Ethernet (ARPHRD_ of linux/if_arp.h)."""
 _DEVICE_TYPES = {"wlan": "Wi-Fi", "vlan": "VLAN", "gadget": "USB gadget", "wwan": "mobile"}
-"""What the user reads for the kinds of interfaces after DEVTYPE= in the file uevent."""
+"""Names for the user of the kinds of interfaces that the file uevent gives as DEVTYPE=."""
 
 
 def local_interfaces(root: Path = Path("/")) -> list[LocalInterface]:
-    """All interfaces, in the order of their names.
+    """Return all interfaces, in the order of their names.
 
-    `root` is the folder that holds /sys; only Linux uses it.
+    `root` is the folder that contains /sys; only Linux uses it.
     """
     trouble = capture_trouble()
     if sys.platform != "linux":
@@ -50,7 +50,7 @@ def local_interfaces(root: Path = Path("/")) -> list[LocalInterface]:
         names = sorted(os.listdir(folder))
     except OSError:
         return []
-    # Only the folders are interfaces; drivers also put files here, such as bonding_masters.
+    # Only the folders are interfaces; drivers put files here, too, such as bonding_masters.
     return [_interface(folder / name, trouble) for name in names if (folder / name).is_dir()]
 
 

@@ -9,7 +9,7 @@
 #     00:1B:C5:00:10/36 <tab> ...
 #
 # The list is searched as text, since a capture has few makers. It is loaded for the first search
-# and takes 6 MB; the results for MAX_KNOWN prefixes are kept.
+# and takes 6 MB; the results of the last MAX_KNOWN searches are kept.
 
 from __future__ import annotations
 
@@ -21,12 +21,15 @@ LOCAL = "locally administered"
 """The text for an address that was not assigned by a maker: bit 02H of the first byte is set."""
 _MAC = re.compile(r"(?:[0-9A-F]{2}:){5}[0-9A-F]{2}")
 _NOBODY = "00:00:00:00:00:00"
-"""The address of a loopback interface."""
+"""The MAC address of a loopback interface: it has no maker."""
 _LOCAL_BIT, _GROUP_BIT = 0x02, 0x01
 
 
 def maker(mac: str) -> str | None:
-    """The maker of the card with an address such as 00:80:f4:01:02:03; None if it is not known."""
+    """The maker of a network card by its MAC address, such as 00:80:f4:01:02:03.
+
+    Returns None if unknown.
+    """
     mac = mac.upper()
     if not _MAC.fullmatch(mac) or mac == _NOBODY or int(mac[:2], 16) & _GROUP_BIT:
         return None
@@ -37,7 +40,7 @@ def maker(mac: str) -> str | None:
 
 @lru_cache(maxsize=MAX_KNOWN)
 def _maker_of(block: str) -> str | None:
-    """The maker of the first 36 bits of an address, AA:BB:CC:DD:E."""
+    """Look up the maker by the first 36 bits of a MAC address, written AA:BB:CC:DD:E."""
     text = _list()
     for prefix in (f"{block}0/36", f"{block[:10]}0/28", f"{block[:8]} ", f"{block[:8]}\t"):
         at = text.find(f"\n{prefix}")
@@ -51,6 +54,6 @@ def _maker_of(block: str) -> str | None:
 def _list() -> str:
     try:
         from scapy.libs.manuf import DATA
-    except ImportError:  # An older scapy has no list.
+    except ImportError:  # scapy before 2.6 has no list.
         return ""
     return f"\n{DATA}\n"

@@ -1,12 +1,12 @@
-"""Holds a relay's items back for a few ms, so that decoding them delays no response."""
+"""Delays a relay's items by a few ms, so that decoding a request delays no response."""
 
-# If the consumer got a request at once, it would decode it and write the log just when the response
+# Without a delay, the consumer would decode a request and write the log just when the response
 # comes; as both run in one interpreter, the relay would have to wait. So the outbox collects items
 # and passes them to the inbox together, HOLD_S after the first of them. By then a quick response
 # has been relayed.
 #
-# Memory: the items of HOLD_S seconds, at most MAX_HELD bytes and one item more. An outbox is used
-# only inside its event loop.
+# Memory: the items of HOLD_S seconds, at most MAX_HELD bytes and one item more. All calls come from
+# one event loop.
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Outbox:
 
     @property
     def held(self) -> int:
-        """The size of the items held: their bytes plus ITEM_COST for each."""
+        """The size of the items not yet handed on: their bytes plus ITEM_COST for each."""
         return self._held
 
     def put(self, item: Item) -> None:
@@ -48,7 +48,7 @@ class Outbox:
             self._timer = self._loop.call_later(HOLD_S, self.flush)
 
     def flush(self) -> None:
-        """Hand all held items to the other sink now."""
+        """Hand all collected items to the other sink now."""
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None

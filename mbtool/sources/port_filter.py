@@ -54,7 +54,7 @@ _WHOLE_PACKET = 0x40000
 
 @dataclass(frozen=True, slots=True)
 class Instruction:
-    """One instruction. A jump has two labels: the targets if its test is true, and if it is false.
+    """One instruction of a BPF program. A jump has two labels: where it goes if true, if false.
 
     An empty label stands for the next instruction.
     """
@@ -66,7 +66,7 @@ class Instruction:
 
 
 def port_filter(ports: Sequence[int], *, is_loopback: bool | None) -> list[bytes]:
-    """Assemble the filter for some TCP ports, or for all if none is named.
+    """Assemble the filter that keeps the packets of some TCP ports, or of all if `ports` is empty.
 
     Returns each instruction as the kernel's struct sock_filter. `is_loopback` says if the interface
     is the loopback; None stands for a capture of all interfaces. Raises UsageError for more than
@@ -126,7 +126,7 @@ def _from_or_to(ports: Sequence[int]) -> Iterator[Instruction]:
 
 
 def drop_everything() -> list[bytes]:
-    """Return a filter that drops every packet; it is used while a capture is being set up."""
+    """Return a filter that drops every packet. It is set while a capture is being set up."""
     return _assemble([Instruction(_RETURN, 0)])
 
 

@@ -7,8 +7,8 @@
 # value of -5 and a shorter time slice made no measurable difference
 # (tests/benchmarks/serial_times.py).
 #
-# Such a process sleeps in select, so on a machine with one core it takes no more time than its work
-# needs. In any case the kernel keeps 5 % of the time for ordinary processes (sched(7)).
+# Such a process sleeps in select between bytes, so even on a machine with one core it takes little
+# time from others. In any case the kernel keeps 5 % of the time for ordinary processes (sched(7)).
 
 from __future__ import annotations
 

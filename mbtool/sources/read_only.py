@@ -2,20 +2,22 @@
 
 # A request passes only if it is known to change nothing: READING lists its function, and its PDU
 # has exactly the form of that function. Any other request, also one of a function that no standard
-# describes, stays here, and its master gets exception 01.
+# describes, is not passed on; the tap answers it with exception 01.
 #
-# Why 01, illegal function (V1.1b3, section 7): "not an allowable action for the server". 02 and 03
-# would blame the address or the value, and a master may then try others; 04 to 0B say that a device
-# or a gateway has failed, and masters repeat such requests.
+# Why exception 01, illegal function: the specification (V1.1b3, section 7) explains it as "not an
+# allowable action for the server". 02 and 03 would blame the address or the value, and a master may
+# then try others; 04 to 0B say that a device or a gateway has failed, and masters repeat such
+# requests.
 #
-# Bytes that are no request might be one for a slave that cuts its stream otherwise. So they end the
-# connection, and nothing of the piece that they came in passes.
+# A slave might divide the byte stream into requests in another way than this tap. So bytes that are
+# no whole request end the connection, and nothing of the read that they came in is passed on.
 #
-# An exception is sent between two responses of the slave, never inside one. On Modbus/TCP it may
-# overtake responses to earlier requests; the transaction id tells the master which is which.
+# An exception is sent to the master between two responses of the slave, never inside one. On
+# Modbus/TCP it may overtake responses to earlier requests; the transaction id tells the master
+# which request it answers.
 #
-# Memory: an incomplete ADU of each direction, and the exceptions that wait for the end of a
-# response; more than MAX_WAITING of them end the connection.
+# Memory: an incomplete ADU of each direction, and the exceptions that cannot be sent until a
+# response is complete; more than MAX_WAITING of them end the connection.
 
 from __future__ import annotations
 
@@ -35,27 +37,28 @@ if TYPE_CHECKING:
 
 MAX_WAITING = 256
 READING = frozenset((0x01, 0x02, 0x03, 0x04, 0x07, 0x0B, 0x0C, 0x11, 0x14, 0x18))
-"""The functions that change nothing, whatever the request says."""
+"""The functions that change nothing in the slave, whatever else the request contains."""
 DIAGNOSTICS, READING_DIAGNOSTICS = 0x08, frozenset((0x00, 0x02, *range(0x0B, 0x13)))
-"""Of diagnostics: return query data, return the diagnostic register and the counters. The others
-restart the slave, silence it, or clear what it has counted (V1.1b3, 6.8.1)."""
+"""The sub-functions of diagnostics (08) that change nothing: return query data, return the
+diagnostic register and the counters. The others restart the slave, silence it, or clear its
+counters (V1.1b3, 6.8.1)."""
 ENCAPSULATED, READ_DEVICE_IDENTIFICATION = 0x2B, 0x0E
 
 
 @dataclass(slots=True)
 class Screened:
-    """What becomes of one piece of a master's bytes."""
+    """Says which of the bytes of one read from a master are passed on."""
 
     onward: bytes = b""
-    """The whole requests that the slave gets."""
+    """The requests, whole ADUs, that are passed on to the slave."""
     refused: list[str] = field(default_factory=list)
-    """A line for each request that the slave does not get."""
+    """A line for the user for each request that is not passed on."""
     is_broken: bool = False
-    """True if the connection must end: the bytes are no requests, or too many are refused."""
+    """True if the connection must end: the bytes are no requests, or too many exceptions wait."""
 
 
 class ReadOnlyScreen:
-    """Watches both directions of one connection."""
+    """Filters the requests of one connection through a read-only tap, and refuses the others."""
 
     def __init__(self, *, is_rtu: bool) -> None:
         splitter = RtuStreamSplitter if is_rtu else MbapSplitter
@@ -64,7 +67,7 @@ class ReadOnlyScreen:
         self._waiting: list[bytes] = []
 
     def ask(self, data: bytes, ts_ns: int) -> Screened:
-        """Take bytes of the master."""
+        """Take bytes that the master sent, and say which of them are passed on."""
         result = Screened()
         for event in self._requests.feed(data, ts_ns):
             if not isinstance(event, Adu):
@@ -80,11 +83,11 @@ class ReadOnlyScreen:
         return result
 
     def respond(self, data: bytes, ts_ns: int) -> None:
-        """Take bytes of the slave, which the master gets."""
+        """Take bytes that the slave sent, to know when a response is complete."""
         self._responses.feed(data, ts_ns)
 
     def due(self) -> bytes:
-        """Remove and return the exceptions to send to the master; none inside a response."""
+        """Remove and return the exceptions to send to the master now; none inside a response."""
         if not self._waiting or not self._responses.is_idle:
             return b""
         due, self._waiting = b"".join(self._waiting), []
@@ -92,7 +95,7 @@ class ReadOnlyScreen:
 
 
 def only_reads(request: Pdu) -> bool:
-    """True if a request has the form of a function that changes nothing in the slave."""
+    """True if a request has exactly the form of a function that changes nothing in the slave."""
     if request.problem is not None:
         return False
     if request.code == DIAGNOSTICS:

@@ -1,19 +1,22 @@
 """One connection through the tap: two transports that pass bytes to each other."""
 
-# The relay behaves like a direct connection. It passes on a half-close while the other direction
-# goes on. It passes on a reset. It passes on back-pressure: if one side does not read, the relay
-# stops reading the other side. asyncio's transport holds 64 KiB for each side before it asks to
-# stop, and may exceed this by one read of at most 256 KiB.
+# The relay behaves like a direct connection. If one side closes its direction, the relay closes it
+# towards the other side, and the other direction goes on. It passes on a reset. It passes on
+# back-pressure: if one side does not read, the relay stops reading the other side. asyncio's
+# transport buffers 64 KiB for each side before it asks to stop, and may exceed this by one read of
+# at most 256 KiB.
 #
 # Each side may have TLS (ports/tls.py); the decrypted bytes are recorded. The relay connects to the
-# target once the master's handshake is complete. Bytes that arrive right after the handshake, at
-# most two reads, are kept until the target is connected, and their time is then. asyncio's TLS
-# supports no half-close: the end of one direction ends both, once pending bytes are sent. asyncio
-# holds at most 256 KiB and one read of bytes that are received and not yet decrypted.
+# target once the master's handshake is complete. Bytes that the master sends right after the
+# handshake, at most two reads, are kept until the target is connected, and are recorded with the
+# time at which they are passed on. asyncio's TLS supports no half-close: the end of one direction
+# ends both, once pending bytes are sent. asyncio buffers at most 256 KiB and one read of bytes that
+# are received and not yet decrypted.
 #
-# Each read is one chunk. The relay notes the time right after the read, then passes the chunk on,
-# then records it. The response can only come later, so requests are always recorded before their
-# responses. If a side fails, all bytes that came from it before are already recorded.
+# Each read is one chunk, or several if it is large. The relay notes the time right after the read,
+# passes the bytes on, then records them. The response can only come later, so requests are always
+# recorded before their responses. If a side fails, all bytes that came from it before are already
+# recorded.
 
 from __future__ import annotations
 
@@ -40,10 +43,12 @@ if TYPE_CHECKING:
     from mbtool.sources.read_only import ReadOnlyScreen
 
 CONNECT_S = 10.0
-"""Timeout in seconds for the target to accept, and for the master to complete a TLS handshake."""
+"""Timeout in seconds for the target to accept the connection, and for the master to complete a TLS
+handshake."""
 MAX_PIECE = 2**13
-"""The most bytes of a chunk. One read may bring 256 KiB, that is 20,000 pipelined requests, which
-take the decoder a second; nothing else, such as the end of the run, happens within a chunk."""
+"""The most bytes of a chunk; a larger read is split. One read may bring 256 KiB, that is 20,000
+pipelined requests, which take the decoder a second; the decoder can do nothing else, such as end
+the run, within a chunk."""
 MAX_WAITING = 2**16
 """While more bytes than this wait to be sent to one side, the relay does not read the other side.
 
@@ -54,7 +59,7 @@ _ERRNO = re.compile(r"\[Errno (\d{1,5})\]")
 
 
 class TcpRelay:
-    """Passes bytes between a master that has connected and the target."""
+    """Passes bytes between one master that has connected and the target (the slave)."""
 
     def __init__(
         self,
@@ -69,11 +74,12 @@ class TcpRelay:
         target_tls: tuple[ssl.SSLContext, str] | None = None,
         screen: ReadOnlyScreen | None = None,
     ) -> None:
-        """`target_tls` is the TLS context for the target, and the name its certificate must have.
+        """Prepare a relay for the connection of one master.
 
-        `on_accept` gets the relay, the master's transport and address; it returns true to keep the
-        connection. `on_end` is called when both sides are closed. `screen`
-        chooses the requests that are passed on; None passes on all bytes.
+        `target_tls` is the TLS context for the target, and the name its certificate must have.
+        `on_accept` gets the relay, the master's transport and address; it returns True to keep the
+        connection. `on_end` is called when both sides are closed. `screen` chooses the requests
+        that are passed on; None passes on all bytes.
         """
         self._link = link
         self._target = target
@@ -88,7 +94,7 @@ class TcpRelay:
         self._reason: CloseReason | None = None
         self.screen = screen
         self._has_answered = False
-        """True once bytes have come from the slave."""
+        """True once the slave has sent any bytes."""
         self._is_open = False
         self.active_s = 0.0
         """When bytes last arrived from either side, in seconds on the event loop's clock."""
@@ -109,15 +115,19 @@ class TcpRelay:
                     side.transport.abort()
 
     def is_unused(self, now_s: float) -> bool:
-        """True if the slave never answered, or a side has ended, and nothing came for SPARE_S.
+        """True if the slave never answered, or a side has ended, and no byte came for SPARE_S.
 
-        `now_s` is the time on the event loop's clock.
+        `now_s` is the time on the event loop's clock, in seconds.
         """
         is_ending = self.master.has_ended or self.slave.has_ended
         return now_s - self.active_s >= SPARE_S and (is_ending or not self._has_answered)
 
     def screened(self, ts_ns: int, data: bytes) -> bytes:
-        """Record bytes of the master, refuse what only a read-only tap refuses; return the rest."""
+        """Record bytes of the master; return those that a read-only tap passes on.
+
+        The other requests are answered with an exception. Bytes that are no requests end the
+        connection.
+        """
         assert self.screen is not None
         self.received(self.master, ts_ns, data)
         result = self.screen.ask(data, ts_ns)
@@ -131,7 +141,7 @@ class TcpRelay:
         return result.onward
 
     def answer_refused(self) -> None:
-        """Send and record the exceptions that are due, if the master still listens."""
+        """Send the master the exceptions that can be sent now, and record them."""
         assert self.screen is not None
         onward = self.master.transport
         due = self.screen.due()
@@ -149,7 +159,8 @@ class TcpRelay:
         self._connection = Connection(Endpoint(host, port), self._target, self._number)
         if self._on_accept(self, transport, self._connection.master):
             # Up to Python 3.11.3 asyncio starts to read after connection_made, even if
-            # connection_made has paused reading. So reading is paused in the loop's next round.
+            # connection_made has paused reading. So reading is paused by a callback that runs after
+            # that.
             loop.call_soon(transport.pause_reading)
             self._connecting = loop.create_task(self._begin(transport, self._connection))
 
@@ -171,7 +182,7 @@ class TcpRelay:
     def lost(self, side: _RelaySide, error: Exception | None) -> None:
         """Called when the connection of `side` has ended: close the other side, too.
 
-        If `error` ended this connection, the other one is reset, else closed in the normal way.
+        If `error` ended this connection, the other one is reset; otherwise it is closed normally.
         """
         if error is not None:
             self._reason = self._reason or CloseReason.RESET
@@ -194,7 +205,7 @@ class TcpRelay:
             await self._connect_target(connection)
 
     async def _greet(self, transport: asyncio.Transport, tls: ssl.SSLContext) -> bool:
-        """Do the TLS handshake with the master; return true if it succeeded."""
+        """Do the TLS handshake with the master; return True if it succeeded."""
         inner = None
         try:
             inner = await asyncio.get_running_loop().start_tls(
@@ -203,7 +214,8 @@ class TcpRelay:
         except OSError as error:
             self._tell_refused(failure(error, self.master.who) or f"TLS: {_why(error)}")
         finally:
-            # If the connection ends during the handshake, asyncio may not call connection_lost.
+            # If the connection ends during the handshake, asyncio may not call connection_lost, so
+            # it is called here.
             if inner is None and not self.master.is_lost:
                 self.master.connection_lost(None)
         if inner is None or self.master.is_lost:
@@ -252,7 +264,7 @@ class TcpRelay:
 
     def _open(self, slave: asyncio.Transport) -> None:
         if self.master.is_lost or self.master.transport is None or self._connection is None:
-            slave.abort()  # The master has disconnected meanwhile.
+            slave.abort()  # The master has disconnected in the meantime.
             return
         self._is_open = True
         sides = [(side, tls) for side in (self.master, self.slave) if (tls := side.tls) is not None]
@@ -272,7 +284,7 @@ class TcpRelay:
 
 
 class _RelaySide(asyncio.Protocol):
-    """The relay's end of one of the two connections."""
+    """The relay's end of its connection with the master, or of that with the slave."""
 
     peer: _RelaySide
 
@@ -285,7 +297,7 @@ class _RelaySide(asyncio.Protocol):
         self.has_ended = False
         self._is_told_to_close = False
         self._early = b""
-        """Bytes that arrived before the other side was connected, not yet passed on."""
+        """Bytes that arrived before the other side was connected; they are not yet passed on."""
 
     @property
     def tls(self) -> ssl.SSLObject | None:
@@ -297,7 +309,10 @@ class _RelaySide(asyncio.Protocol):
             self.transport.set_write_buffer_limits(MAX_WAITING)
 
     def close(self) -> None:
-        """Send pending bytes, then close. A second call does nothing; TLS would not permit it."""
+        """Send pending bytes, then close.
+
+        A second call does nothing, as TLS would not permit it.
+        """
         if self.transport is not None and not self._is_told_to_close:
             self._is_told_to_close = True
             self.transport.close()
@@ -327,7 +342,10 @@ class _RelaySide(asyncio.Protocol):
             self._relay.answer_refused()
 
     def pass_on_early(self) -> None:
-        """Pass on the bytes that came before the other side was connected, with the time of now."""
+        """Pass on the bytes that came before the other side was connected.
+
+        They are recorded with the present time.
+        """
         early, self._early = self._early, b""
         if early:
             self.data_received(early)
@@ -338,18 +356,18 @@ class _RelaySide(asyncio.Protocol):
         if self.peer.has_ended or onward is None:
             return False
         if onward.can_write_eof():
-            with suppress(OSError):  # The other side has been reset; connection_lost will say so.
+            with suppress(OSError):  # The peer was reset; connection_lost tells.
                 onward.write_eof()
         else:
             self.peer.close()
         return self.transport is not None and self.transport.can_write_eof()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        if self.is_lost:  # A TLS handshake failed; the relay already knows.
+        if self.is_lost:  # After a failed TLS handshake the relay knows.
             return
         self.is_lost = True
-        # If the peer does not answer our closing of TLS, asyncio reports an error. We still count
-        # this as a normal end.
+        # asyncio reports an error if the peer does not answer our closing of TLS. This counts as a
+        # normal end nevertheless.
         is_over = self._is_told_to_close and isinstance(exc, ssl.SSLError | TimeoutError)
         self._relay.lost(self, None if is_over else exc)
 
@@ -358,7 +376,7 @@ class _RelaySide(asyncio.Protocol):
             self.peer.transport.pause_reading()
 
     def resume_writing(self) -> None:
-        # A transport that has already read the end of file would report it a second time if it
+        # A transport that has already read the end of file would report the end a second time if it
         # resumed reading.
         if self.peer.transport is not None and not self.peer.has_ended:
             self.peer.transport.resume_reading()

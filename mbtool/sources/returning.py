@@ -1,13 +1,14 @@
-"""A live source that goes on when its port or interface comes back after it was lost."""
+"""A live source that opens its port or interface again when it comes back after it was lost."""
 
 # A source ends with an error when its adapter is unplugged or its interface goes down. Then this
-# source puts a GAP event, closes what is left of it, and looks for the link: after 0.25 s, then
-# after twice as long each time, up to 5 s while the link is there but does not open, and up to 1 s
-# while it is not there, which costs no more than a look into /dev. A serial port is found under
+# source puts a GAP event, closes the lost source, and tries to open the link again: after 0.25 s,
+# then after twice as long each time, up to 5 s while the link is there but cannot be opened, and up
+# to 1 s while it is not there, as looking into /dev costs little. A serial port is found under
 # another name, too (ports/port_identity.py). When the link is open again, another GAP event says
-# how long it was away. The items keep the name of the link.
+# how long it was away. All items keep the name of the link.
 #
-# The first opening is not repeated: a link that is not there at the start is probably a mistake.
+# If the first opening fails, it is not repeated: a link that is absent at the start is probably a
+# mistake of the user.
 
 from __future__ import annotations
 
@@ -36,7 +37,7 @@ LAST_LOOK_S = 5.0
 
 
 class ReturningSource(LiveSource[SerialLink | InterfaceLink]):
-    """Listens to a link while its context is open, also after the link was lost and came back.
+    """Captures a link while its context is open, also after the link was lost and came back.
 
     Entering the context raises LinkError if the link cannot be opened.
     """
@@ -51,12 +52,12 @@ class ReturningSource(LiveSource[SerialLink | InterfaceLink]):
         self._is_closing = False
         self._has_ended = False
         self._wanted = Event()
-        """Set when the link was lost, and when this source is to end."""
+        """Wakes the thread: it is set when the link was lost, and when this source is to end."""
         self._lost_ns = 0
 
     @property
     def current(self) -> LiveSource[Any]:
-        """The source that listens, or did last."""
+        """The source that captures now, or did so until the link was lost."""
         return self._source
 
     def open(self) -> None:
@@ -78,21 +79,24 @@ class ReturningSource(LiveSource[SerialLink | InterfaceLink]):
             self._inbox.put(Ended(self.link))
 
     def put(self, item: Item) -> None:
-        """Take an item of the source that listens."""
+        """Take an item of the present source.
+
+        An Ended with an error makes the thread look for the link again.
+        """
         if not isinstance(item, Ended):
             self._inbox.put(item)
             return
         with self._lock:
             is_lost = item.error is not None and not self._is_closing
             if not is_lost:
-                return  # `close` puts the Ended, when the source is closed.
+                return  # `close` puts one Ended for the whole source.
         self._lost_ns = monotonic_ns()
         self.is_lost = True
         self._tell(f"{item.error} It is opened again when it is back")
         self._wanted.set()
 
     def first(self) -> AbstractContextManager[None]:
-        """As `Inbox.first`."""
+        """A context in which the consumer of the inbox waits while a source fetches data."""
         return self._heard.first()
 
     def _keep(self) -> None:
@@ -106,7 +110,7 @@ class ReturningSource(LiveSource[SerialLink | InterfaceLink]):
                 return
 
     def _reopen(self) -> bool:
-        """Open the link again; False if this source is to end before that."""
+        """Try to open the link until that succeeds; return False if the source must end first."""
         pause_s = FIRST_LOOK_S
         while not self._must_end_within(pause_s):
             places = self._places()
@@ -125,20 +129,20 @@ class ReturningSource(LiveSource[SerialLink | InterfaceLink]):
         return False
 
     def _must_end_within(self, pause_s: float) -> bool:
-        """Wait; return True as soon as this source is to end."""
+        """Wait for `pause_s` seconds; return True as soon as this source is to end."""
         self._wanted.wait(pause_s)
         return self._is_closing
 
     def _opens(self) -> bool:
         try:
             self._source.open()
-        except (LinkError, OSError):  # OSError comes from an interface that is still down.
+        except (LinkError, OSError):  # OSError: the interface is still down.
             self._source.close()
             return False
         return True
 
     def _places(self) -> dict[str, str] | None:
-        """Where each port is now; None if one is not there. Interfaces keep their names."""
+        """The present path of each port of a serial link; None if a port is not there."""
         if not isinstance(self._link, SerialLink):
             return {}
         places = {}

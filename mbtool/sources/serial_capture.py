@@ -1,8 +1,8 @@
 """A serial port as a live source: chunks and silences, read by a process of its own."""
 
-# The reading process (serial_reader.py) notes the time of each read; the thread here only moves the
-# records of that process into the inbox, so it does no harm if it is late. For a serial tap one
-# process reads both ports and passes the bytes on (serial_relay.py).
+# The reading process (serial_reader.py) notes the time of each read. The thread here only moves the
+# records of that process into the inbox, so a delay of the thread changes no times. For a serial
+# tap, one process reads both ports and passes the bytes on (serial_relay.py).
 
 from __future__ import annotations
 
@@ -23,16 +23,18 @@ if TYPE_CHECKING:
     from mbtool.sources.inbox import Sink
 
 STEP_NS = 10_000
-"""Times of reads are multiples of this, in ns. A read is noted some 50 us late at best, and finer
-times would take twice the space in the log. The decoder gets the same times."""
+"""Times of reads are rounded down to multiples of this, in ns. A read is noted some 50 us late at
+best, and finer times would take twice the space in the log. The decoder gets the same rounded
+times."""
 _START_S = 20.0
 """Timeout in seconds for the reading process to open its port."""
 
 
 class SerialSource(LiveSource[SerialLink]):
-    """Listens to one serial port, or to both of a serial tap, while its context is open.
+    """Captures the bytes of one serial port, or of both ports of a serial tap.
 
-    Entering the context raises LinkError if a port cannot be opened.
+    It captures while its context is open. Entering the context raises LinkError if a port cannot be
+    opened.
     """
 
     def __init__(
@@ -43,12 +45,12 @@ class SerialSource(LiveSource[SerialLink]):
         *,
         places: Mapping[str, str] | None = None,
     ) -> None:
-        """`speaker` says whose bytes the port receives: the master's (REQUEST), the slaves'
-        (RESPONSE) or both (UNKNOWN).
+        """Create a source for a link.
 
-        If the link has two ports, `speaker` chooses the port. A serial tap reads both ports and
-        ignores `speaker`. `places` says under which path a port of the link is found, if not under
-        its own.
+        `speaker` says whose bytes the port receives: the master's (REQUEST), the slaves' (RESPONSE)
+        or both (UNKNOWN). If the link has two ports, `speaker` chooses the port. A serial tap reads
+        both ports and ignores `speaker`. `places` gives the present path of a port whose path has
+        changed since the link was named.
         """
         super().__init__(link, inbox)
         self._speaker = Direction.REQUEST if link.is_relay else speaker
@@ -119,8 +121,8 @@ class SerialSource(LiveSource[SerialLink]):
                 self._tell(record, EventKind.LINE_ERROR, record.data.decode())
             case RecordKind.OVERRUN:
                 text = f"overrun: the port's driver lost at least {record.lost} bytes"
-                # The driver reports a loss up to a second later. So the event is not a GAP: a GAP
-                # would end the frame that is being decoded now.
+                # The driver reports a loss up to a second later. So the event is not a GAP: the
+                # decoder would end the frame that is arriving now at a GAP.
                 self._tell(record, EventKind.LINE_ERROR, text, record.lost)
             case RecordKind.STOPPED:
                 self._tell(record, EventKind.GAP, f"{self.link}: {record.data.decode()}")

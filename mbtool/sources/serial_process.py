@@ -1,7 +1,7 @@
 """Code shared by the two processes that read serial ports: serial_reader.py and serial_relay.py."""
 
-# Such a process ends when its standard input ends, or when nobody reads its output (child.py). Both
-# happen when the parent ends, for whatever reason.
+# Such a process ends when its standard input ends, or when nobody reads its output any more
+# (child.py). Both happen when the parent process ends, for whatever reason.
 
 from __future__ import annotations
 
@@ -48,7 +48,10 @@ def run_process(read: Callable[[RecordWriter, Event], None]) -> None:
 
 
 def put_troubles(records: RecordWriter, troubles: Iterable[LineTrouble], prefix: str = "") -> None:
-    """Write a driver's reports as records: lost bytes as a number, damage as `prefix` and text."""
+    """Write a driver's reports as records: lost bytes as a number, damaged bytes as a text.
+
+    `prefix` is put before the text; in a serial tap it names the side of the line.
+    """
     for trouble in troubles:
         if trouble.lost:
             records.put_count(RecordKind.OVERRUN, trouble.ts_ns, trouble.lost)

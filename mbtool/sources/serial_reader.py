@@ -1,17 +1,19 @@
 """The process that reads one serial port: mbtool.sources.serial_reader PORT FORMAT DTR,RTS."""
 
 # The loop waits, reads, notes the time and writes a record. Each read becomes one record. Nothing
-# else runs in this interpreter: a busy decoder would make the loop wait for the interpreter, and
-# the noted times would be too late.
+# else runs in this process: a busy decoder would make the loop wait for the interpreter, and the
+# noted times would be too late.
 #
 # A QUIET record follows when the line has been silent for twice t3.5, so that the end of a frame is
 # known without delay, and then every 50 ms. The time of a QUIET record is noted before a read that
 # returned no bytes, so the line was certainly silent up to it.
 #
-# A read that takes longer than STOPPED_NS tells that the process was stopped, or that the machine
-# slept. A STOPPED record before its bytes says so, as the driver holds only some of what came.
+# If a read takes longer than STOPPED_NS, the process was stopped, or the machine slept. A STOPPED
+# record before the bytes of that read says so, as the driver keeps only some of the bytes that came
+# meanwhile.
 #
-# The driver's reports of damaged and lost bytes follow the record of the bytes (line_errors.py).
+# The driver's reports of damaged and lost bytes follow the record of the bytes that were read
+# (line_errors.py).
 
 from __future__ import annotations
 
@@ -35,7 +37,8 @@ if TYPE_CHECKING:
 
 
 STOPPED_NS = 2_000_000_000
-"""A read takes at most IDLE_S; on a busy machine it has been late by tenths of a second."""
+"""A read that takes longer than this, in ns, shows that the process was stopped. A read should take
+IDLE_S at most; on a busy machine it has been late by tenths of a second."""
 
 
 def main() -> None:
@@ -61,7 +64,7 @@ def read_until(
 ) -> None:
     """Record all bytes that arrive at the port until `told_to_end` is set.
 
-    Raises LinkError when the port is gone, and BrokenPipeError when the parent has ended.
+    Raises LinkError when the port is gone, and BrokenPipeError when the parent process has ended.
     """
     settle_s = min(2 * format_.t3_5_ns / 1e9, IDLE_S)
     wait_s = IDLE_S

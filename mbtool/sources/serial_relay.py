@@ -2,13 +2,13 @@
 
 # The line is cut in two, and each end is connected to a port. The process waits, reads, notes the
 # time, sends the bytes to the other port at once, and records them. So the record of a request
-# always comes before the record of its response. The records are those of serial_reader.py, plus
-# ANSWER for bytes from the slaves' side.
+# always comes before the record of its response. The records are those of serial_reader.py; bytes
+# from the slaves' side have the kind ANSWER.
 #
-# A port is not read while bytes of its last read still wait for the other port's driver. So at most
-# one read waits in each direction. If the other port takes no bytes, the system's buffer of this
-# port fills and then loses bytes, which the driver counts. No silence is reported in that time, as
-# bytes may be arriving at the port that is not read.
+# A port is not read while bytes of its last read still wait for room in the other port's driver. So
+# at most one read waits in each direction. If the other port takes no bytes, the system's buffer of
+# this port fills and then loses bytes, which the driver counts. No silence is reported in that
+# time, as bytes may be arriving at the port that is not read.
 #
 # All recorded bytes are also passed on: when the process is told to end, or one port is gone, both
 # ports are read a last time, and pending bytes are sent, for at most LAST_S.
@@ -39,11 +39,14 @@ if TYPE_CHECKING:
     from threading import Event
 
 LAST_S = 0.5
-"""At the end, pending bytes of each direction are sent for at most so many seconds."""
+"""At the end, pending bytes of each direction are sent for at most this many seconds."""
 
 
 class Port(Protocol):
-    """The methods of a port used here. `read` and `write` raise LinkError if the port is gone."""
+    """The methods of a port that a serial tap uses.
+
+    `read` and `write` raise LinkError if the port is gone.
+    """
 
     damaged: Sequence[int]
 
@@ -76,7 +79,7 @@ def _join_ports(
 
 
 class SerialRelay:
-    """Passes bytes on between two ports and records both directions."""
+    """Passes bytes between the two ports of a serial tap, and records both directions."""
 
     def __init__(
         self, master: Port, slaves: Port, records: RecordWriter, format_: SerialFormat
@@ -92,7 +95,7 @@ class SerialRelay:
     def run_until(self, told_to_end: Event) -> None:
         """Pass on and record all bytes that arrive until `told_to_end` is set.
 
-        Raises LinkError when a port is gone, and BrokenPipeError when the parent has ended.
+        Raises LinkError when a port is gone, and BrokenPipeError when the parent process has ended.
         """
         try:
             wait_s = IDLE_S
@@ -137,20 +140,21 @@ class SerialRelay:
 
 
 class _SerialDirection:
-    """One direction of the line: the port to read from, and the port to write to."""
+    """One direction of a serial tap: the port that is read, and the port that gets the bytes."""
 
     onward: Port
 
     def __init__(self, port: Port, kind: RecordKind, name: str, format_: SerialFormat) -> None:
         self.port = port
         self.unsent = b""
-        """Bytes that are still to be sent, as the other port's driver had no room for them."""
+        """Bytes that were read and not yet sent, as the other port's driver had no room for
+        them."""
         self._kind = kind
         self._prefix = f"on {name}: "
         self._errors = LineErrors(port.counts, format_.character_ns, now_ns())
 
     def take(self, records: RecordWriter) -> bool:
-        """Read the port, pass the bytes on and record them; return True if bytes were read."""
+        """Read the port, pass the bytes on and record them; return True if there were any."""
         data = self.port.read(0)
         read_ns = now_ns()
         if not data:
@@ -170,7 +174,7 @@ class _SerialDirection:
     def finish(self, records: RecordWriter) -> None:
         """Send pending bytes, then read the port a last time and send those bytes, too.
 
-        Each of the two may take at most LAST_S.
+        Each of the two steps may take at most LAST_S seconds.
         """
         self._send_rest()
         if not self.unsent:
@@ -184,7 +188,7 @@ class _SerialDirection:
             self.send()
 
     def tell(self, records: RecordWriter, at_ns: int) -> None:
-        """Record the driver's reports of damaged and lost bytes, if they are due."""
+        """Record the driver's reports of damaged and lost bytes, if a report is due."""
         put_troubles(records, self._errors.tell(at_ns), self._prefix)
 
     def tell_all(self, records: RecordWriter) -> None:

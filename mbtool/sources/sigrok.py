@@ -1,4 +1,4 @@
-"""Reads the recordings of logic analysers that sigrok makes: PulseView, sigrok-cli (.sr)."""
+"""Reads recordings of logic analysers made with sigrok (.sr): PulseView, sigrok-cli."""
 
 # A file is a zip archive (https://sigrok.org/wiki/File_format:Sigrok/v2):
 #
@@ -9,17 +9,20 @@
 #                   lowest bit of the first byte
 #
 # The UART characters are decoded here (uart.py), so no decoder needs to be set up in sigrok. If the
-# user names no line settings, those are taken that explain the channel with the most edges best.
+# user names no line settings, those settings are taken with which the channel with the most edges
+# has the fewest wrong characters.
 #
-# All channels that carry characters with these settings are one line, in the order of time: a
-# two-wire line is one channel, RS-232 has one for each direction. A channel that only repeats what
-# another has at the same time, as the second wire of RS-485 does, is left out. A channel that is
-# mostly low is taken as inverted. A recording has no date, so it begins in 1970.
+# All channels that carry characters with these settings are taken as one line, their characters in
+# the order of time: a two-wire line is one channel, RS-232 has one for each direction. A channel
+# that only repeats the characters of another at the same time, as the second wire of RS-485 does,
+# is left out. A channel that is mostly low is taken as inverted. A recording has no date, so it
+# begins in 1970.
 #
-# Samples of a line at rest pack a thousandfold, so the bytes that a file unpacks to are bounded
-# only by what deflate can do, and the edges, which cost time, by the file's size (MAX_EDGES).
+# Samples of an idle line are compressed to a thousandth. So the unpacked bytes are limited only by
+# what deflate can compress (_MAX_RATIO), and the edges, which cost time, by the file's size
+# (MAX_EDGES).
 #
-# Memory: one block of samples, and the first edges of each channel, LOOKED_AT at most.
+# Memory: one block of samples, and the first edges of each channel, at most LOOKED_AT.
 
 from __future__ import annotations
 
@@ -41,13 +44,15 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
 LOOKED_AT = 20_000
-"""The channels and the line's settings are chosen after this many edges of one channel."""
+"""The channels and the line's settings are chosen once one channel has this many edges."""
 MAX_CHANNELS = 64
 MAX_EDGES = 5_000_000
-"""The most edges of all channels; for each byte of the file there may be EDGES_A_BYTE more."""
+"""The most edges of all channels together; for each byte of the file EDGES_A_BYTE more are
+allowed."""
 EDGES_A_BYTE = 20
 _MAX_RATIO = 1100
-"""The most that deflate can pack is 1032 to 1."""
+"""The samples may unpack to this many times the size of the file. deflate can compress to 1/1032 at
+best."""
 _BLOCK = 1 << 16
 _MAX_METADATA = 1 << 20
 _HEAD = re.compile(rb"PK\x03\x04.{22}\x07\0.{2}version", re.DOTALL)
@@ -55,25 +60,28 @@ _RATE = re.compile(r"(\d{1,12}(?:\.\d{1,9})?)\s*([kMG]?)Hz")
 _FACTORS = {"": 1, "k": 10**3, "M": 10**6, "G": 10**9}
 _PROBE = re.compile(r"probe(\d{1,3})")
 _MAX_WRONG = 0.2
-"""A channel carries characters if at most this share of them is wrong, 0 to 1."""
+"""A channel counts as carrying characters if at most this share of them (0 to 1) has a wrong parity
+or stop bit."""
 _FEW = 20
 _LEAST_KINDS = 3
-"""Of more than _FEW characters, so many must differ: a clock looks like one that repeats."""
+"""In more than _FEW characters, at least this many byte values must occur: a clock signal looks
+like one character that repeats."""
 _SAME = 0.9
-"""A channel repeats another one if it has this share of its characters at the same time."""
+"""A channel counts as a repetition of another if the other has this share of its characters (0 to
+1) at the same time."""
 
 
 def is_sigrok(head: bytes) -> bool:
-    """True if a file that begins with these bytes, 37 or more, is one of sigrok."""
+    """True if a file is a recording of sigrok; `head` is its beginning, 37 bytes or more."""
     return _HEAD.match(head) is not None
 
 
 def read_sigrok(stream: BinaryIO, name: str, link: str, line: LineSettings | None) -> SerialBytes:
     """Read the characters of a recording; find the line's settings if `line` is None.
 
-    Raises InputError for a file that is damaged, has no logic samples, or fewer than MIN_SAMPLES of
-    a bit, and for one in which no channel carries such characters. The iterator over the bytes
-    raises InputError, too.
+    Raises InputError for a file that is damaged, has no logic samples, or fewer than MIN_SAMPLES
+    for each bit, and for one in which no channel carries characters of these settings. The iterator
+    over the bytes raises InputError, too.
     """
     recording = _Recording.open(stream, name)
     heads = recording.heads()
@@ -97,24 +105,24 @@ def read_sigrok(stream: BinaryIO, name: str, link: str, line: LineSettings | Non
 
 @dataclass(slots=True)
 class _Head:
-    """The beginning of a channel."""
+    """The beginning of one channel of a recording."""
 
     first: int
-    """The level of the first sample."""
+    """The level of the first sample, 0 or 1."""
     edges: list[int] = field(default_factory=list)
     end: int = 0
-    """The number of samples that were looked at."""
+    """The number of samples in this beginning."""
 
     @property
     def is_inverted(self) -> bool:
-        """True if the channel is low most of the time; a serial line rests high."""
+        """True if the channel is low most of the time, as only an inverted line would be."""
         times = [0, *self.edges, self.end]
         high = sum(times[at + 1] - times[at] for at in range(1 - self.first, len(times) - 1, 2))
         return 2 * high < self.end
 
     @property
     def level(self) -> int:
-        """The level of the first sample, as it is on the line."""
+        """The level of the first sample, 0 or 1, inverted if the channel is inverted."""
         return self.first ^ self.is_inverted
 
     def characters(self, line: SerialFormat, rate: int) -> list[Character]:
@@ -123,23 +131,23 @@ class _Head:
 
 class _Channel(NamedTuple):
     number: int
-    """From 0."""
+    """The number of the channel, counted from 0."""
     level: int
-    """The level of the first sample, as it is on the line."""
+    """The level of the first sample, 0 or 1, inverted if the channel is inverted."""
 
 
 @dataclass(slots=True)
 class _Recording:
-    """The samples of a file."""
+    """An open recording: where its samples are, and how to read them."""
 
     archive: zipfile.ZipFile
     name: str
     rate: int
-    """Samples per second."""
+    """The sample rate, in samples per second."""
     unit: int
-    """Bytes of a sample."""
+    """The number of bytes of one sample; each channel is one bit of it."""
     channels: list[int]
-    """The channels that were recorded, from 0."""
+    """The numbers of the channels that were recorded, counted from 0."""
     parts: list[str]
     most_edges: int
 
@@ -174,7 +182,7 @@ class _Recording:
         return cls(archive, name, rate, unit, channels, parts, most_edges)
 
     def heads(self) -> dict[int, _Head]:
-        """The beginning of each channel, up to LOOKED_AT edges of one of them."""
+        """Return the beginning of each channel, up to the first LOOKED_AT edges of one of them."""
         heads: dict[int, _Head] = {}
         for block in self.blocks(self.channels):
             for number, (first, edges) in block.edges.items():
@@ -191,7 +199,7 @@ class _Recording:
         return heads
 
     def blocks(self, channels: Sequence[int]) -> Iterator[_Block]:
-        """The edges of channels, block by block."""
+        """Yield the edges of some channels, one block of samples after the other."""
         levels: dict[int, int] = {}
         at = count = 0
         for data in self._data():
@@ -208,7 +216,7 @@ class _Recording:
             yield _Block(edges, at)
 
     def _data(self) -> Iterator[bytes]:
-        """Whole samples, a block at a time."""
+        """Yield the samples as bytes, in blocks that contain only whole samples."""
         size = _BLOCK - _BLOCK % self.unit
         rest = b""
         for part in self.parts:
@@ -226,20 +234,22 @@ class _Recording:
 
 class _Block(NamedTuple):
     edges: dict[int, tuple[int, list[int]]]
-    """For each channel its first level, and the samples at which the level changes."""
+    """For each channel its level before the block, and the numbers of the samples at which the
+    level changes."""
     end: int
-    """The number of samples up to the end of the block."""
+    """The number of samples from the beginning of the recording to the end of the block."""
 
 
 _DAMAGE = (
     zipfile.BadZipFile, zlib.error, struct.error, EOFError, RuntimeError, OverflowError, ValueError,
 )  # fmt: skip
 _LEVELS = [bytes(byte >> bit & 1 for byte in range(256)) for bit in range(8)]
-"""For each bit a table that makes bytes of samples levels, 0 and 1."""
+"""For each bit position a table for bytes.translate that turns bytes of samples into levels, 0 or
+1."""
 
 
 def _demand_plain(archive: zipfile.ZipFile, parts: Sequence[str], size: int) -> None:
-    """Raise ValueError if the samples are packed otherwise than in a file of sigrok."""
+    """Raise ValueError if the samples are not compressed as sigrok does it, or too many."""
     infos = [archive.getinfo(part) for part in parts]
     if any(one.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) for one in infos):
         raise ValueError("its samples are not packed with deflate")
@@ -248,7 +258,7 @@ def _demand_plain(archive: zipfile.ZipFile, parts: Sequence[str], size: int) -> 
 
 
 def _logic_keys(text: str) -> dict[str, str]:
-    """The keys of the section of a device that has logic samples."""
+    """Return the keys of the first section of the metadata that names logic samples."""
     parser = configparser.RawConfigParser(strict=False)
     parser.read_string(text)
     for section in parser.sections():
@@ -265,7 +275,11 @@ def _rate(text: str) -> int:
 
 
 def _edges(levels: bytes, level: int, offset: int) -> tuple[list[int], int]:
-    """The samples at which the level changes, and the last level."""
+    """Return the numbers of the samples at which the level changes, and the last level.
+
+    `levels` has a byte, 0 or 1, for each sample; `level` is the level before them, and `offset` the
+    number of the first sample.
+    """
     edges = []
     at = 0
     while (at := levels.find(1 - level, at)) >= 0:
@@ -275,7 +289,7 @@ def _edges(levels: bytes, level: int, offset: int) -> tuple[list[int], int]:
 
 
 def _format(heads: dict[int, _Head], rate: int) -> SerialFormat | None:
-    """The settings that explain the channel with the most edges that any explain."""
+    """Find the settings that fit the channel with the most edges; if none fit, the next channel."""
     for head in sorted(heads.values(), key=lambda one: -len(one.edges)):
         found = find_format(head.edges, head.end, rate, head.level)
         if found is not None and _are_sent(head.characters(found, rate)):
@@ -284,7 +298,7 @@ def _format(heads: dict[int, _Head], rate: int) -> SerialFormat | None:
 
 
 def _choose(heads: dict[int, _Head], line: SerialFormat, rate: int) -> list[_Channel]:
-    """The channels with characters, without those that repeat another one."""
+    """Return the channels that carry characters, without those that only repeat another channel."""
     found = {number: head.characters(line, rate) for number, head in heads.items()}
     by_count = sorted(
         (number for number, one in found.items() if _are_sent(one)),
@@ -299,14 +313,17 @@ def _choose(heads: dict[int, _Head], line: SerialFormat, rate: int) -> list[_Cha
 
 
 def _are_sent(found: Sequence[Character]) -> bool:
-    """True if these are characters that were sent, and no other signal."""
+    """True if the characters look like characters that a UART sent, not like another signal."""
     if not found or wrong_share(found) > _MAX_WRONG:
         return False
     return len(found) < _FEW or len({one.byte for one in found}) >= _LEAST_KINDS
 
 
 def _repeats(one: Sequence[Character], other: Sequence[Character], tolerance: float) -> bool:
-    """True if nearly all characters of `one` are in `other` at the same time."""
+    """True if nearly all characters of `one` are in `other` at the same time.
+
+    `tolerance` is the largest difference of their starts, in samples.
+    """
     same = at = 0
     for character in one:
         while at < len(other) and other[at].start < character.start - tolerance:
@@ -326,7 +343,7 @@ def _chunks(
     origin: Origin,
     link: str,
 ) -> Iterator[Chunk]:
-    """The characters of all channels in the order of time, each with the time of its end."""
+    """Yield the characters of all channels in the order of time, each with the time of its end."""
     decoders = {one.number: UartChannel(line, recording.rate, one.level) for one in channels}
     offset = 0
     for block in recording.blocks([*decoders]):

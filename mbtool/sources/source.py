@@ -28,7 +28,7 @@ class LiveSource(ABC, Generic[HeardLink]):
         self._inbox = inbox
         self._thread: Thread | None = None
         self.is_lost = False
-        """True while the link is lost and looked for."""
+        """True while the link is lost and this source tries to open it again."""
 
     @property
     def link(self) -> str:
@@ -37,7 +37,7 @@ class LiveSource(ABC, Generic[HeardLink]):
 
     @property
     def place(self) -> str:
-        """The link as text; instead of TCP port 0, it has the port that the system chose."""
+        """The link as text, with the port that the system chose in place of TCP port 0."""
         return str(self._link)
 
     def __enter__(self) -> Self:
@@ -56,7 +56,7 @@ class LiveSource(ABC, Generic[HeardLink]):
 
     @abstractmethod
     def close(self) -> None:
-        """Stop capturing. Everything captured is then in the inbox, followed by Ended.
+        """Stop capturing, and put everything captured, followed by Ended, into the inbox.
 
         A second call does nothing.
         """

@@ -17,11 +17,12 @@
 # its log before they run out, so a tap with `waits` accepts no master until `accept` is called.
 # Masters that connect earlier, or while no more files can be opened, wait in the system's queue.
 #
-# Limits, each by default; the user's (ports/connection_limits.py) replace them: 64 connections at
-# once; a further one is reset, with an event, unless another one has been of no use for SPARE_S:
-# that one is then closed. So a flood of connections keeps no place longer than that. A connection
-# without a byte for an hour is closed: few masters poll so rarely, and connections whose peers have
-# vanished would otherwise add up to 64.
+# Limits, which the user's (ports/connection_limits.py) replace: 64 connections at once. A further
+# one is reset, with an event, unless another connection is unused: on that one the slave never
+# answered or a side has ended, and no byte came for SPARE_S. The unused one is then closed. So a
+# flood of connections takes no place for longer than that. A connection without a byte for an hour
+# is closed: few masters poll so rarely, and connections whose peers have vanished would otherwise
+# add up to 64.
 #
 # A tap that is read-only passes on only requests that read (read_only.py).
 
@@ -51,11 +52,11 @@ if TYPE_CHECKING:
 MAX_CONNECTIONS = 64
 IDLE_S = 3600.0
 _TICK_S = 0.1
-"""Every so many seconds the tap puts a Quiet and closes idle connections."""
+"""The period in seconds at which the tap puts a Quiet and closes idle connections."""
 
 
 class TapSource(LiveSource[TapLink]):
-    """Relays connections and records them while its context is open.
+    """Relays connections between masters and a slave, and records them, while its context is open.
 
     Entering the context raises LinkError if the tap cannot listen or a certificate file is wrong,
     UsageError if other machines can reach its endpoint and none is allowed to connect.
@@ -74,7 +75,7 @@ class TapSource(LiveSource[TapLink]):
         idle_s: float = IDLE_S,
         waits: bool = False,
     ) -> None:
-        """If `waits` is true, the tap accepts no connection before `accept` is called."""
+        """If `waits` is True, the tap accepts no connection before `accept` is called."""
         super().__init__(link, inbox)
         self._listener = TcpListener(link, link.listen, allowed)
         self._max_connections = allowed.limits.connections or max_connections
@@ -93,7 +94,10 @@ class TapSource(LiveSource[TapLink]):
 
     @property
     def endpoint(self) -> Endpoint:
-        """The endpoint the tap listens at; after `open` with the chosen port instead of port 0."""
+        """The endpoint at which the tap listens.
+
+        After `open` it has the port that the system chose in place of port 0.
+        """
         return self._listener.endpoint
 
     def open(self) -> None:
@@ -114,7 +118,7 @@ class TapSource(LiveSource[TapLink]):
 
     def close(self) -> None:
         if self._thread is not None:
-            with suppress(RuntimeError):  # The loop is already closed, by an earlier call.
+            with suppress(RuntimeError):  # An earlier call has closed the loop.
                 self._loop.call_soon_threadsafe(self._told_to_end.set)
             self._thread.join()
 
@@ -177,7 +181,7 @@ class TapSource(LiveSource[TapLink]):
         return False
 
     def _make_room(self) -> bool:
-        """Close the connection that has been of no use longest; return False if all are of use."""
+        """Close the connection that has been unused longest; return False if none is unused."""
         unused = [relay for relay in self._relays if relay.is_unused(self._loop.time())]
         if unused:
             min(unused, key=lambda relay: relay.active_s).abort(CloseReason.CROWDED_OUT)

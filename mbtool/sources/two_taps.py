@@ -4,7 +4,7 @@
 # Quiet item means that all bytes received before its time are in the inbox. Each port knows this
 # only for itself, so this source puts a Quiet with the earlier of the two ports' times. When the
 # clock is set back, these times go back, too. Both ports end together: when one is gone, the other
-# is told to end; its last bytes come before the single Ended.
+# is told to end; its last bytes come before the Ended of this source.
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 class TwoTapsSource(LiveSource[SerialLink]):
-    """Listens to both ports of a link while its context is open.
+    """Captures both ports of a link while its context is open.
 
     Entering the context raises LinkError if a port cannot be opened.
     """
@@ -33,7 +33,10 @@ class TwoTapsSource(LiveSource[SerialLink]):
     def __init__(
         self, link: SerialLink, inbox: Sink, *, places: Mapping[str, str] | None = None
     ) -> None:
-        """`places` says under which path a port of the link is found, if not under its own."""
+        """Create a source for a link of two ports.
+
+        `places` gives the present path of a port whose path has changed since the link was named.
+        """
         super().__init__(link, inbox)
         self._lock = Lock()
         self._taps = {
@@ -41,10 +44,11 @@ class TwoTapsSource(LiveSource[SerialLink]):
             for speaker in (Direction.REQUEST, Direction.RESPONSE)
         }
         self._known_ns = dict.fromkeys(self._taps, 0)
-        """For each port, named by the side it listens to: the time in ns up to which all its bytes
-        are in the inbox."""
+        """For each port, by the side it listens to (REQUEST: the master): the time in ns up to
+        which all its bytes are in the inbox."""
         self._quiet_ns = 0
-        """The time in ns of the last Quiet: all bytes of both ports up to it are in the inbox."""
+        """The time in ns of the last Quiet item: all bytes of both ports up to this time are in the
+        inbox."""
         self._listening = set(self._taps)
         self._error: LinkError | None = None
         self._opened = ExitStack()
@@ -105,7 +109,7 @@ def _known(until_ns: int, ts_ns: int) -> int:
 
 
 class _Tap:
-    """The sink for the items of one of the two ports."""
+    """The sink for the items of one of the two ports; it passes them on with the port's side."""
 
     def __init__(self, source: TwoTapsSource, speaker: Direction) -> None:
         self._source = source

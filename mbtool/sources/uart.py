@@ -3,13 +3,14 @@
 # A character is a start bit (low), data bits from the lowest on, a parity bit if there is one, and
 # a stop bit (high). Each bit is sampled in its middle, counted from the falling edge of the start
 # bit; the next character may begin from the middle of the stop bit on. A start bit that is high in
-# its middle is a disturbance. A character with a wrong parity or stop bit is a byte like any other,
-# as the check of the frame decides; a break, which is low from end to end, is none.
+# its middle is a disturbance and ignored. A character with a wrong parity or stop bit is decoded
+# like any other, as the CRC or LRC of its frame decides; a break, which is low from end to end, is
+# not decoded.
 #
-# The settings are those with the fewest wrong characters. The baud rates that are tried are those
-# whose bit is about as long as the shortest pulses.
+# The settings found are those with the fewest wrong characters. Only those baud rates are tried
+# whose bit time is about the length of the shortest pulses.
 #
-# Memory: the edges of one character, and those of the samples that were given last.
+# Memory: the edges of one character, and the edges passed in the last call.
 
 from __future__ import annotations
 
@@ -26,27 +27,29 @@ BAUDS = (
     250000, 460800, 500000, 921600, 1000000,
 )  # fmt: skip
 MIN_SAMPLES = 4
-"""The least samples of a bit."""
+"""The least number of samples for one bit at which characters can be decoded."""
 _PARITIES = "ENO"
-"""8E1 first, as the standard demands it. A listener hears a second stop bit as silence."""
+"""The parities in the order in which they are tried. 8E1 comes first, as the standard demands it. A
+second stop bit need not be tried: it looks like silence."""
 _SHORTEST = 0.02
-"""The share of pulses, 0 to 1, that may be shorter than a bit: disturbances."""
+"""The share of pulses, 0 to 1, that may be shorter than a bit time, as disturbances are."""
 _LEAST_BIT, _MOST_BIT = 0.7, 1.4
-"""A bit that is tried has this many times the length of the shortest pulses."""
+"""A baud rate is tried if its bit time is between these multiples of the length of the shortest
+pulses."""
 
 
 class Character(NamedTuple):
-    """A character on the line."""
+    """A UART character that was decoded from a sampled signal."""
 
     start: int
-    """The sample at which its start bit begins."""
+    """The number of the sample at which its start bit begins."""
     byte: int
     is_wrong: bool
     """True if its parity or its stop bit is wrong."""
 
 
 class UartChannel:
-    """Decodes the characters of one channel."""
+    """Decodes the UART characters of one channel of a recording."""
 
     def __init__(self, line: SerialFormat, rate: int, level: int) -> None:
         """`rate` is in samples per second; `level` is that of the first sample, 0 or 1."""
@@ -54,13 +57,16 @@ class UartChannel:
         self._data_bits = line.data_bits
         self._parity = line.parity
         self._level = level
-        """The level before the first edge in `_edges`."""
+        """The level, 0 or 1, before the first edge in `_edges`."""
         self._edges: list[int] = []
         self._free = 0.0
-        """Where the next character may begin, in samples."""
+        """The number of the sample from which on the next character may begin."""
 
     def feed(self, edges: Sequence[int], end: int) -> Iterator[Character]:
-        """Take the samples at which the level changes, up to the sample `end`; give characters."""
+        """Take the samples at which the level changes, and yield the complete characters.
+
+        All samples up to the sample `end` are known.
+        """
         self._edges.extend(edges)
         at = 0
         bits = 1 + self._data_bits + (self._parity != "N") + 1
@@ -79,7 +85,7 @@ class UartChannel:
         self._drop(at)
 
     def _start_at(self, at: int) -> int:
-        """The index of the next falling edge at which a character may begin."""
+        """The index, `at` or later, of the next falling edge at which a character may begin."""
         while at < len(self._edges) and (
             not self._level ^ (at & 1) or self._edges[at] < self._free
         ):
@@ -87,7 +93,11 @@ class UartChannel:
         return at
 
     def _levels(self, at: int, bits: int) -> tuple[list[int], int]:
-        """The level in the middle of each bit, and the index of the first edge behind the last."""
+        """Sample `bits` bits from the edge `at` on.
+
+        Returns the level in the middle of each bit, and the index of the first edge after the
+        middle of the last bit.
+        """
         levels = []
         start = self._edges[at]
         for bit in range(bits):
@@ -113,9 +123,10 @@ class UartChannel:
 
 
 def find_format(edges: Sequence[int], end: int, rate: int, level: int) -> SerialFormat | None:
-    """The settings that explain a channel best; None if no character fits any.
+    """Find the line settings that fit a channel best; None if no character fits any settings.
 
-    `edges` are the samples at which its level changes, up to the sample `end`.
+    `edges` are the numbers of the samples at which the level changes, up to the sample `end`;
+    `rate` is in samples per second, and `level` is that of the first sample.
     """
     best: tuple[float, SerialFormat] | None = None
     for baud in _likely_bauds(edges, rate):
@@ -130,12 +141,12 @@ def find_format(edges: Sequence[int], end: int, rate: int, level: int) -> Serial
 
 
 def wrong_share(characters: Sequence[Character]) -> float:
-    """The share of characters with a wrong parity or stop bit, 0 to 1."""
+    """The share of characters, 0 to 1, whose parity or stop bit is wrong."""
     return sum(one.is_wrong for one in characters) / len(characters)
 
 
 def _likely_bauds(edges: Sequence[int], rate: int) -> list[int]:
-    """The baud rates whose bit is about as long as the shortest pulses."""
+    """The baud rates whose bit time is about the length of the shortest pulses."""
     pulses = sorted(after - before for before, after in pairwise(edges))
     if not pulses:
         return []

@@ -1,8 +1,8 @@
-"""A serial line without hardware: pseudo-terminals connected like the devices of one bus."""
+"""A serial line without hardware: connected pseudo-terminals, as the devices of one bus are."""
 
 # Characters written to one end arrive at every other end, at the speed of the line's baud rate and
-# character format. The line runs in a process of its own (virtual_line_hub.py): in a thread beside
-# a busy decoder, characters would arrive in bursts.
+# character format. The line runs in a process of its own (virtual_line_hub.py): in a thread of a
+# process with a busy decoder, characters would arrive in bursts.
 #
 # The ends are named like any terminal (/dev/pts/7). Symbolic links can give them other names. An
 # existing symbolic link of such a name is replaced; any other file of that name is an error.
@@ -29,8 +29,8 @@ _START_S = 20.0
 class VirtualLine:
     """A serial line without hardware that exists while its context is open.
 
-    The constructor raises UsageError for a wrong number of ends or links. Entering the context
-    raises LinkError if the line cannot be made.
+    The constructor raises UsageError for a wrong number of ends or symbolic links. Entering the
+    context raises LinkError if the line cannot be made.
     """
 
     ends: int = 2
@@ -80,7 +80,7 @@ class VirtualLine:
         self.close()
 
     def close(self) -> None:
-        """Remove the line, and the symbolic links that it made."""
+        """Remove the line, and the symbolic links that it has made."""
         if self._child is not None:
             end_child(self._child)
 

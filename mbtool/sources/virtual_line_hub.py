@@ -4,11 +4,11 @@
 # symbolic link to make: the first one leads to the first end, the second one to the second end.
 #
 # If a program writes a character to an idle end, the other ends receive it one character time
-# later, as on a wire, where it is received when its stop bit has passed. The next character follows
-# one character time after that. Each character's time is counted from the first one, so if the
-# process wakes up late, this delays the characters due then, but not those that follow. No
-# character is early. Two deliveries are at least GRAIN_NS apart: up to 38400 baud every character
-# is delivered alone, at 115200 baud three are delivered at once.
+# later, as on a wire, where a character is received when its stop bit has passed. The next
+# character follows one character time after that. The times of all characters of a burst are
+# counted from its first one, so if the process wakes up late, only the characters that are due then
+# are delayed. No character is early. Two deliveries are at least GRAIN_NS apart: up to 38400 baud
+# every character is delivered alone, at 115200 baud three are delivered at once.
 #
 # If two ends write at once, the others receive the characters of both, interleaved and useless, as
 # on a wire. No end receives its own characters.
@@ -19,7 +19,7 @@
 # the end later reads the kept bytes, unless it flushes its input as pyserial and this package do.
 #
 # A pseudo-terminal has a side for the hub and a side for the user's program; the hub keeps both
-# open. Otherwise the hub's side would report EIO as soon as the program closes the other, and the
+# open. Otherwise the hub's side would report EIO as soon as the program closes its side, and the
 # terminal would lose its raw mode.
 #
 # The process ends when its standard input ends (child.py). It then removes the symbolic links that
@@ -49,7 +49,7 @@ GRAIN_NS = 250_000
 
 
 class Sender:
-    """The characters written by one end and not yet delivered to the others."""
+    """The characters that one end has written and that are not yet delivered to the others."""
 
     def __init__(self, character_ns: int) -> None:
         self._character_ns = character_ns
@@ -71,7 +71,7 @@ class Sender:
         self._pending += data
 
     def take(self, now_ns: int) -> bytes:
-        """Take out and return the characters that are due at `now_ns`."""
+        """Take out and return the characters that are due at `now_ns`, on the monotonic clock."""
         if not self._pending or now_ns < self._next_ns:
             return b""
         count = min((now_ns - self._next_ns) // self._character_ns + 1, len(self._pending))
@@ -113,7 +113,8 @@ def main() -> None:
 def run(control: int, ends: Sequence[int], character_ns: int) -> None:
     """Move characters between the ends until the descriptor `control` reads end of file.
 
-    `ends` are the descriptors of the hub's sides of the pseudo-terminals.
+    `ends` are the descriptors of the hub's sides of the pseudo-terminals, `character_ns` is the
+    time of one character on the line.
     """
     senders = {end: Sender(character_ns) for end in ends}
     delivered_ns = 0
@@ -145,7 +146,7 @@ def _deliver(data: bytes, ends: Sequence[int]) -> None:
 
 
 def _make_link(link: str, port: str) -> None:
-    """Make a symbolic link. An old one whose target is gone, left by a killed line, is replaced.
+    """Make a symbolic link. It replaces one whose target is gone, as a killed line leaves it.
 
     Raises OSError if any other file has this name, such as the link of a running line.
     """
