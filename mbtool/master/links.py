@@ -5,16 +5,17 @@
 # next frame from its unit is the response.
 #
 # Lost connections. When the slave closes the connection, it is opened again for the next request.
-# While this fails, requests are reported as lost at once, so that nobody waits for their responses.
-# After a failed attempt, no other is made for as long as that attempt took. So attempts take at
-# most half of the time, and if the slave refuses, which takes no time, each request makes an
-# attempt. The user is told when the connection cannot be opened again, and when it is open again.
+# As long as this fails, requests are reported as lost at once, so that nobody waits for their
+# responses. After a failed attempt, the next one is made only after the same time as the attempt
+# took, so attempts take at most half of the time; a refused attempt takes almost no time, so it
+# delays no other. The user is told when the connection cannot be opened again, and when it is open
+# again.
 #
 # One thread sends and receives: it waits in `receive` until bytes come or the timeout is over.
 #
-# Memory: the incomplete ADU in the splitter, and the numbers of pending and of lost requests, at
-# most MAX_OPEN_REQUESTS of each; the oldest is forgotten first. Of the bytes that are no response,
-# the last MAX_UNREAD pieces since the last request are kept.
+# Memory: one incomplete ADU, and the numbers of pending and of lost requests, at most
+# MAX_OPEN_REQUESTS of each; the oldest is forgotten first. Of bytes that are no response, the last
+# MAX_UNREAD pieces since the last request are kept.
 
 from __future__ import annotations
 
@@ -45,17 +46,17 @@ if TYPE_CHECKING:
     from mbtool.modbus import Skipped
 
 CONNECT_S = 5.0
-"""Timeout of the first connection, in seconds."""
+"""Timeout for opening the first connection, in seconds."""
 RECONNECT_S = 0.5
-"""Timeout for opening a lost connection again, in seconds. Short, as a request is waiting."""
+"""Timeout for opening a lost connection again, in seconds. It is short because a request waits."""
 READ_BYTES = 4096
 _LEAST_TLS_WAIT_S = 0.001
 LONGEST_WAIT_S = 3600.0
 MAX_UNREAD = 16
 ASK_TIMEOUT_NS = 2_000_000_000
 _POLL_S = 0.001
-"""On systems that cannot wait for bytes of a serial port (Windows), it is checked every so many
-seconds."""
+"""The interval in seconds at which a serial port is checked for bytes, on systems that cannot wait
+for them (Windows)."""
 _LEAST_ASK_PAUSE_NS = 5_000_000
 """Shortest pause, in ns, before a request of `ask` on a serial line. At high baud rates t3.5 is so
 short that a listening adapter would return two frames as one."""
@@ -74,7 +75,7 @@ class ReceivedResponse(NamedTuple):
 
 
 class Exchange(NamedTuple):
-    """A request and what came after it. Times are those of the monotonic clock, in ns."""
+    """A request and what was received after it. Times are those of the monotonic clock, in ns."""
 
     request: Adu
     response: Adu | None
@@ -89,7 +90,7 @@ class MasterLink(ABC):
     limits: LinkLimits
     transport: Transport
     _asked = 0
-    """Number of requests sent by `ask`; also the `number` of its last request."""
+    """The number of requests sent by `ask`, which is also the `number` of the last of them."""
     _request: Adu
     """The last request."""
     _response: Adu | None = None
@@ -102,8 +103,8 @@ class MasterLink(ABC):
     def send(self, number: int, unit: int, pdu: bytes) -> None:
         """Send a request; its response will have the same `number`.
 
-        If a TCP connection is lost, `lost` returns the number. Raises LinkError if a serial port is
-        lost.
+        If a TCP connection is lost, `lost` returns the number. Raises LinkError if a serial port
+        fails or is unplugged.
         """
 
     @abstractmethod
@@ -132,13 +133,13 @@ class MasterLink(ABC):
     def exchange(self, unit: int, pdu: bytes) -> Exchange:
         """Send one request and wait for its response, as `ask` does.
 
-        On a serial line, no unit responds to a broadcast (unit 0): after the turnaround delay the
-        next request may follow. If the connection is lost, it does not wait, either. Raises
-        LinkError if a serial port is lost.
+        No unit responds to a broadcast (unit 0) on a serial line: this returns after the turnaround
+        delay. If the TCP connection is lost, it returns at once. Raises LinkError if a serial port
+        is lost.
         """
         if self.limits.pause_ns:
             time.sleep(max(2 * self.limits.pause_ns, _LEAST_ASK_PAUSE_NS) / _NS)
-        self.receive(0)  # A late response to an earlier request would be taken for this one's.
+        self.receive(0)  # Drop late responses, which would be taken for this request's.
         self._unread.clear()
         self._asked += 1
         self.send(self._asked, unit, pdu)
@@ -153,7 +154,7 @@ class MasterLink(ABC):
         until_ns = time.monotonic_ns() + self.limits.timeout_ns
         rest_ns = self.limits.timeout_ns
         while self._asked not in self.lost():
-            # Also if the time is over: the response may have come while this process did not run.
+            # Check once more after the timeout: this process may have been suspended.
             if any(one.number == self._asked for one in self.receive(max(rest_ns, 0))):
                 return True
             if rest_ns <= 0:
@@ -229,9 +230,9 @@ class TcpMaster(MasterLink):
         self._link = link
         self._on_remark = on_remark
         self._tls = None if tls is None else client_context(tls, link.endpoint.host)
-        """The context of TLS, and the name in the slave's certificate."""
+        """The ssl context, and the name expected in the slave's certificate; None without TLS."""
         self._is_reconnecting = False
-        """True if the last attempt to open a lost connection again has failed."""
+        """True if the last attempt to open a lost connection again failed."""
         self._next_attempt_ns = 0
         self._pending: dict[int, tuple[int, int]] = {}
         """The number and the unit of each pending request, by transaction id. RTU over TCP has no
@@ -271,7 +272,7 @@ class TcpMaster(MasterLink):
         try:
             data, arrived_ns = receive(self._socket, READ_BYTES)
         except (TimeoutError, ssl.SSLWantReadError):
-            return ()  # What came were messages of TLS itself.
+            return ()  # Only TLS's own messages came, no data.
         except OSError as error:
             why = failure(error, "slave")
             if why is not None:
@@ -288,7 +289,7 @@ class TcpMaster(MasterLink):
 
     @staticmethod
     def _has_bytes(connected: socket.socket, wait_s: float) -> bool:
-        """Wait at most `wait_s` seconds for bytes. TLS may hold some that it has decrypted."""
+        """Wait at most `wait_s` seconds for bytes. TLS may have some already decrypted."""
         if isinstance(connected, ssl.SSLSocket):
             if connected.pending():
                 return True
@@ -359,7 +360,7 @@ class TcpMaster(MasterLink):
     def _secured(
         self, connected: socket.socket, context: ssl.SSLContext, name: str
     ) -> socket.socket:
-        """The connection with TLS. Raises LinkError if TLS fails."""
+        """Return the connection after a TLS handshake. Raises LinkError if TLS fails."""
         try:
             return context.wrap_socket(connected, server_hostname=name)
         except (OSError, ValueError) as error:
@@ -418,10 +419,9 @@ class SerialMaster(MasterLink):
     def _read(self, wait_ns: int) -> tuple[bytes, int]:
         """Return the bytes that have come; if there are none, wait `wait_ns` at most.
 
-        Also returns when the last of them came, or now if there are none.
-
-        The timeout of the pyserial port stays unchanged. To change it, pyserial would configure the
-        whole port again, which takes time, and fails on a pseudo-terminal if the line has parity.
+        Also returns when the last of them came, or now if there are none. The timeout of the
+        pyserial port stays unchanged. To change it, pyserial would configure the whole port again,
+        which takes time, and fails on a pseudo-terminal if the line has parity.
         """
         begin_ns = time.monotonic_ns()
         is_there = self._has_bytes(0.0)

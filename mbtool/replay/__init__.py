@@ -1,4 +1,7 @@
-"""Plays a recording as the slave, the master or the whole line; compares recordings. No I/O."""
+"""Plays a recording back as the slave, the master or the whole line; compares recordings.
+
+No I/O.
+"""
 
 from mbtool.replay.bus import BusPlayer, ByteRun
 from mbtool.replay.clock import PlayClock

@@ -1,4 +1,4 @@
-"""Plays a serial line: every byte of master and slaves, at its recorded time."""
+"""Plays a recording on a serial line: every byte of master and slaves, at its recorded time."""
 
 # A run is a sequence of bytes without silences between them: the bytes of one read of the recorded
 # port, or a frame made from a message that was recorded on a network. A run is sent at the recorded
@@ -6,13 +6,13 @@
 # silences between bytes are played. Silences inside one read are not known.
 #
 # A run that begins a frame waits until the bytes before it are sent, and then for the silence
-# between frames. Any other run is given to the port as soon as it is due, even while earlier bytes
-# are still leaving the port, so that no silence arises between them. But if the port still needs
-# more than AHEAD_NS to send earlier bytes, the run waits, so that the port's buffer does not
-# overflow.
+# between frames. Any other run is given to the port as soon as it is due, even while the port still
+# sends earlier bytes, so that no silence arises between them. But if the port still needs more than
+# AHEAD_NS to send earlier bytes, the run waits, so that the port's buffer does not overflow.
 #
-# If the line is too slow for the recording, a run is delayed because earlier bytes still occupy the
-# line. A run delayed by more than BEHIND_NS in this way is counted in `delayed`, not in `lateness`.
+# If the line is slower than the recorded one, a run is delayed because the port still sends earlier
+# bytes. A run delayed by more than BEHIND_NS in this way is counted in `delayed`, not in
+# `lateness`.
 #
 # Memory grows with the recording: one run for each read or frame.
 
@@ -46,12 +46,12 @@ class ByteRun:
 
 
 class BusPlayer:
-    """Decides when each run of bytes is sent."""
+    """Decides when each run of bytes (bytes without a silence between them) is sent."""
 
     def __init__(
         self, runs: Sequence[ByteRun], clock: PlayClock, *, character_ns: int, silence_ns: int
     ) -> None:
-        """`runs` are in order of time.
+        """Play `runs`, which are in order of time.
 
         `character_ns` is the duration of a character, and `silence_ns` the silence between frames,
         on the line that the recording is played on.
@@ -60,13 +60,15 @@ class BusPlayer:
         self._character_ns = character_ns
         self._silence_ns = silence_ns
         self._passed_ns: int | None = None
-        """When the port will have sent the last byte that it was given, in ns; None before the
+        """The time, in ns, when the port will have sent all bytes given to it; None before the
         first byte."""
         self.bytes = 0
         self.delayed = 0
-        """Number of runs sent more than BEHIND_NS late because earlier bytes were still leaving."""
+        """The number of runs sent more than BEHIND_NS late because the port was still sending
+        earlier bytes."""
         self.lateness = Sample()
-        """The delay of each other run in ns; without runs that the user sent by single steps."""
+        """The delay of each other run in ns. Runs that the user sent with the step key are not
+        included."""
 
     @property
     def has_ended(self) -> bool:
@@ -75,12 +77,14 @@ class BusPlayer:
 
     @property
     def sent(self) -> int:
-        """Number of runs sent, in all laps of a loop together."""
+        """The number of runs sent; in a loop, of all laps together."""
         return self._queue.taken
 
     @property
     def passed_ns(self) -> int | None:
-        """When the port will have sent all bytes given to it, in ns; None before the first byte."""
+        """The time, in ns, when the port will have sent all bytes given to it; None before the
+        first byte.
+        """
         return self._passed_ns
 
     def next_run(self, now_ns: int) -> ByteRun | None:
@@ -102,7 +106,9 @@ class BusPlayer:
         return run
 
     def wake_ns(self, now_ns: int) -> int | None:
-        """When the next run is due, in ns; None while the clock stands still and after the last."""
+        """The time, in ns, when the next run is due; None while the clock is paused, and after the
+        last run.
+        """
         run = self._queue.upcoming()
         if run is None:
             return None
@@ -110,7 +116,9 @@ class BusPlayer:
         return None if due_ns is None else max(due_ns, self._free_ns(run))
 
     def allow_step(self, _now_ns: int) -> None:
-        """Let one more run be sent while the clock stands still."""
+        """Let one more run be sent although the clock is paused: the user has pressed the
+        step key.
+        """
         self._queue.allow_step()
 
     def _free_ns(self, run: ByteRun) -> int:
@@ -119,7 +127,9 @@ class BusPlayer:
         return busy_ns if run.after_silence else busy_ns - AHEAD_NS
 
     def _busy_ns(self, run: ByteRun) -> int:
-        """When all earlier bytes, and the silence needed before `run`, will be over, in ns."""
+        """The time, in ns, when all earlier bytes are sent and the silence that `run` needs is
+        over.
+        """
         if self._passed_ns is None:
             return 0
         return self._passed_ns + (self._silence_ns if run.after_silence else 0)

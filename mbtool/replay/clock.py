@@ -8,10 +8,10 @@
 # an hour at 1/3 is exact. Start, pause, another rate and a jump set a new anchor.
 #
 # A position is in ns of recorded time from the beginning of the part that is played. In a loop, the
-# position goes on growing after the end: at the beginning of the second lap it is the length of the
-# recording plus `gap_ns`. `lap` counts the laps, from 0.
+# position continues to grow after the end: at the beginning of the second lap it is the length of
+# the recording plus `gap_ns`. `lap` counts the laps, from 0.
 #
-# Real times are arguments, from any clock that runs evenly; the module has no clock.
+# Real times are arguments, in ns of any monotonic clock; the module reads no clock itself.
 
 from __future__ import annotations
 
@@ -24,7 +24,10 @@ _STEP = 2
 
 
 class PlayClock:
-    """The position in a recording that is played. It stands still until it is started."""
+    """Tells the position in a recording that is played, for each real time.
+
+    It does not advance before `run` is called, and after `pause`.
+    """
 
     def __init__(
         self,
@@ -48,7 +51,8 @@ class PlayClock:
         self._lap_ns = length_ns + gap_ns if is_loop else None
         self._rate = rate
         self._anchor_ns: int | None = None
-        """The anchor's real time; None while the clock stands still."""
+        """The real time, in ns, at which the position was `_anchor_position_ns`; None while
+        paused."""
         self._anchor_position_ns = 0
 
     @property
@@ -60,7 +64,9 @@ class PlayClock:
         return self._anchor_ns is not None
 
     def position(self, now_ns: int) -> int:
-        """The position at a real time: recorded ns since the beginning of the first lap."""
+        """The position at a real time, in ns of recorded time since the beginning of the
+        first lap.
+        """
         if self._anchor_ns is None or self._rate is None:
             return self._anchor_position_ns
         return self._anchor_position_ns + (now_ns - self._anchor_ns) * self._rate // 1
@@ -88,7 +94,7 @@ class PlayClock:
         return self._lap_ns is None and self.position(now_ns) >= self.length_ns
 
     def time_of(self, position_ns: int) -> int | None:
-        """The real time at which a position is reached; None while the clock stands still.
+        """The real time, in ns, at which a position is reached; None while the clock is paused.
 
         This is the first time for which `position` returns at least `position_ns`. At the rate None
         (as fast as possible) every position is reached as soon as the clock runs.
@@ -110,13 +116,15 @@ class PlayClock:
         self._anchor_ns = None
 
     def jump(self, position_ns: int, now_ns: int) -> None:
-        """Continue at another position; if the clock stands still, it does not start."""
+        """Continue at another position; if the clock is paused, it stays paused there."""
         self._anchor_position_ns = position_ns
         if self._anchor_ns is not None:
             self._anchor_ns = now_ns
 
     def set_rate(self, rate: Fraction, now_ns: int) -> None:
-        """Set the rate, limited to SLOWEST to FASTEST."""
+        """Set the rate (recorded time divided by real time), limited to the range SLOWEST to
+        FASTEST.
+        """
         self.jump(self.position(now_ns), now_ns)
         self._rate = min(max(rate, SLOWEST), FASTEST)
 

@@ -1,7 +1,7 @@
 """Compares two captures by meaning: requests, outcomes, values and latencies."""
 
 # Transaction ids, the order of requests and times are not compared. For each slave, identified by
-# unit and, if needed, by link, there are these differences:
+# unit and, if needed, by link, these differences are reported:
 #
 #     slave     the slave is in one capture only
 #     request   a request is in one capture only
@@ -47,8 +47,8 @@ if TYPE_CHECKING:
     from mbtool.devices import Profile
 
 ALIKE = 1.25
-"""If the median latencies of several requests changed by about the same factor, this is reported as
-one difference. Two factors are about the same if one is at most ALIKE times the other."""
+"""Latency changes of several requests are reported as one difference if their factors (new median
+divided by old) are alike: the greater factor is at most ALIKE times the smaller."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,9 +66,9 @@ def differences(
 ) -> list[Difference]:
     """Return all differences between captures `a` and `b`, slave by slave.
 
-    `profiles` are the device profiles by name; they give the names of registers.
+    `profiles` are the device profiles by name; they give the names and the notation of registers.
     """
-    links = a.links_of_units() | b.links_of_units()  # For each unit the greater of both numbers.
+    links = a.links_of_units() | b.links_of_units()  # The greater number of links, by unit.
     unique = frozenset(unit for unit, count in links.items() if count == 1)
     slaves_a, slaves_b = a.slaves(unique), b.slaves(unique)
     tests = _count_tests(slaves_a, slaves_b)
@@ -106,7 +106,7 @@ def _only_slave(key: SlaveKey, one: SlaveTraffic | None, other: SlaveTraffic | N
 
 @dataclass(frozen=True, slots=True)
 class _LatencyShift:
-    """A significant change of the latencies of one request."""
+    """A significant change of one request's latencies between captures `a` and `b`."""
 
     request: RequestKey
     p: float
@@ -141,7 +141,10 @@ class _SlaveComparison:
         ignored: Ignored,
         alpha: float,
     ) -> None:
-        """`alpha` is the significance level of each test."""
+        """Compare the traffic `a` and `b` of one slave.
+
+        `alpha` is the significance level of each statistical test.
+        """
         self._key = key
         self._a = a
         self._b = b
@@ -224,7 +227,9 @@ class _SlaveComparison:
                 )
 
     def _shift(self, request: RequestKey) -> Iterator[_LatencyShift]:
-        """Yield the change of a request's latencies, unless it is insignificant or too small."""
+        """Yield the change of a request's latencies, or nothing if it is insignificant or too
+        small.
+        """
         a, b = (side.requests[request].latencies for side in (self._a, self._b))
         shift = rank_sum(a.values, b.values)
         if shift.p < self._alpha and shift.is_medium:
@@ -257,7 +262,9 @@ class _SlaveComparison:
 
 
 def _alike(shifts: Iterable[_LatencyShift]) -> Iterator[list[_LatencyShift]]:
-    """Group shifts of the same direction and about the same factor; the largest factors first."""
+    """Group latency changes with the same direction and about the same factor, largest factors
+    first.
+    """
     group: list[_LatencyShift] = []
     for shift in sorted(shifts, key=lambda one: (one.is_slower, one.factor), reverse=True):
         if group and not shift.is_like(group[0]):

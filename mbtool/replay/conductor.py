@@ -10,19 +10,20 @@
 #     conductor.expire(now)               end the requests whose time-out has passed
 #     conductor.wake_ns(now)              the latest time for the next call
 #
-# A step is sent when the clock has reached its recorded position and the steps that it waits for
-# (script.py) are answered or given up. If the link carries one request at a time, a step also waits
-# for the open request, and for `pause_ns` after the last byte on the link. After a broadcast it
-# waits for `turnaround_ns` (Serial Line V1.02, 2.4.1: typically 100 to 200 ms).
+# A step (a recorded request) is sent when the clock has reached its recorded position and the steps
+# that it waits for (script.py) are answered or given up. If the link carries one request at a time,
+# a step also waits for the pending request, and for `pause_ns` after the last byte on the link.
+# After a broadcast it waits for `turnaround_ns` (Serial Line V1.02, 2.4.1: typically 100 to 200
+# ms).
 #
-# While the clock stands still, only steps that `allow_step` permits are sent; each of them moves
-# the clock to the position of the step.
+# While the clock is paused, only steps that `allow_step` permits are sent (the user presses the
+# step key); each of them moves the clock to the position of the step.
 #
 # Lateness is recorded only for steps that waited for nothing but the clock: other delays come from
 # the slave or the link, not from the player.
 #
-# Limit: MAX_OPEN_REQUESTS open requests; a further request waits until one of them is answered or
-# given up.
+# Limit: MAX_OPEN_REQUESTS pending requests; a further request waits until one of them is answered
+# or given up.
 
 from __future__ import annotations
 
@@ -55,13 +56,15 @@ class Conductor:
         self._judge = judge
         self._limits = limits
         self._open: dict[int, _SentRequest] = {}
-        """The requests that wait for a response, by the number of their step."""
+        """The requests that still wait for a response, by the number of their step in the
+        script."""
         self._free_ns: int | None = None
-        """The earliest time in ns at which the next request may be sent; None if at once."""
+        """The earliest time in ns at which the link allows the next request; None before the first
+        one is over."""
         self.lateness = Sample()
         """The delays in ns of the steps that waited for nothing but the clock."""
         self.unsolicited = 0
-        """Number of responses that belonged to no open request."""
+        """The number of responses that belonged to no pending request."""
 
     @property
     def has_ended(self) -> bool:
@@ -69,11 +72,11 @@ class Conductor:
 
     @property
     def sent(self) -> int:
-        """Number of steps sent, in all laps of a loop together."""
+        """The number of requests sent; in a loop, of all laps together."""
         return self._queue.taken
 
     def next_step(self, now_ns: int) -> Step | None:
-        """Return the step to send at once and count it as sent; None if no step is due."""
+        """Return the request to send at once, and count it as sent; None if none is due."""
         step = self._upcoming()
         if step is None or not self._is_free(step, now_ns):
             return None
@@ -91,11 +94,13 @@ class Conductor:
         return step
 
     def allow_step(self, _now_ns: int) -> None:
-        """Let one more step be sent while the clock stands still."""
+        """Let one more request be sent although the clock is paused: the user has pressed the step
+        key.
+        """
         self._queue.allow_step()
 
     def note_sent(self, step: Step, now_ns: int) -> None:
-        """Called when the last byte of a step was sent.
+        """Called when the last byte of a request was sent.
 
         The latency and the time-out of the response count from this time; after a broadcast, so
         does the turnaround delay.
@@ -107,9 +112,10 @@ class Conductor:
             self._free_ns = now_ns + self._limits.turnaround_ns
 
     def wake_ns(self, now_ns: int) -> int | None:
-        """Return the time in ns at which the owner must call again at the latest.
+        """Return the time in ns at which the owner of the link must call again at the latest.
 
-        Then the next step may be sent or the first open request times out. None if nothing is due.
+        At that time the next request may be sent, or the first pending request times out. None if
+        nothing is due.
         """
         times = [each.sent_ns + self._limits.timeout_ns for each in self._open.values()]
         step = self._upcoming()
@@ -137,7 +143,7 @@ class Conductor:
     def expire(self, now_ns: int) -> list[tuple[Step, bool]]:
         """Give up the requests that have waited longer than the time-out.
 
-        Returns for each of them the step, and True if the recording has no response to it either.
+        Returns for each of them its step, and True if the recording has no response to it either.
         """
         late = [
             number
@@ -166,7 +172,7 @@ class Conductor:
         return self._queue.upcoming(may_restart=not self._open)
 
     def _must_wait(self, step: Step) -> bool:
-        """True if a step must wait until other requests are over."""
+        """True if a request must wait until others are answered or given up."""
         if len(self._open) >= MAX_OPEN_REQUESTS or (self._limits.one_at_a_time and self._open):
             return True
         return any(

@@ -34,7 +34,8 @@ RESPONSE_NS = 5_000_000_000
 DAMAGED_KINDS = frozenset((EventKind.BAD_CHECK, EventKind.SKIPPED))
 
 _WHOLE_ADU = 1024
-"""More bytes than any ADU has: a response shortened by so many is empty."""
+"""More bytes than any ADU has. Cutting this many off a response leaves nothing, so that recorded
+bytes can be sent in its place."""
 _RTU = frozenset((Transport.RTU, Transport.RTU_TCP))
 
 
@@ -52,7 +53,7 @@ class DamagedAnswer:
     def again(self, transport: Transport, delay_ns: int) -> Response | None:
         """Return a response with the same damage, to be sent on a link with this transport.
 
-        None if no response is to be sent, as such a link cannot carry the damage.
+        None if no response is to be sent, because such a link cannot carry the damage.
         """
         if transport is self.transport or {transport, self.transport} <= _RTU:
             return Response(b"\0", delay_ns, Distortion(cut=_WHOLE_ADU, extra=self.raw))
@@ -67,8 +68,7 @@ def damaged_answers(
 ) -> dict[int, DamagedAnswer]:
     """Find the damaged responses to requests for which the recording has no intact one.
 
-    `asked` holds the transactions in order of time. The result names a request by its index in
-    `asked`.
+    `asked` holds the transactions in order of time. The keys of the result are indices in `asked`.
     """
     undecoded: dict[str, list[WireEvent]] = defaultdict(list)
     for event in events:
@@ -78,7 +78,7 @@ def damaged_answers(
         each.sort(key=_time)
     found: dict[int, DamagedAnswer] = {}
     next_ns: dict[str, int] = {}
-    """For each link, the time of the request that follows the current one; the loop goes
+    """By link, the time in ns of the next later request; the loop goes through `asked`
     backwards."""
     for index in range(len(asked) - 1, -1, -1):
         one = asked[index]
@@ -107,7 +107,11 @@ def _time(event: WireEvent) -> int:
 
 
 def _begins_like_response(asked: Transaction, raw: bytes) -> bool:
-    """True if the bytes of `raw` begin like a response to the request of `asked`."""
+    """True if undecoded bytes begin with the unit and function of a request, as a response to it
+    would.
+
+    False if they also have the address of a read: then they repeat the request.
+    """
     body, request = _body(asked.transport, raw), _body(asked.transport, asked.request_raw or b"")
     if len(body) < 2 or body[0] != asked.unit or body[1] & ~EXCEPTION_BIT != asked.function:
         return False

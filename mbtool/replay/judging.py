@@ -22,8 +22,8 @@
 # both cores of a machine kept busy (load 12), in 24 samples of 30 responses: the fastest response
 # of a sample was at most 1.3 ms late, the fourth fastest up to 7.1 ms, the median 4 to 15 ms.
 #
-# The user can name registers that may differ (`spans`). A judge that learns counts no register as a
-# difference; `learned` returns the registers that differed.
+# The user can name registers that may differ (`spans`). With `learns`, no register counts as a
+# difference; `learned` returns those that differed.
 #
 # Memory grows with the number of different requests, not with their repetitions (limits as in
 # traffic.py). For one request, at most MAX_OUTCOMES different outcomes are kept, as responses with
@@ -62,7 +62,7 @@ _EXCEPTION_BIT = 0x80
 
 @dataclass(frozen=True, slots=True)
 class Tolerance:
-    """How much longer than the recorded latencies the new ones may be."""
+    """How much longer than the recorded latencies the new ones may be, as a share and in ns."""
 
     share: float = 0.0
     """Allowed increase as a share of the recorded latency: 0.5 is 50 %."""
@@ -83,11 +83,11 @@ class _RequestResult:
     outcomes: dict[tuple[str, str], int] = field(default_factory=dict)
     """The number of responses, by recorded outcome (first) and different new outcome (second)."""
     recorded: Sample = field(default_factory=Sample)
-    """The recorded latencies."""
+    """The recorded latencies, in ns."""
     answered: Sample = field(default_factory=Sample)
-    """The latencies of the new responses."""
+    """The latencies of the new responses, in ns."""
     time_ns: int = 0
-    """The sum of the latencies of the new responses."""
+    """The sum of the latencies of the new responses, in ns."""
     registers: set[tuple[str | None, ValueKey]] = field(default_factory=set)
     """The registers that differed, each with the name of the device's profile."""
 
@@ -104,7 +104,7 @@ class _RequestResult:
         self.answered.add(answered_ns)
 
     def add_difference(self, recorded: str, outcome: str) -> None:
-        """Count a response that is not as recorded.
+        """Count a response that differs from the recorded one.
 
         Two equal outcomes mean that only values differ; they are not put into `outcomes`.
         """
@@ -119,7 +119,7 @@ class _RequestResult:
 
 @dataclass(slots=True)
 class _RegisterResult:
-    """The recorded and the new values of a register, from the responses in which they differed."""
+    """The recorded and the new values of a register, from the reads in which they differed."""
 
     recorded: ObservedValues = field(default_factory=ObservedValues)
     answered: ObservedValues = field(default_factory=ObservedValues)
@@ -136,7 +136,7 @@ class RequestReport(msgspec.Struct, frozen=True, kw_only=True):
     """The addresses in the request, in the notation of the device; its bytes if it has none."""
     count: int
     different: int
-    """Number of responses that were not as recorded."""
+    """The number of responses that differed from the recorded ones."""
     time_ns: int
     """The sum of the latencies of all responses to the request, in ns."""
     problems: list[str]
@@ -156,11 +156,11 @@ class Judge:
         learns: bool = False,
         tolerance: Tolerance | None = None,
     ) -> None:
-        """`profiles` are the device profiles by name, which give names and units of measure.
+        """Prepare to compare.
 
-        The values of registers in `spans` may differ. Without `tolerance` latencies are not
-        compared. With `learns`, registers that differ are collected and do not count as
-        differences.
+        `profiles` are the device profiles by name, which give names and units of measure. The
+        values of registers in `spans` may differ. Without `tolerance` latencies are not compared.
+        With `learns`, registers that differ are collected and do not count as differences.
         """
         self._profiles = profiles or {}
         self._spans = list(spans)
@@ -175,15 +175,15 @@ class Judge:
         self._registers: dict[tuple[int, str | None, ValueKey], _RegisterResult] = {}
         """The values of each register that differed, by unit, profile name and register."""
         self.count = 0
-        """Number of responses compared; a missing response counts, too."""
+        """The number of responses compared, including missing ones."""
         self.wrong = 0
-        """Number of compared responses that were not as recorded."""
+        """The number of compared responses that differed from the recorded ones."""
 
     def judge(self, step: Step, response: bytes | None, latency_ns: int | None) -> bool:
-        """Compare the response to a step with the recorded one.
+        """Compare the response to a step (a recorded request) with the recorded response.
 
-        `response` is the PDU, None for silence. `latency_ns` is the latency, None if it is unknown.
-        Returns True if both mean the same, or if the recorded response was not captured.
+        `response` is the PDU, None for silence. `latency_ns` is None if unknown. Returns True if
+        both mean the same, or if the recorded response was not captured.
         """
         self.count += 1
         result = self._result(step)
@@ -242,7 +242,7 @@ class Judge:
         ]
 
     def uncompared_latencies(self) -> int:
-        """Number of requests with too few responses to compare latencies.
+        """The number of requests with too few responses to compare latencies.
 
         0 if the user did not ask to compare latencies. Requests without any response do not count.
         """
@@ -254,7 +254,7 @@ class Judge:
         )
 
     def learned(self) -> list[tuple[int, Span]]:
-        """The registers that differed: units, each with a range of addresses."""
+        """The registers that differed, as pairs of a unit and a range of addresses."""
         spans: list[tuple[int, Span]] = []
         for unit, key in sorted({(unit, key) for unit, _, key in self._registers}):
             one = Span(key.table, key.address, key.address)
@@ -267,7 +267,9 @@ class Judge:
         return spans
 
     def _result(self, step: Step) -> _RequestResult:
-        """Return the results of the request in a step; steps with equal requests share them."""
+        """Return the collected results of a step's request; steps with equal requests share
+        them.
+        """
         result = self._result_of.get((step.unit, step.pdu))
         if result is None:
             access = register_access(parse_pdu(step.pdu, Direction.REQUEST))
@@ -322,7 +324,7 @@ class Judge:
             )
 
     def _reads(self) -> Counter[tuple[int, ValueKey]]:
-        """Number of reads of each register that differed, by unit and register."""
+        """The number of reads of each register that differed, by unit and register."""
         differed = {(unit, key) for unit, _, key in self._registers}
         reads: Counter[tuple[int, ValueKey]] = Counter()
         for result in self._results.values():
@@ -410,7 +412,7 @@ def _length(pdu: bytes) -> str:
 
 
 def _differing_bytes(pdu: bytes, other: bytes) -> tuple[str, str]:
-    """Show two PDUs as short texts in which their difference can be seen.
+    """Return two PDUs as short texts in which their difference can be seen.
 
     The texts show the first SHOWN_BYTES bytes of both; if these are equal, the bytes from the first
     difference on.

@@ -1,8 +1,8 @@
 """Decides how long a slave that plays a recording takes for each response."""
 
-# A recorded latency is divided by the rate of playing; a fixed latency is in real time. A response
-# from the register image or a simulated device has no recorded latency: it gets a latency that the
-# recording has for the unit and function.
+# A recorded latency is divided by the rate of playing (recorded time divided by real time); a fixed
+# latency is in real time. A response that is not recorded, but made from the register image or by a
+# simulated device, gets a latency that the recording has for the unit and function.
 
 from __future__ import annotations
 
@@ -15,11 +15,13 @@ if TYPE_CHECKING:
 
 
 class LatencyModel(Protocol):
-    """Decides the latency of a response."""
+    """Decides how long the player waits before it sends a response."""
 
     @property
     def is_recorded_time(self) -> bool:
-        """True if the player must divide the latency by the rate of playing."""
+        """True if the latency is in recorded time, so that the player must divide it by the rate of
+        playing.
+        """
         ...
 
     def ns(self, unit: int, function: int, own_ns: int | None) -> int:

@@ -1,18 +1,18 @@
 """Keeps the values that the live master has written to a slave that is played from a recording."""
 
 # The live master is the one that talks to the player; the recorded master is the one in the
-# recording. After the live master has written to a register or bit, all answers show the written
-# value, also recorded answers. This ends when the player reaches a later write of the recorded
-# master to the same address. From then on answers show the recorded values. An answer that was
-# recorded before that write shows the value that was shown last, so that the register does not seem
-# to change back.
+# recording. After the live master has written to a register or bit, all responses show the written
+# value, recorded responses too. This ends when the player reaches a later write of the recorded
+# master to the same address; after it, responses show the recorded values. A response that was
+# recorded before that write, but is played after it, shows the value that was shown last, so that
+# the register does not seem to change back.
 #
 # If the live master writes the same value as the recorded master's last write, the two count as the
 # same write: later recorded changes are shown, for example of a command bit that the device resets.
 #
 # A recorded change without a recorded write, such as that of a counter, does not end a live write.
-# Nor do the answers that are repeated after the end of the recording. If the recording begins
-# again, its next write to the address ends the live write.
+# Responses that are repeated after the end of the recording do not end it either. If the recording
+# begins again, its next write to the address ends the live write.
 #
 # Memory: one entry for each register or bit that the live master has written, if it is in the
 # recording.
@@ -33,7 +33,7 @@ class Place(NamedTuple):
     """A position in a recording that may be played several times."""
 
     lap: int
-    """Number of times that the recording has begun again."""
+    """How many times the recording has begun again, from 0."""
     at_ns: int
     """The recorded time in ns."""
 
@@ -44,10 +44,11 @@ class _LiveValue:
 
     value: int
     place: Place
-    """Where in the recording the player was when the live master wrote the value. Once a recorded
-    write has replaced it: where in the recording `value` was read."""
+    """The player's position when the live master wrote the value. Once a recorded write has
+    replaced it: the position at which `value` was read in the recording."""
     recorded_writes: int
-    """Number of recorded writes to the same address up to the live write."""
+    """The number of recorded writes to the same address before the player's position at the live
+    write."""
 
 
 class LiveWrites:
@@ -61,9 +62,10 @@ class LiveWrites:
     def keep(
         self, unit: int, table: Table, address: int, value: int, *, recorded: int, place: Place
     ) -> None:
-        """Keep the value of an acknowledged write.
+        """Keep the value of an acknowledged write of the live master.
 
-        `place` is the player's position; `recorded` is the recorded value of the address there.
+        `place` is the player's position in the recording; `recorded` is the recorded value of the
+        address there.
         """
         values = self._values.setdefault((unit, table), {})
         before = values.get(address)
@@ -72,11 +74,13 @@ class LiveWrites:
         writes = self._recorded_writes(unit, table, address, place)
         last = self._recording.timeline(unit, table).last_write(address, place.at_ns)
         if recorded == value == last:
-            writes -= 1  # The recorded write counts as later, so recorded values are shown.
+            writes -= 1  # As if before the recorded write: recorded values are shown.
         values[address] = _LiveValue(value, place, writes)
 
     def shown(self, unit: int, table: Table, address: int, recorded: int, place: Place) -> int:
-        """Return the value to show for an address whose recorded value at `place` is `recorded`."""
+        """Return the value to show: the live master's, or `recorded`, the recorded value at
+        `place`.
+        """
         live = self._values.get((unit, table), {}).get(address)
         if live is None or self._has_ended(live, unit, table, address, place):
             return recorded
@@ -85,9 +89,10 @@ class LiveWrites:
     def in_answer(
         self, unit: int, table: Table, start: int, values: Sequence[int], place: Place
     ) -> list[int]:
-        """Replace values of a recorded answer by live ones.
+        """Replace values in a recorded response by those that the live master has written.
 
-        `values` are those of the answer, from address `start` on; `place` is where it was recorded.
+        `values` are those of the response, from address `start` on; `place` is where it was
+        recorded.
         """
         shown = list(values)
         for address, live in self._values.get((unit, table), {}).items():
@@ -102,13 +107,15 @@ class LiveWrites:
     def _has_ended(
         self, live: _LiveValue, unit: int, table: Table, address: int, place: Place
     ) -> bool:
-        """True if a recorded write to the address, up to `place`, came after the live write."""
+        """True if the recording, up to `place`, has a write to the address after the live write."""
         if place < live.place:
             return False
         return self._recorded_writes(unit, table, address, place) > live.recorded_writes
 
     def _recorded_writes(self, unit: int, table: Table, address: int, place: Place) -> int:
-        """Number of recorded writes to an address up to `place`, with those of earlier laps."""
+        """The number of recorded writes to an address up to `place`, including those of earlier
+        laps.
+        """
         recording = self._recording
         timeline = recording.timeline(unit, table)
         before = timeline.writes_until(address, recording.begin_ns - 1)

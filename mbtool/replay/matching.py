@@ -16,7 +16,7 @@
 # OnEnd says what happens after the last recorded answer. OnEnd.LAST repeats the last response and
 # ignores missing responses, as a capture often ends before a response.
 #
-# While the player stands still (`is_paused`), a request gets its previous answer again.
+# While the player is paused (`is_paused`), a request gets the answer that it got last.
 
 from __future__ import annotations
 
@@ -39,24 +39,28 @@ class MatchStrategy(StrEnum):
     """How to find the answer to a request."""
 
     AUTO = "auto"
-    """As KEY; if nothing is found, from the register image, then from the device's profile."""
+    """As KEY; if the recording lacks the request, from the register image, then from the device's
+    profile."""
     SEQUENCE = "sequence"
     """A request is answered only if it is the next one in the recording."""
     KEY = "key"
-    """The next answer to the same unit, function, addresses and values."""
+    """A request gets the next recorded answer to the same unit, function, addresses and values."""
     TIME = "time"
-    """The answer to the same request that was recorded nearest to the clock's time."""
+    """A request gets the answer to the same request that was recorded nearest to the clock's
+    time."""
     IMAGE = "image"
-    """The values that the registers had in the recording at the clock's time."""
+    """A request gets the values that the registers had in the recording at the clock's time."""
 
     @property
     def by_clock(self) -> bool:
-        """True if the position in the recording follows the clock; False if the live requests."""
+        """True if the position in the recording follows the clock; False if it follows the
+        requests.
+        """
         return self in (MatchStrategy.TIME, MatchStrategy.IMAGE)
 
 
 class OnEnd(StrEnum):
-    """The answer to a request after all its recorded answers were played."""
+    """What a request gets after all its recorded answers were played."""
 
     LAST = "last"
     """A request gets its last recorded answer again."""
@@ -68,7 +72,7 @@ class OnEnd(StrEnum):
 
 
 class NoAnswer(Enum):
-    """What a matcher returns if it has no recorded answer to a request.
+    """The result of a matcher that has no recorded answer to a request.
 
     MISS: the recording has no such request. IMAGE: answer from the register image. SILENCE: send no
     response.
@@ -83,7 +87,7 @@ _AT_END = {OnEnd.IMAGE: NoAnswer.IMAGE, OnEnd.SILENT: NoAnswer.SILENCE}
 
 
 class Moment(NamedTuple):
-    """A time in the recording, and the state of the player."""
+    """The player's time in the recording, in ns, and its state."""
 
     at_ns: int
     is_over: bool = False
@@ -96,7 +100,7 @@ class Found(NamedTuple):
 
     answer: RecordedAnswer
     lap: int = 0
-    """Number of times that the answers have begun again; always 0 if the matcher uses the clock."""
+    """How many times the answers have begun again; always 0 if the matcher uses the clock."""
 
 
 class Matcher(Protocol):
@@ -124,7 +128,7 @@ class KeyMatcher:
         self._answers = recording.answers
         self._on_end = on_end
         self._given: dict[Key, int] = {}
-        """The number of answers given so far, by request."""
+        """By request, the number of its recorded answers that were played."""
 
     def find(self, key: Key, moment: Moment) -> Found | NoAnswer:
         answers = self._answers.get(key)
@@ -194,7 +198,7 @@ class TimeMatcher:
 
 
 class ImageMatcher:
-    """Has requests for registers or bits answered from the register image."""
+    """Lets the player answer requests for registers or bits from the register image."""
 
     def __init__(self, recording: Recording, on_end: OnEnd) -> None:
         self._others = KeyMatcher(recording, on_end)
@@ -219,7 +223,9 @@ def _nearest(answers: Sequence[RecordedAnswer], at_ns: int) -> RecordedAnswer:
 
 
 def _address_key(key: Key) -> bytes | None:
-    """Unit, function and first address of a request; None if it accesses no registers or bits."""
+    """Unit, function and first address of a request as bytes; None if it accesses no registers or
+    bits.
+    """
     unit, pdu = key
     if not pdu or pdu[0] not in TABLE_FUNCTIONS:
         return None

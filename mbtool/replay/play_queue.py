@@ -1,4 +1,6 @@
-"""Returns the items of a recording when their time comes, or one by one while it is paused."""
+"""Returns the items of a recording, such as requests, when their time comes, or one by one while
+paused.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,7 @@ if TYPE_CHECKING:
 
 
 class PlayItem(Protocol):
-    """A part of a recording, such as a request; it is played `position_ns` after the beginning."""
+    """A part of a recording, such as a request, to be played `position_ns` after the beginning."""
 
     @property
     def position_ns(self) -> int: ...
@@ -21,7 +23,7 @@ _Item = TypeVar("_Item", bound=PlayItem)
 
 
 class PlayQueue(Generic[_Item]):
-    """The items of a recording in order of time; in a loop they begin again after the last."""
+    """The items of a recording, such as requests, in order of time; in a loop they begin again."""
 
     def __init__(self, items: Sequence[_Item], clock: PlayClock) -> None:
         self._items = items
@@ -29,11 +31,11 @@ class PlayQueue(Generic[_Item]):
         self._next = 0
         self._lap = 0
         self._steps = 0
-        """Number of items that may still be played while the clock stands still."""
+        """How many items may still be played although the clock is paused."""
 
     @property
     def taken(self) -> int:
-        """Number of items taken, in all laps of a loop together."""
+        """The number of items played; in a loop, of all laps together."""
         return self._lap * len(self._items) + self._next
 
     def upcoming(self, *, may_restart: bool = True) -> _Item | None:
@@ -48,13 +50,15 @@ class PlayQueue(Generic[_Item]):
         return self._items[self._next]
 
     def allow_step(self) -> None:
-        """Let one more item be played while the clock stands still."""
+        """Let one more item be played although the clock is paused: the user has pressed the step
+        key.
+        """
         self._steps += 1
 
     def due_ns(self, item: _Item, now_ns: int) -> int | None:
-        """Return the real time at which `item`, the upcoming one, may be played.
+        """Return the real time, in ns, at which the next item may be played.
 
-        None if the clock stands still and `allow_step` permits no further item. Once the clock runs
+        None if the clock is paused and `allow_step` permits no further item. Once the clock runs
         again, unused permissions are dropped.
         """
         due_ns = self._clock.time_of(self._position(item))
@@ -65,10 +69,10 @@ class PlayQueue(Generic[_Item]):
         return due_ns
 
     def take(self, item: _Item, now_ns: int) -> bool:
-        """Mark `item` as played.
+        """Mark the next item as played.
 
-        Returns True if it was due by the clock, False if `allow_step` permitted it; the clock then
-        moves to the item's position.
+        Returns True if it was due by the clock, False if `allow_step` permitted it; in the second
+        case the clock moves to the item's position.
         """
         position_ns = self._position(item)
         self._next += 1

@@ -1,4 +1,4 @@
-"""Plays the slaves of a recording."""
+"""Plays the slaves of a recording: answers the requests of a live master."""
 
 # A request is answered by the first of these that applies:
 #
@@ -11,13 +11,13 @@
 #        accesses no register or bit
 #
 # The player's time is the time in the recording from which it takes values. If the matcher uses the
-# clock, it is the clock's time. Otherwise it is the recorded time of the response played last; so
+# clock, it is the clock's time. Otherwise it is the recorded time of the response played last. So
 # the answer to a request that is rare in the recording moves it far forward, but only until the
-# next response is played. Silence does not move it. Before the first response it is the beginning
-# of the recording. An address has its first known value from the beginning on. The clock starts
-# with the first request.
+# next response is played; a missing response does not move it. Before the first response it is the
+# beginning of the recording. An address has its first recorded value from the beginning on. The
+# clock starts with the first request.
 #
-# After an acknowledged write, answers show the written value, also recorded answers, until the
+# After an acknowledged write, all responses show the written value, recorded ones too, until the
 # recording has a write to the same address (live_writes.py). A write that was never recorded is
 # acknowledged if all its addresses are in the recording. A broadcast on a serial line writes to
 # every unit that ever answered.
@@ -57,30 +57,30 @@ if TYPE_CHECKING:
 
 BROADCAST_UNIT = 0
 _LOOP_GAP_NS = 1_000_000_000
-"""In a loop, the time in ns from one lap to the next for a recording that lasts 0 ns, such as one
-with a single request."""
+"""The length of a lap, in ns, if a recording that lasts 0 ns, such as a single request, is played
+in a loop."""
 
 
 class OnMiss(StrEnum):
     """The answer to a request that is not in the recording."""
 
     IMAGE = "image"
-    """A response from the register image or the device, else an exception response."""
+    """A response from the register image or the simulated device, else an exception response."""
     EXCEPTION = "exception"
     SILENT = "silent"
 
 
 class AnsweredFrom(StrEnum):
-    """Where the answer to a live request comes from."""
+    """The source of the answer to a request of the live master."""
 
     RECORDED = "recorded"
-    """A recorded answer, or recorded silence."""
+    """A response in the recording; or none, as in the recording."""
     IMAGE = "image"
     """The values of the registers in the recording."""
     PROFILE = "profile"
     """The simulated device."""
     NOWHERE = "never recorded"
-    """The request got an exception or silence, as nothing is known about it."""
+    """The request got an exception or no response, as the recording tells nothing about it."""
 
 
 class Device(Protocol):
@@ -134,20 +134,20 @@ class RecordedSlave:
         )
         self._steering = Steering(self._clock, self._step)
         self._steps = 0
-        """Number of answers that may still be played while the player is paused."""
+        """How many answers may still be played although the player is paused."""
         self._time_ns = recording.begin_ns
         """The player's time: the time in the recording from which values are taken, in ns."""
         self._lap = 0
-        """Number of times that the recording has begun again: by the clock, or in the answers."""
+        """How many times the recording has begun again: by the clock, or as the matcher counts."""
         self._writes = LiveWrites(recording)
         self.answered_from: Counter[AnsweredFrom] = Counter()
-        """Number of requests that the live master has sent, by the source of their answer."""
+        """The number of requests from the live master, by the source of their answers."""
         self.missed = 0
-        """Number of live requests without an answer in the recording."""
+        """The number of requests from the live master that have no answer in the recording."""
 
     @property
     def asked(self) -> int:
-        """Number of requests that the live master has sent."""
+        """The number of requests from the live master."""
         return self.answered_from.total()
 
     def begin(self, now_ns: int) -> None:
@@ -184,7 +184,7 @@ class RecordedSlave:
         self._steering.apply(control, now_ns)
 
     def progress(self, now_ns: int) -> Progress:
-        """The player's state, for the line that shows it to the user."""
+        """The player's state, for the status line that the user sees."""
         position_ns = self._time_ns - self._recording.begin_ns
         if self._match.by_clock:
             position_ns = self._clock.position(now_ns)
@@ -205,7 +205,10 @@ class RecordedSlave:
         return Moment(self._time_ns, is_over=self._clock.is_over(now_ns))
 
     def _step(self, now_ns: int) -> None:
-        """Jump to the next recorded request or, if the clock is not used, allow one more answer."""
+        """Carry out the step key: jump to the next recorded request.
+
+        If the matcher does not use the clock, allow one more answer instead.
+        """
         if not self._match.by_clock:
             self._steps += 1
             return
@@ -257,7 +260,7 @@ class RecordedSlave:
         values = (response.numbers() or ())[: len(access.reads)]
         if response.problem is not None or len(values) < len(access.reads):
             return answer
-        # By the clock, the nearest recorded answer may be later than the player's time.
+        # A matcher by the clock may find an answer recorded later than the player's time.
         place = min(self._place(), Place(self._lap, recorded.at_ns))
         shown = self._writes.in_answer(unit, access.table, access.reads.start, values, place)
         return answer if shown == list(values) else response_to(request, pdu, shown)
@@ -269,7 +272,7 @@ class RecordedSlave:
         return 0 if self._clock.rate is None else round(latency_ns / self._clock.rate)
 
     def _make_up(self, unit: int, pdu: bytes, found: NoAnswer, now_ns: int) -> Response | None:
-        """Make the response to a request that has no recorded answer; None for silence."""
+        """Make a response to a request that has no recorded answer; None for no response."""
         request = parse_pdu(pdu, Direction.REQUEST)
         access = register_access(request)
         if found is NoAnswer.IMAGE or self._on_miss is OnMiss.IMAGE:
@@ -320,7 +323,9 @@ class RecordedSlave:
         return response
 
     def _keep_write(self, unit: int, request: Pdu) -> None:
-        """Keep the values of an acknowledged write, for addresses that are in the recording."""
+        """Remember the values of the live master's acknowledged write, for addresses that the
+        recording has.
+        """
         access = register_access(request)
         if access is None or not access.writes:
             return

@@ -12,7 +12,7 @@
 # the transactions of one link. Unsolicited responses are left out.
 #
 # If only a time range is played, only requests inside it have answers. Values come from the whole
-# recording, so that at the begin of the range registers have the values that they had then.
+# recording, so that the registers begin with the values that they had at the start of the range.
 #
 # Memory grows with the recording: one entry for each transaction, for each change of a value and
 # for each register of a write.
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from mbtool.modbus import Transaction
 
 Key = tuple[int, bytes]
-"""The unit and the PDU of a request."""
+"""Identifies equal requests: unit and request PDU."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,10 +48,11 @@ class RecordedAnswer:
     pdu: bytes | None
     """The PDU of the response; None if there was no intact response."""
     at_ns: int
-    """When the response ended on the wire, in ns; if there is none, when the request ended."""
+    """The time in ns of the response's last byte; if there is no response, of the request's last
+    byte."""
     latency_ns: int
     asked_ns: int = 0
-    """When the request ended on the wire, in ns."""
+    """The time in ns of the request's last byte."""
     damaged: DamagedAnswer | None = None
     """The damaged response, if one was captured in place of an intact one; else None."""
 
@@ -60,7 +61,9 @@ _ALL = TimeRange()
 
 
 class Recording:
-    """The answers and values of a recording; it never changes after it is built."""
+    """A recording prepared to be played as the slave: answers and values; it never changes once
+    built.
+    """
 
     def __init__(self) -> None:
         self.units: set[int] = set()
@@ -85,9 +88,9 @@ class Recording:
     ) -> Self:
         """Build a recording; the transactions may come in any order.
 
-        Only requests inside the time range `part` get answers. Its times are counted from
-        `origin_ns`, in UTC ns; without it, from the first request. The bytes of damaged responses
-        are taken from `events`, the events of the same links.
+        Only requests inside the time range `part` get answers. Its times count from `origin_ns`, in
+        UTC ns; without it, from the first request. The bytes of damaged responses are taken from
+        `events`, which are of the same links as the transactions.
         """
         recording = cls()
         asked = sorted(filter(_is_asked, transactions), key=lambda one: one.start_ns)
@@ -112,7 +115,7 @@ class Recording:
         return recording
 
     def timeline(self, unit: int, table: Table) -> Timeline:
-        """The known values of one table of a unit."""
+        """The recorded values of one table of a unit over time."""
         return self._values.get((unit, table), _NOTHING)
 
     def latency_ns(self, unit: int, function: int) -> int:
@@ -139,7 +142,10 @@ class Recording:
     def _add_answer(
         self, transaction: Transaction, damaged: DamagedAnswer | None, keys: dict[Key, Key]
     ) -> None:
-        """Add the answer of a transaction; `keys` gives equal requests one common Key object."""
+        """Add the answer of a transaction.
+
+        `keys` gives equal requests one common Key object, to save memory.
+        """
         request = whole_pdu(transaction.transport, transaction.request_raw)
         if request is None:
             return
@@ -157,7 +163,7 @@ class Recording:
     def _add_latencies(self, asked: Iterable[Transaction]) -> None:
         """Collect the latencies by unit and function.
 
-        The latencies of all functions of a unit together have the key (unit, None).
+        The key (unit, None) has those of all functions of a unit.
         """
         for one in asked:
             if one.latency_ns is not None:

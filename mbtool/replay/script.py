@@ -2,14 +2,13 @@
 
 # A step is one recorded request. It is sent at its recorded time, but it waits for the responses
 # that the recorded master had already received when it sent this request. It does not wait for
-# requests that were still without a response then. So if the recorded master had several requests
-# open at once, the player does, too; if it waited for each response, the player waits, too. No step
-# waits for a request that was never answered.
+# requests that were still without a response then. So the player has as many requests pending at
+# once as the recorded master had. No step waits for a request that was never answered.
 #
 # Unsolicited responses have no request and are left out; a retry is a request like any other.
 #
-# Memory grows with the recording: one step for each request. `open_before` has one number for each
-# other request that was open at the same time.
+# Memory grows with the recording: one step for each request, and in its `open_before` one number
+# for each request that was pending at the same time.
 
 from __future__ import annotations
 
@@ -28,7 +27,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One request of the recording."""
+    """One recorded request, to be sent again by the player."""
 
     number: int
     """The index of this step in the script, from 0."""
@@ -49,13 +48,14 @@ class Step:
     is_captured: bool = True
     """False if the capture lost the response, so that it is unknown."""
     open_before: tuple[int, ...] = ()
-    """Numbers of the earlier steps whose responses were still missing when this request was
-    recorded. This step is sent only when all other answered steps before it are over."""
+    """The numbers of the earlier steps whose responses were still missing when this request was
+    recorded. The player does not wait for these; it waits for all other earlier steps that were
+    answered."""
 
 
 @dataclass(frozen=True, slots=True)
 class Script:
-    """The steps in the order in which they were sent."""
+    """The requests of a recording, as steps, in the order in which they were sent."""
 
     steps: tuple[Step, ...]
 
@@ -71,9 +71,10 @@ class Script:
         asked.sort(key=lambda each: each[0])
         steps: list[Step] = []
         pdus: dict[bytes, bytes] = {}
-        """One bytes object for all equal PDUs, to save memory."""
+        """Gives equal PDUs one common bytes object, to save memory."""
         open_until: dict[int, int] = {}
-        """The steps open at the current request: the number, and when the response came, in ns."""
+        """The steps still without a response at the current request: the step's number, and when
+        its response came, in ns."""
         for number, (request_ns, pdu, one) in enumerate(asked):
             for each in [each for each, end in open_until.items() if end <= request_ns]:
                 del open_until[each]

@@ -31,8 +31,8 @@ MEDIUM = 0.14
 """A shift is at least of medium size if `exceeds` differs from 0.5 by at least this."""
 
 _ROUNDING = 1e-9
-"""In Fisher's test, tables whose log probabilities differ by less than this are taken as equally
-likely; it allows for rounding errors."""
+"""In Fisher's test, tables whose log probabilities differ by less than this count as equally
+likely, which allows for rounding errors."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,8 +1,8 @@
 """Applies the user's keys to the recording that is being played: pause, step, faster, slower."""
 
 # Keys arrive as Controls and act on the player's clock. A step plays one more item, then pauses
-# again. An item is a request, a run of bytes, or the time up to the next recorded request,
-# depending on the player.
+# again. An item is a request, a run of bytes without silences, or the time up to the next recorded
+# request, depending on the player.
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ class Control(StrEnum):
     PAUSE = "pause"
     """Pause the player, or continue if it is paused."""
     STEP = "step"
-    """Play one more item, then stand still."""
+    """Play one more item, such as a request, then pause."""
     FASTER = "faster"
     SLOWER = "slower"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Progress:
-    """The state of a player."""
+    """The state of a player, to be shown to the user."""
 
     position_ns: int
     """Recorded time in ns from the beginning of the part that is played."""
@@ -47,7 +47,7 @@ class Progress:
 
 
 class PlayerControls(Protocol):
-    """The keyboard and display of a player's user. It is called many times a second."""
+    """The keyboard and display of the user who plays a recording; called many times a second."""
 
     def controls(self) -> Sequence[Control]:
         """The keys that the user has pressed since the last call."""
@@ -60,9 +60,10 @@ class Steering:
     """Applies controls to the clock of a player."""
 
     def __init__(self, clock: PlayClock, on_step: Callable[[int], None]) -> None:
-        """`on_step` is called for each step that the user asks for, with the time in ns.
+        """Apply keys to `clock`.
 
-        The clock is stopped before the call.
+        `on_step` is called each time that the user presses the step key, with the time in ns; the
+        clock is paused before the call.
         """
         self._clock = clock
         self._on_step = on_step

@@ -2,8 +2,8 @@
 
 # A Timeline holds, for each address seen, the times in ns at which the value changed, and the
 # values. The first known value counts from time 0. For each address that the recorded master wrote
-# to, it holds the times and values of the writes. Values must be added in the order of time. A
-# lookup bisects the times.
+# to, it also holds the times and values of the writes. Values must be added in the order of time.
+# Lookups use binary search.
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ if TYPE_CHECKING:
 
 
 class Timeline:
-    """The values of one table, by address and time."""
+    """The values of one table of a slave, by address and time."""
 
     __slots__ = ("_history", "_writes")
 
     def __init__(self) -> None:
         self._history: dict[int, tuple[list[int], list[int]]] = {}
-        """For each address, the times at which its value changed, and the value from each time
+        """By address, the times in ns at which its value changed, and the value from each of them
         on."""
         self._writes: dict[int, tuple[list[int], list[int | None]]] = {}
-        """For each address, the times of the writes and the written values; None if unknown."""
+        """By address, the times in ns of the writes, and the written values; None if unknown."""
 
     def note(self, at_ns: int, address: int, values: Sequence[int]) -> None:
         """Add the values of consecutive addresses, from `address` on, that were seen at `at_ns`.
@@ -38,7 +38,9 @@ class Timeline:
                 known.append(value)
 
     def at(self, address: int, at_ns: int) -> tuple[int, int] | None:
-        """The value of an address at a time, and when it changed to it; None if never seen."""
+        """The value of an address at a time, and the time in ns since which it has it; None if
+        never seen.
+        """
         history = self._history.get(address)
         if history is None:
             return None
@@ -47,13 +49,15 @@ class Timeline:
         return known[index], times[index]
 
     def last(self, addresses: range) -> list[int] | None:
-        """The last values of addresses, or None if one of them was never seen."""
+        """The values of addresses at the end of the timeline; None if one of them was never
+        seen.
+        """
         if not all(address in self._history for address in addresses):
             return None
         return [self._history[address][1][-1] for address in addresses]
 
     def note_writes(self, at_ns: int, address: int, values: Sequence[int | None]) -> None:
-        """Add an acknowledged write to consecutive addresses; None is a value that is not known.
+        """Add an acknowledged write to consecutive addresses; a value is None if unknown.
 
         No call may have an earlier time than the call before it.
         """
@@ -63,7 +67,7 @@ class Timeline:
             written.append(value)
 
     def writes_until(self, address: int, at_ns: int) -> int:
-        """Number of writes to an address up to a time."""
+        """The number of writes to an address up to a time in ns, inclusive."""
         writes = self._writes.get(address)
         return 0 if writes is None else bisect_right(writes[0], at_ns)
 

@@ -8,7 +8,7 @@
 #                acknowledged writes count; the masks of mask write (16H) are no values
 #
 # A slave is a unit on a link. The same link may have another name in another capture, so a unit
-# that is on one link only is identified by its number alone.
+# number that occurs on one link only identifies the slave alone.
 #
 # Memory grows with the number of different requests and values, not with the length of a capture.
 # Limits:
@@ -45,7 +45,7 @@ _MASK_WRITE = 0x16
 
 
 class SlaveKey(NamedTuple):
-    """A slave; the link is None if its unit is on one link only."""
+    """Identifies a slave; the link is None if its unit number occurs on one link only."""
 
     unit: int
     link: str | None
@@ -78,9 +78,10 @@ class ValueKey(NamedTuple):
 
 
 class Sample:
-    """A sample of times in ns, such as latencies: every one, then every second, every fourth, ...
+    """A sample of times in ns, such as latencies, of limited size.
 
-    When it holds MAX_LATENCIES times, every second one is dropped.
+    When it has MAX_LATENCIES times, every second one is dropped, and from then on only every second
+    new one is kept, then every fourth, and so on.
     """
 
     __slots__ = ("_skip", "_stride", "values")
@@ -88,9 +89,9 @@ class Sample:
     def __init__(self) -> None:
         self.values = array("q")
         self._stride = 1
-        """1 if each new value is kept, 2 if every second one is, 4 if every fourth, ..."""
+        """One of this many new values is kept: 1, 2, 4, ..."""
         self._skip = 1
-        """Number of calls of `add` until the next value is kept: 1 means the next call."""
+        """How many calls of `add` until the next value is kept: 1 means the next call."""
 
     def add(self, value: int) -> None:
         self._skip -= 1
@@ -105,15 +106,15 @@ class Sample:
 
 @dataclass(slots=True)
 class RequestTraffic:
-    """A request and its repetitions."""
+    """The number, outcomes and latencies of a request and its repetitions."""
 
     function_name: str
     reference: str
     """The addresses in the request, in the notation of the device."""
     count: int = 0
     outcomes: Counter[str] = field(default_factory=Counter)
-    """Number of requests by outcome: `ok`, `exception 02`, `no answer`, `malformed`, `broadcast`,
-    `unsolicited`."""
+    """The number of requests by outcome: `ok`, `exception 02`, `no answer`, `malformed`,
+    `broadcast`, `unsolicited`."""
     latencies: Sample = field(default_factory=Sample)
     """The latencies of responses and exception responses, in ns."""
 
@@ -204,7 +205,7 @@ class SlaveTraffic:
 
 
 class Traffic:
-    """The slaves of one capture."""
+    """The traffic of each slave in one capture."""
 
     def __init__(self) -> None:
         self.count = 0
@@ -235,7 +236,7 @@ class Traffic:
         return self._has_all_slaves and all(slave.is_complete for slave in self._slaves.values())
 
     def slaves(self, unique: frozenset[int]) -> dict[SlaveKey, SlaveTraffic]:
-        """Return the slaves by their keys.
+        """Return the traffic of each slave.
 
         A unit in `unique` is identified by its number alone, any other by number and link.
         """
@@ -245,7 +246,7 @@ class Traffic:
         }
 
     def links_of_units(self) -> Counter[int]:
-        """The number of links that each unit is on."""
+        """For each unit number, on how many links it occurs."""
         return Counter(unit for _, unit in self._slaves)
 
 

@@ -41,8 +41,8 @@ class DeviceWording:
     def of(self, key: ValueKey) -> tuple[str | None, PointInstance | None]:
         """Return the name of a register and its point, which formats its values.
 
-        Both are None if the profile has no point there. Only the point is None if it takes several
-        registers.
+        Both are None if the profile has no point there. If the point takes several registers, only
+        the name is returned, with None.
         """
         point = self._points.get((key.table, key.address))
         if point is None:
