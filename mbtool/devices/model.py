@@ -1,9 +1,9 @@
 """The data model of a device profile: what a vendor's manual says about a device."""
 
 # The keys of a profile file (docs/devices.md) are the fields of these classes, one to one. The
-# descriptions are for readers of the JSON Schema (schema.py) and of messages about missing keys.
+# description of a field is shown in the JSON Schema (schema.py) and in messages about missing keys.
 # Rules between several keys (areas that overlap, points outside their area) are checked in
-# validation.py. loading.py reads files and merges a profile with the one it extends.
+# validation.py. loading.py reads files and merges a profile with the one that it extends.
 
 from __future__ import annotations
 
@@ -25,12 +25,13 @@ ExceptionCode = Annotated[int, Meta(ge=1, le=0xFF)]
 
 
 def _about(description: str) -> Meta:
-    """The description of a field, for the JSON Schema and for messages about missing keys."""
+    """Describe a field of a profile, for the JSON Schema and for messages about missing keys."""
     return Meta(description=description)
 
 
 Texts = dict[int, str]
-"""Texts by number: the meaning of each value, or the name of each bit."""
+"""Texts by number. The number is a value and the text its meaning, or the number is a bit and the
+text its name."""
 
 WORD_BITS = 16
 READ_AND_WRITE = 0x17
@@ -38,7 +39,7 @@ READ_AND_WRITE = 0x17
 
 
 class Radix(StrEnum):
-    """The number system in which the vendor writes the number of a reference."""
+    """The number system in which a vendor writes addresses, as in HR400001 or X1F."""
 
     DECIMAL = "decimal"
     HEX = "hex"
@@ -55,8 +56,9 @@ class Radix(StrEnum):
                 return f"{number // 8 or ''}{number % 8}"
 
     def read(self, digits: str) -> int:
-        """Return the number for which `write` gives these digits. Raises ValueError if there is
-        none.
+        """Read digits in this number system: the inverse of `write`.
+
+        Raises ValueError if the digits are no number in this system.
         """
         valid = "0123456789ABCDEF" if self is Radix.HEX else "0123456789"
         last = "01234567" if self is Radix.OCTAL_DIGIT else valid
@@ -68,7 +70,7 @@ class Radix(StrEnum):
 
 
 class Access(StrEnum):
-    """The kind of access that a master has to an area or a point: read, write or both."""
+    """The access that a master has to an area or a point: read, write or both."""
 
     READ = "r"
     READ_WRITE = "rw"
@@ -92,11 +94,11 @@ class BehaviourName(StrEnum):
 class _Part(
     msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True
 ):
-    """A part of a profile. A key that is no field of the part is an error."""
+    """Base class of the parts of a profile. A key that is no field of the part is an error."""
 
 
 class Area(_Part, frozen=True, kw_only=True):
-    """A range of addresses of the device, and how its manual writes them."""
+    """A range of addresses of the device, and how its manual writes these addresses."""
 
     name: Annotated[str, _about("The manual's name for the area.")]
     table: Annotated[Table, _about("One of the four tables of the data model.")]
@@ -119,14 +121,14 @@ class Area(_Part, frozen=True, kw_only=True):
     suffix: Annotated[str, _about("Text behind the number: H in 0102H.")] = ""
 
     def reference(self, address: int) -> str:
-        """Write an address the vendor's way: HR400001, 0102H, X1F."""
+        """Write an address in the vendor's notation: HR400001, 0102H, X1F."""
         return f"{self.prefix}{self.number(address)}{self.suffix}"
 
     def span(self, first: int, last: int) -> str:
-        """Write a range the vendor's way: HR400001..400002, X0..XF, 0105H..010EH.
+        """Write a range in the vendor's notation: HR400001..400002, X0..XF, 0105H..010EH.
 
-        The prefix of the last address is left out, except from hexadecimal numbers: without its
-        prefix, F could be read as a word.
+        The last address has no prefix unless it is hexadecimal. A hexadecimal number such as F
+        could be read as a word without its prefix.
         """
         if last <= first:
             return self.reference(first)
@@ -139,7 +141,10 @@ class Area(_Part, frozen=True, kw_only=True):
 
     @property
     def notation(self) -> tuple[str, int, Radix, int, str]:
-        """Everything that decides how an address is written; equal for areas with one notation."""
+        """Prefix, base, radix, width and suffix: what decides how an address is written.
+
+        Two areas write addresses in the same way if these are equal.
+        """
         return self.prefix, self.base, self.radix, self.width, self.suffix
 
     def holds(self, table: Table, address: int, quantity: int = 1) -> bool:
@@ -147,14 +152,17 @@ class Area(_Part, frozen=True, kw_only=True):
 
 
 class AnswerWord(_Part, frozen=True, kw_only=True):
-    """The 16-bit word that is all the data in the response to a vendor's own function."""
+    """The only data in the response to a vendor's own function: a 16-bit word.
+
+    Its manual gives the word a name, and perhaps its values meanings.
+    """
 
     name: Annotated[str, _about("The name of the word.")]
     texts: Annotated[Texts, _about("The meaning of each value.")] = {}
 
 
 class FunctionRule(_Part, frozen=True, kw_only=True):
-    """The rules in the manual for one function of the device: limits, answers, exceptions."""
+    """What the manual says about one function of the device: limits, responses, exceptions."""
 
     limit: Annotated[Quantity | None, _about("The largest quantity in the manual.")] = None
     write_limit: Annotated[
@@ -192,7 +200,9 @@ class ExceptionCause(StrEnum):
 
 
 class Exceptions(_Part, frozen=True, kw_only=True):
-    """The exception codes that the device gives, which may differ from the standard's."""
+    """The exception codes with which the device refuses requests; they may differ from the
+    standard's.
+    """
 
     function: Annotated[ExceptionCode, _about("For a function that the device does not have.")] = 1
     address: Annotated[ExceptionCode, _about("For addresses outside its areas.")] = 2
@@ -207,7 +217,7 @@ class Exceptions(_Part, frozen=True, kw_only=True):
 
 
 class Timing(_Part, frozen=True, kw_only=True):
-    """Silences in the manual that differ from the standard's, each with its unit: 28bits, 5ms."""
+    """Lengths of silences in the manual that differ from the standard's, as text: 28bits, 5ms."""
 
     t1_5: Annotated[str | None, _about("The longest silence inside a frame.")] = None
     t3_5: Annotated[str | None, _about("The shortest silence between frames.")] = None
@@ -284,28 +294,29 @@ class Point(_Part, frozen=True, kw_only=True):
 
     @property
     def words(self) -> int:
-        """Number of addresses that each of the `count` points takes."""
+        """Number of addresses (registers or bits) that each of the `count` values takes."""
         return self.type.words or self.length or 1
 
     def allows(self, *, writing: bool) -> bool:
-        """True if the point's own access lets a master write (or read) it. Its area may still
-        forbid it.
+        """True if the key `access` of the point allows a master to write (or read) it.
+
+        The area of the point may still forbid it.
         """
         return self.access is None or self.access.allows(writing=writing)
 
     @property
     def addresses(self) -> range:
-        """The first address of each of the `count` points."""
+        """The first address of each of the `count` values."""
         return range(self.address, self.address + self.count * self.stride, self.stride)
 
     @property
     def all_addresses(self) -> set[int]:
-        """Every address that the `count` points take."""
+        """All addresses that the `count` values take."""
         return {at for first in self.addresses for at in range(first, first + self.words)}
 
 
 class Profile(_Part, frozen=True, kw_only=True):
-    """One device, or one model of a family."""
+    """What a manual says about one device, or about one model of a family of devices."""
 
     name: Annotated[
         str, _about("The name for --device and the log: letters, digits, '-', '_' and '.'.")
@@ -352,7 +363,9 @@ class Profile(_Part, frozen=True, kw_only=True):
         return self.functions.get(f"{function:02X}")
 
     def value_exception(self, function: int) -> int:
-        """The exception code of a function for a wrong quantity, byte count or value."""
+        """The code with which the device refuses a request with this function because of a wrong
+        quantity, byte count or value.
+        """
         rule = self.rule(function)
         return self.exceptions.value if rule is None or rule.value is None else rule.value
 
@@ -364,7 +377,7 @@ class Profile(_Part, frozen=True, kw_only=True):
         return rule.documented
 
     def in_mode(self, transport: Transport) -> Profile:
-        """The profile with the limits for a transport; ASCII mode may have other limits."""
+        """The profile with the limits for a transport, as quantities may be less in ASCII mode."""
         ascii_rules = {
             code: msgspec.structs.replace(rule, limit=rule.ascii_limit)
             for code, rule in self.functions.items()
@@ -375,13 +388,13 @@ class Profile(_Part, frozen=True, kw_only=True):
         return msgspec.structs.replace(self, functions=self.functions | ascii_rules)
 
     def exception_name(self, code: int) -> str:
-        """The device's name for an exception code; the standard's if it has none."""
+        """The manual's name for an exception code; the standard's name if the manual has none."""
         return self.exceptions.texts.get(code) or exception_name(code)
 
     def area(
         self, table: Table, address: int, quantity: int = 1, *, writing: bool = False
     ) -> Area | None:
-        """The area that contains a whole range; None if there is none.
+        """The area that contains a whole range of addresses; None if there is none.
 
         If one area is for reading and another for writing, `writing` chooses between them.
         """
@@ -392,7 +405,10 @@ class Profile(_Part, frozen=True, kw_only=True):
         return holding[0] if holding else None
 
     def allows(self, table: Table, span: range, *, writing: bool = False) -> bool:
-        """True if a master may read (or write) a whole range, which may span several areas."""
+        """True if a master may read (or write) all addresses of a range.
+
+        The range may extend over several areas.
+        """
         at = span.start
         while at < span.stop:
             area = self.area(table, at, writing=writing)

@@ -1,4 +1,4 @@
-"""A transaction with the names and values of its device: for the log, jsonl and Python."""
+"""Transactions with names and values from the profile of their device."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from mbtool.modbus.functions import FUNCTIONS
 from mbtool.modbus.transaction import Outcome, Transaction
 
 
-# gc=False: a value never refers to itself, so the garbage collector need not look at values.
+# gc=False: values never form a reference cycle, so the garbage collector need not track them.
 class PointValue(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, gc=False):
-    """The value of a named point."""
+    """The value that a transaction read or wrote, with the name of its point in the profile."""
 
     name: str
     reference: str
@@ -18,29 +18,29 @@ class PointValue(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, 
     value: int | float | None = None
     """The value as a number: an integer, unless the point has a scale or is a float.
 
-    None if there is no finite number: for a string, an infinite float, digits that are not BCD."""
+    None if the value is no finite number: a string, an infinite float, digits that are not BCD."""
     text: str
     """The value in the words of the manual: `CH1 CH2 CH6 CH8 enabled`, `27.5 s`."""
     unit: str | None = None
     written: bool = False
-    """True for a value that a request with function 17H writes.
+    """True if a request with function 17H writes the value.
 
-    Only function 17H both reads and writes. The points of any other function are either all read or
-    all written, and have False here."""
+    False for all other functions: they do not read and write in one request, so the function tells
+    if a value is read or written."""
 
 
 class NamedTransaction(Transaction, frozen=True, kw_only=True, omit_defaults=True):
-    """A transaction and its meaning for the device."""
+    """A transaction with the names and values that the device's manual gives to its addresses."""
 
     device: str | None = None
     """The name of the slave's profile; None if the slave has none."""
     reference: str | None = None
     """The addresses of the request, in the vendor's notation: `HR400001..400002`."""
     points: list[PointValue] = []  # noqa: RUF012 - msgspec copies an empty list per record
-    """The values that the response contains, or that the request writes, even if the write
-    failed."""
+    """The named values in the response, or in the request if it writes. A failed write has them,
+    too."""
     findings: list[str] = []  # noqa: RUF012 - msgspec copies an empty list per record
-    """Codes of broken rules (docs/findings.md)."""
+    """The codes of the rules that the transaction breaks (docs/findings.md)."""
 
     @property
     def written_points(self) -> list[PointValue]:
@@ -63,5 +63,9 @@ class NamedTransaction(Transaction, frozen=True, kw_only=True, omit_defaults=Tru
 
     @property
     def took_effect(self) -> bool:
-        """True if the slave has these values, False if a master only requested to write them."""
+        """True if the slave holds the transaction's values, as far as is known.
+
+        That is so if it answered the read or write, or if a write was a broadcast. False if a
+        master only asked for a write.
+        """
         return self.outcome in (Outcome.OK, Outcome.BROADCAST)

@@ -1,12 +1,13 @@
 """Names transactions: adds device, references, point values and findings from profiles."""
 
-# A profile is compiled once, into a _Vocabulary. The reference, the points and most findings of a
-# request depend only on its function, addresses and quantities. A master repeats the same few
-# requests, so the vocabulary caches these for at most _MAX_CACHED requests. Naming a repeated
-# request then costs one look-up and the decoding of its values.
+# A profile is compiled once, into a _Vocabulary, which names transactions. The reference, the
+# points and most findings of a request depend only on its function, addresses and quantities. A
+# master repeats the same few requests, so the vocabulary caches the results for at most _MAX_CACHED
+# requests. Naming a repeated request then costs one look-up and the decoding of its values.
 #
-# The scale of a point can stand in another register (`scale_from`). Its power of ten is the one
-# that this slave gave last, in the same response or an earlier one (scale_factors.py).
+# A register of the device can hold the scale of a point, as a power of ten (`scale_from`). Values
+# are scaled with the power that the slave gave last, in the same response or an earlier one
+# (scale_factors.py).
 #
 # Function 17H reads and writes. Its reference has both ranges. Its points are the written ones,
 # with values from the request, and the read ones, with values from the response. Function 16H
@@ -58,23 +59,23 @@ _MAX_CACHED = 4096
 _MASK_WRITE = 0x16
 
 _WITHOUT_REQUEST = frozenset((Outcome.UNSOLICITED, Outcome.NOT_CAPTURED))
-"""Outcomes of transactions that may consist of a response only."""
+"""The outcomes of transactions that may have only a response and no request."""
 
 
 class Namer:
-    """Names transactions with the profiles that the user assigned."""
+    """Adds names and findings to transactions, from the profiles that the user assigned."""
 
     def __init__(self, assignments: Assignments | None = None) -> None:
         self._assignments = assignments or Assignments()
         self._vocabularies = {id(None): _Vocabulary(None)}
-        """By the id() of the profile, because that is fast. An id() stays valid as the assignments
-        keep every profile alive."""
+        """The vocabularies by the id() of their profile, because that look-up is fast. An id()
+        stays valid, because the assignments keep every profile alive."""
 
     def name(self, transaction: Transaction) -> NamedTransaction:
-        """Add device, reference, points and findings to a transaction, or replace those that it
-        has.
+        """Return a transaction with its device, reference, points and findings.
 
-        Never raises, not even for numbers that are impossible on a wire.
+        They replace any that it has. Never raises, not even for numbers that are impossible on a
+        wire.
         """
         profile = self._assignments.profile_for(transaction)
         vocabulary = self._vocabularies.get(id(profile)) or self._vocabulary(profile)
@@ -94,21 +95,25 @@ class Namer:
 
 @dataclass(frozen=True, slots=True)
 class _Meaning:
-    """The names and findings that follow from function, addresses and quantities alone."""
+    """The names and findings that follow from a request's function, addresses and quantities."""
 
     function_name: str | None = None
     reference: str | None = None
     written: tuple[tuple[int, PointInstance], ...] = ()
     """The points that the request writes, each with the index of its first value in the request."""
     read: tuple[tuple[int, PointInstance], ...] = ()
+    """The points that the response has, each with the index of its first value in the response."""
     answer: PointInstance | None = None
     """The word in the response to a vendor's own function, as a point; None for other functions."""
     answer_texts: Mapping[int, str] = field(default_factory=dict)
-    """The meanings of the word in `answer`."""
+    """The meaning of each value of the word in `answer`."""
     findings: tuple[str, ...] = ()
 
     def scaled(self, powers: Mapping[str, int]) -> _Meaning:
-        """The same with the powers of ten that points take from other registers."""
+        """Return a copy whose points are scaled; `powers` are powers of ten by name of a point.
+
+        They apply to points that another register of the device scales (`scale_from`).
+        """
         return replace(
             self,
             written=tuple(
@@ -121,13 +126,17 @@ class _Meaning:
 
 
 class _Vocabulary:
-    """Names transactions with one profile, or without one; prepared once so that naming is fast."""
+    """Names transactions with one profile, or without one.
+
+    The profile is compiled once, so that naming is fast.
+    """
 
     def __init__(self, profile: Profile | None) -> None:
         self.profile = profile
         self._device = profile.name if profile is not None else None
         self._points: dict[tuple[Table, bool], list[PointInstance]] = {}
-        """The points sorted by address; by table, and True for those that can be written."""
+        """The points sorted by address. The key is the table, and True for the points that a write
+        may contain, False for those that a read may contain."""
         self._addresses: dict[tuple[Table, bool], list[int]] = {}
         """The first address of each point in `_points`, in the same order."""
         self._cache: dict[tuple[object, ...], _Meaning] = {}
@@ -267,14 +276,15 @@ class _Vocabulary:
     ) -> tuple[tuple[int, PointInstance], ...]:
         """The points that are completely in a range, each with the index of its first value.
 
-        If there are any, every address without a point gets one, named by its reference.
+        If there are any, each address of the range without a point gets one, named by its
+        reference.
         """
         addresses = self._addresses.get((table, writing), [])
         first = bisect_left(addresses, address)
         last = bisect_left(addresses, address + quantity)
         points = self._points[table, writing][first:last] if last > first else []
-        # A read that begins where a block begins contains only points of the block; any other read
-        # contains no points of blocks.
+        # A block is a range of registers that a device returns only to a read from the block's
+        # first address on. Such a read has only points of the block; any other read has none.
         block = address if any(point.block == address for point in points) else None
         complete = [
             point

@@ -1,13 +1,13 @@
-"""Everything observed of one slave: requests, how it responded, and sampled register values."""
+"""Observes one slave: which requests it got, how it responded, and samples of register values."""
 
-# The observations serve to find the profile that fits a slave (profile_match.py), and to draft a
+# The observations are used to find the profile that fits a slave (profile_match.py), and to draft a
 # profile (drafting/). Equal requests are counted together.
 #
 # Limits for each slave: MAX_REQUESTS different requests; further different requests are only
 # counted, in `forgotten`. Register values are sampled for the first MAX_SAMPLED requests, at most
 # MAX_ROWS rows each; a row has the values of one transaction. When there are more rows, every
-# second row is dropped, and from then on half as many are kept, so that the sample is spread over
-# the whole time.
+# second row is dropped, and from then on only half as many transactions give a row. So the sample
+# is spread over the whole time.
 
 from __future__ import annotations
 
@@ -37,45 +37,45 @@ MAX_TEXTS = 64
 
 @dataclass(frozen=True, slots=True)
 class ObservedRequest:
-    """A request without the values that it writes.
+    """A kind of request: all requests that are equal except for the values that they write.
 
-    A request with function 17H counts as two: a read and a write.
+    A request with function 17H is observed as two, a read and a write.
     """
 
     function: int
     table: Table | None
     address: int | None
-    """The first address; None if the function has none, or if there is only a response."""
+    """The first address; None if the function has none, or if the capture lacks the request."""
     quantity: int
     writes: bool
 
     @property
     def span(self) -> range:
-        """The addresses of the request, at most up to FFFFH."""
+        """The addresses of the request; none beyond FFFFH."""
         first = self.address or 0
         return range(first, min(first + max(self.quantity, 1), 1 << 16))
 
 
 @dataclass(slots=True)
 class Replies:
-    """The number of responses of each kind to one request."""
+    """Counts how the slave responded to one kind of request."""
 
     ok: int = 0
     silent: int = 0
-    """Number of requests without a response or with a malformed one."""
+    """Number of requests that got no response, or a malformed one."""
     exceptions: Counter[int] = field(default_factory=Counter)
 
 
 @dataclass(slots=True)
 class Samples:
-    """The register values of one request: read from the slave, or written to it."""
+    """Samples of the register values that one kind of request reads or writes."""
 
     rows: list[tuple[int, ...]] = field(default_factory=list)
-    """The sample: a row of register values for each sampled transaction."""
+    """The register values of each sampled transaction, one row for each."""
     count: int = 0
-    """Number of transactions with values, in the sample or not."""
+    """Number of transactions that had values, also of those that are not in `rows`."""
     changes: list[int] = field(default_factory=list)
-    """For each register, the number of times that its value changed, over all transactions."""
+    """For each register, how often its value changed from one transaction to the next."""
     _last: tuple[int, ...] = ()
     _every: int = 1
 
@@ -98,7 +98,7 @@ class Samples:
 
 
 class ObservedSlave:
-    """The requests to one slave and its responses."""
+    """Collects the requests to one slave and its responses."""
 
     def __init__(
         self, link: str, destination: str | None, unit: int, *, with_values: bool = False
@@ -110,19 +110,19 @@ class ObservedSlave:
         self.requests: dict[ObservedRequest, Replies] = {}
         self.samples: dict[ObservedRequest, Samples] = {}
         self.identity: dict[str, str] = {}
-        """The properties that the slave reports of itself, such as `vendor name`, by their names in
-        modbus/identification.py."""
+        """The texts that the slave reports about itself (functions 2B/0E, 11H). The keys are the
+        names in modbus/identification.py, such as `vendor`."""
         self.answer_words: set[tuple[int, int]] = set()
-        """Function code and word of each response to a vendor's function that has only one 16-bit
-        word of data."""
+        """The responses to vendors' own functions whose only data is a 16-bit word: function code
+        and word."""
         self.transactions = 0
         self.forgotten = 0
-        """Number of requests not recorded because there were too many different ones."""
+        """Number of requests that are not in `requests`, because it has MAX_REQUESTS others."""
         self._with_values = with_values
 
     @property
     def who(self) -> Who:
-        """The slave with its host, port and unit, as WHO of the option --device."""
+        """The pattern for exactly this slave (host, port, unit), as for the option --device."""
         return Who.of_slave(self.destination, self.unit)
 
     @property
@@ -130,7 +130,7 @@ class ObservedSlave:
         return any(replies.ok or replies.exceptions for replies in self.requests.values())
 
     def known_addresses(self) -> dict[Table, bytearray]:
-        """For each table and address, 1 if a read or write of the address succeeded, else 0."""
+        """For each table, one byte per address: 1 if a read or write of it succeeded, else 0."""
         known = {table: bytearray(1 << 16) for table in Table}
         for request, replies in self.requests.items():
             if request.table is not None and replies.ok:
@@ -182,8 +182,9 @@ class ObservedSlave:
 
 
 def _requests(transaction: Transaction) -> list[tuple[ObservedRequest, Sequence[int] | None]]:
-    """Return the request of a transaction, or the read and the write of function 17H, each with its
-    register or bit values.
+    """Return the request of a transaction with its register or bit values (None if it has none).
+
+    For function 17H, return two: the read and the write.
     """
     function = transaction.function
     known = FUNCTIONS.get(function)

@@ -1,4 +1,4 @@
-"""The types of points, and the orders of words and bytes in which their values are encoded."""
+"""The encodings of a point's value: its type, and the order of its words and bytes."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from enum import StrEnum
 
 
 class PointType(StrEnum):
-    """The encoding of a point's value in its registers or bits."""
+    """Tells how the value of a point is encoded in its registers or its bit."""
 
     BIT = "bit"
     UINT16 = "uint16"
@@ -16,7 +16,7 @@ class PointType(StrEnum):
     HEX16 = "hex16"
     """A code that the manual writes in hexadecimal."""
     OCTETS = "octets"
-    """Two octets of an IP address; the first one is in the high byte."""
+    """Two numbers of an IP address, 0 to 255 each; the first one is in the high byte."""
     UINT32 = "uint32"
     INT32 = "int32"
     BCD32 = "bcd32"
@@ -35,22 +35,25 @@ class PointType(StrEnum):
 
     @property
     def words(self) -> int:
-        """Number of addresses that a value takes; 0 for a string, whose point gives the length."""
+        """Number of addresses (registers or bits) that a value of this type takes.
+
+        0 for a string, whose length the point states.
+        """
         return 0 if self is PointType.STRING else _WORDS.get(self, 1)
 
     @property
     def channel_bits(self) -> int:
-        """Number of bits that each channel has in a field; 0 for types that are no fields."""
+        """Number of bits for each channel in a bit field or nibble field; 0 for other types."""
         return {PointType.BIT_FIELD: 1, PointType.NIBBLE_FIELD: 4}.get(self, 0)
 
     @property
     def whole_numbers(self) -> range | None:
-        """The numbers that an integer type can hold; None for other types."""
+        """The range of numbers that an integer type can encode; None for other types."""
         return _RANGES.get(self)
 
     @property
     def is_number(self) -> bool:
-        """True if the value is a quantity, which can have a scale and a unit."""
+        """True if the value is a number, which can have a scale and a unit of measure."""
         return self in _RANGES or self in (PointType.FLOAT32, PointType.FLOAT64)
 
 
@@ -76,7 +79,7 @@ _RANGES = {
 
 
 class WordOrder(StrEnum):
-    """The order of the registers of a value that takes several."""
+    """The order of the registers of a value that takes several registers."""
 
     HIGH_FIRST = "high-first"
     LOW_FIRST = "low-first"

@@ -1,4 +1,4 @@
-"""Checks one transaction against its device's profile; the results are finding codes."""
+"""Checks a transaction against the profile of its device; the results are finding codes."""
 
 # standard_checks.py checks a transaction against the standard, and checking/ checks several
 # transactions together. checking/rules.py has the table of all rules and explains the codes.
@@ -25,14 +25,17 @@ if TYPE_CHECKING:
     from mbtool.modbus.transaction import Transaction
 
 _WRITE_QUANTITY = slice(7, 9)
-"""The bytes with the written quantity in the PDU of a request with function 17H."""
+"""The position of the quantity to write in the PDU of a request with function 17H."""
 
 Ranges = dict[str, tuple[float | None, float | None]]
-"""The least and the greatest value of points, by the point's name; None where there is no limit."""
+"""For the name of a point, its least and its greatest value; None where there is no limit."""
 
 
 def finding_text(code: str, profile: Profile | None = None) -> str:
-    """Describe a finding code. With a profile, the text has the figures in it: `limit is 100`."""
+    """Describe what a finding code means, in a few words for a message.
+
+    With a profile, the text has the profile's figures: `limit is 100`.
+    """
     parsed = DeviceCode.parse(code)
     if parsed is None:
         rule = rule_of(code)
@@ -92,8 +95,8 @@ def request_findings(profile: Profile | None, transaction: Transaction) -> Itera
         is_doubtful = rule.doubtful and not any(code == "MB-104" for code in standard)
         yield f"{prefix}-{'L' if is_doubtful else 'Q'}{function}"
     elif rule.limit is None:
-        # MB-106, a range beyond FFFFH, is left out: such a range is also outside the device's
-        # areas, so it gets a code with the letter A.
+        # Leave out MB-106, a range beyond FFFFH, because such a range is also outside the device's
+        # areas and gets a code with the letter A.
         yield from (code for code in standard if code != "MB-106")
     letter = _address_letter(profile, transaction, written)
     if letter is not None:
@@ -101,8 +104,9 @@ def request_findings(profile: Profile | None, transaction: Transaction) -> Itera
 
 
 def exception_finding(profile: Profile, function: int, exception: int) -> str | None:
-    """The finding code for an exception that the device's manual does not list for the function;
-    None if it does.
+    """The finding code if the device's manual does not list an exception code for a function.
+
+    None if it lists the exception code.
     """
     if exception in profile.documented_exceptions(function):
         return None
@@ -110,7 +114,7 @@ def exception_finding(profile: Profile, function: int, exception: int) -> str | 
 
 
 def value_ranges(profile: Profile) -> Ranges:
-    """The range that the manual gives for each point that can be written and has a range."""
+    """The ranges of values in the manual, for all points that can be written and have a range."""
     return {
         instance.name: (point.minimum, point.maximum)
         for point in profile.points
@@ -120,7 +124,7 @@ def value_ranges(profile: Profile) -> Ranges:
 
 
 def values_outside(ranges: Ranges, points: Sequence[PointValue]) -> list[PointValue]:
-    """The values that are outside the range of their point."""
+    """The values among `points` that are outside the range of their point."""
     return [point for point in points if _is_outside(point.value, ranges.get(point.name))]
 
 
@@ -130,7 +134,10 @@ def value_finding(profile: Profile, function: int) -> str:
 
 
 def fixed_data(profile: Profile) -> dict[int, bytes]:
-    """The bytes that must follow the function code of a request, by function code."""
+    """The bytes that must follow the function code of a request, by function code.
+
+    Only functions for which the manual fixes such bytes are included.
+    """
     return {
         int(code, 16): bytes.fromhex(rule.data)
         for code, rule in profile.functions.items()
@@ -139,19 +146,19 @@ def fixed_data(profile: Profile) -> dict[int, bytes]:
 
 
 def has_other_data(transaction: Transaction, fixed: bytes) -> bool:
-    """True if the data of a request do not begin with the bytes that the manual fixes."""
+    """True if the data of a request do not begin with `fixed`, as the manual demands."""
     data = request_data(transaction)
     return data is not None and not data.startswith(fixed)
 
 
 def request_data(transaction: Transaction) -> bytes | None:
-    """The bytes behind the function code of a request; None if there is no readable request."""
+    """The bytes after the function code of a request; None if there is no readable request."""
     pdu = whole_pdu(transaction.transport, transaction.request_raw)
     return None if pdu is None else pdu[1:]
 
 
 def data_finding(profile: Profile, function: int) -> str:
-    """The finding code for a request whose data differ from those in the manual."""
+    """The finding code for a request whose data differ from those that the manual fixes."""
     return f"{finding_prefix(profile)}-D{function}"
 
 
@@ -206,7 +213,7 @@ def _limit_text(rule: FunctionRule | None) -> str:
 
 
 def _form_text(rule: FunctionRule) -> str:
-    """The form of the response that the manual states for a function."""
+    """Describe the form of the response that the manual states, for a message."""
     if not rule.answers:
         return "the manual states no response"
     return "the manual states two bytes" if rule.answer is not None else "it is not as sent"
@@ -215,8 +222,10 @@ def _form_text(rule: FunctionRule) -> str:
 def _address_letter(
     profile: Profile, transaction: Transaction, written: tuple[int, int] | None
 ) -> str | None:
-    """The letter of the finding: A if the device does not have the addresses, W if they can only be
-    read; None if there is no finding.
+    """The letter of the finding about a request's addresses; None if there is no finding.
+
+    A means that the device does not have the addresses, W that a master can only read them.
+    `written` is the first address and the quantity that function 17H writes; otherwise None.
     """
     known = FUNCTIONS.get(transaction.function)
     if known is None or known.table is None or transaction.address is None:
@@ -235,7 +244,7 @@ def _address_letter(
 
 
 def holds_read_only_point(profile: Profile, table: Table, span: range) -> bool:
-    """True if a range contains a point that can only be read."""
+    """True if a range of addresses contains a point that a master can only read."""
     points = [point for point in profile.points if point.table is table]
     read_only = {
         address

@@ -1,6 +1,7 @@
 """Finds the profiles that fit the observed traffic of a slave, with a score and reasons."""
 
-# For every different request, the profile predicts whether the device accepts or refuses it.
+# For every different request, the profile predicts that the device accepts or refuses it. This is
+# compared with what the slave did.
 #
 # For the profile:      the slave responds as predicted; the identity that it reports (2B/0E, 11H)
 #                       names the profile's vendor or model
@@ -12,7 +13,8 @@
 #                       quantity (a state, a gateway, a vendor's own code); a write refused for its
 #                       value; a refused 17H, because either its read or its write may be the reason
 #
-# A model code decides alone: an FA3 module responds to 42H with the code of its model.
+# A model code decides alone, whatever else speaks for or against: an FA3 module responds to 42H
+# with the code of its model.
 #
 # The number of addresses that have names in a profile is no evidence, because a longer manual has
 # more names. It only sorts profiles that explain a slave equally well; these are reported as a tie.
@@ -57,27 +59,28 @@ class ProfileMatch:
 
     profile: str
     explained: int
-    """Number of different requests that ended as the profile predicts."""
+    """Number of different requests that the slave accepted or refused as the profile predicts."""
     contradicted: int
-    """Number of different requests that ended otherwise, plus all other contradictions."""
+    """Number of different requests that ended otherwise than predicted, plus contradictions about
+    exception codes, transport and unit."""
     named: int
-    """Number of the `addresses` that have a point in the profile."""
+    """How many of the `addresses` have a name in the profile."""
     addresses: int
-    """Number of addresses that were read or written with success."""
+    """Number of addresses that a master read or wrote with success."""
     is_model: bool
-    """True if the slave gave the profile's model code."""
+    """True if the slave reported the profile's model code."""
     is_other_model: bool
-    """True if the slave gave another model code."""
+    """True if the slave reported another model code than the profile's."""
     has_name: bool
     """True if the identity that the slave reports names the profile's vendor or model."""
     refused: int
-    """Number of different requests that were refused as the profile predicts."""
+    """Number of different requests that the slave refused as the profile predicts."""
     reasons: tuple[str, ...]
     against: tuple[str, ...]
 
     @property
     def share(self) -> float:
-        """The share of the evidence that is for the profile, 0 to 1; 0 without evidence."""
+        """The share of the evidence that speaks for the profile, 0 to 1; 0 without evidence."""
         total = self.explained + self.contradicted
         return self.explained / total if total else 0.0
 
@@ -95,13 +98,16 @@ class ProfileMatch:
     def is_confirmed(self) -> bool:
         """True if a model code, a name or a predicted refusal speaks for the profile.
 
-        Accepted requests alone say little, because many devices accept them.
+        Accepted requests alone say little, because many devices accept the same requests.
         """
         return self.is_model or self.has_name or self.refused > 0
 
     @property
     def rank(self) -> tuple[bool, bool, float]:
-        """A greater rank is a better match; equal ranks are a tie."""
+        """The quality of the match, for comparison: a greater rank is better; equal ones are a tie.
+
+        It has `is_model`, `has_name` and `share`.
+        """
         return self.is_model, self.has_name, self.share
 
     @property
@@ -114,14 +120,14 @@ class ProfileMatch:
 
 @dataclass(frozen=True, slots=True)
 class MatchResult:
-    """All profiles compared with one slave, the best first."""
+    """The result of comparing one slave with all profiles; the best match comes first."""
 
     slave: ObservedSlave
     matches: tuple[ProfileMatch, ...]
 
     @property
     def best(self) -> tuple[ProfileMatch, ...]:
-        """The best plausible profile, or several that are a tie; empty if none is plausible."""
+        """The best plausible profile, or several that fit equally well; empty if there is none."""
         plausible = [one for one in self.matches if one.is_plausible]
         return tuple(one for one in plausible if one.rank == plausible[0].rank)
 
@@ -152,7 +158,7 @@ def match_profiles(slave: ObservedSlave, profiles: Iterable[Profile]) -> MatchRe
         _match(slave, profile.in_mode(Transport.ASCII) if in_ascii else profile, known)
         for profile in profiles
     ]
-    # Profiles with another model code than the slave's come last, even if all else fits.
+    # Put profiles with another model code than the slave's last, even if everything else fits.
     matches.sort(
         key=lambda one: (
             one.is_other_model,
@@ -199,9 +205,10 @@ def _match(slave: ObservedSlave, profile: Profile, known: dict[Table, bytearray]
 def _compare_requests(
     slave: ObservedSlave, profile: Profile, against: list[str]
 ) -> tuple[int, int, list[str]]:
-    """Return the number of requests that ended as predicted, and of those that did not.
+    """Return how many different requests ended as the profile predicts, and how many did not.
 
-    The third result has a sentence for each request that was refused as predicted.
+    The third result has a sentence for each request that the slave refused as predicted. Adds a
+    sentence to `against` for each request that ended otherwise.
     """
     explained, before = 0, len(against)
     refusals: list[str] = []
@@ -229,7 +236,10 @@ def _compare_requests(
 def _observed(
     profile: Profile, request: ObservedRequest, replies: Replies, *, is_predicted: bool
 ) -> bool | None:
-    """True if the slave accepts a request, False if it refuses it, None if neither is certain."""
+    """True if the slave accepts a request, False if it refuses it, None if neither is certain.
+
+    `is_predicted` is True if the profile predicts that the slave accepts it.
+    """
     if replies.ok:
         return True
     codes = profile.exceptions
@@ -243,10 +253,10 @@ def _observed(
 
 
 def _other_refusal(profile: Profile, request: ObservedRequest, replies: Replies) -> str:
-    """Return the exception codes if they give another reason for the refusal than the profile;
-    otherwise an empty text.
+    """Return the exception codes as text if they contradict the profile's reason for a refusal.
 
-    There are two reasons: the function, or the addresses and the quantity.
+    The reason is either the function, or the addresses and the quantity. The text is empty if the
+    codes fit the profile's reason.
     """
     no_function = profile.exceptions.function
     others = {profile.exceptions.address, profile.exceptions.value} - {no_function}
@@ -259,8 +269,10 @@ def _other_refusal(profile: Profile, request: ObservedRequest, replies: Replies)
 
 
 def _predict(profile: Profile, request: ObservedRequest) -> tuple[str, bool]:
-    """Return the profile's rule for a request in words, and True if the profile's device accepts
-    the request, False if it refuses it.
+    """Predict what a device with the profile does with a request.
+
+    Returns the profile's rule in words, and True if the device accepts the request, False if it
+    refuses it.
     """
     function, table, span = request.function, request.table, request.span
     rule = profile.rule(function)
@@ -297,7 +309,10 @@ def _request_text(profile: Profile, request: ObservedRequest) -> str:
 def _compare_models(
     slave: ObservedSlave, profile: Profile, reasons: list[str], against: list[str]
 ) -> tuple[bool, bool]:
-    """Return two flags: the slave reported the profile's model code; it reported only others."""
+    """Compare the model code that the slave reported with the profile's.
+
+    Returns two flags: the slave reported the profile's code; it reported only other codes.
+    """
     function = model_function(profile)
     if function is None or profile.model_code is None:
         return False, False
@@ -315,9 +330,9 @@ def _compare_models(
 
 
 def model_function(profile: Profile) -> int | None:
-    """The function that asks for the model code; None if the profile has none.
+    """The function with which a master asks for the model code; None if the profile has none.
 
-    It is the function whose response has a text for the model code.
+    It is the function for whose response the profile lists the model code with a meaning.
     """
     for code, rule in profile.functions.items():
         if rule.answer is not None and profile.model_code in rule.answer.texts:
@@ -349,7 +364,7 @@ def _words(text: str) -> set[str]:
 
 
 def _compare_exceptions(slave: ObservedSlave, profile: Profile, against: list[str]) -> int:
-    """Count the slave's exception codes that are not in the profile's manual."""
+    """Count the exception codes of the slave that the profile's manual does not list."""
     codes = {code for one in slave.requests.values() for code in one.exceptions}
     undocumented = sorted(codes - set(profile.exceptions.documented))
     against += [f"exception {code:02X} is none of its manual's" for code in undocumented]
@@ -357,10 +372,10 @@ def _compare_exceptions(slave: ObservedSlave, profile: Profile, against: list[st
 
 
 def _compare_transports(slave: ObservedSlave, profile: Profile, against: list[str]) -> int:
-    """Count the contradictions if the slave uses a transport that the profile does not have.
+    """Return a number of contradictions if the profile lacks the transport of the slave, else 0.
 
-    A serial device on a network counts as 1 contradiction, because it may be behind a gateway. Any
-    other case counts as so many that no number of explained requests can outweigh them.
+    A serial device on a network counts as 1, because it may be behind a gateway. Any other case
+    counts as so many that no number of explained requests can outweigh them.
     """
     spoken = set(profile.transports)
     if slave.transports & spoken or not slave.transports:
@@ -375,7 +390,10 @@ def _compare_transports(slave: ObservedSlave, profile: Profile, against: list[st
 
 
 def _compare_unit(slave: ObservedSlave, profile: Profile, against: list[str]) -> int:
-    """Count the contradictions if the device cannot be this unit of a serial line."""
+    """Return a number of contradictions if the device cannot have the slave's unit, else 0.
+
+    They are so many that no number of explained requests can outweigh them.
+    """
     last = profile.last_unit
     on_line = any(one.is_serial for one in slave.transports)
     if last is None or not on_line or slave.unit <= last:
@@ -385,9 +403,9 @@ def _compare_unit(slave: ObservedSlave, profile: Profile, against: list[str]) ->
 
 
 def _count_named(known: dict[Table, bytearray], profile: Profile) -> int:
-    """Count the addresses in `known` that have a point in the profile.
+    """Count the addresses with a name in the profile that the slave accepted in a read or write.
 
-    An address is known if the slave accepted a read or a write of it.
+    `known` has 1 at the index of each address that the slave accepted, by table.
     """
     return sum(
         known[point.table].count(1, address, address + point.words)
@@ -397,7 +415,9 @@ def _count_named(known: dict[Table, bytearray], profile: Profile) -> int:
 
 
 def models_of(profiles: Iterable[Profile]) -> dict[tuple[int, int], Profile]:
-    """The profiles that have a model code, by the function that reads the code and the code."""
+    """The profiles that have a model code. The key is the function that reads the code, and the
+    code.
+    """
     return {
         (function, profile.model_code): profile
         for profile in profiles

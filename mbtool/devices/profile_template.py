@@ -1,6 +1,7 @@
 """The profile that `mbtool devices new` writes: an example to edit, with comments."""
 
-# The text here is exactly the file that users get, with comments for them. A test loads it.
+# _TEXT is exactly the file that users get, with comments for them, apart from the names that are
+# filled in. A test loads it as a profile.
 
 from __future__ import annotations
 
@@ -140,7 +141,7 @@ texts = {{ 0 = "off", 1 = "on" }}
 
 
 def starting_profile(file: str, name: str) -> str:
-    """The text of the profile, with its name and the name of its file filled in."""
+    """The text of the example profile, with its name and the name of its file filled in."""
     return _TEXT.format(file=re.sub(r"[^\x20-\x7e]", "?", file), name=f'"{name}"')
 
 

@@ -1,8 +1,8 @@
-"""Writes and parses addresses in the vendor's notation."""
+"""Writes and parses addresses in the vendor's notation, such as HR400001 or X1F."""
 
 # Without a profile, an address is written in the neutral notation: a word for the table and the
-# address on the wire, 0-based: `holding 107..109`, `coil 0`. Older documents call `holding 107`
-# 40108; the word prevents confusion with a vendor's reference.
+# 0-based address on the wire, as in `holding 107..109` or `coil 0`. Older documents call
+# `holding 107` 40108; the word prevents confusion with a vendor's reference.
 #
 # An address outside all areas is written in the notation of the nearest area below it, or, if there
 # is none, of the nearest area above: behind an area that ends with M1277 comes M1280. An area is
@@ -57,12 +57,12 @@ def write_reference(
 
 
 def is_neutral(reference: str) -> bool:
-    """True for a reference in the neutral notation, which has a word for the table."""
+    """True if a reference is in the neutral notation, as `holding 107` is, not in a vendor's."""
     return reference.partition(" ")[0] in _NEUTRAL.values()
 
 
 def parse_reference(profile: Profile, text: str) -> tuple[Table, int]:
-    """Return the table and address of a reference in upper or lower case.
+    """Return the table and address of a reference in the vendor's notation, in any case.
 
     Raises UsageError if no area of the profile has the reference.
     """
@@ -81,16 +81,17 @@ def parse_reference(profile: Profile, text: str) -> tuple[Table, int]:
 
 
 def _notation(profile: Profile, table: Table, address: int, *, writing: bool) -> Area | None:
-    """The area whose notation an address is written in; None for the neutral notation.
+    """The area in whose notation an address is to be written; None for the neutral notation.
 
-    This is the area that contains the address, or else one whose notation can be extended to it.
+    It is the area that contains the address. If none does, it is the nearest area whose notation
+    can be extended to the address.
     """
     area = profile.area(table, address, writing=writing)
     if area is not None:
         return area
     areas = [area for area in profile.areas if area.table is table]
-    # The areas are sorted by their distance from the address later. This sorting comes first, so
-    # that of areas at the same distance, those that allow the access come first.
+    # Put areas that allow the access first. The areas are then sorted by distance from the address;
+    # among those at the same distance, this order stays.
     areas.sort(key=lambda area: not area.access.allows(writing=writing))
     below = sorted((area for area in areas if area.last < address), key=lambda area: -area.last)
     above = sorted((area for area in areas if area.first > address), key=lambda area: area.first)

@@ -1,9 +1,9 @@
-"""Checks a slave's response against its device's profile; the results are finding codes."""
+"""Checks a slave's response against the profile of its device; the results are finding codes."""
 
-# profile_checks.py checks the request. Two rules say when an exception code is wrong:
+# profile_checks.py checks the request. An exception code is wrong in two cases:
 #
-#     the request has faults, and the manual states the code of each    another code is wrong
-#     the request has none, and every address of the areas exists       any refusal is wrong
+#     the request has faults, and the manual states the code for each    any other code is wrong
+#     the request has none, and every address of the areas exists        any refusal is wrong
 #
 # There is no finding if the manual leaves the code open (Exceptions.causes,
 # Profile.complete_areas), nor for exception codes other than those for a wrong function, address or
@@ -37,7 +37,8 @@ _CAUSES = {
     "MB-104": ExceptionCause.VALUE,
     "MB-105": ExceptionCause.VALUE,
 }
-"""The cause of a refusal, by the finding about the request: a code, or the letter of a code."""
+"""The reason for which a device refuses a request. The key is the finding about the request: its
+code, or its letter if it is about the device's manual."""
 _WORD_BYTES = 3
 
 
@@ -63,7 +64,10 @@ def response_findings(
 def is_wrong_exception(
     profile: Profile, transaction: Transaction, request_codes: Collection[str]
 ) -> bool:
-    """True if the manual states another exception code for the request, or none."""
+    """True if the device should have given another exception code for the request, or none.
+
+    `request_codes` are the finding codes of the request.
+    """
     given, function = transaction.exception, transaction.function
     codes = {cause: _code(profile, cause, function) for cause in ExceptionCause}
     if given not in codes.values() or given not in profile.documented_exceptions(function):
@@ -76,7 +80,7 @@ def is_wrong_exception(
 
 
 def causes_in(profile: Profile, request_codes: Collection[str]) -> set[ExceptionCause]:
-    """The causes for which a device refuses a request with these finding codes."""
+    """The reasons for which a device refuses a request that has these finding codes."""
     prefix = f"{finding_prefix(profile)}-"
     keys = [
         code.removeprefix(prefix)[0] if code.startswith(prefix) else code for code in request_codes
@@ -87,7 +91,10 @@ def causes_in(profile: Profile, request_codes: Collection[str]) -> set[Exception
 def right_exceptions(
     profile: Profile, transaction: Transaction, request_codes: Collection[str]
 ) -> list[int]:
-    """The exception codes that the manual states for a request; none for a right request."""
+    """The exception codes that the manual states for a request; empty for a correct request.
+
+    `request_codes` are the finding codes of the request.
+    """
     causes = causes_in(profile, request_codes)
     return sorted({_code(profile, cause, transaction.function) for cause in causes})
 
@@ -101,9 +108,9 @@ def _code(profile: Profile, cause: ExceptionCause, function: int) -> int:
 
 
 def _is_well_formed(transaction: Transaction) -> bool:
-    """True for a well-formed request with a standard function.
+    """True if the request is well-formed and has a function that reads or writes a table.
 
-    A vendor's own function may be refused for reasons that are unknown here.
+    A device may refuse any other function for reasons that the profile does not know.
     """
     request = whole_pdu(transaction.transport, transaction.request_raw)
     if request is None or transaction.function not in TABLE_FUNCTIONS:

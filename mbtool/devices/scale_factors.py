@@ -1,9 +1,12 @@
-"""Remembers the scale factors that slaves hold in registers: powers of ten for other registers."""
+"""Remembers scale factors that slaves hold in registers.
 
-# SunSpec has them: the current A stands in one register, and A_SF, -1 for tenths of an ampere, in
-# another, which a master often reads only once.
+A scale factor is a power of ten by which the number in another register is multiplied.
+"""
+
+# SunSpec devices have scale factors. One register holds the current A; another one, A_SF, holds -1
+# if the current is in tenths of an ampere. A master often reads A_SF only once.
 #
-# Memory: the factors of at most MAX_SLAVES slaves, those that were read last.
+# Memory: the scale factors of the MAX_SLAVES slaves that were read last.
 
 from __future__ import annotations
 
@@ -19,26 +22,27 @@ if TYPE_CHECKING:
 
 MAX_SLAVES = 1024
 _POWERS = range(-10, 11)
-"""The scale factors of SunSpec (Information Model Specification, data type sunssf)."""
+"""The exponents that a scale factor of SunSpec can have (Information Model Specification, data type
+sunssf)."""
 
 _Slave = tuple[str, str | None, int]
 
 
 class ScaleFactors:
-    """The powers of ten that slaves with one profile have given."""
+    """Remembers the powers of ten that slaves with one profile hold in registers."""
 
     def __init__(self, names: Collection[str]) -> None:
-        """Remember the values of the points with these names."""
+        """`names` are the names of the points that hold a power of ten."""
         self._names = names
         self._slaves: dict[_Slave, dict[str, int]] = {}
 
     def after(
         self, transaction: Transaction, read: Sequence[tuple[int, PointInstance]]
     ) -> Mapping[str, int]:
-        """The powers by name, as last read from the slave, also by this transaction.
+        """Take a transaction into account, and return the slave's powers of ten by point name.
 
-        `read` are the points in its response, each with the index of its value. A value that is no
-        power of ten from -10 to 10 makes the factor unknown again.
+        `read` are the points in the response, each with the index of its first value. If a point
+        holds no exponent from -10 to 10, its power is unknown again.
         """
         key = (transaction.link, transaction.destination, transaction.unit)
         powers = self._slaves.pop(key, None)

@@ -1,8 +1,8 @@
 """The profile format as JSON Schema, for editors that complete and check TOML."""
 
-# Draft 7, because the TOML plug-ins of editors read it (taplo, Even Better TOML). msgspec makes the
-# schema of model.py's classes; here it is rewritten without references, because draft 7 ignores a
-# description beside a `$ref`.
+# The schema follows draft 7, because the TOML plug-ins of editors read that (taplo, Even Better
+# TOML). msgspec makes a schema from the classes of model.py. This module replaces its references by
+# what they refer to, because draft 7 ignores a description beside a `$ref`.
 #
 # The schema describes one file. Rules between keys or files (areas that overlap, points outside
 # their area, `extends`) are checked when a profile is loaded. The schema accepts one spelling where
@@ -33,7 +33,7 @@ _PATTERNS = {
 
 
 def profile_schema() -> dict[str, Any]:
-    """A JSON Schema (draft 7) of a profile file."""
+    """The JSON Schema (draft 7) of a profile file, as a dictionary."""
     parts = msgspec.json.schema(Profile)["$defs"]
     schema = _part("Profile", parts)
     properties = schema["properties"]
@@ -61,13 +61,13 @@ def profile_schema() -> dict[str, Any]:
 
 
 def description(part: type[msgspec.Struct], key: str) -> str:
-    """The description of a key of a part of the profile model."""
+    """The description of a key in one part of a profile, such as the key `scale` of a Point."""
     keys = msgspec.json.schema(part)["$defs"][part.__name__]["properties"]
     return str(keys[key]["description"])
 
 
 def _demand(type_: PointType, key: str) -> dict[str, Any]:
-    """The rule of JSON Schema that points of one type must have a key."""
+    """The part of the JSON Schema that says that points of one type must have a key."""
     return {
         "if": {"properties": {"type": {"const": type_.value}}, "required": ["type"]},
         "then": {"required": [key]},
@@ -75,15 +75,18 @@ def _demand(type_: PointType, key: str) -> dict[str, Any]:
 
 
 def _inlined(node: Mapping[str, Any], parts: dict[str, Any]) -> dict[str, Any]:
-    """Return a schema without null, which TOML lacks, and with each `$ref` replaced by its part."""
+    """Return a schema in which each `$ref` is replaced by the part that it refers to.
+
+    The type null is left out, because TOML lacks it. `parts` are the parts by name.
+    """
     inlined = {key: value for key, value in node.items() if key not in ("$ref", "anyOf", "default")}
     if node.get("default") not in (None, [], {}):
         inlined["default"] = node["default"]
     if "$ref" in node:
         inlined = _part(node["$ref"].rpartition("/")[2], parts) | inlined
     for choice in node.get("anyOf", []):
-        # If "integer" and "number" are both allowed, "number" comes later and replaces
-        # "integer", which it includes.
+        # If both "integer" and "number" are allowed, "number" comes later and replaces
+        # "integer". That is right, because it includes "integer".
         inlined |= {} if choice == {"type": "null"} else _inlined(choice, parts)
     for key in ("items", "additionalProperties"):
         if isinstance(inlined.get(key), dict):

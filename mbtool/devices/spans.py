@@ -1,8 +1,9 @@
 """Parses ranges of registers or bits: `HR400010..400020`, `holding 7..9`."""
 
-# A range is in the notation of one of the profiles, or in the neutral notation (references.py),
-# whose words may be shortened: `hr 16`. Its numbers are decimal, or hexadecimal as `0x10`. The
-# prefix may be left out behind the dots: `D16..17` is `D16..D17`.
+# A range is in the notation of one of the profiles, or in the neutral notation (references.py): a
+# word for the table, or a short form of it (`hr 16`), and an address. The address is decimal, or
+# hexadecimal as in `0x10`. The last address of a range may lack its prefix: `D16..17` is
+# `D16..D17`.
 
 from __future__ import annotations
 
@@ -26,8 +27,8 @@ _SHORT = {
     "hr": Table.HOLDING_REGISTERS,
     "ir": Table.INPUT_REGISTERS,
 }
-"""Short words for the tables. Behind one there is a space or a colon, because `HR1` may be a
-reference of a vendor."""
+"""Short words for the tables. A space or a colon must follow such a word, because `HR1` may be a
+vendor's reference."""
 _NUMBER = r"(\d{1,5}|0x[0-9a-f]{1,4})"
 _FIVE_DIGITS = re.compile(r"[0134]\d{4}(?:\.\.[0134]?\d{1,4})?")
 _NEUTRAL_SPAN = re.compile(
@@ -39,7 +40,7 @@ _LAST_ADDRESS = 0xFFFF
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """A range of addresses of one table; `last` is inclusive."""
+    """A range of addresses in one table, from `first` to `last`, both included."""
 
     table: Table
     first: int
@@ -50,9 +51,9 @@ class Span:
 
 
 def parse_span(text: str, profiles: Iterable[Profile] = ()) -> Span:
-    """Parse one reference or a range, in the notation of one of the profiles or the neutral one.
+    """Parse a reference or a range: `HR400010..400020` as a profile writes it, or `holding 7..9`.
 
-    Raises UsageError if the text is neither, or a range ends before it begins or behind 65535.
+    Raises UsageError if the text is neither, or a range ends before it begins or after 65535.
     """
     span = find_span(text, profiles)
     if span is not None:
@@ -64,10 +65,10 @@ def parse_span(text: str, profiles: Iterable[Profile] = ()) -> Span:
 
 
 def find_span(text: str, profiles: Iterable[Profile] = ()) -> Span | None:
-    """Parse as `parse_span` does; None if the text is neither a reference nor a range.
+    """Parse a reference or a range, as `parse_span` does; None if the text is neither.
 
-    Raises UsageError for a range that ends before it begins or behind 65535, and for a number of
-    five digits.
+    Raises UsageError for a range that ends before it begins or after 65535, and for a number of
+    five digits, because vendors mean different registers by it.
     """
     neutral = _NEUTRAL_SPAN.fullmatch(text.strip().lower())
     if neutral is not None:

@@ -1,9 +1,9 @@
-"""Checks one transaction against the standard; the results are finding codes."""
+"""Checks one transaction against the Modbus standard; the results are finding codes."""
 
-# The checks are fast for transactions that break no rule, as most do. The result of `request_codes`
+# Most transactions break no rule, and for these the checks are fast. The result of `request_codes`
 # depends only on function, address and quantity, so naming.py calls it once for each combination. A
-# malformed PDU already has a verdict from the decoder; only then its bytes are parsed again.
-# Padding bits are checked only for reads and writes of bits.
+# transaction whose PDU is malformed has a verdict from the decoder; only then the bytes of the PDU
+# are parsed again. Padding bits are checked only for reads and writes of bits.
 
 from __future__ import annotations
 
@@ -36,7 +36,8 @@ LAST_UNIT = 247
 _WRITE_BITS = 0x0F
 _HAS_PADDING = READ_BITS | {_WRITE_BITS}
 _BYTE_COUNT_END = {0x0F: 6, 0x10: 6, 0x17: 10}
-"""By function, the number of bytes in a request's PDU up to and including the byte count."""
+"""For each function whose requests have a byte count: the length of the request's PDU up to and
+including the byte count, in bytes."""
 _RESPONSE_HAS_BYTE_COUNT = READ_BITS | READ_REGISTERS
 _RESPONSE_REPEATS_REQUEST = WRITE_ONE | WRITE_SEVERAL
 _MALFORMED = frozenset((Verdict.MALFORMED_REQUEST, Verdict.MALFORMED_RESPONSE))
@@ -65,7 +66,10 @@ def request_codes(
 def is_quantity_wrong(
     function: int, quantity: int | None, written: tuple[int, int] | None = None
 ) -> bool:
-    """True if the standard does not allow a quantity for a function."""
+    """True if a quantity in a request is 0, or more than the standard allows for the function.
+
+    `written` is the first address and the quantity that a request with function 17H writes.
+    """
     known = FUNCTIONS.get(function)
     if known is None or known.table is None:
         return False
@@ -75,7 +79,7 @@ def is_quantity_wrong(
 
 
 def form_codes(transaction: Transaction) -> list[str]:
-    """The finding codes for the form of the request's and the response's PDU. Never raises."""
+    """The finding codes for malformed PDUs and for padding bits that are not 0. Never raises."""
     if transaction.verdicts and not _MALFORMED.isdisjoint(transaction.verdicts):
         return _malformed_codes(transaction)
     if transaction.function in _HAS_PADDING and padding_of(transaction) is not None:
@@ -95,7 +99,10 @@ def _malformed_codes(transaction: Transaction) -> list[str]:
 
 
 def request_form(transaction: Transaction) -> tuple[str, str]:
-    """For a request with the verdict MALFORMED_REQUEST: the finding code, and what is wrong."""
+    """Return the finding code of a malformed request, and in words what is wrong with it.
+
+    Call it only for a transaction with the verdict MALFORMED_REQUEST.
+    """
     pdu = _pdu(transaction, transaction.request_raw)
     problem = parse_pdu(pdu, Direction.REQUEST).problem or "its form is wrong"
     function = transaction.function
@@ -107,10 +114,10 @@ def request_form(transaction: Transaction) -> tuple[str, str]:
 
 
 def response_form(transaction: Transaction) -> tuple[str, str] | None:
-    """The finding code of a response with the verdict MALFORMED_RESPONSE, and in words what is
-    wrong.
+    """Return the finding code of a malformed response, and in words what is wrong with it.
 
-    None if the response correctly repeats a malformed request.
+    None if the response correctly repeats a malformed request. Call it only for a transaction with
+    the verdict MALFORMED_RESPONSE.
     """
     request_pdu = _pdu(transaction, transaction.request_raw)
     pdu = _pdu(transaction, transaction.response_raw)
@@ -131,10 +138,9 @@ def response_form(transaction: Transaction) -> tuple[str, str] | None:
 
 
 def padding_of(transaction: Transaction) -> tuple[int, int] | None:
-    """Find padding bits that are not 0 in the last byte of a transaction's coils or discrete
-    inputs.
+    """Find padding bits that are not 0: unused high bits in the last byte of coils or inputs.
 
-    Returns the byte, and the number of its bits that are values. None if all padding bits are 0.
+    Returns that byte, and the number of its bits that are values. None if all padding bits are 0.
     """
     used = (transaction.quantity or 0) % 8
     if not used:
@@ -149,5 +155,5 @@ def padding_of(transaction: Transaction) -> tuple[int, int] | None:
 
 
 def _pdu(transaction: Transaction, raw: bytes | None) -> bytes:
-    """The PDU of an ADU; empty if there is no ADU, or no readable PDU in it."""
+    """The PDU in the bytes of an ADU; empty if `raw` is None or has no readable PDU."""
     return whole_pdu(transaction.transport, raw) or b""

@@ -1,11 +1,12 @@
-"""Finds the SunSpec models of a slave in the registers that it is read."""
+"""Finds the SunSpec models of a slave in the registers that a master reads from it."""
 
-# A SunSpec device has the text "SunS" in two registers at 0, 40000 or 50000. Behind it stand its
-# models one after the other: the model's number, its length L, and L registers. Model 1 comes first
-# and begins with maker and device, as text. The number FFFFH ends the map. (SunSpec Device
-# Information Model Specification, on the map and on model 1.)
+# A SunSpec device has the text "SunS" in two registers at 0, 40000 or 50000. Its models (tables of
+# registers) follow one after the other: the model's number, its length L, and L registers. Model 1
+# comes first; its first registers have the maker and the device as text. The number FFFFH ends the
+# map. (SunSpec Device Information Model Specification, on the map and on model 1.)
 #
-# Memory: for each map at most MAX_MODELS models, and the registers of one head and of two texts.
+# Memory: for each slave at most MAX_MODELS models, the registers of two texts, and the number and
+# length of one model.
 
 from __future__ import annotations
 
@@ -26,13 +27,13 @@ _TEXT_WORDS = 16
 
 
 class FoundModel(NamedTuple):
-    """A model of a device, and where it stands."""
+    """A SunSpec model in a device's registers: its number, address and length."""
 
     id: int
     address: int
-    """The register of its number."""
+    """Address of the first register of the model, which has its number."""
     length: int
-    """Its L: the number of registers behind its number and length."""
+    """Number of registers after the model's number and length: L in SunSpec's words."""
 
     @property
     def words(self) -> int:
@@ -40,7 +41,10 @@ class FoundModel(NamedTuple):
 
 
 def mark_in(address: int, values: Sequence[int]) -> int | None:
-    """Where a map begins in registers that were read from `address` on; None if none does."""
+    """The address of the text "SunS", if the registers `values` from `address` on contain it.
+
+    None if they do not.
+    """
     for base in BASES:
         at = base - address
         if 0 <= at < len(values) - 1 and (values[at], values[at + 1]) == MARK:
@@ -49,19 +53,20 @@ def mark_in(address: int, values: Sequence[int]) -> int | None:
 
 
 class SunSpecMap:
-    """The models of one slave, as far as it was asked for them."""
+    """Collects the SunSpec models of one slave from the registers that were read so far."""
 
     def __init__(self, base: int) -> None:
         self.base = base
         self.models: list[FoundModel] = []
         self.is_complete = False
-        """True if the end of the map was read."""
+        """True if no further model follows: the end was read, or what follows is no model."""
         self._at = base + 2
         self._known: dict[int, int] = {}
-        """The registers of the next head, and of the texts of model 1."""
+        """Registers that were read, by address: the number and length of the next model, and the
+        texts of maker and device."""
 
     def note(self, address: int, values: Sequence[int]) -> None:
-        """Take registers that the slave was read, from `address` on."""
+        """Add registers that a master read from the slave, from `address` on."""
         texts = range(self.base + 4, self.base + 4 + 2 * _TEXT_WORDS)
         for at in range(max(address, texts.start), min(address + len(values), texts.stop)):
             self._known[at] = values[at - address]
@@ -70,7 +75,7 @@ class SunSpecMap:
 
     @property
     def end(self) -> int:
-        """The address behind the last model."""
+        """The first address after the last model that is known so far."""
         return self._at
 
     @property
@@ -79,11 +84,14 @@ class SunSpecMap:
 
     @property
     def device(self) -> str:
-        """Maker and device, as model 1 says; empty if that was not read."""
+        """Maker and device, from the registers of model 1; empty if they were not read."""
         return f"{self.maker} {self._text(self.base + 4 + _TEXT_WORDS)}".strip()
 
     def _take_head(self, address: int, values: Sequence[int]) -> bool:
-        """Take the next model, if its number and length are known; return true if one was taken."""
+        """Add the next model to `models` if its number and length were read.
+
+        Returns True if a model was added.
+        """
         for at in (self._at, self._at + 1):
             if 0 <= at - address < len(values):
                 self._known[at] = values[at - address]

@@ -1,6 +1,6 @@
 """Reads a user's TOML file: a profile, start values, or a list of faults."""
 
-# This module is not in core/ because core/ does no I/O. The caller sets the largest file size.
+# This module is not in core/, because core/ does no I/O. The caller states the largest file size.
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ _ADVICE = (
     ("Invalid statement", "; write key = value, or [table]"),
     ("Expected '=' after a key", "; write key = value, and quotes around a key with spaces"),
 )
-"""Beginnings of the TOML parser's error messages, each with advice to append to the message."""
+"""Pairs of the beginning of an error message of the TOML parser, and advice to append to it."""
 
 
 class TomlError(InputError):
-    """A file that cannot be read or is not TOML."""
+    """Raised for a file that cannot be read or is not TOML."""
 
     def __init__(self, file: str, place: str, problem: str) -> None:
         super().__init__(": ".join(part for part in (file, place, problem) if part))
@@ -36,11 +36,11 @@ class TomlError(InputError):
 
 
 def read_toml(path: Path, max_bytes: int, what: str, hint: str = "") -> dict[str, Any]:
-    """Read the keys of a file, in the order of the file.
+    """Read the keys and values of a TOML file, in the order of the file.
 
     Raises TomlError if the file cannot be read, is longer than `max_bytes`, nests too deep, or is
-    not TOML. `what` names the kind of file in messages; `hint` is appended to the parser's message
-    about a line.
+    not TOML. `what` names the kind of file in messages, such as `profile`; `hint` is appended to
+    the parser's message about a line.
     """
     import tomllib  # Imported here: most commands read no such file.
 

@@ -1,7 +1,7 @@
-"""Validates the rules between several keys of a profile."""
+"""Checks that the keys of a profile do not contradict one another or the standard."""
 
-# Examples: areas that end before they begin, or overlap; limits above the standard's; points
-# outside every area, or two points at one address. loading.py validates each key by itself, and
+# Examples of mistakes: areas that end before they begin, or overlap; limits above the standard's;
+# points outside every area, or two points at one address. loading.py checks each key by itself, and
 # validation_of_points.py the keys of each point.
 
 from __future__ import annotations
@@ -26,15 +26,18 @@ _MAX_CODE = 0xFF
 
 _MAX_SPANS = 5
 _BAUDS = (110, 4_000_000)
-"""The lowest and the highest usual baud rate. If t1.5 is longer than t3.5 at both, it is longer at
-every baud rate."""
+"""The lowest and the highest usual baud rate. If the profile's t1.5 is longer than its t3.5 at
+both, it is longer at every baud rate."""
 _CHARACTER_BITS = 11
 _OCTETS = re.compile(r"([0-9A-Fa-f]{2})+")
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 
 
 def validate(profile: Profile, file: str) -> None:
-    """Check a profile. Raises ProfileError for the first broken rule; `file` is for its message."""
+    """Check a profile. Raises ProfileError for the first mistake.
+
+    `file` is the name of the profile's file, for the message.
+    """
     validate_characters(profile, file)
     if _NAME.fullmatch(profile.name) is None:
         raise ProfileError(
@@ -87,8 +90,8 @@ def _validate_areas(profile: Profile, file: str) -> None:
 
 
 def _collide(area: Area, other: Area) -> bool:
-    # If one area can only be read and the other only written, the areas may overlap: the function
-    # of a request decides between them.
+    # Areas may overlap if one can only be read and the other only written. Then the function of a
+    # request tells which of them it addresses.
     apart = {area.access, other.access} == {Access.READ, Access.WRITE}
     overlap = area.first <= other.last and other.first <= area.last
     return area.table is other.table and overlap and not apart
@@ -156,9 +159,9 @@ def _validate_codes(profile: Profile, rule: FunctionRule, code: int, errors: Par
 
 
 def _meant_in_decimal(profile: Profile, digits: str, limit: int) -> str:
-    """A hint if the user probably wrote a function code in decimal, else an empty text.
+    """A hint for the user who probably wrote a function code in decimal; otherwise empty.
 
-    The hint is given if the digits, read as a decimal number, are a function with such a limit.
+    There is a hint if the digits, read as a decimal number, are a function that may have `limit`.
     """
     code = int(digits) if digits.isdecimal() else 0
     known = FUNCTIONS.get(code)
@@ -241,7 +244,7 @@ def _validate_points(profile: Profile, file: str) -> None:
 
 
 def _validate_scale_points(profile: Profile, file: str) -> None:
-    """Check that each `scale_from` names one register with a plain number."""
+    """Check that each `scale_from` names a point of one register with an unscaled number."""
     named = {point.name: point for point in profile.points}
     for point in profile.points:
         if point.scale_from is None:
@@ -257,9 +260,9 @@ def _validate_scale_points(profile: Profile, file: str) -> None:
 
 
 def _access(profile: Profile, point: Point, address: int, errors: PartErrors) -> Access:
-    """Return a master's access to a point: the point's own, or else that of its area.
+    """Return a master's access to a point: the point's key `access`, or else that of its area.
 
-    Raises ProfileError if the point is in no area, or if its access does not fit the area.
+    Raises ProfileError if the point is in no area, or if the area does not allow its access.
     """
     areas = [area for area in profile.areas if area.holds(point.table, address, point.words)]
     if not areas:

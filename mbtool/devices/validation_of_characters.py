@@ -1,8 +1,8 @@
-"""Validates that no text of a profile has control characters."""
+"""Checks that no text of a profile has control characters."""
 
 # Texts of a profile are printed in tables, in lines of a log and in finding codes. A line end would
-# break them, and a terminal would execute an escape sequence. Only notes may have line ends and
-# tabs.
+# break the table or the line, and a terminal would execute an escape sequence. Only the keys `note`
+# and `notes` may have line ends and tabs.
 
 from __future__ import annotations
 
@@ -38,7 +38,10 @@ def validate_characters(profile: Profile, file: str) -> None:
 
 
 def _texts(key: str, value: Any) -> Iterator[tuple[str, str]]:
-    """Give the key and the text of every text in `value` that is not printable."""
+    """Give the key and the text of every text in `value` that has unprintable characters.
+
+    `value` is the value of the key `key`: a profile, a part of one, a list, a dictionary or a text.
+    """
     if isinstance(value, str):
         if not value.isprintable():
             yield key, value

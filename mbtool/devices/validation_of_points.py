@@ -1,4 +1,4 @@
-"""Validates the rules between the keys of one point of a profile."""
+"""Checks that the keys of one point of a profile do not contradict one another."""
 
 from __future__ import annotations
 
@@ -16,7 +16,10 @@ _PLACEHOLDER = re.compile(r"\{(n|reference)\}")
 
 
 class PartErrors:
-    """Raises errors about the keys of one part of a profile."""
+    """Raises errors about the keys of one part of a profile, such as one point.
+
+    `file` and `key` name the profile's file and the part, for messages.
+    """
 
     def __init__(self, file: str, key: str) -> None:
         self._file = file
@@ -27,8 +30,9 @@ class PartErrors:
 
 
 def validate_point(point: Point, errors: PartErrors) -> None:
-    """Check the keys of a point, apart from its areas. Raises ProfileError for the first broken
-    rule.
+    """Check the keys of a point by themselves, without the areas of the profile.
+
+    Raises ProfileError for the first mistake.
     """
     if point.table.is_bits != (point.type is PointType.BIT):
         right = "bit" if point.table.is_bits else "a type of registers like uint16"

@@ -1,11 +1,12 @@
-"""Decodes the registers or the bit of a point into a number and a text, and encodes them."""
+"""Decodes the registers or the bit of a point into a number and a text, and encodes numbers."""
 
-# Registers are in the order of their addresses. `byte_order` swaps the bytes of each register, then
-# `word_order` reverses the registers; the result is big-endian.
+# Registers come in the order of their addresses. Where a point's keys say so, the two bytes of each
+# register are swapped (`byte_order`) and then the registers reversed (`word_order`). The result is
+# big-endian.
 #
 # value = number * scale + offset is computed in decimal, so that 3 * 0.1 is 0.3 and 64-bit numbers
-# keep all digits. If a register of the device holds the scale (scale_from), a point has no value
-# until scaled_by() is told the power of ten.
+# keep all digits. If a register of the device holds the scale as a power of ten (scale_from), a
+# point has no value until scaled_by() gets the power.
 #
 # Strings are UTF-8, which includes ASCII; other bytes are shown as \xNN. NULs and spaces at the end
 # of a string are padding.
@@ -43,20 +44,23 @@ _FORMATS = {
     PointType.FLOAT32: ">f",
     PointType.FLOAT64: ">d",
 }
-"""The formats of `struct` for signed and float types; the other types are unsigned numbers."""
+"""The formats of `struct` for signed and float types. The other types are unsigned numbers, which
+need none."""
 _BCD = (PointType.BCD16, PointType.BCD32)
-# A 32-bit float has 7 significant digits, a 64-bit float at least 15.
+# The number of significant digits to show: a 32-bit float has 7, a 64-bit float at least 15.
 _FLOAT32_DIGITS = 7
 _DIGITS = 15
 
 
 class PointInstance:
-    """One of the `count` points that a Point of a profile describes; decodes the point's values."""
+    """Decodes the values of one point.
 
-    # The values of a point often repeat, so each instance caches decoded values, at most
-    # _MAX_CACHED. A plain number (one register, no scale, no texts) is formatted nearly as fast as
-    # it is found in a cache. So only the last plain number is cached; while nothing changes in the
-    # plant, each poll returns it again.
+    A Point of a profile can stand for a series of `count` points; this is one of the series.
+    """
+
+    # The values of a point often repeat, so each instance caches at most _MAX_CACHED decoded
+    # values. For a plain number (one register, no scale, no texts), decoding is nearly as fast as a
+    # cache. So only its last value is cached, which helps while the value does not change.
 
     __slots__ = (
         "_by_power",
@@ -98,7 +102,11 @@ class PointInstance:
         self.name = point.name.replace("{n}", str(number)).replace("{reference}", reference)
 
     def scaled_by(self, power: int | None) -> PointInstance:
-        """The point with the power of ten that `scale_from` holds; unchanged if it is unknown."""
+        """Return the point with a fixed scale, multiplied by 10 to the power of `power`.
+
+        `power` is the number in the register that `scale_from` names. None, if it is unknown,
+        returns the point unchanged.
+        """
         if power is None:
             return self
         scaled = self._by_power.get(power)
@@ -109,7 +117,7 @@ class PointInstance:
         return scaled
 
     def value(self, raw: Sequence[int]) -> PointValue:
-        """Decode the registers or the bit of this point."""
+        """Decode `raw`: the registers of this point, or its bit."""
         return point_values([(0, self)], raw)[0]
 
     def _value_in(self, values: Sequence[int], index: int) -> PointValue:
@@ -127,10 +135,13 @@ class PointInstance:
         return value
 
     def _decode_scaled(self, word: int, ratio: tuple[int, int, int]) -> PointValue:
-        """Decode a scaled number of one register without texts: faster than `_decode`."""
+        """Decode a scaled number in one register. For such points, this is faster than `_decode`.
+
+        `ratio` has three integers (a, b, c) for value = (number * a + b) / c.
+        """
         factor, summand, divisor = ratio
         number = word - 0x10000 if self._signed and word & 0x8000 else word
-        # A division of two integers rounds only once, so the result is as exact as in decimal.
+        # Divide integers only at the end: that rounds once, and is as exact as decimal numbers.
         scaled = (number * factor + summand) / divisor
         return PointValue(
             name=self.name,
@@ -154,9 +165,10 @@ class PointInstance:
 def point_values(
     points: Iterable[tuple[int, PointInstance]], values: Sequence[int]
 ) -> list[PointValue]:
-    """Decode points from registers or bits; each point comes with the index of its first value.
+    """Decode points from the registers or bits `values`.
 
-    Points that are not completely in `values` are left out, because a response can be too short.
+    Each point comes with the index of its first value there. Points that are not completely in
+    `values` are left out, because a response can be too short.
     """
     count = len(values)
     decoded = []
@@ -166,8 +178,8 @@ def point_values(
         if not point._is_plain:
             decoded.append(point._value_in(values, index))
             continue
-        # Plain numbers are decoded here, without a call, because most values that change often are
-        # plain numbers.
+        # Decode a plain number (one register, no scale, no texts) here, without a function call,
+        # because most values that change often are plain numbers.
         word = values[index]
         last = point._last
         if last is None or word != point._last_word:
@@ -187,11 +199,11 @@ def point_values(
 def point_instances(
     profile: Profile, table: Table, *, writing: bool = False
 ) -> list[PointInstance]:
-    """The points of a table that a read, or a write, can contain; sorted by address.
+    """The points of a table that a read (or a write) can contain, sorted by address.
 
-    For writing, points that can only be read are included where no writable point is, because a
-    master may try to write them; points in blocks are not, because blocks can only be read. For
-    reading, points that can only be written are left out.
+    A read has no points that can only be written. A write has points that can only be read where no
+    writable point has the address, because a master may try to write them. It has no points in
+    blocks (registers that are only read from the block's first address on).
     """
     points = [point for point in profile.points if point.table is table]
     if writing:
@@ -264,7 +276,7 @@ def _ratio(point: Point) -> tuple[int, int, int] | None:
 
 
 def _number(point: Point, raw: Sequence[int]) -> float | None:
-    """The number in the registers, before scale and offset; None if there is no number."""
+    """The number in the registers `raw`, before scale and offset; None if they hold no number."""
     if point.type is PointType.BIT:
         return raw[0]
     if point.type is PointType.STRING:
@@ -388,7 +400,7 @@ def _string(data: bytes) -> str:
 
 
 def _flags_text(point: Point, word: int) -> str:
-    """The names of the bits that are 1: `READY, ALARM`."""
+    """The names of the bits of a register that are 1: `READY, ALARM`."""
     names = [name for bit, name in sorted(point.bits.items()) if word >> bit & 1]
     unnamed = word & ~sum(1 << bit for bit in point.bits)
     if unnamed:
@@ -397,14 +409,18 @@ def _flags_text(point: Point, word: int) -> str:
 
 
 def _field_text(point: Point, word: int) -> str:
-    """A field's channels, grouped by text: `CH1 CH2 CH6 enabled`, `CH1 HOLD, CH2 CLEAR`."""
+    """The text of a register with bits for each channel, grouped by the meaning of the bits.
+
+    Examples: `CH1 CH2 CH6 enabled`, `CH1 HOLD, CH2 CLEAR`.
+    """
     bits = point.type.channel_bits
     texts = point.texts or ({1: "on"} if bits == 1 else {})
     channels = point.channels or WORD_BITS // bits
     by_text: dict[str, list[str]] = {}
     for index in range(channels):
         value = word >> index * bits & (1 << bits) - 1
-        # If only one of a bit's two values has a text, channels with the other value are not shown.
+        # If a channel has one bit and only one of its two values has a text, leave out the channels
+        # with the other value.
         text = texts.get(value, None if bits == 1 else str(value))
         if text is not None:
             by_text.setdefault(text, []).append(f"{point.channel}{point.first_channel + index}")

@@ -1,4 +1,4 @@
-"""Describes a named transaction in one line, in the words of its manual."""
+"""Describes a transaction in one line, in the words of its device's manual."""
 
 #     0102H A/D conversion enable/disable setting: CH1 CH2 CH6 CH8 enabled
 #     X10..X17 A/D conversion completion flag: CH1 CH2 CH6 CH8 on
@@ -6,9 +6,9 @@
 #     00F2H, write 0102H A/D conversion enable/disable setting: CH1 enabled; read ...        (17H)
 #     HR400001..400002                                                  (no names in the manual)
 #
-# Points whose names differ only in the first word (CH1 digital value, CH2 digital value) form one
-# phrase. Points named by their reference (X0, X1) form one phrase at the end. A phrase about
-# several bits names those that are 1.
+# Points whose names differ only in the first word (CH1 digital value, CH2 digital value) are
+# described in one phrase. Points whose name is their reference (X0, X1) come in one phrase at the
+# end. A phrase about several bits names those that are 1.
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def describe(transaction: NamedTransaction) -> str:
-    """The reference and the named values in one line; empty if there is neither."""
+    """The addresses of a transaction and its named values in one line; empty if it has neither."""
     if transaction.write_address is None:
         return _describe(transaction.reference or "", transaction.points)
     read = "; ".join(describe_points(transaction.read_points))
@@ -30,7 +30,7 @@ def describe(transaction: NamedTransaction) -> str:
 
 
 def describe_written(transaction: NamedTransaction) -> str:
-    """The reference and the values that the request writes."""
+    """The addresses of a transaction and the named values that it writes, in one line."""
     return _describe(transaction.reference or "", transaction.written_points)
 
 
@@ -45,7 +45,11 @@ def _describe(reference: str, points: Sequence[PointValue]) -> str:
 
 
 def describe_points(points: Sequence[PointValue]) -> list[str]:
-    """One phrase for each series of points, in the order of the points."""
+    """Describe points in phrases such as `digital value: CH1 12000, CH2 4000`.
+
+    Points whose names differ only in the first word share a phrase. The phrases are in the order of
+    the points; points without a name come last.
+    """
     series: dict[str, list[tuple[str, PointValue]]] = {}
     for point in points:
         label, _, subject = point.name.partition(" ")
