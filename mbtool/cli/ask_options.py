@@ -1,4 +1,4 @@
-"""The arguments and options that `read`, `write` and `poll` share."""
+"""The arguments and options that `mbtool read`, `write` and `poll` share."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ ReferencesArgument = Annotated[
 
 @dataclass(frozen=True, slots=True)
 class AskOptions(TargetTlsOptions):
-    """Who is asked, and how."""
+    """The options of `read`, `write` and `poll` about the slave and about the requests."""
 
     heading: ClassVar[str] = "Options"
 
@@ -77,7 +77,7 @@ class AskOptions(TargetTlsOptions):
     ] = 1.0
 
     def read(self, link_text: str) -> AskedSlave:
-        """Read the link and the options. Raises UsageError for what is not understood."""
+        """Combine LINK and the options. Raises UsageError for a text that is not understood."""
         from mbtool.core import parse_link
         from mbtool.core.link_spec import ANSWERED
         from mbtool.core.numbers import UNITS, parse_number, parse_unit
@@ -111,7 +111,7 @@ class AskOptions(TargetTlsOptions):
 
 @dataclass(frozen=True, slots=True)
 class AskedSlave:
-    """The slave that is asked, with everything that the options say about it."""
+    """The slave that gets the requests, with everything that the options say about it."""
 
     link: LinkSpec
     unit: int
@@ -129,9 +129,10 @@ class AskedSlave:
         is_summed: bool = True,
         if_interrupted: str = "interrupted",
     ) -> Iterator[tuple[Asker, RecordOutput]]:
-        """Open the link and standard output; `if_interrupted` is said if Ctrl-C ends the asking.
+        """Open the link and standard output, and yield the asker and the output.
 
-        Raises LinkError if the slave cannot be reached.
+        If Ctrl-C ends the context, `if_interrupted` is printed. Raises LinkError if the slave
+        cannot be reached.
         """
         from mbtool.cli.options import condition
         from mbtool.cli.output import open_output
@@ -155,7 +156,10 @@ class AskedSlave:
 
 
 def print_asked(asker: Asker, out: RecordOutput, pdu: bytes) -> NamedTransaction:
-    """Ask, and print the transaction, after bytes that came and are no response."""
+    """Send one request and print its transaction.
+
+    If the line brought bytes that are no response, they are printed first, as events.
+    """
     transaction, events = asker.ask(pdu)
     for event in events:
         out.add(event)

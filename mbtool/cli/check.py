@@ -1,4 +1,4 @@
-"""mbtool check: find what breaks a rule in captures and logs."""
+"""mbtool check: find broken rules of Modbus and of device manuals in captures and logs."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 class CheckFormat(StrEnum):
-    """How findings are printed."""
+    """The form in which findings are printed."""
 
     TABLE = "table"
     JSON = "json"
@@ -148,7 +148,7 @@ def check(
         except InputError as error:
             if not (run.transactions or run.counts):
                 raise
-            broken = error  # The rest of the files cannot be read; what could be is written.
+            broken = error  # The rest of the files cannot be read; findings so far are kept.
     if broken is not None:
         raise broken
     say_if_empty(run.reading)
@@ -160,11 +160,10 @@ def check(
 def _finished(
     file: TextIO, printer: _Printer, run: CheckRun, path: str | None, *, stays: bool
 ) -> Iterator[_Printer]:
-    """Yield the printer while the context is open.
+    """Yield the printer, and complete the output when the context ends, even by an error.
 
-    When the context ends, even by an error, the output is completed, and the user gets remarks and
-    the number of findings, unless there was nothing to look at. With `stays`, an error leaves an
-    older file of that path as it was.
+    After that, the user gets remarks and the number of findings, unless there was nothing to check.
+    With `stays`, an error leaves an older file at `path` as it was.
     """
     from mbtool.cli.talk import Interrupted, say
 
@@ -195,7 +194,7 @@ class _Printer(ABC):
     def add(self, found: FileFinding) -> None: ...
 
     def end(self, run: CheckRun) -> None:  # noqa: B027 - one printer has nothing left to print
-        """At the end of the run, print the findings that were only collected so far."""
+        """Print the findings that this printer has collected but not yet printed."""
 
 
 def _printer(format_: CheckFormat, file: TextIO, *, each: bool, names_files: bool) -> _Printer:
@@ -253,7 +252,7 @@ class _DocumentPrinter(_Printer):
 
 
 def _sentence(run: CheckRun) -> str:
-    """Sum up: `14 findings of 3 codes in 8120 transactions; docs/findings.md explains ...`."""
+    """Sum up a run: `14 findings of 3 codes in 8120 transactions; docs/findings.md ...`."""
     from mbtool.core.wording import plural
 
     number, codes = run.counts.total(), len(run.counts)

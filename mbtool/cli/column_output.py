@@ -1,4 +1,4 @@
-"""Prints what is read from captures as arrays, if there is much of it by several processes."""
+"""Prints transactions that are decoded as arrays; from large files with several processes."""
 
 from __future__ import annotations
 
@@ -23,11 +23,12 @@ if TYPE_CHECKING:
     Note = Callable[[Record], None]
 
 WORTH_PROCESSES = 64 * 1024 * 1024
-"""Bytes that the files must have together to be worth another process."""
+"""If the files have fewer bytes than this together, starting another process costs more than it
+saves."""
 
 
 def processes_for(files: Sequence[str], jobs: int | None) -> int:
-    """The number of processes to read files with; `jobs` is what the user allows."""
+    """Return the number of processes that decode the files; `jobs` is the user's limit or None."""
     from mbtool.workflows.shared.reading_choice import unpacked_bytes
 
     if sys.platform == "win32" or unpacked_bytes(files) < WORTH_PROCESSES:
@@ -36,7 +37,7 @@ def processes_for(files: Sequence[str], jobs: int | None) -> int:
 
 
 def cores() -> int:
-    """The number of cores that this process may use."""
+    """Return the number of processor cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
@@ -45,10 +46,10 @@ def cores() -> int:
 def print_columns(
     columns: ColumnReading, out: RecordOutput, note: Note, interrupt: Interrupt, jobs: int
 ) -> None:
-    """Print all transactions, those of many packets at once.
+    """Print all transactions of a reading that decodes many packets at once.
 
-    `note` gets all that may be worth a remark: events, transactions that are decoded one by one or
-    have an unusual form, and those that may tell SunSpec models.
+    `note` gets the records that may be worth a remark: events, transactions that were decoded one
+    by one or have an unusual form, and reads of SunSpec models.
     """
     from mbtool.columns.sunspec_rows import SunSpecReads
 
@@ -77,7 +78,7 @@ def print_columns(
 
 
 def _processes(out: RecordOutput, jobs: int) -> BlockProcesses | None:
-    """Processes that print; None for one job, or if the system starts no more processes."""
+    """Start processes that print; None for one job, or if the system starts no more processes."""
     if jobs == 1:
         return None
     from mbtool.workflows.shared.block_processes import BlockProcesses
@@ -98,7 +99,7 @@ def _print_apart(
     interrupt: Interrupt,
     processes: BlockProcesses,
 ) -> None:
-    """Let other processes print what this one decodes."""
+    """Print with other processes what this process decodes."""
     is_table = out.takes_tables
     try:
         for printed in interrupt.breakable(processes.printed(columns.decoded())):
@@ -108,5 +109,5 @@ def _print_apart(
                 out.add_text(printed.text)
                 out.count(printed.counts)
     finally:
-        if is_table:  # After an error, too: what was decoded before it is in the file.
+        if is_table:  # After an error, the file has what was decoded before.
             out.count(processes.complete())

@@ -1,11 +1,12 @@
-"""A command whose help shows arguments as a user writes them: FILE, FILE..., [PATH]..."""
+"""A typer command whose help shows arguments as users write them: FILE, FILE..., [PATH]..."""
 
 # typer shows the Python type behind each argument (FILE <list[str]>) and puts braces around it in
-# the usage line. A metavar changes neither, so this class writes both.
+# the usage line. A metavar changes neither of these, so this class writes the help's arguments and
+# usage line itself.
 #
 # typer converts values with pydantic, even texts and options that are not given. Loading pydantic
-# takes a third of the time of a command that reads a small file. So _PlainValues converts texts
-# and choices, and leaves only the other values, and what is wrong, to typer.
+# takes a third of the time of a command that reads a small file. So _PlainValues converts texts and
+# choices, and gives typer only other types and wrong values.
 
 from __future__ import annotations
 
@@ -25,11 +26,11 @@ _NUMBERS = {
     "Input should be greater than or equal to": "at least",
     "Input should be less than or equal to": "at most",
 }
-"""By the first words of pydantic's message about a number: the words that replace them."""
+"""The beginnings of pydantic's messages about a wrong number, and the words that replace them."""
 
 
 _FIRST_SECTION = "Options"
-"""The heading of options that have no other."""
+"""The heading in the help above options that have no other heading."""
 
 
 def _heading(param: Any) -> str:
@@ -37,7 +38,7 @@ def _heading(param: Any) -> str:
 
 
 def write_examples(context: Any, formatter: Any) -> None:
-    """End the help of a command with its examples and its page."""
+    """End the help of a command with its examples and the name of its documentation page."""
     examples = examples_of(context.command_path)
     if examples is None:
         return
@@ -91,10 +92,10 @@ class Command(TyperCommand):
 
 
 def with_plain_json(params: Sequence[Any], args: Sequence[str]) -> list[str]:
-    """Let --json and --format json stand for what a command calls its JSON.
+    """Replace --json and --format json by the option with which this command prints JSON.
 
-    That is --format json, --format jsonl where there are only lines of it, or --json. Where there
-    is only --json, --format table is what goes without saying.
+    That is --format json, or --format jsonl for a command that prints only JSON lines, or --json. A
+    command that has only --json accepts --format table, too, and ignores it.
     """
     options = {name: one for one in params for name in one.opts}
     name = _json_name(options)
@@ -118,7 +119,7 @@ def with_plain_json(params: Sequence[Any], args: Sequence[str]) -> list[str]:
 
 
 def _json_name(options: dict[str, Any]) -> str | None:
-    """The value of --format that prints JSON; None for a command that prints none."""
+    """Return the value of --format that prints JSON; None for a command that prints no JSON."""
     if "--json" in options:
         return "json"
     if "--format" not in options:
@@ -128,7 +129,7 @@ def _json_name(options: dict[str, Any]) -> str | None:
 
 
 def _choices(option: Any) -> Sequence[object]:
-    """The values of an option whose type is an Enum or a Literal, also if it may be None."""
+    """Return the values of an option whose type is an Enum or a Literal, also if it may be None."""
     type_ = option.type_descriptor.annotation
     for part in (type_, *get_args(type_)):
         if isinstance(part, type) and issubclass(part, Enum):
@@ -139,7 +140,7 @@ def _choices(option: Any) -> Sequence[object]:
 
 
 def with_plain_values(params: list[Any]) -> list[Any]:
-    """Let typer convert the values of parameters without pydantic, where that is possible."""
+    """Let typer convert the values of texts and choices without pydantic, which is slow to load."""
     for param in params:
         if param._runtime_param is None:
             param._runtime_param = _PlainValues()
@@ -147,10 +148,10 @@ def with_plain_values(params: list[Any]) -> list[Any]:
 
 
 class _PlainValues:
-    """Converts the values of one parameter; typer asks it in place of pydantic."""
+    """Converts the values of one parameter; typer calls it in place of pydantic."""
 
     def coerce(self, value: Any, param: Any, ctx: Any) -> Any:
-        """The value for a command, of a value of the command line: None, a text or several."""
+        """Convert a value of the command line: None, a text, or several texts."""
         is_several = param.multiple or param.nargs == -1
         if value is None:
             return () if is_several else None
@@ -161,7 +162,7 @@ class _PlainValues:
             return list(value)
         if isinstance(type_, type) and issubclass(type_, Enum) and value in list(type_):
             return type_(value)
-        param._runtime_param = None  # typer makes its own.
+        param._runtime_param = None  # typer then makes its own converter.
         try:
             return param.get_runtime_param().coerce(value, param=param, ctx=ctx)
         except BadParameter as error:
@@ -170,7 +171,7 @@ class _PlainValues:
 
 
 def _in_plain_words(message: str, value: Any) -> str:
-    """The message about a wrong value, in plain words."""
+    """Return pydantic's message about a wrong value in plain words."""
     for beginning, words in _NUMBERS.items():
         if message.startswith(beginning):
             return f"{value!r} is not {words}{message.removeprefix(beginning).partition(',')[0]}"

@@ -1,7 +1,7 @@
-"""The commands of the command line, each loaded when it is asked for."""
+"""The commands of mbtool by name; the module of a command is imported when it is looked up."""
 
-# Loading all commands takes as long as decoding a small file. So a command line loads the one that
-# it names; only the help of mbtool itself, which lists them, loads all.
+# Importing all commands takes as long as decoding a small file. So a command line imports only the
+# command that it names; only the help of mbtool itself, which lists them, imports all.
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ _MODULES = {
     "devices": "devices",
     **{name: name for name in ("links", "doctor", "line", "demo", "extcap")},
 }
-"""By command, in the order of the help: the module of this package that has its function."""
+"""The module of this package that has a command's function, by command in the order of the help."""
 
-# Wireshark gives options of its newer versions, too.
+# Newer versions of Wireshark give options that mbtool does not know; they are ignored.
 _SETTINGS = {"extcap": {"ignore_unknown_options": True, "allow_extra_args": True}}
 
 
 class CommandTable(Mapping[str, Any]):
-    """Each command of typer, by its name."""
+    """Maps the name of each command to its typer command, and loads it at the first look-up."""
 
     def __init__(self) -> None:
         self._loaded: dict[str, Any] = {}
@@ -57,7 +57,7 @@ class CommandTable(Mapping[str, Any]):
 def _load(name: str, module: str) -> Any:
     function = getattr(import_module(f"mbtool.cli.{module}"), name)
     app = typer.Typer(rich_markup_mode=None)
-    if isinstance(function, typer.Typer):  # It has commands of its own.
+    if isinstance(function, typer.Typer):  # It has subcommands.
         app.add_typer(function, name=name)
     else:
         app.command(name, cls=Command, context_settings=_SETTINGS.get(name))(function)

@@ -1,11 +1,12 @@
 """Completes what a user types in bash, zsh and fish: `mbtool --install-completion`."""
 
-# The library typer writes the script of the shell and completes commands and options. The values
-# are found here, by the name of a parameter in the help: LINK gives the serial ports and interfaces
-# of this machine, PROFILE the built-in profiles; for all others a shell offers its files.
+# The library typer writes the script for the shell and completes commands and options. This module
+# finds the values, by the metavar of a parameter: LINK gives the serial ports and interfaces of
+# this machine, PROFILE the built-in profiles; for all other parameters the shell offers its files.
 #
-# bash divides words at `:`, `=` and `@`, and replaces only what stands behind the last of them. So
-# its words are joined again before they are read, and what is in front is left out of the values.
+# bash divides words at `:`, `=` and `@`, and replaces only the text behind the last of them. So
+# this module joins the parts of a word again, and leaves out of each value the text that bash
+# keeps.
 
 from __future__ import annotations
 
@@ -17,17 +18,20 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, MutableMapping, Sequence
 
 COMPLETE = "_MBTOOL_COMPLETE"
-"""The environment variable with which a shell asks for completions."""
+"""The shell sets this environment variable when it asks for completions."""
 _BREAKS = ":=@"
 
 
 def is_asked() -> bool:
-    """True if a shell runs the program to complete a line."""
+    """True if a shell runs mbtool only to complete a line."""
     return COMPLETE in os.environ
 
 
 def join_words(environment: MutableMapping[str, str]) -> None:
-    """Join the words that bash has divided, up to the cursor."""
+    """Join the parts into which bash has divided words at `:`, `=` and `@`, up to the cursor.
+
+    Changes COMP_WORDS and COMP_CWORD in `environment`.
+    """
     if environment.get(COMPLETE) != "complete_bash" or "COMP_WORDS" not in environment:
         return
     words = environment["COMP_WORDS"].split("\n" if "\n" in environment["COMP_WORDS"] else None)
@@ -40,7 +44,7 @@ def join_words(environment: MutableMapping[str, str]) -> None:
 
 
 def with_completed_values(params: list[Any]) -> list[Any]:
-    """Give parameters the values that a shell offers for them."""
+    """Let the shell offer values for the parameters whose metavar is in _VALUES."""
     for param in params:
         values = _VALUES.get(_kind(getattr(param, "metavar", None) or ""))
         if values is not None:
@@ -55,7 +59,7 @@ def profile_names(_: str = "") -> list[str]:
 
 
 def items(values: Iterable[str], incomplete: str) -> Sequence[Any]:
-    """The values that begin as the user's text does, as the shell wants them."""
+    """Return the values that begin with the user's text, in the form that the shell expects."""
     from typer._click.shell_completion import CompletionItem
 
     left_out = 0

@@ -1,4 +1,4 @@
-"""The options that limit the connections to a slave and to a tap."""
+"""The options that limit the TCP connections to a slave that mbtool plays, and to a tap."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The console that tables are printed on."""
+"""The rich console on which commands print tables."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from rich.console import Console, ConsoleDimensions
 class PipeConsole(Console):
     """A console that raises BrokenPipeError when the reader of a pipe has gone.
 
-    main.py turns the error into an exit code.
+    main.py turns that error into an exit code.
     """
 
     @property
     def size(self) -> ConsoleDimensions:
-        """The size of the terminal, also with TERM=dumb, for which rich takes 80 columns."""
+        """The size of the terminal in characters; for TERM=dumb, rich would take 80 columns."""
         if self.is_dumb_terminal and self._width is None:
             return ConsoleDimensions(*shutil.get_terminal_size((80, 25)))
         return super().size

@@ -1,4 +1,4 @@
-"""mbtool convert: captures and logs into each other."""
+"""mbtool convert: convert captures and logs into each other."""
 
 from __future__ import annotations
 

@@ -42,10 +42,10 @@ if TYPE_CHECKING:
 
 STANDARD_INPUT = "-"
 _WORTH_BYTES = 1024 * 1024
-"""Bytes that the files must have together to be read as arrays: for fewer, importing numpy takes
-longer than arrays save."""
+"""If the files have fewer bytes than this together, they are not decoded as arrays: importing numpy
+would take longer than arrays save."""
 _LOOK_AGAIN_S = 0.2
-"""With --follow, the time in s between two attempts to read on in the log."""
+"""With --follow, the time in s between two attempts to read new records from the log."""
 
 
 @takes_groups
@@ -213,7 +213,10 @@ def _columns(
     output: str | None,
     events: EventChoice | None,
 ) -> ColumnReading | None:
-    """A pass over the files that gives many transactions at once; None to read them one by one."""
+    """Return a reading that decodes many transactions at once, as arrays, if that is of use.
+
+    If it returns None, the transactions must be decoded one by one.
+    """
     from mbtool.cli.output import OUTPUT_FORMATS
     from mbtool.cli.printers import demand_columns
     from mbtool.workflows.shared.reading_choice import column_reading
@@ -231,9 +234,9 @@ def _columns(
 def _reading(
     files: list[str], options: ReadingOptions, output: str | None, *, is_cut: bool
 ) -> Reading:
-    """A pass over the files that gives the records one by one, decoded as arrays where possible.
+    """Return a reading that yields records one by one; it decodes as arrays where that is faster.
 
-    `is_cut` is True if files may not be read to their end.
+    `is_cut` is True if files may not be read to their end, such as with --limit or --follow.
     """
     from mbtool.workflows.shared.reading import Reading
     from mbtool.workflows.shared.reading_choice import column_reading
@@ -243,9 +246,9 @@ def _reading(
 
 
 def _worth_bytes(output: str | None) -> float:
-    """The size in bytes from which files are read as arrays.
+    """Return the size in bytes from which files are decoded as arrays.
 
-    Infinite on a terminal, where the first rows should come at once.
+    It is infinite on a terminal, where the first rows should appear at once.
     """
     is_shown = output is None and sys.stdout is not None and sys.stdout.isatty()
     return math.inf if is_shown else _WORTH_BYTES
@@ -253,7 +256,7 @@ def _worth_bytes(output: str | None) -> float:
 
 @contextmanager
 def _with_remarks(reading: Reading, hints: ModelHints, window: TimeWindow) -> Iterator[None]:
-    """When the context ends, even by an error, print the remarks about the files."""
+    """Print the remarks about the files when the context ends, even by an error."""
     from mbtool.cli.talk import say
 
     try:
@@ -265,7 +268,7 @@ def _with_remarks(reading: Reading, hints: ModelHints, window: TimeWindow) -> It
 
 
 def _is_piped() -> bool:
-    """True if standard input is not a regular file, such as a pipe."""
+    """True if standard input is not a regular file, but for example a pipe."""
     try:
         return not stat.S_ISREG(os.fstat(0).st_mode)
     except OSError:  # Standard input is closed: opening it will raise the error.

@@ -1,4 +1,4 @@
-"""decode of many captures into a folder or an object store: a Parquet file for each."""
+"""mbtool decode of many captures into a folder or an object store: a Parquet file for each."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class JobOptionGroup(OptionGroup):
 
 
 def is_job(files: Sequence[str], output: str | None, group: JobOptionGroup) -> bool:
-    """True if each file is to give a Parquet file of its own."""
+    """True if each capture is to be decoded into a Parquet file of its own."""
     return (
         group.cluster is not None
         or group.share is not None
@@ -70,9 +70,9 @@ def run_job(
     *,
     overwrite: bool,
 ) -> None:
-    """Decode the files, and say what became of them.
+    """Decode the files into a Parquet file each, and print how many were decoded.
 
-    Raises InputError if one could not be read to its end, after all others are decoded.
+    Raises InputError if a file could not be read to its end, after all others are decoded.
     """
     from mbtool.cli.printers import demand_columns
 
@@ -130,7 +130,10 @@ def run_job(
 
 
 def refuse_others(given: Mapping[str, object]) -> None:
-    """Raise UsageError if an option is given that each file of its own has no use for."""
+    """Raise UsageError if an option is given that `decode` into a folder does not support.
+
+    `given` maps the names of these options to their values.
+    """
     wrong = [name for name, value in given.items() if value]
     if wrong:
         raise UsageError(

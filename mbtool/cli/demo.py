@@ -1,4 +1,4 @@
-"""mbtool demo: record two slaves and play the recording, on this machine."""
+"""mbtool demo: record the traffic of two slaves and replay the recording, on this machine."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def demo(
 
 @contextmanager
 def _log_told(write: str | None) -> Iterator[None]:
-    """Name the log to the user if Ctrl-C ends what runs in the context."""
+    """Print the name of the log if Ctrl-C ends the context."""
     try:
         yield
     except KeyboardInterrupt:

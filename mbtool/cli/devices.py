@@ -1,9 +1,9 @@
-"""mbtool devices: built-in device profiles, and the user's own."""
+"""mbtool devices: list, show and match device profiles, built-in or the user's own."""
 
-# `mbtool devices` lists the profiles, `mbtool devices NAME` shows one. A word that is not one of
-# the commands below is the name or path of a profile and goes to the hidden command "show". A file
-# with the name of a command can be shown by its path: ./new. The commands are in
-# devices_import.py and devices_own.py.
+# `mbtool devices` lists the profiles, `mbtool devices NAME` shows one. A word that is not a
+# subcommand is the name or path of a profile, and goes to the hidden subcommand "show". A file with
+# the name of a subcommand can be shown by its path: ./new. The subcommands are in devices_import.py
+# and devices_own.py.
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ _SHOW = "show"
 
 
 class _ShowsByDefault(TyperGroup):
-    """A group in which a word that is not a command is the name of a profile."""
+    """A group in which a word that is not the name of a subcommand is the name of a profile."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        # Behind the name of a command stand its own options; its --json is another one.
+        # A subcommand has a --json of its own, so only the options before its name are replaced.
         end = next((at for at, one in enumerate(args) if one in self.commands), len(args))
         plain = with_plain_json(self.params, args[:end])
         return super().parse_args(ctx, [*plain, *args[end:]])

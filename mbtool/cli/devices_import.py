@@ -1,4 +1,4 @@
-"""mbtool devices import: a profile of a register list or another register map."""
+"""mbtool devices import: make a profile from a register list or another register map."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ class AddressesChoice(StrEnum):
 
 
 class ScalingChoice(StrEnum):
-    """The use of the factors in a register list: to multiply or to divide values of registers."""
+    """How the factors in a register list are used: registers are multiplied or divided by them."""
 
     MULTIPLY = "multiply"
     DIVIDE = "divide"
 
 
 class WordOrderChoice(StrEnum):
-    """The register that comes first if a value takes several: the high or the low word."""
+    """Which word of a value in several registers comes first: the high or the low one."""
 
     HIGH_FIRST = "high-first"
     LOW_FIRST = "low-first"
@@ -196,7 +196,7 @@ def _import_sunspec(
 
 
 def _try_all(folder: str, output: str | None) -> None:
-    """Import each model of a folder by itself, and tell which ones cannot be."""
+    """Try to import each SunSpec model of a folder, and print which ones cannot be imported."""
     from mbtool.cli.talk import say
     from mbtool.core import UsageError
     from mbtool.workflows.shared.sunspec_devices import SunSpecFolder

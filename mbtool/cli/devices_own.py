@@ -1,4 +1,4 @@
-"""mbtool devices new, draft, export and schema: profiles of the user's own."""
+"""mbtool devices new, draft, export and schema: make profiles, and export them."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def draft(
 def _draft_sunspec(
     file: str, options: ReadingOptions, who: Who | None, folder: str, output: str | None
 ) -> None:
-    """Make the profile of a SunSpec device of the models that a capture shows it has."""
+    """Make a SunSpec device's profile from the models that the capture shows it to have."""
     from mbtool.workflows.shared.sunspec_devices import SunSpecDevices, SunSpecFolder, only_map
 
     models, devices = SunSpecFolder(folder), SunSpecDevices()
@@ -181,8 +181,9 @@ def survey(
 ) -> tuple[ObservedSlaves, InputError | None]:
     """Read a capture or log to its end, print remarks about it, and return its slaves.
 
-    If the file is cut or damaged, those of the part that can be read, and the error, which the
-    caller raises when these slaves are printed. Raises InputError if there is none.
+    The second value is None, or the error if the file is cut or damaged and has slaves before that
+    place; the caller raises it after it has printed these slaves. Raises InputError if there are no
+    slaves before it.
     """
     from mbtool.workflows.shared.observed_slaves import ObservedSlaves
 
@@ -196,9 +197,9 @@ def survey(
 def _survey(
     file: str, options: ReadingOptions, take: Callable[[Iterator[Record]], None]
 ) -> InputError | None:
-    """Give all records of a capture or log to `take`, and print remarks about it.
+    """Give all records of a capture or log to `take`, and print remarks about the file.
 
-    Returns the error of a file that is cut or damaged, None for a whole one.
+    Returns the error if the file is cut or damaged, else None.
     """
     from mbtool.cli.talk import interruptible, interruption_told, say
     from mbtool.core import CutError, DamageError

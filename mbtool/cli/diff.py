@@ -1,4 +1,4 @@
-"""mbtool diff: compare two captures by meaning."""
+"""mbtool diff: compare two captures by their requests and values, not byte by byte."""
 
 from __future__ import annotations
 

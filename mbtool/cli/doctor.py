@@ -1,4 +1,4 @@
-"""mbtool doctor: say what is missing on this machine, and the command that mends it."""
+"""mbtool doctor: print what is missing on this machine, and the command that mends it."""
 
 from __future__ import annotations
 

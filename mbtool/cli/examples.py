@@ -1,4 +1,4 @@
-"""Two examples of each command, and its page of the documentation; they end its help."""
+"""Two examples of each command and its documentation page, which end the command's help."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 
 class HelpExamples(NamedTuple):
-    """The examples and the docs page at the end of a command's help."""
+    """The documentation page and the examples at the end of a command's help."""
 
     page: str
     first: str
@@ -20,7 +20,7 @@ MOST_USED = (
     ("make a page to hand over", "mbtool report site.mcap -o site.html"),
     ("let it answer your program", "mbtool replay site.mcap --as-slave --on tcp:127.0.0.1:1502"),
 )
-"""The text of `mbtool` without a command: five tasks, each with the command for it."""
+"""`mbtool` without a command prints these five tasks, each with a command line for it."""
 
 _PORT = "rtu:/dev/ttyUSB0"
 EXAMPLES = {
@@ -133,16 +133,16 @@ EXAMPLES = {
         "devices", "mbtool devices schema", "mbtool devices schema > mbtool-profile.json"
     ),
 }
-"""Each command's page of docs/, without its ending, and two command lines."""
+"""By command: the name of its page in docs/ without `.md`, and two command lines."""
 
 
 def examples_of(command_path: str) -> HelpExamples | None:
-    """The examples of a command, named as on the command line with or without `mbtool`."""
+    """Return the examples of a command. Its name may begin with `mbtool`: `mbtool devices new`."""
     return EXAMPLES.get(command_path.partition("mbtool")[2].strip() or command_path)
 
 
 def first_steps() -> str:
-    """The text of `mbtool` without a command."""
+    """Return the text that `mbtool` prints without a command."""
     lines = ["Capture, decode and replay Modbus. The commands used most:", ""]
     for wish, line in MOST_USED:
         lines += [f"  {wish}", f"    {line}"]

@@ -1,4 +1,4 @@
-"""mbtool extcap: a serial line as an interface of Wireshark."""
+"""mbtool extcap: show a serial line as an interface of Wireshark."""
 
 from __future__ import annotations
 
@@ -73,7 +73,10 @@ class LineOptions(OptionGroup):
     ] = None
 
     def link(self) -> LinkSpec:
-        """The line. Raises UsageError if no port is named or the settings are wrong."""
+        """Return the serial line.
+
+        Raises UsageError if no port is named or the settings are wrong.
+        """
         from mbtool.core import UsageError, parse_link
         from mbtool.core.link_spec import HEARD
 
@@ -86,7 +89,7 @@ class LineOptions(OptionGroup):
         return parse_link(f"{self.mode}:{port}@{settings}", HEARD)
 
     def assignments(self) -> Assignments:
-        """The profiles of the slaves. Raises UsageError for what is no profile."""
+        """Return the profiles of the slaves. Raises an error if a text names no profile."""
         from mbtool.cli.options import assignments
 
         texts = [one.strip() for one in (self.devices or "").split(",") if one.strip()]
@@ -162,7 +165,10 @@ def _print_dialog() -> None:
 
 
 def _capture(fifo: str, options: LineOptions) -> None:
-    """Listen, and write packets to the pipe, until Wireshark stops. Raises LinkError."""
+    """Listen to the line and write packets to the pipe `fifo` until Wireshark stops.
+
+    Raises LinkError if the port cannot be opened.
+    """
     from mbtool.cli.listening import sniffer_of
     from mbtool.cli.options import TcpPorts
     from mbtool.cli.talk import Interrupted, interruptible, say
@@ -180,7 +186,8 @@ def _capture(fifo: str, options: LineOptions) -> None:
         raise OutputError(f"{fifo}: cannot be written: {reason_of(error)}") from error
     timing = LineTiming(devices)
     with pipe:
-        # This may take minutes. Wireshark ends it by SIGTERM, so it is not within interruptible().
+        # Finding the settings of the line may take minutes. Wireshark ends it by SIGTERM, so this
+        # must not be within interruptible(), which would delay the end.
         try:
             (line,) = timing.given(with_settings([link], say))
         except KeyboardInterrupt:

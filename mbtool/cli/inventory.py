@@ -1,4 +1,4 @@
-"""mbtool inventory: who is in captures, and what is new."""
+"""mbtool inventory: list hosts, units and masters of captures, and what is new among them."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 class InventoryFormat(StrEnum):
-    """How an inventory is printed."""
+    """The form in which an inventory is printed."""
 
     TABLE = "table"
     JSON = "json"
@@ -119,7 +119,7 @@ def inventory(
     if baseline and chosen in _WITHOUT_CHANGES:
         raise UsageError("--baseline goes with --format table, json and csv")
     run = InventoryRun(files, options)
-    # The output is opened only when everything is read, so that an error does not overwrite an
+    # The output is opened only after all inputs were read, so that an error does not overwrite an
     # older output.
     run.reading.demand_files()
     demand_new(path, overwrite=overwrite)
@@ -149,7 +149,7 @@ def _write(
     *,
     everything: bool,
 ) -> None:
-    """Write the inventory; in a table or CSV with a baseline, only the changes since it."""
+    """Write the inventory; with a baseline, a table or CSV has only the changes since it."""
     from mbtool.cli.console import PipeConsole
     from mbtool.views.inventory_changes import print_changes
     from mbtool.views.inventory_cyclonedx import inventory_cyclonedx

@@ -1,4 +1,4 @@
-"""The keys that control a player, and the one line that shows its progress."""
+"""The keys that control a replay, and the line that shows its progress."""
 
 # Keys are read only if standard input is a terminal and this program is in its foreground: the
 # system would stop a background program that changes the settings of a terminal. While keys are
@@ -52,7 +52,7 @@ _ERASE = "\r\x1b[K"
 
 
 class Keyboard:
-    """The keys of a terminal, and the line of progress on it."""
+    """The keys of a terminal, and the line on it that shows the progress of a replay."""
 
     def __init__(self, descriptor: int, out: TextIO) -> None:
         self._descriptor = descriptor
@@ -64,7 +64,10 @@ class Keyboard:
         self.has_quit = False
 
     def controls(self) -> Sequence[Control]:
-        """The keys pressed since the last call; really checked only once in 30 ms."""
+        """Return the commands of the keys pressed since the last call.
+
+        The terminal is read at most every 30 ms.
+        """
         now_s = time.monotonic()
         if not self._is_open or now_s - self._looked_s < _LOOK_S:
             return ()
@@ -91,7 +94,7 @@ class Keyboard:
         self._is_drawn = True
 
     def wipe(self) -> None:
-        """Erase the line of progress."""
+        """Erase the line that shows the progress."""
         if self._is_drawn:
             self._write(_ERASE)
             self._is_drawn = False
@@ -104,7 +107,7 @@ class Keyboard:
 
 @contextmanager
 def keyboard() -> Iterator[Keyboard | None]:
-    """Yield the keyboard while the context is open; None if there is no terminal."""
+    """Read keys from the terminal while the context is open; yield None if there is no terminal."""
     try:
         import termios
         import tty
@@ -135,7 +138,7 @@ def controlled() -> Iterator[tuple[Keyboard | None, Callable[[], bool]]]:
 
 
 def _terminal() -> int | None:
-    """The descriptor of standard input if it is a terminal with this program in the foreground."""
+    """Return the descriptor of standard input if it is a terminal with mbtool in the foreground."""
     try:
         descriptor = sys.stdin.fileno()
         is_ours = os.isatty(descriptor) and os.tcgetpgrp(descriptor) == os.getpgrp()
@@ -145,7 +148,7 @@ def _terminal() -> int | None:
 
 
 def _keys(text: str) -> Iterator[str]:
-    """Split what a terminal sent into keys: one character each, three for an arrow."""
+    """Split the text that a terminal sent into keys: one character each, three for an arrow."""
     place = 0
     while place < len(text):
         size = 3 if text[place : place + 3] in _CONTROLS else 1
@@ -154,7 +157,7 @@ def _keys(text: str) -> Iterator[str]:
 
 
 def progress_line(progress: Progress, width: int) -> str:
-    """The line that shows the progress of a player, with as much about the keys as has room."""
+    """Return the line that shows the progress of a replay, and names the keys if there is room."""
     text = _progress_text(progress)
     keys = next((keys for keys in KEYS if len(text) + 3 + len(keys) <= width), "")
     return f"{text}   {keys}".rstrip()[:width]

@@ -8,5 +8,5 @@ from mbtool.cli import exit_codes
 
 
 def leave(*_: object) -> None:
-    """End at once, without a message, even in the middle of an import."""
+    """End the process at once, without a message, even in the middle of an import."""
     os._exit(exit_codes.INTERRUPTED)

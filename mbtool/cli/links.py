@@ -37,7 +37,7 @@ def links(
     if not ports:
         say("no serial ports here; without hardware, mbtool line lays a virtual serial line")
     elif ports[0].unseen_processes:
-        # Not even root may examine the processes outside its container.
+        # In a container, not even root may examine the processes outside of it.
         hint = "" if _is_root() else "; sudo shows the ports that they hold"
         say(f"processes that could not be examined: {ports[0].unseen_processes}{hint}")
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def heard_ports(links: Sequence[LinkSpec], options: PortOptions) -> TcpPorts:
-    """The TCP ports of --port and --rtu-port; 502 if --port names none.
+    """Return the TCP ports of --port and --rtu-port; 502 if --port names none.
 
     Raises UsageError for a text that is no port, and for a port that both options name.
     """
@@ -41,9 +41,10 @@ def allowed_networks(
     networks: Sequence[str] | None,
     connections: ConnectionOptions | None = None,
 ) -> AllowedPeers:
-    """The networks whose masters a tap accepts, and the limits of their connections.
+    """Return the networks whose masters a tap accepts, and the limits of their connections.
 
-    Raises UsageError for a text that is no network, and if there are networks or limits but no tap.
+    Raises UsageError for a text that is no network, and if networks or limits are given without a
+    tap.
     """
     from mbtool.core import TapLink, UsageError
     from mbtool.ports.allowed_peers import AllowedPeers
@@ -61,7 +62,10 @@ def allowed_networks(
 
 
 def read_only_taps(links: Sequence[LinkSpec], ports: TcpPorts) -> list[LinkSpec]:
-    """The links, with each tap made read-only. Raises UsageError if there is no tap."""
+    """Return the links, with each tap made read-only: it refuses requests that write.
+
+    Raises UsageError if no link is a tap.
+    """
     from mbtool.core import TapLink, UsageError
 
     if not any(isinstance(one, TapLink) for one in links):
@@ -84,9 +88,9 @@ def sniffer_of(
     *,
     reconnects: bool = False,
 ) -> Sniffer:
-    """Make a sniffer that gives `on_remark` a message when something goes wrong.
+    """Make a sniffer that calls `on_remark` with a message when something goes wrong.
 
-    Without `on_remark`, the message is printed.
+    Without `on_remark`, the message is printed. `begin` opens the log.
     """
     from mbtool.cli.talk import say
     from mbtool.decode.decoder import Decoder

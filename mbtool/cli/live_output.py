@@ -1,8 +1,9 @@
-"""Prints records of a recording that must not wait for the reader of its output."""
+"""Prints the records of a live recording without waiting for the reader of the output."""
 
 # Text goes through a queue (view_queue.py). While the queue is full, whole rows are left out and
-# counted; the count is said before the next row. If the reader leaves, as `head` does, and a log
-# keeps the records, the recording goes on; without a log it ends with BrokenPipeError.
+# counted; the number is printed before the next row. If the reader closes the output, as `head`
+# does, and a log keeps the records, the recording goes on; without a log it ends with
+# BrokenPipeError.
 
 from __future__ import annotations
 
@@ -43,7 +44,7 @@ class LiveOutput(RecordOutput):
     ) -> None:
         """`is_kept` is True if a log keeps the records; with `is_silent` they are only counted.
 
-        `is_hurried` is True once the user has asked for the end of the command.
+        `is_hurried` returns True once the user has asked for the end of the command.
         """
         queue = unwaited(file)
         super().__init__(queue, name, make_printer, events, wanted, limit, order)
@@ -52,7 +53,7 @@ class LiveOutput(RecordOutput):
         self._is_hurried = is_hurried
         self._has_reader = not is_silent
         self._not_shown = 0
-        """Number of records left out since the last one that was shown."""
+        """Number of records left out since the last one that was printed."""
 
     def wait(self) -> None:
         if self._has_reader:
@@ -84,7 +85,10 @@ class LiveOutput(RecordOutput):
             say(f"mbtool: {self._name} takes no text, so the last rows are not shown")
 
     def _write(self, *writes: Callable[[], None]) -> None:
-        """Write, unless the reader has left. Raises BrokenPipeError if it leaves without a log."""
+        """Call the functions that write, unless the reader has closed the output.
+
+        Raises BrokenPipeError if the reader closes it and no log keeps the records.
+        """
         if not self._has_reader:
             return
         try:
@@ -92,7 +96,7 @@ class LiveOutput(RecordOutput):
                 for write in writes:
                     write()
         except (BrokenPipeError, OutputError) as error:
-            # A terminal that is gone gives EIO instead of EPIPE.
+            # A closed terminal gives EIO instead of EPIPE.
             is_gone = isinstance(error, BrokenPipeError) or _number(error) == errno.EIO
             if not self._is_kept or not is_gone:
                 raise
@@ -101,6 +105,6 @@ class LiveOutput(RecordOutput):
 
 
 def _number(error: OutputError) -> int | None:
-    """The system's error number behind an error."""
+    """Return the system's error number (errno) that caused an OutputError, or None."""
     cause = error.__cause__
     return cause.errno if isinstance(cause, OSError) else None

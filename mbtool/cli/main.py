@@ -1,11 +1,11 @@
-"""The command line: mbtool COMMAND."""
+"""The entry of the command line: mbtool COMMAND."""
 
 # Each command has a file of its own, named by command_table.py. It imports other modules only when
 # it runs, calls a workflow and prints the result. Only this file turns errors into a line and an
 # exit code.
 #
-# The collector of cyclic garbage runs less often than usual: a decoder makes many objects, and few
-# cycles among them. stats of a large file then takes 7 % less time.
+# Python's collector of cyclic garbage runs less often than usual: a decoder makes many objects, and
+# few cycles among them. stats of a large file then takes 7 % less time.
 #
 # Help is printed without the library rich, which would take words in brackets as markup.
 
@@ -35,11 +35,11 @@ from mbtool.core import InputError, LinkError, MbtoolError, OutputError
 from mbtool.version import __version__
 
 _WRITE_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EBADF, errno.EFBIG)
-"""Why the system refuses to write to a file that is open."""
+"""The errno values with which the system refuses to write to a file that is already open."""
 
 
 class _Root(TyperGroup):
-    """The group of all commands, each loaded when it is asked for."""
+    """The group of all commands, each loaded when it is called."""
 
     def __init__(self, **attributes: Any) -> None:
         super().__init__(**attributes)
@@ -66,7 +66,7 @@ def _version(wanted: bool) -> None:
 
 
 _NEW_OBJECTS = 20_000
-"""The collector runs when there are so many more objects that can be part of a cycle."""
+"""The garbage collector runs when there are this many more objects that can be part of a cycle."""
 
 
 @app.callback(invoke_without_command=True)
@@ -96,10 +96,10 @@ def main() -> None:
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     # During the command, SIGTERM and SIGHUP (the terminal is gone) interrupt like Ctrl-C, so the
-    # command completes its open files. After the command no file is open. They then end the process
-    # at once. Ctrl-C is ignored, since it could interrupt the interpreter's exit and replace the
-    # command's exit code. SIGHUP stays ignored under nohup.
-    hangup = getattr(signal, "SIGHUP", signal.SIGINT)  # Windows has none.
+    # command completes its open files. After the command no file is open, so these signals end the
+    # process at once. Ctrl-C is ignored then, since it could interrupt the interpreter's exit and
+    # replace the command's exit code. SIGHUP stays ignored under nohup.
+    hangup = getattr(signal, "SIGHUP", signal.SIGINT)  # Windows has no SIGHUP.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     for number in (signal.SIGINT, hangup):
         if signal.getsignal(number) is not signal.SIG_IGN:
@@ -128,13 +128,13 @@ def _open_standard_descriptors() -> None:
 
 
 def run(arguments: list[str]) -> int:
-    """Run one command; returns its exit code."""
+    """Run one command, flush standard output, and return the exit code."""
     code = _told(arguments)
     try:
         sys.stdout.flush()
     except OSError as error:
-        # Redirect standard output to nowhere. Otherwise the interpreter would flush it when it
-        # ends, and fail again.
+        # Redirect standard output to nowhere. Otherwise the interpreter would flush it again when
+        # it ends, and fail again.
         with suppress(OSError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         if not isinstance(error, BrokenPipeError) and code != exit_codes.UNREADABLE:
@@ -143,7 +143,7 @@ def run(arguments: list[str]) -> int:
 
 
 def _told(arguments: list[str]) -> int:
-    """Run one command and print its error; returns the exit code."""
+    """Run one command and print its error, if any; return the exit code."""
     root = get_command(app)
     try:
         with root.make_context("mbtool", arguments) as context:
@@ -185,12 +185,12 @@ _ELSEWHERE = {
     "--baudrate": _SETTINGS,
     "--parity": _SETTINGS,
 }
-"""By an option that other programs have and the command does not: what does the same here, by the
-option of the command that does it; "" where it is no option."""
+"""Advice on options that other programs have. The key is such an option; the value maps an option
+of the called command to the advice to use it, and "" to advice that needs no option."""
 
 
 def _elsewhere(option: str | None, context: typer.Context | None) -> str | None:
-    """The advice for an option that the command does not have; None if there is none."""
+    """Return the advice for an option that the command does not have; None if there is none."""
     parameters = context.command.params if context is not None else []
     own = {name for one in parameters for name in one.opts} | {""}
     return next(
@@ -199,7 +199,7 @@ def _elsewhere(option: str | None, context: typer.Context | None) -> str | None:
 
 
 def _usage(error: typer.TyperException, command: str) -> str:
-    """The message for a wrong command line; it names the --help that shows the right usage."""
+    """Return the message for a wrong command line; it names the --help that lists the options."""
     message = error.format_message().replace("Value error, ", "").rstrip(".")
     context = getattr(error, "ctx", None)
     where = context.command_path if context is not None else command
@@ -213,7 +213,10 @@ def _usage(error: typer.TyperException, command: str) -> str:
 
 
 def _refused(error: OSError) -> int:
-    """Print an error of the operating system, usually of writing to standard output."""
+    """Print an error of the operating system, usually from writing to standard output.
+
+    Returns the exit code.
+    """
     if error.errno in (errno.EMFILE, errno.ENFILE):
         message = "too many files are open; allow more with `ulimit -n 1024`"
     elif error.errno == errno.ENOENT and not _has_folder():
@@ -234,6 +237,6 @@ def _has_folder() -> bool:
 
 
 def _fail(message: str, code: int) -> int:
-    """Print an error as one line; returns the exit code."""
+    """Print an error as one line; return `code`, the exit code."""
     say(f"mbtool: {' '.join(message.split())}", is_error=True)
     return code

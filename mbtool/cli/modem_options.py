@@ -1,4 +1,4 @@
-"""The options for DTR and RTS of the ports of serial lines."""
+"""The options for the modem lines DTR and RTS of serial ports."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class LineChoice(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class ModemOptions(OptionGroup):
-    """The states that DTR and RTS get when a port is opened to listen."""
+    """The states that DTR and RTS get when a serial port is opened to listen."""
 
     dtr: Annotated[
         LineChoice | None,
@@ -38,7 +38,10 @@ class ModemOptions(OptionGroup):
     rts: Annotated[LineChoice | None, typer.Option("--rts", help="The same for RTS.")] = None
 
     def on(self, links: Sequence[LinkSpec]) -> list[LinkSpec]:
-        """The links, with what was chosen. Raises UsageError if there is no serial line."""
+        """Return the links, with the chosen states of DTR and RTS in the serial lines.
+
+        Raises UsageError if states are chosen but no link is a serial line.
+        """
         from mbtool.core import SerialLink, UsageError
         from mbtool.core.modem_lines import ModemLine, ModemLines
 

@@ -22,15 +22,15 @@ if TYPE_CHECKING:
 class OptionGroup:
     """Base class of groups of options. A subclass has one field for each option.
 
-    A field is annotated like a parameter of a command, and has a default. `heading` stands above
-    the options in the help.
+    A field is annotated like a parameter of a command, and has a default. In the help, `heading`
+    stands above the group's options.
     """
 
     heading: ClassVar[str] = "Options"
 
 
 def takes_groups(command: Callable[..., None]) -> Callable[..., None]:
-    """Return the command with each of its groups replaced by options: one for each field."""
+    """Return the command with each parameter of type OptionGroup replaced by its options."""
     types = get_type_hints(command, include_extras=True)
     groups: dict[str, type[OptionGroup]] = {}
     parameters: list[Parameter] = []
@@ -70,13 +70,13 @@ def _parameters_of(group: type[OptionGroup]) -> list[Parameter]:
 
 
 def _heading(group: type[OptionGroup], name: str) -> str:
-    """The heading of the class that has the field, which may be a base of the group."""
+    """Return the heading of the class that defines the field, which may be a base of the group."""
     owner = next(one for one in group.__mro__ if name in vars(one).get("__annotations__", ()))
     return owner.heading if issubclass(owner, OptionGroup) else group.heading
 
 
 def _under(heading: str, annotation: Any) -> Any:
-    """An annotation whose option stands below a heading in the help, unless it names another."""
+    """Return the annotation with `heading` above its option in the help, unless it has one."""
     type_, *rest = get_args(annotation)
     options = [copy(one) for one in rest]
     for option in options:

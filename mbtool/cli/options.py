@@ -24,7 +24,7 @@ _TCP_PORTS = range(1, 0x10000)
 
 
 class Format(StrEnum):
-    """How records are printed."""
+    """The form in which records are printed."""
 
     TABLE = "table"
     JSONL = "jsonl"
@@ -33,7 +33,7 @@ class Format(StrEnum):
 
 
 class SortKey(StrEnum):
-    """The order of rows: by latency the slowest first, by all others the least first."""
+    """The order of rows: by latency the slowest first, by all other keys the least first."""
 
     TIME = "time"
     LATENCY = "latency"
@@ -44,7 +44,7 @@ class SortKey(StrEnum):
 
 
 class EventChoice(StrEnum):
-    """Which wire events are printed."""
+    """Which wire events are printed: none, those about failures, or connections too."""
 
     NONE = "none"
     TROUBLE = "trouble"
@@ -146,7 +146,7 @@ class TcpPorts(NamedTuple):
 
     @property
     def expected(self) -> frozenset[int] | None:
-        """The ports that should carry Modbus; None if mbtool looks at no others."""
+        """With `any_port`, the ports on which Modbus is no surprise; otherwise None."""
         from mbtool.core.link_spec import MODBUS_PORT
 
         if not self.any_port:
@@ -156,7 +156,7 @@ class TcpPorts(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class PortOptions(OptionGroup):
-    """The TCP ports of slaves."""
+    """The options --port and --rtu-port: the TCP ports of slaves."""
 
     heading: ClassVar[str] = "Ports and lines"
 
@@ -219,7 +219,7 @@ class SourceOptions(PortOptions):
         raw: bool = False,
         silences: SilenceOptions | None = None,
     ) -> ReadingOptions:
-        """Combine these options with others of the same command.
+        """Combine these options with the values of --device, --raw and the silences.
 
         Raises UsageError for a text that is not understood, ProfileError for a profile that is not
         found or is wrong.
@@ -242,7 +242,7 @@ class SourceOptions(PortOptions):
 
 @dataclass(frozen=True, slots=True)
 class SilenceOptions(OptionGroup):
-    """Silences of serial lines, in place of those that follow from baud rate and format."""
+    """The silences of serial lines, in place of those that follow from baud rate and format."""
 
     heading: ClassVar[str] = "Timing of serial lines"
 
@@ -277,9 +277,9 @@ class SilenceOptions(OptionGroup):
     ] = None
 
     def read(self) -> tuple[Silence | None, Silence | None, Silence | None]:
-        """Read t1.5, t3.5 and the response timeout; each is None if it was not given.
+        """Read t1.5, t3.5 and the response timeout, in this order; None for those not given.
 
-        Raises UsageError for a text that is no silence.
+        Raises UsageError for a text that is no duration.
         """
         return (
             _silence("--t1-5", self.t1_5),
@@ -321,7 +321,7 @@ class TableOptionGroup(OptionGroup):
     ] = False
 
     def read(self) -> TableOptions:
-        """The chosen options. Raises UsageError for a name that is no column."""
+        """Return the chosen options. Raises UsageError for a name that is no column."""
         names = [] if self.columns is None else [one.strip() for one in self.columns.split(",")]
         wrong = [one for one in names if one not in set(TableColumn)]
         if wrong:
@@ -341,7 +341,7 @@ def _tcp_port(option: str, text: str, others: str = "") -> int:
 
 
 def assignments(devices: Sequence[str] | None) -> Assignments:
-    """Load the profiles of --device.
+    """Load the profiles that --device assigns to slaves.
 
     Raises UsageError for a text that is not WHO=PROFILE, ProfileError for a profile that is not
     found or is wrong.
@@ -352,7 +352,7 @@ def assignments(devices: Sequence[str] | None) -> Assignments:
 
 
 def condition(where: str | None) -> Where:
-    """The filter of --where; without it every transaction passes.
+    """Return the filter of --where as a function; without --where every transaction passes.
 
     Raises UsageError for an expression that is wrong or can never be true.
     """
@@ -364,7 +364,10 @@ def condition(where: str | None) -> Where:
 
 
 def file_line(text: str | None) -> LineSettings | None:
-    """The serial line of --link. Raises UsageError for a text that is no serial line."""
+    """Parse --link, the serial line of a file's bytes.
+
+    Raises UsageError for a text that is no line.
+    """
     if text is None:
         return None
     from mbtool.core import parse_line

@@ -1,4 +1,4 @@
-"""Prints records to standard output or a file, filtered, limited and counted."""
+"""Prints records (transactions and events) to standard output or a file: filtered and counted."""
 
 from __future__ import annotations
 
@@ -82,7 +82,8 @@ class RecordOutput:
         self._limit = limit
         self._order = order
         self._held: list[tuple[Record, int]] = []
-        """Records with their numbers, held to be sorted at the end."""
+        """With an order: all records that passed the filter, with their numbers, to be sorted at
+        the end."""
         self._read = 0
         """The number of transactions so far, printed or not."""
         self._tally = Tally()
@@ -102,7 +103,7 @@ class RecordOutput:
         return not self._tally.transactions and not self._tally.events
 
     def add(self, record: Record) -> None:
-        """Print a record if it passes the filter."""
+        """Print a record if it passes the filter; with an order, keep it for `finish`."""
         if isinstance(record, WireEvent):
             if not self._wants(record):
                 return
@@ -121,11 +122,11 @@ class RecordOutput:
 
     @property
     def takes_tables(self) -> bool:
-        """True if `add_table` prints; else `add_lines` does, if the output is one of lines."""
+        """True if `add_table` prints transactions (Parquet); else `add_lines` or `add` does."""
         return isinstance(self._printer, ParquetPrinter)
 
     def add_table(self, table: Table) -> None:
-        """Print a table of transactions, without the filter and the limit."""
+        """Print a table of transactions, without applying the filter and the limit."""
         from mbtool.columns.table_counts import table_counts
 
         assert isinstance(self._printer, ParquetPrinter)
@@ -134,7 +135,7 @@ class RecordOutput:
             self._printer.print_table(table)
 
     def count(self, counts: TransactionCounts) -> None:
-        """Count transactions that are printed, or were printed by another process."""
+        """Count transactions that were printed as a table, or by another process."""
         self._read += counts.outcomes.total()
         self._tally.add_counts(counts)
 
@@ -143,18 +144,18 @@ class RecordOutput:
         return self._file.fileno()
 
     def is_written_elsewhere(self) -> None:
-        """Leave the Parquet file to another process."""
+        """Let another process write the Parquet file; this one only counts."""
         assert isinstance(self._printer, ParquetPrinter)
         self._printer.is_elsewhere = True
 
     @property
     def lines(self) -> LinesPrinter:
-        """The printer of an output of lines."""
+        """Return the printer of JSON lines or CSV; only for an output in one of these formats."""
         assert isinstance(self._printer, LinesPrinter)
         return self._printer
 
     def add_lines(self, batch: LineBatch) -> None:
-        """Print the lines of transactions, without the filter and the limit."""
+        """Print the lines of transactions and count them, without the filter and the limit."""
         self._tally.outcomes += batch.outcomes
         for record in batch.records:
             if not isinstance(record, WireEvent):
@@ -163,22 +164,25 @@ class RecordOutput:
         self.add_text(batch.text)
 
     def add_text(self, lines: str) -> None:
-        """Print lines that are not counted here."""
+        """Print lines whose transactions another process has counted."""
         with self.told_as_lost():
             self.lines.print_lines(lines)
 
     def told_as_lost(self) -> AbstractContextManager[None]:
-        """Turn an OSError into an OutputError that names this output; BrokenPipeError stays."""
+        """Turn an OSError in the context into an OutputError that names this output.
+
+        BrokenPipeError stays.
+        """
         return told_as_lost(self._name)
 
     def wait(self) -> None:
-        """Flush what has been printed, as the next record may take a while."""
+        """Flush the printed records, as the next record may take a while."""
         with told_as_lost(self._name):
             self._printer.pause()
             self._file.flush()
 
     def finish(self) -> None:
-        """Flush what has been printed, at the end."""
+        """Print records that were kept to be sorted, and flush the output."""
         if self._order is not None:
             held, self._held = self._held, []
             for record, number in sorted(held, key=SORTED[self._order]):
@@ -198,7 +202,7 @@ class RecordOutput:
                 raise
 
     def sentence(self) -> str:
-        """One sentence that counts the printed records."""
+        """Return one sentence that counts the printed records."""
         return self._tally.sentence()
 
     def _wants(self, event: WireEvent) -> bool:
@@ -230,13 +234,14 @@ def open_output(
 
     `demand_inputs` is called before the file is opened, so that an error in an input does not
     overwrite an older output. `is_kept` is True if a log keeps the records. With `order`, all
-    records are held, and printed in that order when the context ends. A file that exists is
-    replaced only with `overwrite`, and only when the new one holds all that could be read; with
-    `in_place` at once, for what is ended by Ctrl-C. `make_output` makes another output than
-    RecordOutput does, such as one that waits for no reader (live_output.py).
-    `if_interrupted` is said if Ctrl-C comes before the first record, except where an old file was
-    emptied. Raises UsageError if the file cannot be written or options contradict each other, and
-    OutputError if standard output is closed and no log keeps the records.
+    records are kept in memory, and printed in that order when the context ends. A file that exists
+    is replaced only with `overwrite`, and only when the new file holds all that could be read; with
+    `in_place` it is overwritten at once, for commands that only Ctrl-C ends. `make_output` makes
+    another output than RecordOutput, such as one that does not wait for its reader
+    (live_output.py). `if_interrupted` is printed if Ctrl-C comes before the first record, except
+    where an old file was emptied. Raises UsageError if the file cannot be written or options
+    contradict each other, and OutputError if standard output is closed and no log keeps the
+    records.
     """
     path = named_file(path)
     place = "" if path is None else f" -> {path}"
@@ -283,7 +288,7 @@ def open_output(
                 if stays:
                     say(f"{path} stays as it was")
                 raise
-            broken = error  # The rest of the inputs cannot be read; what could be is written.
+            broken = error  # The rest cannot be read; records so far are kept.
         else:
             output.finish()
         if is_summed:
@@ -293,7 +298,7 @@ def open_output(
 
 
 def _interrupted(output: RecordOutput, path: str | None, if_empty: str, *, stays: bool) -> str:
-    """The line for the user: Ctrl-C ended the command, and how much of the output is there."""
+    """Return the line that says that Ctrl-C ended the command, and how much was written."""
     if stays:
         return f"interrupted; {path} stays as it was"
     if output.is_empty:
@@ -304,7 +309,7 @@ def _interrupted(output: RecordOutput, path: str | None, if_empty: str, *, stays
 
 
 def named_file(path: str | None) -> str | None:
-    """The file of --output; None for standard output. Raises UsageError for a directory."""
+    """Return the file of --output; None for standard output. Raises UsageError for a directory."""
     if path is None or path == _STANDARD_OUTPUT:
         return None
     if os.path.isdir(path):
@@ -313,7 +318,7 @@ def named_file(path: str | None) -> str | None:
 
 
 def format_by_name(path: str | None, suffixes: Mapping[str, F], default: F) -> F:
-    """The format that the suffix of a file names; the default for standard output.
+    """Return the format that the suffix of a file names; the default for standard output.
 
     Raises UsageError if the suffix names no format.
     """
@@ -339,8 +344,9 @@ def opened(
 ) -> Iterator[tuple[TextIO, str]]:
     """Open a file or standard output; yield it with its name for messages.
 
-    The arguments are those of `open_output`. Raises UsageError if the file cannot be written,
-    OutputError if standard output is closed, and the errors of `demand_inputs` and `demand_new`.
+    The arguments mean the same as those of `open_output`. Raises UsageError if the file cannot be
+    written, OutputError if standard output is closed, and the errors of `demand_inputs` and
+    `demand_new`.
     """
     if path is None and not is_kept:
         demand_standard_output()
@@ -367,9 +373,9 @@ def demand_standard_output() -> None:
 
 
 def say_if_empty(reading: Reading) -> None:
-    """Print the reason if the files gave no transaction and no event.
+    """Print the reason if the files had no transaction and no event.
 
-    Raises InputError if they gave only events about data that cannot be decoded.
+    Raises InputError if they had only events about data that cannot be decoded.
     """
     reading.demand_readable()
     if reading.why_empty is not None:
@@ -377,7 +383,7 @@ def say_if_empty(reading: Reading) -> None:
 
 
 def demand_other_file(files: Sequence[str], output: str | None) -> None:
-    """Raise UsageError if the output is one of the inputs."""
+    """Raise UsageError if the output file is also one of the inputs."""
     for file in files:
         if output is not None and _is_same(file, output):
             raise UsageError(f"{output}: is an input and would be overwritten; name another file")
@@ -405,9 +411,9 @@ def told_as_lost(name: str) -> Iterator[None]:
 
 @contextmanager
 def verdict_kept(is_no: Callable[[], bool]) -> Iterator[None]:
-    """Keep exit code 1 for findings or differences, even if the reader closes the output.
+    """Keep exit code 1 for findings or differences, even if the reader closes the output early.
 
-    A reader such as head closes it early. `is_no` is True if there are findings or differences.
+    A reader such as `head` does that. `is_no` returns True if there are findings or differences.
     """
     try:
         yield

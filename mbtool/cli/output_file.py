@@ -1,4 +1,4 @@
-"""Opens the file of --output, and tells what an error leaves of it."""
+"""Opens the file of --output, and says what is left of it after an error."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ if TYPE_CHECKING:
 
 
 def is_old(path: str | None) -> bool:
-    """True if there is a file of that name, which is replaced when the new one is whole."""
+    """True if a file of that name exists; a new one replaces it only when it is complete."""
     return path is not None and os.path.isfile(path)
 
 
 @contextmanager
 def kept_told(path: str | None) -> Iterator[None]:
-    """If an input gives nothing that could replace an old file, say that it stays."""
+    """Say that an old file stays as it was if the inputs give nothing to replace it with."""
     has_old = is_old(path)
     try:
         yield
@@ -38,7 +38,7 @@ def open_file(path: str | None, *, in_place: bool) -> Iterator[TextIO]:
     """Open a file to write text to; standard output if `path` is None.
 
     A file of that name is replaced when the context ends, and stays if it ends by an error; with
-    `in_place` it is written over at once. Raises UsageError if the file cannot be opened.
+    `in_place` it is overwritten at once. Raises UsageError if the file cannot be opened.
     """
     if path is None:
         yield sys.stdout
@@ -52,7 +52,7 @@ def open_file(path: str | None, *, in_place: bool) -> Iterator[TextIO]:
 
 @contextmanager
 def _open_for(path: str, place: Path) -> Iterator[TextIO]:
-    """Open a file; messages call it `path`."""
+    """Open the file `place` for text; error messages call it `path`."""
     try:
         file = place.open("w", encoding="utf-8", newline="")
     except OSError as error:
@@ -66,7 +66,10 @@ def _open_for(path: str, place: Path) -> Iterator[TextIO]:
 
 @contextmanager
 def _left_if_begun(path: str) -> Iterator[None]:
-    """If an error ends the context, delete a new file that stayed empty; say if it ends early."""
+    """If an error ends the context, delete a new file that is empty.
+
+    If the file has content, the error message says that it ends early.
+    """
     is_new = not os.path.lexists(path)
     try:
         yield

@@ -1,4 +1,4 @@
-"""mbtool plot: values over time, in the terminal or as a picture."""
+"""mbtool plot: show values over time, in the terminal or as a picture."""
 
 from __future__ import annotations
 
@@ -116,13 +116,16 @@ def plot(
 
 
 def _divided(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
-    """The files, and what to plot: it begins with the first argument that is no file."""
+    """Return the files, and the references to plot.
+
+    The references begin with the first argument that is no existing file.
+    """
     at = next((at for at, one in enumerate(arguments) if at and not os.path.exists(one)), None)
     return list(arguments[:at]), [] if at is None else list(arguments[at:])
 
 
 def _picture(output: str) -> str:
-    """The format that the suffix of a file names."""
+    """Return the picture format that the suffix of a file names: `png`, `svg` or `pdf`."""
     from mbtool.core import UsageError
 
     found = _SUFFIXES.get(os.path.splitext(output)[1].lower())
@@ -187,7 +190,10 @@ def _print(
 
 
 def _size(console: Console, charts: int, others: int) -> PlotSize:
-    """Charts that fill a terminal, as far as `others` lines leave room; of one height in a pipe."""
+    """Return a size of charts that fills the terminal together with `others` lines.
+
+    On a pipe, all charts have the same height.
+    """
     from mbtool.views.plot_lines import LEAST_ROWS, MOST_ROWS, PlotSize
 
     unicode = console.encoding.startswith("utf") and os.environ.get("TERM") != "dumb"

@@ -1,4 +1,4 @@
-"""mbtool poll: read again and again, and show what changes."""
+"""mbtool poll: read from a slave again and again, and show what changes."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def poll(
 
 
 class Polling:
-    """Sends the same requests once in a period, and prints what came of them."""
+    """Sends the same requests once in each period, and prints their transactions."""
 
     def __init__(
         self,
@@ -81,7 +81,7 @@ class Polling:
         *,
         is_table: bool,
     ) -> None:
-        """`changes` is None to print every answer."""
+        """`changes` finds values that differ from the last response; None prints every response."""
         self._asker = asker
         self._out = out
         self._requests = requests
@@ -90,9 +90,9 @@ class Polling:
         self._is_table = is_table
 
     def run(self, interrupt: Interrupt, period_ns: int, count: int | None) -> None:
-        """Poll until Ctrl-C, or for `count` rounds.
+        """Poll until Ctrl-C, or for `count` rounds; `period_ns` is the time between two rounds.
 
-        A round that takes longer than the period delays the next one; those missed are left out.
+        A round that takes longer than the period delays the next one; missed rounds are left out.
         """
         due_ns = time.monotonic_ns()
         rounds = 0
@@ -123,7 +123,7 @@ class Polling:
 
 
 def _period_ns(text: str) -> int:
-    """Read --every. Raises UsageError for a text that is no time of 1 ms or longer."""
+    """Return --every in ns. Raises UsageError for a text that is no time of 1 ms or longer."""
     from mbtool.core import UsageError
     from mbtool.core.moments import parse_moment
 

@@ -1,4 +1,4 @@
-"""Prints records as a table, JSON lines or CSV."""
+"""Prints records (transactions and events) as a table, JSON lines, CSV or Parquet."""
 
 from __future__ import annotations
 
@@ -34,13 +34,16 @@ class Printer(ABC):
         """Print buffered rows now, as the next record may take a while."""
 
     def flush(self) -> None:  # noqa: B027
-        """Print buffered rows now, as no other record comes."""
+        """Print buffered rows at the end, after the last record."""
 
 
 def printer_for(
     format_: Format, file: TextIO, profile_for: ProfileFor, table: TableOptions | None = None
 ) -> Printer:
-    """A printer to a file in a format; `profile_for` gives the device profile of a transaction."""
+    """Return a printer to a file in a format.
+
+    `profile_for` returns the device profile for a transaction; `table` has the options of a table.
+    """
     match format_:
         case Format.TABLE:
             return _TablePrinter(file, profile_for, table)
@@ -72,7 +75,7 @@ class _TablePrinter(Printer):
 
 
 class LinesPrinter(Printer):
-    """Prints each transaction as a line of text that depends on nothing before it."""
+    """Prints each transaction as one line, whose text does not depend on earlier lines."""
 
     format: Format
     separator: str
@@ -83,10 +86,10 @@ class LinesPrinter(Printer):
 
     @abstractmethod
     def line_of(self, transaction: NamedTransaction) -> str:
-        """The line of a transaction."""
+        """Return the text of a transaction's line."""
 
     def print_lines(self, lines: str) -> None:
-        """Print the lines of some transactions."""
+        """Print lines that are already made, each with its line end."""
         self._file.write(lines)
 
 
@@ -126,7 +129,7 @@ class ParquetPrinter(Printer):
     def __init__(self, file: TextIO) -> None:
         self._file = file
         self.is_elsewhere = False
-        """True if another process writes the file."""
+        """True if another process writes the file; then this printer must not close it."""
 
     @cached_property
     def _rows(self) -> ParquetRows:
@@ -139,7 +142,7 @@ class ParquetPrinter(Printer):
             self._rows.write(record)
 
     def print_table(self, table: Table) -> None:
-        """Print a table of transactions."""
+        """Print a table (columns of many transactions)."""
         self._rows.write_table(table)
 
     def flush(self) -> None:
@@ -150,7 +153,7 @@ class ParquetPrinter(Printer):
 def demand_columns(what: str = "--format parquet", extra: str = "columns") -> None:
     """Raise UsageError if the packages that Parquet needs are not installed.
 
-    The error says that `what` needs `extra`.
+    The error says that `what`, an option, needs mbtool's extra named `extra`.
     """
     if any(find_spec(name) is None for name in ("numpy", "pyarrow")):
         from mbtool.core.extras import missing_extra

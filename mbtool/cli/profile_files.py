@@ -1,4 +1,4 @@
-"""Reads the files and writes the profiles of the commands `devices new, import, draft`."""
+"""Reads the inputs and writes the profiles of `mbtool devices new`, `import` and `draft`."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ OutputOption = Annotated[
 
 
 def profile_name(file: str, output: str | None) -> str | None:
-    """The profile's name after the file's; None if both are standard streams."""
+    """Return a profile name made from the name of the file; None if both are standard streams."""
     from mbtool.devices.profile_template import name_for
 
     return name_for(output or file) if _STANDARD not in (output or file,) else None
@@ -99,7 +99,7 @@ def write(file: str, text: str, suffixes: Sequence[str] = (_SUFFIX,)) -> None:
 
     demand_new(file, suffixes)
     try:
-        # Mode "x" does not overwrite a file that was made after the check of _demand_new.
+        # Mode "x" does not overwrite a file that was made after the check of demand_new.
         with Path(file).open("x", encoding="utf-8") as stream:
             stream.write(text)
     except OSError as error:

@@ -1,7 +1,7 @@
 """Shows a progress bar on standard error while a capture is read, if that is a terminal."""
 
 # The bar appears after a second, so that it does not flicker for a small file, and disappears when
-# everything is read. It moves as records come.
+# everything is read. It moves only when a record is read.
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ T = TypeVar("T")
 
 _APPEARS_S = 1.0
 _LOOK_EVERY = 100
-"""The clock is looked at once for so many records, and at each part of several rows."""
+"""The time is read only once for this many records, as that takes time; and for each block of
+several rows."""
 _PAUSE_S = 0.1
 """The bar is updated at most this often, in s."""
 

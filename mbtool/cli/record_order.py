@@ -1,4 +1,4 @@
-"""The orders in which records can be printed."""
+"""The sort keys for the orders in which records can be printed."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ SORTED: dict[SortKey, Callable[[tuple[Record, int]], Any]] = {
 
 
 def _latency_ns(record: Record) -> float:
-    """The negative latency in ns: sorting puts the slowest first, records without one last."""
+    """Return the negative latency in ns: sorting puts the slowest first, records without last."""
     latency_ns = _field_of(record, "latency_ns")
     return inf if latency_ns is None else -latency_ns
 
 
 def _field_of(record: Record, field: str) -> int | None:
-    """A field of a transaction; None for an event."""
+    """Return a field of a transaction; None for an event."""
     value: int | None = getattr(record, field, None)
     return value
 
 
 def start_ns(record: Record) -> int:
-    """The time by which records are put in order, in UTC ns."""
+    """Return the time by which records are sorted, in ns since 1970."""
     return record.ts_ns if isinstance(record, WireEvent) else record.start_ns

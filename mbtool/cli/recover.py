@@ -1,4 +1,4 @@
-"""mbtool recover: make a whole log of a damaged one."""
+"""mbtool recover: make a whole log from a damaged one."""
 
 from __future__ import annotations
 

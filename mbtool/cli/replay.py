@@ -1,4 +1,4 @@
-"""mbtool replay: play one side of a recording, or both."""
+"""mbtool replay: play the slaves, the master, or the whole bus of a recording."""
 
 from __future__ import annotations
 

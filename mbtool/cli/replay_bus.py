@@ -1,4 +1,4 @@
-"""mbtool replay --as-bus: send every byte of both sides to a serial line."""
+"""mbtool replay --as-bus: send every byte of master and slaves to a serial line."""
 
 from __future__ import annotations
 

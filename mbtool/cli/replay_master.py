@@ -1,4 +1,4 @@
-"""mbtool replay --as-master: send the recorded requests to a slave, and compare."""
+"""mbtool replay --as-master: send the recorded requests to a slave, and compare its responses."""
 
 from __future__ import annotations
 
@@ -37,7 +37,8 @@ def play_as_master(
 ) -> None:
     """Send the requests, and print which responses differ. Exits with 1 if one does.
 
-    The report is also written if the slave cannot be reached; then LinkError is raised.
+    `report_file` gets the result, even if the slave cannot be reached; then LinkError is raised.
+    `learn` gets the ranges of registers that differ.
     """
     if report_file is not None and report_file.suffix not in (".json", ".xml"):
         raise UsageError(f"--report {report_file}: name a .json file, or .xml for JUnit")
@@ -69,7 +70,7 @@ def play_as_master(
 
 
 def ranges_of(files: Sequence[Path]) -> list[str]:
-    """The ranges in files, one in each line; # begins a comment.
+    """Return the register ranges in files: one in each line; # begins a comment.
 
     Raises InputError if a file cannot be read as text.
     """

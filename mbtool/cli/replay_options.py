@@ -1,4 +1,4 @@
-"""The options of `mbtool replay`: those of each side that can be played, and those of all sides."""
+"""The options of `mbtool replay`: those for slave, master or bus only, and those for all."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _MAX_S = 1e9
 _MAX_SPEED = 1000
 """The greatest factor of --speed; the least is 1 / 1000."""
 _MAX_SPEED_CHARACTERS = 20
-"""The most characters of --speed. It becomes an exact fraction, slow to use with more digits."""
+"""The most characters of --speed. It becomes an exact fraction, which is slow with more digits."""
 
 
 # The values of MatchStrategy, OnMiss and OnEnd in replay/. They are repeated here because importing
@@ -40,7 +40,7 @@ EndChoice = Literal["last", "loop", "image", "silent"]
 
 @dataclass(frozen=True, slots=True)
 class SideOptions(OptionGroup):
-    """Which side is played, and on which link."""
+    """The options that choose the side to play (slaves, master or bus), and its links."""
 
     as_slave: Annotated[
         bool, typer.Option(AS_SLAVE, help="Answer a live master as the recorded slaves did.")
@@ -73,7 +73,7 @@ class SideOptions(OptionGroup):
     ] = None
 
     def side_and_links(self) -> tuple[str, list[str]]:
-        """The chosen side, and the texts of its links.
+        """Return the chosen side, such as `--as-slave`, and the texts of its links.
 
         Raises UsageError unless exactly one side is chosen with its own kind of link.
         """
@@ -96,7 +96,7 @@ class SideOptions(OptionGroup):
 
 @dataclass(frozen=True, slots=True)
 class AsSlaveOptions(OptionGroup):
-    """Options for --as-slave only."""
+    """The options for --as-slave only."""
 
     heading: ClassVar[str] = "As the slave"
 
@@ -153,7 +153,10 @@ class AsSlaveOptions(OptionGroup):
     ] = None
 
     def read(self, shared: dict[str, Any], *, is_loop: bool) -> SlaveOptions:
-        """Read the options. Raises UsageError if --loop and --on-end contradict each other."""
+        """Read the options; `shared` has those for all sides.
+
+        Raises UsageError if --loop and --on-end contradict each other.
+        """
         from mbtool.replay import MatchStrategy, OnEnd, OnMiss
         from mbtool.workflows.replay_slave import SlaveOptions
 
@@ -177,7 +180,7 @@ class AsSlaveOptions(OptionGroup):
 
 @dataclass(frozen=True, slots=True)
 class PaceOptions(OptionGroup):
-    """Options for every side: how fast, how often, and which part of the recording."""
+    """The options for every side: how fast, how often, and which part of the recording."""
 
     heading: ClassVar[str] = "Pace and part"
 
@@ -202,10 +205,10 @@ class PaceOptions(OptionGroup):
     def shared(
         self, reading: ReadingOptions, wanted: Callable[[NamedTransaction], bool]
     ) -> dict[str, Any]:
-        """Return the fields of PlayOptions by name.
+        """Return the options for every side as a dict: the fields of PlayOptions by name.
 
-        Raises UsageError for a speed that is not above 0, and for times that are out of range or
-        order.
+        Raises UsageError for a speed that is not a factor from 0.001 to 1000 or `max`, and for
+        times that are out of range or order.
         """
         return {
             "reading": reading,
@@ -251,7 +254,7 @@ class PaceOptions(OptionGroup):
 
 @dataclass(frozen=True, slots=True)
 class AsMasterOptions(OptionGroup):
-    """Options for --as-master only."""
+    """The options for --as-master only."""
 
     heading: ClassVar[str] = "As the master"
 
@@ -311,7 +314,10 @@ class AsMasterOptions(OptionGroup):
     ] = None
 
     def read(self, shared: dict[str, Any], *, is_loop: bool) -> MasterOptions:
-        """Read the options. Raises InputError if a file of ranges cannot be read."""
+        """Read the options; `shared` has those for all sides.
+
+        Raises InputError if a file of ranges cannot be read.
+        """
         from mbtool.cli.replay_master import ranges_of
         from mbtool.replay import Tolerance
         from mbtool.workflows.replay_master import MasterOptions
@@ -334,11 +340,11 @@ _SIDE_OF_OPTION = {
     "allow": AS_SLAVE,
     **dict.fromkeys([field.name for field in fields(AsMasterOptions)], AS_MASTER),
 }
-"""The only side that an option can be used with, by the name of the option's parameter."""
+"""The only side (--as-slave or --as-master) that allows an option, by the option's parameter."""
 
 
 def one_link(side: str, links: Sequence[str]) -> str:
-    """The only link of a side that has one. Raises UsageError if there are several."""
+    """Return the only link of a side that takes one. Raises UsageError if there are several."""
     from mbtool.core import UsageError
 
     if len(links) > 1:

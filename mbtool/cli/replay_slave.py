@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from mbtool.workflows.shared.slave_monitor import SlaveMonitor
 
 _NAME_WIDTH = 21
-"""The width of an IPv4 address and a port."""
+"""The width of an IPv4 address and a port, in characters."""
 
 
 def play_as_slave(
@@ -38,7 +38,8 @@ def play_as_slave(
 ) -> None:
     """Answer a live master as the recorded slaves did, until Ctrl-C.
 
-    `on` are the texts of --on. With `prints`, each exchange is shown.
+    `on` are the texts of --on: links, or links assigned to slaves. With `prints`, each request is
+    shown with its response.
     """
     site = SiteRun(file, on, options, say, with_progress)
     shown = Exchanges() if prints else None
@@ -60,11 +61,11 @@ def play_as_slave(
 
 
 class Exchanges:
-    """Shows the requests to all slaves, and their answers."""
+    """Prints the requests to all played slaves, and their responses."""
 
     def __init__(self) -> None:
         self._monitors: dict[str, SlaveMonitor] = {}
-        """By the name of the slave, which is the link of its rows."""
+        """The monitors by the name of the slave, which the printed rows show as their link."""
 
     def of(self, player: SitePlayer) -> OnExchange:
         from mbtool.workflows.shared.slave_monitor import SlaveMonitor
@@ -76,7 +77,7 @@ class Exchanges:
 
     @contextmanager
     def open(self) -> Iterator[None]:
-        """Open standard output for the rows."""
+        """Open standard output for the rows while the context is open."""
         from mbtool.cli.options import condition
         from mbtool.cli.output import open_output
 
@@ -102,7 +103,7 @@ class Exchanges:
 
 
 def _steer(keys: Keyboard, played: PlayedSite) -> None:
-    """Apply the user's keys to all slaves, and show how far they are."""
+    """Apply the keys that the user pressed to all slaves, and show the progress of the replay."""
     for control in keys.controls():
         for _, slave in played.played:
             slave.control(control)
@@ -112,7 +113,7 @@ def _steer(keys: Keyboard, played: PlayedSite) -> None:
 
 
 def _progress(each: Sequence[Progress], played: PlayedSite) -> Progress:
-    """The progress of all slaves: the farthest of them, and the requests to all."""
+    """Return the progress of the farthest slave, with the number of requests to all slaves."""
     farthest = max(each, key=lambda one: (one.lap, one.position_ns))
     if len(each) == 1:
         return farthest
@@ -139,14 +140,14 @@ def _requests(run: SlaveRun) -> str:
 
 
 def _say_places(played: PlayedSite) -> None:
-    """Say which slave answers where, if there are several."""
+    """If there are several slaves, print which of them answers on which link."""
     if len(played.played) > 1:
         for player, slave in played.played:
             say(f"{player.name}: {_requests(player.run)} on {slave.shell.place}")
 
 
 def _say_counts(played: PlayedSite) -> None:
-    """Say how many requests each slave got, and where their answers came from."""
+    """Print how many requests each slave got, and where their responses came from."""
     counts = [(player.name, slave.counts()) for player, slave in played.played]
     if not any(each.total() for _, each in counts):
         return

@@ -1,4 +1,4 @@
-"""mbtool report: all of some captures on one page, to hand over."""
+"""mbtool report: make one HTML page from captures, to hand over."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from mbtool.cli.options import (
 )
 
 _OTHER_SUFFIXES = (".pdf", ".docx", ".odt", ".md", ".txt", ".csv", ".json", ".xml")
-"""Suffixes with which other programs would take the page for something else."""
+"""Suffixes that are refused, as other programs would take the page for something else."""
 
 
 @takes_groups
@@ -105,7 +105,7 @@ def report(
     run.demand_codes()
     run.reading.demand_files()
     demand_new(path, overwrite=overwrite)
-    # The output is opened only when everything is read, so that an error does not overwrite an
+    # The output is opened only after all inputs were read, so that an error does not overwrite an
     # older page.
     with interruption_told(), kept_told(path):
         run.read(with_progress)

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
 _LOOK_EVERY_S = 0.2
 _SILENT_LOOKS = 50
-"""After a message about refused connections, the next such message comes at least so many rounds of
-the loop later (50 x 0.2 s = 10 s), as a refused master usually connects again at once."""
+"""After a message about refused connections, the next such message comes at least this many rounds
+of the loop later (50 x 0.2 s = 10 s), as a refused master usually connects again at once."""
 
 
 def serve(
@@ -28,10 +28,10 @@ def serve(
     look: Callable[[], None] = lambda: None,
     say_more: Callable[[], None] = lambda: None,
 ) -> None:
-    """Answer until Ctrl-C; `look` is called every 0.2 s and at the end.
+    """Answer requests until Ctrl-C; `look` is called every 0.2 s and at the end.
 
-    `say_more` is called once the shell has started, before the user is told so. Raises LinkError
-    when the link is lost, and the errors of `look`.
+    `say_more` is called after the shell (endpoint or serial line) has started, just before the
+    message that says so. Raises LinkError when the link is lost, and the errors of `look`.
     """
     with interruptible() as interrupt, shell:
         say_more()

@@ -1,4 +1,4 @@
-"""Tells the service manager and the log of the state of `sniff --service`."""
+"""Reports the state of `sniff --service` to the service manager, and to its log as heartbeats."""
 
 # docs/service.md describes the heartbeats, the messages and a unit for systemd.
 
@@ -18,10 +18,11 @@ if TYPE_CHECKING:
     from mbtool.workflows.sniff import Sniffer
 
 STATUS_NS = 10_000_000_000
-"""The time in ns between two statuses."""
+"""The time in ns between two status messages to the service manager."""
 STUCK_NS = 20_000_000_000
-"""A log that nothing was written to for so many ns, not even a tick, is stuck, as on a disk that
-does not answer. Then the manager gets no sign of life."""
+"""If nothing was written to the log for this many ns, not even a tick, the log is stuck, as on a
+disk that does not answer. Then the service manager gets no sign of life, so that it restarts the
+service."""
 
 
 class ServiceRun:
@@ -34,17 +35,17 @@ class ServiceRun:
         self._status_ns = self._alive_ns = 0
 
     def with_heartbeats(self, create: Callable[[], StatusLog]) -> HeartbeatLog:
-        """Create the log with `create`; the result adds heartbeats to it."""
+        """Create the log with `create`, and return it wrapped so that it also gets heartbeats."""
         self._log = HeartbeatLog(create(), self._lost_links, now_ns())
         return self._log
 
     def begin(self, sniffer: Sniffer) -> None:
-        """Tell the manager that the recording has begun."""
+        """Tell the service manager that the recording has begun."""
         self._sniffer = sniffer
         self._manager.ready(self._sentence())
 
     def look(self) -> None:
-        """Tell the manager what is due; called several times a second."""
+        """Send the service manager the messages that are due; called several times a second."""
         at_ns = monotonic_ns()
         if at_ns - self._status_ns >= STATUS_NS:
             self._status_ns = at_ns

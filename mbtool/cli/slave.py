@@ -1,4 +1,4 @@
-"""mbtool slave: answer as a device does."""
+"""mbtool slave: answer requests as a device does."""
 
 from __future__ import annotations
 
@@ -153,7 +153,7 @@ def _show(monitor: SlaveMonitor, out: RecordOutput) -> None:
 
 
 def _units(texts: Sequence[str]) -> tuple[int, dict[int, str]]:
-    """The unit of the first device, and the profiles of the others by unit.
+    """Return the unit of the first device, and the profile names of the other devices by unit.
 
     Raises UsageError for a text that is no unit, and if two devices have the same unit.
     """
@@ -187,7 +187,7 @@ def _units(texts: Sequence[str]) -> tuple[int, dict[int, str]]:
 
 
 def _images(texts: Sequence[str], own: int, others: dict[int, str]) -> dict[int, Path]:
-    """The files of values, by the unit of the device that each is for.
+    """Return the files of values by the unit of their device; `own` is the first device's unit.
 
     Raises UsageError for a unit without a device, and for a unit with two files.
     """

@@ -1,4 +1,4 @@
-"""mbtool sniff: listen on links, decode, log."""
+"""mbtool sniff: listen on links, decode and log what is heard."""
 
 from __future__ import annotations
 
@@ -166,7 +166,7 @@ def sniff(
     specs = read_only_taps(specs, tcp_ports) if read_only else specs
     timing = LineTiming(devices, *silences.read())
     rotation = None if rotate is None else Rotation.parse(rotate)
-    # Finding the settings of a line may take minutes, so check for errors before that.
+    # Finding the settings of a line may take minutes, so errors are checked before that.
     serial_lines(specs)
     if write is not None:
         check_log_path(write, overwrite=overwrite)
@@ -210,8 +210,8 @@ def sniff(
             LiveOutput, is_kept=write is not None, is_hurried=is_hurried, is_silent=service
         )
         opened.enter_context(sniffer)
-        # The sniffer is opened first and closed first: the log is complete before the output waits
-        # for its reader.
+        # The sniffer is opened first and closed first: so the log is complete before the command
+        # waits for the reader of its output.
         with (
             open_output(
                 None,
@@ -247,7 +247,10 @@ def _end(
     tell_suspension: Callable[[], None],
     run: ServiceRun | None,
 ) -> Callable[[int], bool]:
-    """Return a function that takes the time in ns and returns True if the run must end."""
+    """Return a function that takes the time in ns and returns True if the run must end.
+
+    The function also flushes the output, and sends messages of the service that are due.
+    """
     from mbtool.ports.clock import now_ns
 
     end_ns = inf if duration_s is None else now_ns() + duration_s * 1e9
@@ -270,7 +273,7 @@ def _show(
     ends: Callable[[int], bool],
     is_hurried: Callable[[], bool],
 ) -> None:
-    """Print records as they come, with messages about models of devices and unreadable lines."""
+    """Print records as they come, and remarks on device models and on lines that cannot be read."""
     from mbtool.cli.talk import say
     from mbtool.workflows.shared.model_hints import ModelHints
     from mbtool.workflows.shared.unreadable_lines import UnreadableLines

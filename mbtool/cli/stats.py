@@ -1,4 +1,4 @@
-"""mbtool stats: what is polled, how fast, what fails, and what the time of a line goes into."""
+"""mbtool stats: show what is polled, how fast, what fails, and how a line's time is spent."""
 
 from __future__ import annotations
 
@@ -35,11 +35,13 @@ if TYPE_CHECKING:
     from mbtool.workflows.stats import LiveStatistics
 
 _LINK_KINDS = ("rtu:", "ascii:", "net:", "tap:", "rtutap:", "tcp:", "rtu+tcp:")
-"""How a LINK begins; the message for one that cannot be heard says so."""
+"""The beginnings of a LINK. tcp: and rtu+tcp: are among them although stats cannot listen on these:
+the error message then says so."""
 REFRESH_NS = 1_000_000_000
-"""The least time between two refreshes of the view of a live link, in ns."""
+"""The least time between two refreshes of the figures of a live link, in ns."""
 REFRESH_SHARE = 10
-"""A pause is at least so many times as long as the refresh took, so that listening comes first."""
+"""The pause between two refreshes is at least this many times as long as a refresh takes, so that
+decoding comes first."""
 
 
 @takes_groups
@@ -101,7 +103,7 @@ def stats(
 
 
 def is_link(text: str) -> bool:
-    """True for a link, False for a file, also if its name begins like a link."""
+    """True if the text is a link. A file is none, even if its name begins like one."""
     return text.startswith(_LINK_KINDS) and not os.path.exists(text)
 
 
@@ -115,7 +117,7 @@ class _Shown:
     top: int | None
 
     def print(self, statistics: Statistics) -> None:
-        """Print the result to standard output; raises OutputError if it cannot be written."""
+        """Print the statistics to standard output. Raises OutputError if it cannot be written."""
         from mbtool.cli.console import PipeConsole
         from mbtool.cli.output import told_as_lost
         from mbtool.overview.statistics_report import report
@@ -136,7 +138,7 @@ class _Shown:
             sys.stdout.flush()
 
     def lines(self, links: Sequence[LinkReport], console: Console) -> list[Text]:
-        """The lines for a console."""
+        """Return the lines that fit a console."""
         from rich.text import Text
 
         from mbtool.views.statistics_table import statistics_lines
@@ -193,7 +195,10 @@ def _listen(
     allow: list[str] | None,
     duration_s: float | None,
 ) -> None:
-    """Compute the statistics of links; show them each second on a terminal, and at the end."""
+    """Compute the statistics of links, and print them at the end.
+
+    On a terminal they are shown each second until then.
+    """
     from mbtool.cli.listening import allowed_networks, heard_ports, sniffer_of
     from mbtool.cli.options import assignments, condition
     from mbtool.cli.talk import Interrupted, interruptible, say

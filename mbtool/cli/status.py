@@ -1,4 +1,4 @@
-"""mbtool status: how a recording is doing."""
+"""mbtool status: show the state of a recording."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Messages to the user on standard error, and how a user stops a command."""
+"""Prints messages to standard error, and lets the user stop a command."""
 
 from __future__ import annotations
 
@@ -18,22 +18,23 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 PATIENCE_S = 0.5
-"""A recording waits so many seconds for standard error to take a message, and only once."""
+"""A recording waits at most this many seconds for standard error to take a message, and only
+once."""
 
 _wipes: list[Callable[[], None]] = []
 """Functions that erase lines that are redrawn in place, such as the progress line."""
 
 
 class _Waiting:
-    """Settings of `say` for a standard error that takes no text, as of a stopped terminal."""
+    """Says how long `say` waits if standard error takes no text, as on a stopped terminal."""
 
     patience_s: float | None = None
-    """Drop the message after so many seconds; None to wait for ever."""
+    """Drop the message after this many seconds; None to wait for ever."""
 
 
 @contextmanager
 def never_waiting() -> Iterator[None]:
-    """While the context is open, drop messages that standard error does not take."""
+    """While the context is open, drop messages that standard error does not take in time."""
     _Waiting.patience_s = PATIENCE_S
     try:
         yield
@@ -42,7 +43,7 @@ def never_waiting() -> Iterator[None]:
 
 
 def _has_room(timeout_s: float) -> bool:
-    """True if standard error takes text within the time, or if the system cannot tell."""
+    """True if standard error takes text within `timeout_s`, or if the system cannot tell."""
     try:
         return bool(select.select([], [sys.stderr.fileno()], [], timeout_s)[1])
     except (OSError, ValueError):  # Windows asks only sockets; a file in memory has no descriptor.
@@ -50,9 +51,10 @@ def _has_room(timeout_s: float) -> bool:
 
 
 def say(text: str, *, is_error: bool = False) -> None:
-    """Print a message to standard error, if it is still open; in systemd's journal, with its level.
+    """Print a message to standard error; in systemd's journal, with its level.
 
-    Characters that a terminal would obey, such as those in a file's name, are escaped.
+    Characters that a terminal would obey, such as those in a file's name, are escaped. Nothing
+    happens if standard error is closed.
     """
     for wipe in _wipes:
         wipe()
@@ -64,7 +66,7 @@ def say(text: str, *, is_error: bool = False) -> None:
 
 
 def _for_journal(text: str, *, is_error: bool) -> str:
-    """The level of a line as systemd reads it (sd-daemon(3)), if standard error is its journal."""
+    """Return the level prefix of a line (sd-daemon(3)); empty if standard error is no journal."""
     journal = os.environ.get("JOURNAL_STREAM")
     if not journal:
         return ""
@@ -100,9 +102,9 @@ def redrawn_line(wipe: Callable[[], None]) -> Iterator[None]:
 
 
 def _end_line_of_echo() -> None:
-    """Let what follows begin in a new line of the terminal, not behind the `^C` it has echoed.
+    """Begin a new line on the terminal, so that the next message is not behind the echoed `^C`.
 
-    Where a line is redrawn in place, its erasing removes the `^C` as well.
+    If a line is redrawn in place, erasing it removes the `^C` as well.
     """
     with suppress(OSError, ValueError, AttributeError):
         if sys.stderr.isatty() and not _wipes and _has_room(0.0):
@@ -110,7 +112,7 @@ def _end_line_of_echo() -> None:
 
 
 class Interrupt:
-    """The user's wish to stop the command, given by a signal (Ctrl-C, SIGTERM or SIGHUP)."""
+    """Notes that a signal (Ctrl-C, SIGTERM or SIGHUP) asks the command to stop."""
 
     # `ask` runs as a signal handler, at any line of the main thread, also while `wait` runs. So it
     # takes no lock that `wait` may hold: Event.set() would, and Ctrl-C could hang the program.
@@ -123,7 +125,7 @@ class Interrupt:
         self._woken.acquire()
 
     def wait(self, timeout_s: float) -> bool:
-        """Wait for a signal, at most `timeout_s` seconds. True if a signal has come."""
+        """Wait for a signal, at most `timeout_s` seconds. Returns True if one has come."""
         return self.asked or self._woken.acquire(timeout=timeout_s)
 
     def ask(self, number: int, _frame: FrameType | None) -> None:
@@ -136,7 +138,7 @@ class Interrupt:
         self._woken.release()
 
     def breakable(self, items: Iterator[T]) -> Iterator[T]:
-        """Yield the items; raise KeyboardInterrupt if a signal comes while waiting for the next.
+        """Yield the items; raise KeyboardInterrupt if a signal comes while the next one is awaited.
 
         A signal does not interrupt the caller's work on an item, so that no line is left half
         written; KeyboardInterrupt is then raised when the caller asks for the next item.
@@ -158,12 +160,15 @@ NOTHING_WRITTEN = "interrupted; nothing was written"
 
 
 class Interrupted(KeyboardInterrupt):
-    """Ctrl-C ended the command, and the user knows what was kept; main.py says so otherwise."""
+    """Ctrl-C ended the command, and the user was told what was kept.
+
+    For any other KeyboardInterrupt, main.py prints a message.
+    """
 
 
 @contextmanager
 def interruption_told(text: str = NOTHING_WRITTEN) -> Iterator[None]:
-    """If Ctrl-C ends what runs in the context, say so, and what was kept."""
+    """If Ctrl-C ends the context, print `text`, which says what was kept."""
     try:
         yield
     except Interrupted:
@@ -175,10 +180,10 @@ def interruption_told(text: str = NOTHING_WRITTEN) -> Iterator[None]:
 
 @contextmanager
 def never_suspended() -> Iterator[Callable[[], None]]:
-    """While the context is open, Ctrl-Z does not stop the command, as nothing would be heard.
+    """While the context is open, Ctrl-Z does not stop the command, as it would miss traffic.
 
-    Yields a function that tells the user so after Ctrl-Z; it is called now and then. SIGTTOU, which
-    stops a command in the background that prints, is ignored, too.
+    Yields a function to be called now and then: after Ctrl-Z it prints why nothing happened.
+    SIGTTOU, which stops a background command that prints, is ignored, too.
     """
     pressed = [False]
 
@@ -206,11 +211,12 @@ def never_suspended() -> Iterator[Callable[[], None]]:
 def interruptible() -> Iterator[Interrupt]:
     """While the context is open, only note Ctrl-C, SIGTERM and SIGHUP (the terminal is gone).
 
-    The command ends when ready. A SIGHUP that is ignored, as under nohup, stays ignored.
+    The command itself looks at the Interrupt and ends when ready. A SIGHUP that is ignored, as
+    under nohup, stays ignored.
     """
     interrupt = Interrupt()
     numbers = [signal.SIGINT, signal.SIGTERM]
-    hangup = getattr(signal, "SIGHUP", None)  # Windows has none.
+    hangup = getattr(signal, "SIGHUP", None)  # Windows has no SIGHUP.
     if hangup is not None and signal.getsignal(hangup) is not signal.SIG_IGN:
         numbers.append(hangup)
     before = {number: signal.signal(number, interrupt.ask) for number in numbers}

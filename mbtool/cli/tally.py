@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from mbtool.decode.decoder import Record
 
 CONNECTION_EVENTS = frozenset((EventKind.OPENED, EventKind.CLOSED))
-"""Events that are no trouble: a connection was opened or closed."""
+"""Events that are no failure: a connection was opened or closed."""
 
 _WORDS = {
     Outcome.OK: "ok",

@@ -1,4 +1,4 @@
-"""The options for TLS: of taps (`mbtool sniff`), and of masters (`mbtool read`)."""
+"""The options for TLS: of taps (`mbtool sniff`), and of masters (`read`, `write` and `poll`)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class TargetTlsOptions(OptionGroup):
-    """TLS on the side of a slave."""
+    """The TLS options for the connection to a slave."""
 
     heading: ClassVar[str] = "TLS"
 
@@ -62,7 +62,7 @@ class TargetTlsOptions(OptionGroup):
     ] = None
 
     def target(self) -> TargetTls | None:
-        """TLS towards the target; None if no option asks for it.
+        """Return the TLS settings of the connection to the slave; None if no option asks for TLS.
 
         Raises UsageError if options contradict each other or lack one that they need.
         """
@@ -89,7 +89,7 @@ class TargetTlsOptions(OptionGroup):
 
 @dataclass(frozen=True, slots=True)
 class TlsOptions(TargetTlsOptions):
-    """TLS on the side of a tap where masters connect, and on the side of its target."""
+    """The TLS options of a tap: for the masters that connect to it, and for its target."""
 
     tls_cert: Annotated[
         str | None,
@@ -141,7 +141,7 @@ class TlsOptions(TargetTlsOptions):
         ]
 
     def listen(self) -> ListenTls | None:
-        """TLS towards masters; None without --tls-cert.
+        """Return the TLS settings for masters that connect to a tap; None without --tls-cert.
 
         Raises UsageError for an option that needs --tls-cert, if this is missing.
         """
@@ -157,7 +157,7 @@ class TlsOptions(TargetTlsOptions):
         return None
 
     def warnings(self) -> list[str]:
-        """A line for each of the tap's own certificates that has expired."""
+        """Return a warning for each of the tap's own certificates that has expired."""
         from mbtool.ports.tls import why_outdated
 
         own = {"--tls-cert": self.tls_cert, "--tls-target-cert": self.tls_target_cert}

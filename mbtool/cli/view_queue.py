@@ -3,8 +3,8 @@
 # A terminal that is stopped (Ctrl-S), a pager or a hanging ssh takes no more text, and a write to
 # it then waits. A recording must not wait. So the text goes into a queue, and one thread writes it
 # to the file descriptor. When the queue holds MAX_WAITING bytes it is full, until half of it has
-# been written: few large gaps are easier to read than many small ones. A full queue still takes
-# text; its owner looks at `is_full` and leaves out whole rows.
+# been written: few large gaps in the output are easier to read than many small ones. A full queue
+# still takes text, but its owner should check `is_full` and leave out whole rows.
 #
 # The thread writes to the descriptor and not to Python's file object. It may wait there for ever,
 # and the interpreter could not end while a thread holds the lock of a file object.
@@ -22,18 +22,19 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 MAX_WAITING = 2**20
-"""Bytes of text that may wait: about 10,000 rows."""
+"""The queue is full at this many bytes of text: about 10,000 rows."""
 STUCK_S = 0.5
-"""A reader that takes nothing for so many seconds is not waited for at the end of a hurried run."""
+"""When the user has asked for the end, a reader that takes nothing for this many seconds is given
+up."""
 HURRY_S = 1.0
-"""The longest wait in seconds for a reader at the end of a hurried run."""
+"""When the user has asked for the end, the longest wait in seconds for the reader."""
 _LOOK_S = 0.05
 _PIECE = 2**12
-"""Bytes of one write: what a pipe with any room takes at once."""
+"""Bytes in one write: a pipe that has any room takes this many at once."""
 
 
 class ViewQueue:
-    """A text file whose writes do not wait. An error of the thread is raised by the next call."""
+    """A text file whose writes do not wait. The next call raises an error of the writing thread."""
 
     def __init__(self, file: TextIO) -> None:
         """`file` is open and has a file descriptor; nobody else writes to it."""
@@ -45,7 +46,7 @@ class ViewQueue:
         self._size = 0
         self._is_full = False
         self._written = 0
-        """Number of writes so far; tells if the reader takes anything."""
+        """Number of writes so far; if it stays the same, the reader takes nothing."""
         self._is_idle = True
         self._error: OSError | None = None
         self._changed = Condition()
@@ -76,14 +77,14 @@ class ViewQueue:
         return len(text)
 
     def flush(self) -> None:
-        """Raise the OSError of an earlier write; wait for nothing."""
+        """Raise the OSError of an earlier write; does not wait for text to be written."""
         if self._error is not None:
             raise self._error
 
     def drain(self, is_hurried: Callable[[], bool]) -> bool:
         """Wait until all text is written; return True if it is.
 
-        Once `is_hurried` is true, stop waiting after HURRY_S, or sooner when the reader takes
+        Once `is_hurried` returns True, stop waiting after HURRY_S, or sooner when the reader takes
         nothing for STUCK_S. Raises the OSError of a write.
         """
         stuck_s, hurried_s, written = 0.0, 0.0, -1
@@ -132,5 +133,5 @@ def unwaited(file: TextIO) -> TextIO:
         queue = ViewQueue(file)
     except (UnsupportedOperation, ValueError):  # A file in memory, or a closed one.
         return file
-    # It has what printers use of a TextIO: write, flush, isatty, fileno, encoding.
+    # ViewQueue has the methods of TextIO that printers use: write, flush, isatty, fileno, encoding.
     return cast("TextIO", queue)

@@ -1,4 +1,4 @@
-"""mbtool watch: a live table of links, or of files that are played."""
+"""mbtool watch: show live tables of links, or of files that are played, on a full screen."""
 
 from __future__ import annotations
 
@@ -31,9 +31,11 @@ if TYPE_CHECKING:
     from mbtool.workflows.watch_saving import Saver
 
 _MODES_OFF = "\x1b[?1000l\x1b[?1002l\x1b[?1003l\x1b[?1006l\x1b[?1015l\x1b[?2004l\x1b[?1004l"
-"""Ends what a full screen switches on: reports of the mouse, of pasted text and of the focus."""
+"""Escape codes that end the terminal's reports of the mouse, of pasted text and of the focus, which
+a full screen switches on."""
 _RESTORE = f"{_MODES_OFF}\x1b[<u\x1b[?1049l\x1b[?25h\x1b[0m"
-"""Then ends the protocol of keys and the second screen, and shows the cursor."""
+"""Escape codes that end all terminal modes of a full screen: _MODES_OFF, the keyboard protocol and
+the second screen; then the cursor is shown."""
 
 
 @takes_groups
@@ -220,9 +222,9 @@ def _show(
     ends: Callable[[], bool],
     interrupt: Interrupt,
 ) -> None:
-    """Run the full screen until the user leaves it, then end the feed.
+    """Run the full screen until the user leaves it, then end the feed, which reads the records.
 
-    Raises typer.Exit with the exit code, or what ended the feed.
+    Raises typer.Exit with the exit code, or the error that ended the feed.
     """
     from mbtool.cli import exit_codes
     from mbtool.cli.options import condition
@@ -241,7 +243,7 @@ def _show(
         feed.stop()
     if feed.error is not None:
         raise feed.error
-    if app.return_code:  # The screen itself failed, and has told why.
+    if app.return_code:  # textual has printed why the screen failed.
         raise typer.Exit(app.return_code)
     if interrupt.asked:
         raise Interrupted
@@ -249,7 +251,7 @@ def _show(
 
 
 def _end(interrupt: Interrupt, duration_s: float | None) -> Callable[[], bool]:
-    """Return a function that is True once a signal has come or the duration is over."""
+    """Return a function that returns True once a signal has come or the duration is over."""
     from math import inf
 
     from mbtool.ports.clock import steady_clock
@@ -275,7 +277,7 @@ def _ended_by_hangup(interrupt: Interrupt) -> Iterator[None]:
 
 @contextmanager
 def restored_terminal() -> Iterator[None]:
-    """Give the terminal back as it was, also after an error that the full screen did not expect."""
+    """Restore the terminal when the context ends, even by an unexpected error of the screen."""
     try:
         import termios
     except ImportError:

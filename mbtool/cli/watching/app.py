@@ -1,4 +1,4 @@
-"""The full screen of `mbtool watch`, with its keys."""
+"""The full screen of `mbtool watch`: its keys, and the actions behind them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _TRANSACTIONS = 2
 
 
 class WatchApp(PromptedApp):
-    """The screen that the command runs."""
+    """The full screen that the command runs."""
 
     BINDINGS = [  # noqa: RUF012 - textual reads the list from the class
         *(
@@ -163,11 +163,14 @@ class WatchApp(PromptedApp):
             self.settings.columns.pop(self.view.name, None)
         self._remember()
 
-    # Playing a file.
+    # The actions below play a file; they do nothing while links are watched.
 
     @property
     def file_feed(self) -> FileFeed | None:
-        """The feed if it is of files, and read to its end; else None."""
+        """The feed (source of records) if it reads files and has read them to the end; else None.
+
+        If it is None, the screen tells the user why.
+        """
         feed = self.feed
         if not isinstance(feed, FileFeed):
             self.tell("only files can be played; space freezes the view")

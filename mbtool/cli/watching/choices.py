@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from mbtool.views.watch_columns import WatchColumn
 
 AS_IT_COMES = ""
-"""The choice of no column: rows in the order in which they come."""
+"""The result of SortChoice for no sorting: rows stay in the order in which they come."""
 _CSS = """
 %s { align: center middle; }
 %s > Vertical { width: 56; height: auto; max-height: 90%%; border: solid $accent; padding: 0 1; }
@@ -28,7 +28,10 @@ _CSS = """
 
 
 class ColumnChoice(ModalScreen[list[str] | None]):
-    """Gives the names of the columns that the user wants; none of them for the usual ones."""
+    """A window whose result is the names of the columns that the user wants.
+
+    An empty list stands for the usual columns, and None for no change.
+    """
 
     CSS = _CSS % (("ColumnChoice",) * 3)
     BINDINGS = [  # noqa: RUF012 - textual reads the list from the class
@@ -48,7 +51,7 @@ class ColumnChoice(ModalScreen[list[str] | None]):
             yield OptionList(*(Option(self._line(one), one.name) for one in self._columns))
 
     def _line(self, column: WatchColumn) -> Text:
-        # The sign tells it without colour, too.
+        # The sign shows the state without colour, too.
         return Text(f"{'[x]' if column.name in self._shown else '[ ]'} {column.name}")
 
     def action_turn(self) -> None:
@@ -66,7 +69,7 @@ class ColumnChoice(ModalScreen[list[str] | None]):
 
 
 class SortChoice(ModalScreen[str | None]):
-    """Gives the name of the column to sort by, AS_IT_COMES for none."""
+    """A window whose result is the name of the column to sort by; AS_IT_COMES for no sorting."""
 
     CSS = _CSS % (("SortChoice",) * 3)
     BINDINGS = [Binding("escape", "dismiss(None)", "Leave")]  # noqa: RUF012 - see above

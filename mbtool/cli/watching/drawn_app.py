@@ -2,7 +2,7 @@
 
 # The app only draws: a timer takes a snapshot of the view's rows under the feed's lock and draws
 # it, at most DRAWS_PER_S times a second, and less often where drawing takes long (_SHARE). While
-# the view is frozen, the rows of all views stay those of that moment.
+# the user freezes the view, the rows of all views stay as they were at that moment.
 
 from __future__ import annotations
 
@@ -44,19 +44,20 @@ if TYPE_CHECKING:
 
 DRAWS_PER_S = 5
 _SHARE = 8
-"""A pause is at least so many times as long as the drawing before it took."""
+"""The pause after drawing the screen is at least this many times as long as drawing took."""
 _LONGEST_PAUSE_S = 2.0
 _LOOK_S = 1.0
 _LOOK_SHARE = 50
-"""Slaves in trouble are looked for each second, or after so many times the time it took."""
+"""The search for slaves in trouble runs each second; if it takes long, the time between two
+searches is this many times as long as one takes."""
 _TYPING_S = 0.15
-"""A filter is applied once nothing was typed for so long, in s."""
+"""A filter is applied when the user has typed nothing for this long, in s."""
 _SEEK_NS = 10_000_000_000
 _TRANSACTIONS = 2
 
 
 class DrawnApp(App[int]):
-    """Draws what a feed gives. Its result is the exit code."""
+    """Draws the records of a feed, which reads links or files. `run` returns the exit code."""
 
     TITLE = "mbtool watch"
     ENABLE_COMMAND_PALETTE = True
@@ -82,11 +83,12 @@ class DrawnApp(App[int]):
         where: str = "",
         is_asked_to_end: Callable[[], bool] = lambda: False,
     ) -> None:
-        """`place` names what is watched; `recording` is the log that is written.
+        """`place` names the links or files; `recording` is the path of the log that is written.
 
-        `is_asked_to_end` is asked at each drawing: True after a signal.
+        `is_asked_to_end` is called before each drawing; it returns True after a signal.
         """
-        # textual turns its colours into greys without colours, unless they are the terminal's own.
+        # With NO_COLOR, textual would turn its own colours into greys; with ansi_color it uses the
+        # terminal's colours, and does not.
         super().__init__(ansi_color=True if is_plain() else None)
         self.feed = feed
         self.place, self.recording = place, recording
@@ -94,7 +96,7 @@ class DrawnApp(App[int]):
         self.filter_is_on = bool(where)
         self.view_at = 0
         self.frozen: list[Sequence[Any]] | None = None
-        """The rows of each view while the view is frozen; else None."""
+        """The rows of each view while the user freezes the view; else None."""
         self.settings: WatchSettings = load_settings()
         self._saver = saver
         self._is_asked_to_end = is_asked_to_end
@@ -144,15 +146,18 @@ class DrawnApp(App[int]):
 
     @property
     def board(self) -> Board:
-        """The board that is shown; use it only while the feed's lock is held."""
+        """The board (figures and last records) to draw; with a filter, of records that pass it.
+
+        Use it only while the feed's lock is held.
+        """
         watched = self.feed.watched
         return watched.filtered if self.filter_is_on and watched.filtered else watched.whole
 
-    # Drawing.
+    # The methods below draw the screen and its parts.
 
     @property
     def is_up(self) -> bool:
-        """False while the screen is made or taken down: a timer may come then, too."""
+        """False while the screen is being set up or closed; a timer may call back then, too."""
         return bool(self.screen_stack) and bool(self.screen_stack[0].query(LiveTable))
 
     def _tick(self) -> None:
@@ -166,7 +171,7 @@ class DrawnApp(App[int]):
             self.draw()
 
     def draw(self) -> None:
-        """Draw the view as it is now."""
+        """Draw the current view, and set the time of the next drawing."""
         if not self.is_up:
             return
         began_s = time.thread_time()
@@ -197,7 +202,7 @@ class DrawnApp(App[int]):
         self.call_after_refresh(self._drawn, began_s)
 
     def _why_empty(self) -> str:
-        """The text of a view that has no rows, with the reason."""
+        """Return the text for a view that has no rows; it says why there are none."""
         if self.filter_is_on:
             return f"no {self.view.what} pass the filter; \\ switches it off"
         if isinstance(self.feed, FileFeed) and not self.feed.is_read:
@@ -205,7 +210,7 @@ class DrawnApp(App[int]):
         return f"no {self.view.what} {'heard yet' if self.feed.is_live else 'up to here'}"
 
     def _places(self, width: int) -> Mapping[str, PlaceColumn]:
-        """The columns of links and masters, where there are several."""
+        """Return the columns of links and of masters, each only if there are several."""
         statistics = self.board.statistics
         with self.feed.lock:
             links = tuple(statistics.links)
@@ -213,7 +218,10 @@ class DrawnApp(App[int]):
         return place_columns(links, masters, width)
 
     def _look_for_troubles(self, width: int) -> None:
-        """Find the slaves in trouble, at most once a second; the feed's lock is held."""
+        """Update the line on slaves in trouble, at most once a second.
+
+        The caller must hold the feed's lock.
+        """
         began_s = time.perf_counter()
         if began_s < self._next_look_s:
             return
@@ -222,7 +230,7 @@ class DrawnApp(App[int]):
         self._next_look_s = began_s + max(_LOOK_S, _LOOK_SHARE * took_s)
 
     def _drawn(self, began_s: float) -> None:
-        """Wait before the next drawing, by the processor time that this one took."""
+        """Set the time of the next drawing by the processor time that this one took."""
         took_s = time.thread_time() - began_s
         pause_s = min(max(_SHARE * took_s, self.view.pause_s), _LONGEST_PAUSE_S)
         self._next_draw_s = time.perf_counter() + pause_s
@@ -254,7 +262,7 @@ class DrawnApp(App[int]):
         self.screen_stack[0].query_one("#detail-text", Static).update(text)
 
     def detail_lines(self, width: int) -> list[Spans]:
-        """The lines about the row under the cursor."""
+        """Return the detail lines about the row under the cursor."""
         row = self.table.row
         if isinstance(row, WatchedSlaveRow):
             return slave_detail(row, width)
@@ -267,7 +275,7 @@ class DrawnApp(App[int]):
         return record_detail(row.kept, profile, width)
 
     def tell(self, text: str, style: str = "") -> None:
-        """Show a line to the user, until the next one or escape; an empty text removes it."""
+        """Show a line to the user, until the next one or Escape; an empty text removes the line."""
         if not self.is_up:
             return
         note = self.screen_stack[0].query_one("#note", Static)

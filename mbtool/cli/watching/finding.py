@@ -1,4 +1,4 @@
-"""Finds rows by text, or by bytes in hexadecimal."""
+"""Finds rows of a live table by text, or by bytes in hexadecimal."""
 
 from __future__ import annotations
 
@@ -19,9 +19,10 @@ _HEX = re.compile(r"(?:0x)?((?:[0-9a-f]{2}[ :]?)+)", re.IGNORECASE)
 def find_row(
     rows: Sequence[Any], columns: Sequence[WatchColumn], text: str, start: int, step: int
 ) -> int | None:
-    """The index of the next row with a text, or with bytes that the text gives in hexadecimal.
+    """Return the index of the next row that has a text, or has bytes written in hexadecimal.
 
-    The search begins beside `start`, goes up or down by `step` (1 or -1), and around the end.
+    The search begins beside row `start`, goes down (`step` 1) or up (-1), and wraps around at the
+    end. Returns None if no row matches.
     """
     wanted, data = text.lower(), hex_bytes(text)
     context = DrawContext()
@@ -34,7 +35,7 @@ def find_row(
 
 
 def hex_bytes(text: str) -> bytes:
-    """The bytes of `01 03`, `0103` or `0x0103`; empty for another text."""
+    """Return the bytes of `01 03`, `0103` or `0x0103`; empty for a text that is not hexadecimal."""
     match = _HEX.fullmatch(text.strip())
     return bytes.fromhex(match[1].replace(":", " ")) if match is not None else b""
 

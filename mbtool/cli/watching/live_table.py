@@ -1,8 +1,8 @@
-"""A table that draws only the rows on the screen."""
+"""A table with a cursor that draws only the rows on the screen."""
 
-# Rows and columns come from outside, many times a second. The cursor stays on its row, by the row's
-# key, wherever sorting or new rows move it. On the last row of a growing table the cursor follows
-# the end, until the user moves it up.
+# The app sets rows and columns many times a second. The cursor stays on its row, by the row's key,
+# wherever sorting or new rows move it. On the last row of a growing table the cursor follows the
+# end, until the user moves it up.
 
 from __future__ import annotations
 
@@ -25,14 +25,17 @@ if TYPE_CHECKING:
     from mbtool.views.watch_columns import FittedColumn
 
 _CURSOR = Style(bgcolor="#0b2a55")
-"""The row of the cursor, with colours: dark, as errors are red, and not reversed, as values that
-changed are."""
+"""The style of the cursor's row, with colours: a dark background, as errors are red and values that
+changed are reversed."""
 _REVERSED, _UPRIGHT = Style(reverse=True), Style(reverse=False)
 _WHEEL_ROWS = 3
 
 
 def _under_cursor(strip: Strip, width: int) -> Strip:
-    """The row of the cursor; without colours it is reversed, and what is reversed in it upright."""
+    """Return the cursor's row in its style; without colours its text is reversed.
+
+    Text that was reversed already becomes normal, so that it still differs.
+    """
     if not is_plain():
         return Strip(Segment.apply_style(strip, post_style=_CURSOR), width)
     segments = []
@@ -43,12 +46,12 @@ def _under_cursor(strip: Strip, width: int) -> Strip:
 
 
 class LiveTable(Widget, can_focus=True):
-    """Rows of one view, with a cursor."""
+    """The rows of one view, with a cursor."""
 
     DEFAULT_CSS = "LiveTable { height: 1fr; }"
 
     class Moved(Message):
-        """The cursor has moved to another row."""
+        """The user has moved the cursor."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -61,7 +64,7 @@ class LiveTable(Widget, can_focus=True):
         self._cursor = 0
         self._key: Hashable = None
         self.follows = False
-        """True if the cursor stays on the last row, whatever comes."""
+        """True if the cursor stays on the last row when new rows come."""
 
     @property
     def row(self) -> Any | None:
@@ -93,7 +96,10 @@ class LiveTable(Widget, can_focus=True):
         self.refresh()
 
     def begin_view(self, *, follows: bool, key: Hashable = None) -> None:
-        """Begin with the rows of another view; `key` is that of the row to go to."""
+        """Prepare for the rows of another view; `key` belongs to the row to put the cursor on.
+
+        With `follows`, the cursor goes to the last row and stays there.
+        """
         self.rows = ()
         self._cursor = self._top = 0
         self._key, self.follows = key, follows
@@ -102,7 +108,7 @@ class LiveTable(Widget, can_focus=True):
         self.go_to(self._cursor + by)
 
     def go_to(self, index: int) -> None:
-        """Put the cursor on a row; behind the last one, on the last."""
+        """Put the cursor on the row at `index`, from 0, or on the last row if there are fewer."""
         if not self.rows:
             return
         grows = self._may_follow
@@ -115,7 +121,7 @@ class LiveTable(Widget, can_focus=True):
 
     @property
     def _may_follow(self) -> bool:
-        """True if the rows are in the order in which they come, the last one at the end."""
+        """True if the newest row is the last one, as rows are not sorted by a column."""
         return self.can_follow and self._sorted_by[0] is None
 
     can_follow = False
@@ -123,7 +129,7 @@ class LiveTable(Widget, can_focus=True):
 
     @property
     def page(self) -> int:
-        """The number of rows on the screen."""
+        """The number of rows that the screen has room for."""
         return max(self.size.height - 1, 1)
 
     def render_line(self, y: int) -> Strip:
@@ -156,7 +162,7 @@ class LiveTable(Widget, can_focus=True):
         self.move(-_WHEEL_ROWS)
 
     def _place_of_cursor(self, rows: Sequence[Any]) -> int:
-        """The index of the row that the cursor is on, after rows were added or left out."""
+        """Return the new index of the cursor's row, after rows were added or left out."""
         at = self._cursor
         if at < len(rows) and rows[at].key == self._key:
             return at

@@ -1,6 +1,7 @@
-"""A line of text that is drawn again only if it has changed."""
+"""A widget for one line of text, which is drawn again only if its text has changed."""
 
-# textual's Static lays the whole screen out anew with each text, which costs more than the table.
+# textual's Static computes the layout of the whole screen for each new text, which takes longer
+# than drawing the table.
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class Asking(StrEnum):
-    """The kind of text that the user is typing: a filter, a search, a name."""
+    """The kind of text that the user is typing: a filter, a text to find, or a file name."""
 
     FILTER = "filter"
     FIND = "find"
@@ -28,7 +28,7 @@ class Asking(StrEnum):
 
 
 class PromptLine(Input):
-    """One line of input. Up and down go through earlier texts, escape leaves it."""
+    """One line of input. Up and Down go through earlier texts; Escape leaves the line."""
 
     DEFAULT_CSS = """
     PromptLine { height: 1; border: none; padding: 0; background: $surface; display: none; }
@@ -42,7 +42,7 @@ class PromptLine(Input):
     ]
 
     class Left(Message):
-        """The user left the line without entering it."""
+        """The user left the line with Escape."""
 
     def __init__(self) -> None:
         super().__init__(compact=True)
@@ -51,7 +51,7 @@ class PromptLine(Input):
         self._at = -1
 
     def ask(self, asking: Asking, text: str, earlier: Sequence[str], hint: str) -> None:
-        """Begin with a text; `earlier` are texts to choose from, the newest first."""
+        """Show the line with `text` in it; `earlier` are texts to choose from, the newest first."""
         self.asking, self._earlier, self._at = asking, earlier, -1
         self.placeholder = hint
         self.value = text
@@ -74,21 +74,24 @@ class PromptLine(Input):
 
 
 def read_filter(text: str) -> Where | None:
-    """The filter of a text; None for an empty one.
+    """Return the filter that a text describes; None for an empty text.
 
-    Raises UsageError if it is wrong.
+    Raises UsageError if the text is no valid filter.
     """
     return parse_where(text) if text.strip() else None
 
 
 def why_wrong(text: str, error: UsageError) -> tuple[int, str]:
-    """Where in the text the error is, as far as it is known, and the reason."""
+    """Return where in a filter text an error is, and the reason.
+
+    The place is the index of a character; if it is not known, the length of the text.
+    """
     reason = str(error).partition(": ")[2] if ": " in str(error) else str(error)
     if not str(error).startswith("--where"):
         reason = str(error)
     cause = error.__cause__
     if isinstance(cause, SyntaxError):
-        # Python gives no place, or the first one, if a text ends too early.
+        # If a text ends too early, Python gives no place, or the first one.
         offset = (cause.offset or 0) - 1
         is_short = offset < 1 or offset >= len(text)
         if is_short:

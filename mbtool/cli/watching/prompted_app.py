@@ -1,4 +1,4 @@
-"""What the user types on the full screen: a filter, a text to find, a file to save to."""
+"""Handles what the user types into the prompt: a filter, a text to find, a file to save to."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 _TYPING_S = 0.15
-"""A filter is applied once nothing was typed for so long, in s."""
+"""A filter is applied when the user has typed nothing for this long, in s."""
 
 
 class PromptedApp(DrawnApp):
-    """Adds the prompt line."""
+    """The full screen with a prompt line, in which the user types."""
 
     @property
     def prompt(self) -> PromptLine:
@@ -36,7 +36,10 @@ class PromptedApp(DrawnApp):
         self._thaw()
 
     def _thaw(self) -> None:
-        """Draw another board: what was frozen is of the board before."""
+        """Draw with a changed filter.
+
+        A frozen view is frozen anew, as its old rows had another filter.
+        """
         if self.frozen is not None:
             self.frozen = None
             self.action_freeze()
@@ -48,7 +51,10 @@ class PromptedApp(DrawnApp):
             self.set_timer(_TYPING_S, self._typed(self._typed_at, event.value))
 
     def _typed(self, number: int, text: str) -> Callable[[], None]:
-        """Apply what was typed, unless more was typed since."""
+        """Return a function that applies the typed text, unless the user typed more since.
+
+        `number` counts the changes of the text; a newer change has a greater number.
+        """
 
         def apply() -> None:
             if number == self._typed_at:
@@ -57,7 +63,10 @@ class PromptedApp(DrawnApp):
         return apply
 
     def apply_filter(self, text: str) -> bool:
-        """Filter by a text. If it is wrong, say where, and keep the filter as it is."""
+        """Filter by a text and return True.
+
+        If the text is wrong, keep the old filter and show where.
+        """
         try:
             wanted = read_filter(text)
         except UsageError as error:

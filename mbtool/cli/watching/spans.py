@@ -1,4 +1,4 @@
-"""Turns spans into what textual draws; without colours where NO_COLOR is set (no-color.org)."""
+"""Turns spans (texts with styles) into what textual draws; without colours if NO_COLOR is set."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ if TYPE_CHECKING:
 
 
 def strip_of(spans: Spans, width: int) -> Strip:
-    """One line of exactly a width."""
+    """Return one line of spans, cut or padded to exactly `width` characters."""
     plain = is_plain()
     segments = [Segment(text, style_of(style, plain=plain)) for text, style in spans]
     return Strip(segments).adjust_cell_length(width)
 
 
 def text_of(spans: Spans) -> Text:
-    """A text of one line that is not broken."""
+    """Return spans as one text, which is never broken into lines."""
     plain = is_plain()
     text = Text(no_wrap=True, overflow="ellipsis")
     for part, style in spans:
@@ -32,12 +32,12 @@ def text_of(spans: Spans) -> Text:
 
 
 def is_plain() -> bool:
-    """True if the user wants no colours."""
+    """True if the user wants no colours (NO_COLOR, see no-color.org)."""
     return bool(os.environ.get("NO_COLOR"))
 
 
 @lru_cache(maxsize=256)
 def style_of(text: str, *, plain: bool) -> Style:
-    """The style that a text names; with `plain` only bold, reverse, dim and underline of it."""
+    """Return the style that a text such as `bold red` names; with `plain`, without its colours."""
     style = Style.parse(text) if text else Style.null()
     return style.without_color if plain else style

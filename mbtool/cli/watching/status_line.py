@@ -1,4 +1,4 @@
-"""The lines above and below the table."""
+"""Makes the lines above and below the table of `mbtool watch`."""
 
 from __future__ import annotations
 
@@ -43,13 +43,13 @@ _FILE_KEYS = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ScreenState:
-    """What the lines tell."""
+    """The state of the screen that the lines above and below the table show."""
 
     feed: WatchFeed
     place: str
-    """What is watched."""
+    """The name of the links or files that are watched."""
     recording: str | None
-    """The log that is written; None if there is none."""
+    """The path of the log that is written; None if none is."""
     is_frozen: bool
     where: str
     """The text of the filter; empty if there is none."""
@@ -57,7 +57,7 @@ class ScreenState:
 
 
 def tabs_text(views: Sequence[WatchView], shown: int) -> Spans:
-    """The views with their keys; the one that is shown is reversed."""
+    """Return the names of the views with their keys; the view that is shown is reversed."""
     spans: Spans = []
     for at, view in enumerate(views):
         title = f"{at + 1} {view.name} "
@@ -66,7 +66,7 @@ def tabs_text(views: Sequence[WatchView], shown: int) -> Spans:
 
 
 def status_text(state: ScreenState, width: int) -> Spans:
-    """What is watched, how much was heard, and what is set."""
+    """Return what is watched, how much was heard, and the filter."""
     board = state.feed.watched.whole
     spans: Spans = []
     if state.is_frozen:
@@ -94,7 +94,10 @@ def status_text(state: ScreenState, width: int) -> Spans:
 
 
 def keys_line(width: int, *, is_of_files: bool) -> Spans:
-    """The keys, as many as fit; those of files first if there are files."""
+    """Return the keys with their meanings, as many as fit `width` characters.
+
+    If files are watched, the keys to play them are among the first.
+    """
     keys = (*_KEYS[:3], *_FILE_KEYS, *_KEYS[3:]) if is_of_files else _KEYS
     spans: Spans = []
     used = 0

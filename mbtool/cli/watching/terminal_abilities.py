@@ -1,4 +1,4 @@
-"""Asks terminfo whether the terminal can place its cursor and show colours."""
+"""Asks terminfo if the terminal can move its cursor and show colours."""
 
 from __future__ import annotations
 
@@ -10,31 +10,31 @@ from mbtool.core import UsageError
 
 
 class TerminalAbilities(NamedTuple):
-    """Two abilities of a terminal; both are assumed where terminfo does not know the terminal."""
+    """Two abilities of a terminal; both are assumed if terminfo does not know the terminal."""
 
     has_cursor: bool = True
-    """True if a program can say where the next text goes."""
+    """True if a program can move the cursor to any place of the screen."""
     has_colours: bool = True
 
 
 def terminal_abilities() -> TerminalAbilities:
-    """The abilities of the terminal that TERM names."""
+    """Return the abilities of the terminal that the environment variable TERM names."""
     try:
         import curses
     except ImportError:  # As on Windows.
         return TerminalAbilities()
     try:
         curses.setupterm(fd=sys.stdout.fileno())
-    except (OSError, ValueError, curses.error):  # No terminfo, or not of this terminal.
+    except (OSError, ValueError, curses.error):  # There is no terminfo, or it does not know TERM.
         return TerminalAbilities()
     return TerminalAbilities(curses.tigetstr("cup") is not None, curses.tigetnum("colors") > 0)
 
 
 def prepare_terminal() -> None:
-    """Set NO_COLOR if the terminal shows no colours, and take it away if it is empty.
+    """Set NO_COLOR if the terminal shows no colours, and remove it if it is empty.
 
-    An empty one asks for nothing (no-color.org), but textual asks only if there is one. Raises
-    UsageError for a terminal on which no full screen can be drawn.
+    An empty NO_COLOR has no meaning (no-color.org), but textual only checks if the variable exists.
+    Raises UsageError for a terminal on which no full screen can be drawn.
     """
     able = terminal_abilities()
     if not able.has_cursor:

@@ -1,7 +1,7 @@
-"""What `watch` remembers from run to run: columns, sorting, filters."""
+"""The settings that `watch` remembers from run to run: columns, sorting, filters."""
 
-# One JSON file in the user's config folder. A file that cannot be read or is wrong is as if there
-# were none; the next change replaces it.
+# They are one JSON file in the user's config folder. A file that cannot be read or is wrong is
+# ignored; the next change replaces it.
 
 from __future__ import annotations
 
@@ -15,13 +15,14 @@ MAX_FILTERS = 20
 
 
 class WatchSettings(msgspec.Struct, omit_defaults=True):
-    """What the user chose."""
+    """The user's choices for the views."""
 
     columns: dict[str, list[str]] = {}
-    """The names of the columns of a view, by the view's name; a view that is absent has the usual
-    ones."""
+    """The names of the columns of a view, by the view's name; a view that is absent has its usual
+    columns."""
     sorted_by: dict[str, tuple[str, bool]] = {}
-    """The column that a view is sorted by, and True if the greatest comes first."""
+    """For a view: the column that its rows are sorted by, and True if the greatest value comes
+    first."""
     filters: list[str] = []
     """The last filters, the newest first."""
 
@@ -31,7 +32,7 @@ class WatchSettings(msgspec.Struct, omit_defaults=True):
 
 
 def settings_path() -> Path:
-    """The file in the user's config folder (XDG Base Directory Specification)."""
+    """Return the path of the settings file (XDG Base Directory Specification)."""
     folder = os.environ.get("XDG_CONFIG_HOME") or ""
     if not os.path.isabs(folder):  # The specification says to ignore a relative path.
         local = os.environ.get("APPDATA") if sys.platform == "win32" else None
@@ -47,7 +48,7 @@ def load_settings() -> WatchSettings:
 
 
 def save_settings(settings: WatchSettings) -> str | None:
-    """Write the file; returns a line for the user if that fails."""
+    """Write the settings file; return None, or a line for the user if that fails."""
     try:
         path = settings_path()
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""The six views: their rows, columns and lines of detail."""
+"""The six views of `mbtool watch`: their rows and columns."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 class LineRow(NamedTuple):
-    """A line of the figures about links and cycles."""
+    """A line of text on the view of bus load, links, polls and cycles."""
 
     key: int
     text: str
@@ -35,14 +35,15 @@ class LineRow(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class WatchView:
-    """One view."""
+    """One view of `mbtool watch`, a table of its own."""
 
     name: str
     what: str
     """The plural noun for its rows, such as `slaves`."""
     columns: Sequence[WatchColumn]
     rows: Callable[[Board, int], Sequence[Any]]
-    """Makes the rows of a board; the number is the width of the screen."""
+    """Makes the rows from a board (figures and last records) and the screen's width in
+    characters."""
     can_follow: bool = False
     """True if the newest row is the last one."""
     pause_s: float = 0
