@@ -1,6 +1,7 @@
-"""Names the parts of an ADU's bytes, so that they can be shown field by field."""
+"""Splits the bytes of an ADU into named fields, so that they can be shown field by field."""
 
-# Offsets are those of the raw bytes as captured. An ASCII frame has two digits for each byte.
+# Offsets count the raw bytes as captured. An ASCII frame has two hexadecimal digits for each byte
+# of the PDU.
 
 from __future__ import annotations
 
@@ -25,7 +26,7 @@ class AduPart(NamedTuple):
 
 
 def adu_parts(transport: Transport, raw: bytes, direction: Direction) -> list[AduPart]:
-    """The parts of an ADU, in order; together they are all its bytes. Never raises."""
+    """Return the fields of an ADU, in order; together they cover all its bytes. Never raises."""
     if transport is Transport.ASCII:
         return _ascii_parts(raw, direction)
     is_tcp = transport is Transport.TCP
@@ -40,7 +41,7 @@ def adu_parts(transport: Transport, raw: bytes, direction: Direction) -> list[Ad
 def _body_parts(
     body: bytes, header: tuple[tuple[str, int], ...], direction: Direction
 ) -> list[AduPart]:
-    """The parts of header and PDU."""
+    """Return the fields of header and PDU; `header` has name and width in bytes of its fields."""
     at = sum(width for _, width in header)
     fields = [*header, ("function", 1)]
     if len(body) > at:

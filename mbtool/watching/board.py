@@ -1,12 +1,13 @@
-"""Keeps what the views show: polls, points, transactions, slaves, events and findings."""
+"""Keeps what live views show: polls, points, transactions, slaves, events and findings."""
 
-# Each record costs little (a test counts the calls): a poll whose values are those of the last time
-# touches no point, as the age of a point is that of the poll that gave its value. Rows are made
-# when a view is drawn (board_rows.py).
+# Each record costs little (a test counts the calls): if a poll (repeated request) reads the same
+# values as last time, no point (named value) is touched, because the age of a point is the age of
+# its poll. Rows are made only when a view is drawn (board_rows.py).
 #
-# Memory: MAX_KEPT records, MAX_POINTS points, MAX_SLAVES slaves, MAX_TROUBLES kinds of trouble, and
-# MAX_POLLS polls (overview/statistics.py). The oldest record gives way, and the poll that was not
-# asked for longest; further points, slaves and troubles are only counted in `left_out`.
+# Memory: MAX_KEPT records, MAX_POINTS points, MAX_SLAVES slaves, MAX_TROUBLES kinds of events and
+# findings, and MAX_POLLS polls (overview/statistics.py). A new record replaces the oldest one, and
+# a new poll the one that was not sent for longest; further points, slaves and kinds are only
+# counted in `left_out`.
 
 from __future__ import annotations
 
@@ -43,7 +44,7 @@ _MASK_WRITE, _READ_WRITE = 0x16, 0x17
 
 
 class Board:
-    """Takes records one by one; its attributes hold what the views show."""
+    """Takes records one by one; its attributes hold what live views show."""
 
     def __init__(
         self,
@@ -52,23 +53,27 @@ class Board:
         *,
         kept: int = MAX_KEPT,
     ) -> None:
-        """`format_of` gives the settings of a serial link, `profile_for` the profile of a slave."""
+        """`format_of` returns a serial link's settings by its name, `profile_for` a slave's
+        profile.
+
+        `kept` limits the number of records in `records`.
+        """
         self.profile_for = profile_for
         self.statistics = Statistics(format_of)
         self._damaged = DamagedAnswers()
         self.records: deque[KeptRecord] = deque(maxlen=kept)
         """The last transactions and events, in the order in which they were decoded."""
         self.polls: OrderedDict[int, WatchedPoll] = OrderedDict()
-        """By the number of the poll; the one that was asked last comes last."""
+        """The repeated requests by their number; the one that was sent last comes last."""
         self.points: dict[tuple[str, int, object, object], WatchedPoint] = {}
         self.slaves: dict[tuple[str, int], WatchedSlave] = {}
         self.troubles: dict[tuple[str, str, int | None], WatchedTrouble] = {}
         self.transactions = self.events = self.left_out = 0
         self.last_ns = 0
-        """The time of the last record, in UTC ns."""
+        """The time of the last record, in ns since 1970."""
 
     def add(self, kept: KeptRecord, *, listed: bool = True) -> None:
-        """Take the next record. With `listed` false it is counted, but not among `records`."""
+        """Take the next record. With `listed` false it is counted, but not kept in `records`."""
         record = kept.record
         if listed:
             self.records.append(kept)
@@ -99,7 +104,10 @@ class Board:
             self._note_trouble(code, kept, record.link, record.unit, at_ns)
 
     def advance(self, before_ns: int | None) -> None:
-        """Put transactions whose request came before a time (UTC ns) in order; all for None."""
+        """Let the statistics process requests before `before_ns` (ns since 1970) in order of time.
+
+        They wait for earlier requests that may still come; None processes all of them.
+        """
         self.statistics.settle(before_ns)
 
     def _note_slave(self, one: NamedTransaction, *, is_damaged: bool) -> None:
@@ -123,7 +131,7 @@ class Board:
     ) -> None:
         poll.latencies.append(one.latency_ns)
         if at_ns < poll.last_ns:
-            return  # A request without answer is known late; what is shown is newer.
+            return  # A request without response becomes known late; the values shown are newer.
         poll.last, poll.last_ns, poll.is_damaged = kept, at_ns, is_damaged
         if one.outcome is not Outcome.OK and one.outcome is not Outcome.BROADCAST:
             return
@@ -216,7 +224,7 @@ class Board:
 
 
 def _note_changes(poll: WatchedPoll, values: Sequence[int], at_ns: int) -> None:
-    """Note which values differ from the last ones."""
+    """Note the time at which values of a poll changed; `values` are the new ones."""
     before = poll.values or []
     changed = poll.changed_ns
     if len(values) != len(before):

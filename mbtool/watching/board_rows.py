@@ -1,4 +1,4 @@
-"""Rows of a board as they are at one moment; a frozen view keeps them while counting goes on."""
+"""Makes table rows from a board: copies that do not change while the board counts on."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ if TYPE_CHECKING:
 
 
 class PollRow(NamedTuple):
-    """A request that repeats. Times are UTC ns, durations ns."""
+    """A repeated request. Times are in ns since 1970, durations in ns."""
 
     key: Hashable
     kept: KeptRecord
     """The last transaction."""
     is_damaged: bool
-    """True if its answer came with a wrong CRC or LRC."""
+    """True if its response came with a wrong CRC or LRC."""
     poll: PollKey
     function_name: str
     reference: str | None
     device: str | None
     asked: int
     errors: int
-    """Exceptions, malformed answers and missing ones."""
+    """The number of exceptions, malformed responses and missing responses."""
     missing: int
     retries: int
     last_ns: int
     period_ns: int
-    """The median period; 0 if it is not known."""
+    """The median time between two requests; 0 if it is not known."""
     slowest_ns: int
     values: Sequence[int]
     changed_ns: Sequence[int]
@@ -45,11 +45,11 @@ class PollRow(NamedTuple):
 
 
 class WatchedPointRow(NamedTuple):
-    """A named point, or a register or bit without a name."""
+    """A point (a value that the slave's profile names), or a register or bit without a name."""
 
     key: Hashable
     kept: KeptRecord
-    """The last transaction of the poll that gave the value."""
+    """The last transaction of the poll (repeated request) that gave the value."""
     link: str
     unit: int
     device: str | None
@@ -77,7 +77,7 @@ class RecordRow(NamedTuple):
 
 
 class WatchedSlaveRow(NamedTuple):
-    """A unit of a link. Times are UTC ns, durations ns."""
+    """A unit of a link. Times are in ns since 1970, durations in ns."""
 
     key: Hashable
     kept: None
@@ -89,12 +89,12 @@ class WatchedSlaveRow(NamedTuple):
     exceptions: int
     missing: int
     damaged: int
-    """The number of missing answers that came, but with a wrong CRC or LRC."""
+    """How many of the missing responses came, but with a wrong CRC or LRC."""
     malformed: int
     retries: int
     median_ns: int
     usual_ns: float | None
-    """The median latency of the other units, if this one is slow beside them; else None."""
+    """The median latency of the other units if this one is much slower than they are; else None."""
     slowest_ns: int
     last_ns: int
     answered_ns: int | None
@@ -103,7 +103,7 @@ class WatchedSlaveRow(NamedTuple):
 
 
 class TroubleRow(NamedTuple):
-    """All findings of one code, or events of one kind, of one unit of a link."""
+    """All findings of one code, or events of one kind, about one unit of a link."""
 
     key: Hashable
     kept: KeptRecord
@@ -120,32 +120,29 @@ WatchRow = PollRow | WatchedPointRow | RecordRow | WatchedSlaveRow | TroubleRow
 
 
 def poll_rows(board: Board) -> list[PollRow]:
-    """The polls in the order in which they were first asked."""
+    """Return the repeated requests in the order in which they were first sent."""
     polls = sorted(board.polls.items())
     return [_poll_row(number, poll) for number, poll in polls]
 
 
 def point_rows(board: Board) -> list[WatchedPointRow]:
-    """The points by link, unit and address, as far as they have one; else in the order of finding.
-
-    Named points stand in the order in which they were first seen.
-    """
+    """Return points, registers and bits in the order in which they were first read or written."""
     return [_point_row(key, point) for key, point in board.points.items()]
 
 
 def record_rows(board: Board) -> list[RecordRow]:
-    """The records that are kept, in their order."""
+    """Return the transactions and events that are kept, in the order in which they were decoded."""
     return [RecordRow(kept.order, kept) for kept in board.records]
 
 
 def slave_rows(board: Board) -> list[WatchedSlaveRow]:
-    """The slaves by link and unit."""
+    """Return the slaves, sorted by link and unit."""
     slow = slow_units({key: slave.tally.latency for key, slave in board.slaves.items()})
     return [_slave_row(slave, slow.get(key)) for key, slave in sorted(board.slaves.items())]
 
 
 def trouble_rows(board: Board) -> list[TroubleRow]:
-    """Findings and events, the kind that was seen last at the end."""
+    """Return findings and events by kind; the kind that occurred last is at the end."""
     rows = [
         TroubleRow(
             key, one.last, one.code, one.is_finding, one.link, one.unit, one.count, one.first_ns,

@@ -1,6 +1,6 @@
-"""Shows registers in the form that the user chose for a row."""
+"""Writes register values in the format that the user chose for a row."""
 
-# Word orders of a 32-bit float, by its four bytes from the most significant (A) on: ABCD is the
+# A 32-bit float has two registers and four bytes. With A as its most significant byte: ABCD is the
 # standard's order of registers and bytes, CDAB has the registers swapped, BADC the bytes of each
 # register, DCBA both.
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class ValueFormat(StrEnum):
-    """How the values of a row are shown."""
+    """A format for the values of a row."""
 
     NAMED = "as named"
     DECIMAL = "decimal"
@@ -32,13 +32,16 @@ class ValueFormat(StrEnum):
 
     @property
     def next(self) -> ValueFormat:
-        """The format that follows when the user goes through all of them."""
+        """The next format when the user goes through all formats."""
         every = list(ValueFormat)
         return every[(every.index(self) + 1) % len(every)]
 
 
 def register_texts(values: Sequence[int], form: ValueFormat) -> list[str]:
-    """The text of each register; of a float, the text of each pair, a register left over as -."""
+    """Return the text of each register; for a float format, of each pair of registers.
+
+    A register that is left over from the pairs gives `-`.
+    """
     if form.is_float:
         pairs = zip(values[::2], values[1::2], strict=False)
         texts = [float_text(first, second, form) for first, second in pairs]
@@ -47,7 +50,7 @@ def register_texts(values: Sequence[int], form: ValueFormat) -> list[str]:
 
 
 def register_text(value: int, form: ValueFormat) -> str:
-    """One register in a format for single registers."""
+    """Return the text of one register (0 to 65535) in a format for single registers."""
     if form is ValueFormat.HEX:
         return f"{value:04X}H"
     if form is ValueFormat.SIGNED and 0x8000 <= value <= 0xFFFF:
@@ -56,7 +59,7 @@ def register_text(value: int, form: ValueFormat) -> str:
 
 
 def float_text(first: int, second: int, form: ValueFormat) -> str:
-    """The float in two registers, `first` at the lower address, with up to 7 digits."""
+    """Return the float in two registers, `first` at the lower address, with up to 7 digits."""
     if form in (ValueFormat.FLOAT_CDAB, ValueFormat.FLOAT_DCBA):
         first, second = second, first
     order = "<" if form in (ValueFormat.FLOAT_BADC, ValueFormat.FLOAT_DCBA) else ">"

@@ -1,10 +1,10 @@
-"""All records, and those that pass a filter, each on a board of their own."""
+"""Keeps the records for live views on two boards: all records, and those that pass a filter."""
 
 # A filter that is set later is applied to the records that are still kept; from then on, records
 # are added to both boards as they come. So figures under a filter count from the oldest record that
 # was kept when the filter was set; `filtered_from` says which one.
 #
-# Memory: two boards, and MAX_MARKED marked records.
+# Memory: two boards (board.py), and MAX_MARKED marked records.
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ MAX_MARKED = 1000
 
 
 class Watched:
-    """Everything that was heard so far, for the views. Not safe for several threads at once."""
+    """All records so far, for the live views. Not safe for several threads at once."""
 
     def __init__(
         self,
@@ -48,7 +48,7 @@ class Watched:
         """The records that the user marked, by their order."""
 
     def add(self, record: Record) -> None:
-        """Take the next record."""
+        """Take the next record: a transaction or an event."""
         self._order += 1
         is_event = isinstance(record, WireEvent)
         if not is_event:
@@ -59,21 +59,24 @@ class Watched:
             self._add_filtered(self.filtered, kept)
 
     def advance(self, before_ns: int | None) -> None:
-        """Put transactions whose request came before a time (UTC ns) in order; all for None."""
+        """Let the statistics process requests before `before_ns` (ns since 1970) in order of time.
+
+        They wait for earlier requests that may still come; None processes all of them.
+        """
         self._settled_ns = before_ns
         self.whole.advance(before_ns)
         if self.filtered is not None:
             self.filtered.advance(before_ns)
 
     def restart(self) -> None:
-        """Forget all records, but not the filter and the marks: a file is read again."""
+        """Forget all records, but not the filter and the marks, as the file is read again."""
         self._order = self._numbers = 0
         self.whole = self._board()
         if self.filtered is not None:
             self.filtered = self._board()
 
     def set_filter(self, wanted: Wanted | None) -> None:
-        """Apply a filter to the records that are kept and to those that come; None to end it."""
+        """Apply a filter to the kept records and to those that come; None ends filtering."""
         self.wanted = wanted
         self.filtered = None
         if wanted is None:
@@ -85,11 +88,14 @@ class Watched:
 
     @property
     def filtered_from(self) -> int:
-        """The number of records that had been forgotten when the oldest kept one came."""
+        """The number of older records, which are no longer kept and which no new filter sees."""
         return self.whole.records[0].order - 1 if self.whole.records else 0
 
     def mark(self, kept: KeptRecord) -> bool:
-        """Mark a record, or take its mark away. False if MAX_MARKED are marked already."""
+        """Mark a record, or remove its mark.
+
+        Returns False if MAX_MARKED records are marked already.
+        """
         if self.marked.pop(kept.order, None) is not None:
             return True
         if len(self.marked) >= MAX_MARKED:
@@ -101,7 +107,10 @@ class Watched:
         return Board(self._format_of, self._profile_for, kept=self._kept)
 
     def _add_filtered(self, board: Board, kept: KeptRecord) -> None:
-        """Add a record if it passes. An event, which has no such fields, is counted only."""
+        """Add a record if it passes the filter.
+
+        Events are only counted, as filters do not fit them.
+        """
         if isinstance(kept.record, WireEvent):
             board.add(kept, listed=False)
         elif self.wanted is not None and self.wanted(kept.record):

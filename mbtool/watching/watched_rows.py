@@ -1,7 +1,8 @@
-"""What is kept of each poll, point, slave and kind of trouble while records come in."""
+"""The figures that live views keep for each poll, point, slave and kind of event or finding."""
 
-# Memory: a poll keeps its last transaction, the time of the last change of each of its values (at
-# most 2000, as many as a request can read) and HISTORY latencies; a point keeps HISTORY values.
+# Memory: a poll (repeated request) keeps its last transaction, the time of the last change of each
+# of its values (at most 2000, as many as a request can read) and HISTORY latencies; a point (named
+# value) keeps HISTORY values.
 
 from __future__ import annotations
 
@@ -20,14 +21,14 @@ Record = NamedTransaction | WireEvent
 HISTORY = 32
 """The number of latencies or values that are kept for a sparkline."""
 NEVER_NS = 0
-"""Stands for a time that has not come: a value that never changed."""
+"""The time of a change that never happened."""
 
 _FAULTS = (Outcome.EXCEPTION, Outcome.NO_ANSWER, Outcome.MALFORMED)
-"""Outcomes that count as errors of a request. What the capture lacks is no error."""
+"""Outcomes that count as errors of a request. A response that the capture lacks is no error."""
 
 
 class KeptRecord(NamedTuple):
-    """A transaction or an event, with its place in the capture."""
+    """A transaction or an event, with its number in the capture."""
 
     order: int
     """The number of the record among all records, from 1."""
@@ -43,23 +44,24 @@ class WatchedPoll:
     statistics: PollStatistics
     last: KeptRecord
     last_ns: int = NEVER_NS
-    """The time of the last request, in UTC ns."""
+    """The time of the last request, in ns since 1970."""
     is_damaged: bool = False
-    """True if the last answer came with a wrong CRC or LRC."""
+    """True if the last response came with a wrong CRC or LRC."""
     values: list[int] | None = None
     """The values that were last read or written; None before the first ones."""
     changed_ns: list[int] = field(default_factory=list)
-    """For each value the time of its last change, in UTC ns; NEVER_NS if it never changed."""
+    """For each value the time of its last change, in ns since 1970; NEVER_NS if it never
+    changed."""
     points_changed_ns: dict[str, int] = field(default_factory=dict)
-    """The time of the last change of each named point that has changed, by its name."""
+    """The time of the last change (ns since 1970) of each point that has changed, by its name."""
     latencies: deque[int | None] = field(default_factory=lambda: deque(maxlen=HISTORY))
-    """The last latencies in ns; None for a request without answer."""
+    """The last latencies in ns; None for a request without response."""
     period_ns: int = 0
-    """The median time between two requests, in ns; 0 if there was one only."""
+    """The median time between two requests, in ns; 0 if only one was sent."""
     _period_at: int = 0
 
     def refresh_period(self) -> None:
-        """Compute the median period again if an eighth more requests have come since."""
+        """Compute the median period again if there are an eighth more requests than last time."""
         count = self.statistics.period.count
         if count > self._period_at + self._period_at // 8:
             self._period_at = count
@@ -68,7 +70,7 @@ class WatchedPoll:
 
 @dataclass(slots=True)
 class WatchedPoint:
-    """A named point, or a register or bit without a name, with its last value."""
+    """A point (a value that the profile names), or a register or bit without a name."""
 
     link: str
     unit: int
@@ -80,7 +82,8 @@ class WatchedPoint:
     address: int | None
     """The address on the wire; None for a named point."""
     poll: WatchedPoll
-    """The poll that gave the last value: its time is the time of this value."""
+    """The poll (repeated request) that gave the last value; the value is as old as the poll's last
+    response."""
     value: int | float | None = None
     text: str = ""
     value_unit: str | None = None
@@ -89,14 +92,17 @@ class WatchedPoint:
     changed_ns: int = NEVER_NS
     changes: int = 0
     is_written: bool = False
-    """True if the last value was written by a master, not read."""
+    """True if a master wrote the last value, False if it was read."""
     history: deque[float] = field(default_factory=lambda: deque(maxlen=HISTORY))
-    """The last different values, in their order."""
+    """The last values that differed from the one before, in their order."""
 
     def set(
         self, value: int | float | None, text: str, at_ns: int, *, written: bool = False
     ) -> None:
-        """Take a value. The first value is no change."""
+        """Note a value that was read or written at `at_ns` (ns since 1970).
+
+        The first one is no change.
+        """
         self.is_written = written
         if text == self.text and value == self.value:
             return
@@ -110,7 +116,7 @@ class WatchedPoint:
 
 @dataclass(slots=True)
 class WatchedSlave:
-    """A unit of a link: how it answers."""
+    """The figures of one unit of a link: how it answers."""
 
     link: str
     unit: int
@@ -119,9 +125,10 @@ class WatchedSlave:
     first_ns: int = 0
     last_ns: int = 0
     answered_ns: int | None = None
-    """The time of the last answer, in UTC ns; None if it never answered."""
+    """The time of the last response, in ns since 1970; None if the slave never answered."""
     silent_since_ns: int | None = None
-    """The time of the first request that was left without answer since the last answer."""
+    """The time (ns since 1970) of the first unanswered request since the last response; None if
+    there is none."""
     findings: int = 0
 
     def add(self, one: NamedTransaction, *, is_damaged: bool = False) -> None:
@@ -133,7 +140,8 @@ class WatchedSlave:
         self.device = one.device or self.device
         self.findings += len(one.findings)
         if one.outcome is Outcome.NO_ANSWER:
-            # A request without answer is known late: the slave may have answered others since.
+            # A missing response becomes known late: the slave may have answered later requests
+            # since.
             is_newest = self.answered_ns is None or at_ns >= self.answered_ns
             if self.silent_since_ns is None and is_newest:
                 self.silent_since_ns = at_ns
@@ -143,7 +151,7 @@ class WatchedSlave:
 
 @dataclass(slots=True)
 class WatchedTrouble:
-    """All findings of one code, or events of one kind, of one unit of a link."""
+    """All findings of one code, or events of one kind, about one unit of a link."""
 
     code: str
     """The code of the finding, or the kind of the event."""
@@ -157,5 +165,5 @@ class WatchedTrouble:
 
 
 def errors_of(tally: RequestTally) -> int:
-    """The number of requests with an exception, a malformed answer or none."""
+    """Return the number of requests with an exception, a malformed response or no response."""
     return sum(tally.count(outcome) for outcome in _FAULTS)
