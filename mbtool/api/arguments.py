@@ -17,15 +17,16 @@ if TYPE_CHECKING:
 
 AnyPath = str | PathLike[str]
 ProfileName = str | PathLike[str] | Profile
-"""The name of a built-in profile, the path of a TOML file, or a profile that is loaded."""
+"""The name of a built-in profile, the path of a TOML file, or a loaded profile."""
 Devices = Mapping[int | str, ProfileName]
-"""The profiles of slaves. A key is a unit (5), or as in `--device`: "192.168.3.250/5", "all"."""
+"""The profiles of slaves. A key is a unit (5), or a text as in `--device`: "192.168.3.250/5",
+"all"."""
 
 
 def profile_of(name: ProfileName) -> Profile:
-    """Load a profile.
+    """Load a profile, or return the one that is loaded already.
 
-    Raises UsageError if there is none of this name, ProfileError if it is wrong.
+    Raises UsageError if no profile has this name, ProfileError if the profile is wrong.
     """
     return name if isinstance(name, Profile) else load_profile(fspath(name))
 
@@ -40,7 +41,7 @@ def assignments_of(devices: Devices | None) -> Assignments:
 
 
 def condition_of(where: str | None) -> Callable[[NamedTransaction], bool]:
-    """The filter of a `--where` expression; without one every transaction passes.
+    """Return the filter of a `--where` expression; without one every transaction passes.
 
     Raises UsageError for an expression that is wrong or can never be true.
     """

@@ -1,4 +1,4 @@
-"""Decodes bytes that a Python program has, such as those of a serial port of its own."""
+"""Decodes bytes that a Python program has read itself, for example from a serial port."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ _FORMS = '"rtu@19200-8E1", "ascii@9600-7E1", "tcp" or "rtu+tcp"'
 class ByteDecoder:
     """Turns bytes into transactions and events, as soon as they are complete.
 
-    Bytes never raise: what cannot be read is an event with its bytes.
+    Bytes never raise: bytes that cannot be read become an event that contains them.
     """
 
     def __init__(self, link: str = "rtu@19200-8E1", *, devices: Devices | None = None) -> None:
-        """`link` is what carries the bytes.
+        """`link` says on what the bytes were heard.
 
-        A serial line ("rtu@19200-8E1", "ascii@9600-7E1"), or one TCP connection ("tcp",
+        It is a serial line ("rtu@19200-8E1", "ascii@9600-7E1"), or one TCP connection ("tcp",
         "rtu+tcp"). `devices` gives units their profiles: {5: "idec-ft1a-touch"}. Raises UsageError
         if one of them is wrong.
         """
@@ -66,11 +66,11 @@ class ByteDecoder:
     def feed(
         self, data: bytes, ts_ns: int | None = None, *, direction: str | None = None
     ) -> list[Record]:
-        """Take the next bytes, and return what they complete.
+        """Take the next bytes, and return the transactions and events that they complete.
 
-        `ts_ns` is when the last of them was read, in UTC ns; without it, only their order counts.
-        `direction` is "request" or "response"; a TCP connection needs it, a serial line with two
-        wires has none. Raises UsageError for another direction.
+        `ts_ns` is the time at which the last of them was read, in ns since 1970; without it, only
+        their order counts. `direction` is "request" or "response"; a TCP connection needs it, a
+        serial line with two wires has none. Raises UsageError for another direction.
         """
         self._count += len(data)
         if self._connection is not None:
@@ -85,16 +85,19 @@ class ByteDecoder:
         )
 
     def quiet(self, ts_ns: int) -> list[Record]:
-        """Say that nothing more has arrived until `ts_ns` (UTC ns), and return what that ends.
+        """Say that nothing has arrived until `ts_ns` (ns since 1970), and return what that ends.
 
-        On a line this makes the last frame known before the next one comes.
+        On a serial line, this silence ends the last frame before the next frame comes.
         """
         if self._line is None:
             return []
         return self._decoder.feed(Quiet(ts_ns, _LINE))
 
     def close(self) -> list[Record]:
-        """Return what is left: a frame at the end, a request without its response."""
+        """End decoding, and return the records that are still incomplete.
+
+        For example, these are a frame at the end, and a request without its response.
+        """
         return self._decoder.close()
 
     def _feed_stream(

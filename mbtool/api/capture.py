@@ -26,7 +26,8 @@ if TYPE_CHECKING:
     from mbtool.devices import NamedTransaction
 
 _TABLE_ROWS = 65_536
-"""So many transactions that are decoded one by one become one part of a table."""
+"""Transactions that are decoded one by one are put into tables of this many rows, which are
+joined."""
 
 
 class Capture:
@@ -35,8 +36,8 @@ class Capture:
     Each method reads the files from their beginning, and needs little memory, except `table`. A
     `with` block is possible and not necessary: a file is open only while it is read.
 
-    A file that is cut or damaged raises CutError or DamageError after its last good record, or adds
-    a remark if the capture was opened with `incomplete=True`.
+    A file that is cut or damaged raises CutError or DamageError after its last good record. If the
+    capture was opened with `incomplete=True`, it adds a remark instead.
     """
 
     def __init__(
@@ -52,7 +53,8 @@ class Capture:
         self._wanted = wanted
         self._incomplete = incomplete
         self.remarks: list[str] = []
-        """Lines about the files, such as that packets are cut; complete after a pass."""
+        """Lines about the files, such as that packets are cut; complete once a method has read them
+        all."""
         self._new_reading().demand_files()
 
     def __enter__(self) -> Self:
@@ -72,17 +74,17 @@ class Capture:
         return (one for one in self.records() if not isinstance(one, WireEvent))
 
     def events(self) -> Iterator[WireEvent]:
-        """Yield all else that happened: gaps, skipped bytes, connections that opened or closed."""
+        """Yield all other events: gaps, skipped bytes, connections that opened or closed."""
         return (one for one in self.records() if isinstance(one, WireEvent))
 
     def records(self) -> Iterator[Record]:
-        """Yield transactions and events in order; `where` chooses among the transactions only."""
+        """Yield transactions and events in order; `where` filters only the transactions."""
         return self._chosen(self._new_reading())
 
     def points(self) -> Iterator[PointRow]:
         """Yield each value that was read or written as a row: `pandas.DataFrame(c.points())`.
 
-        Values of a device with a profile are its named points, in their units of measure.
+        If a device has a profile, these are its named points, in their units of measure.
         """
         reading = self._new_reading()
         for record in self._chosen(reading):
@@ -92,8 +94,8 @@ class Capture:
     def table(self) -> Table:
         """Return all transactions as a `pyarrow.Table`; docs/log-format.md lists its columns.
 
-        A plain capture file is decoded several times as fast in this way as one by one. Raises
-        UsageError if numpy or pyarrow are not installed.
+        An uncompressed capture file is decoded several times as fast in this way as one by one.
+        Raises UsageError if numpy or pyarrow are not installed.
         """
         if any(find_spec(name) is None for name in ("numpy", "pyarrow")):
             from mbtool.core.extras import missing_extra
@@ -113,7 +115,7 @@ class Capture:
         return whole_table([*parts, row_table(rows)])
 
     def _columns(self) -> list[Table] | None:
-        """The tables of a file that can be read as arrays; None for other files."""
+        """Return the tables of files that can be decoded as arrays; None for other files."""
         from mbtool.workflows.shared.column_reading import ColumnReading, can_read_columns
 
         if not can_read_columns(self._paths, self._options):
@@ -139,7 +141,10 @@ class Capture:
             self._finish(reading)
 
     def _finish(self, reading: Reading, error: CutError | DamageError | None = None) -> None:
-        """Collect the remarks of a pass; raise the error that ended it, unless it may be cut."""
+        """Store the remarks after the files were read, and raise the error that ended it.
+
+        With `incomplete=True`, the error becomes a remark.
+        """
         self.remarks = [*reading.remarks]
         if error is not None:
             if not self._incomplete:
@@ -168,10 +173,11 @@ def open_capture(
     """Open a capture (.pcap, .pcapng) or a log (.mcap), plain, .gz or .zst; or several as one.
 
     `devices` gives slaves their profiles: {5: "idec-ft1a-touch", "192.168.3.250": "fa3-at1m8x"}; a
-    log knows its own. `where` chooses transactions: 'unit == 5 and outcome != "ok"'. `line` says
-    that the file has the bytes of a serial line: "rtu@19200-8E1". `ports` are the TCP ports of
-    slaves (502), `rtu_ports` those with RTU over TCP, `any_port` looks at all. `raw` decodes the
-    bytes in a log again. With `incomplete`, a cut or damaged file is read as far as possible.
+    log contains the profiles that it was recorded with. `where` chooses transactions: 'unit == 5
+    and outcome != "ok"'. `line` says that the file has the bytes of a serial line: "rtu@19200-8E1".
+    `ports` are the TCP ports of slaves (by default 502), `rtu_ports` those with RTU over TCP;
+    `any_port` looks for Modbus on all ports. `raw` decodes the bytes in a log again. With
+    `incomplete`, a cut or damaged file is read as far as possible.
 
     Raises InputError if the file cannot be read, UsageError for an argument that is wrong.
     """

@@ -42,9 +42,11 @@ class LiveCapture:
         self._stopping = threading.Event()
         self._sniffer: Sniffer | None = None
         self._stream: Iterator[Record] = iter(())
-        """The one pass over the records, so that none is lost between two calls."""
+        """The only iterator over the records; all calls share it, so that no record is lost between
+        them."""
         self._end_ns = inf
-        """When the call that is under way ends, in UTC ns."""
+        """The time at which the current call ends, in ns since 1970; infinite if it has no time
+        limit."""
         self.remarks: list[str] = []
         """Lines about the links, such as that bytes were lost or a master was turned away."""
 
@@ -71,7 +73,7 @@ class LiveCapture:
     def transactions(
         self, *, seconds: float | None = None, count: int | None = None
     ) -> Iterator[NamedTransaction]:
-        """Yield transactions as they end: for some seconds, until there are `count`, or for ever.
+        """Yield transactions as they end: for `seconds`, until there are `count`, or for ever.
 
         When the time is over or `stop` was called, listening ends for good; after `count`
         transactions, or a `break`, one can go on with another call. Raises LinkError when the last
@@ -88,7 +90,7 @@ class LiveCapture:
                     return
 
     def records(self, *, seconds: float | None = None) -> Iterator[Record]:
-        """Yield transactions and events, as `transactions` does."""
+        """Yield transactions and events; `transactions` describes when this ends."""
         if self._sniffer is None:
             raise RuntimeError("enter the capture first: with mbtool.sniff(...) as capture")
         self._end_ns = inf if seconds is None else now_ns() + seconds * 1e9
@@ -100,7 +102,7 @@ class LiveCapture:
         return self._stopping.is_set() or at_ns >= self._end_ns
 
     def stop(self) -> None:
-        """End the listening, from any thread; what has been heard is still given."""
+        """End the listening, from any thread; records heard so far are still yielded."""
         self._stopping.set()
 
 
@@ -118,10 +120,10 @@ def sniff(
 ) -> LiveCapture:
     """Listen on links (docs/links.md): "rtu:/dev/ttyUSB0@19200-8E1", "net:eth0", "tap:...=...".
 
-    Use it in a `with` block. `log` names a file (.mcap) that gets all that is heard; `where`
-    chooses the transactions that are given. `devices` gives slaves their profiles, `allow` the
-    networks of masters that a tap serves beside this machine. `ports`, `rtu_ports` and `any_port`
-    are for interfaces.
+    Use it in a `with` block. `log` names a file (.mcap) to which all that is heard is written;
+    `where` chooses the transactions that are yielded. `devices` gives slaves their profiles.
+    `allow` names networks: a tap serves masters of these and of this machine. `ports`, `rtu_ports`
+    and `any_port` are for interfaces.
 
     Raises UsageError for an argument that is wrong; entering the block raises LinkError for a link
     that cannot be opened.

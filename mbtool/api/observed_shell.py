@@ -1,4 +1,4 @@
-"""A slave on a link, and what masters asked it."""
+"""The base of the slaves for Python programs: it answers on a link and records the requests."""
 
 # The slave's thread hands each request over before its response leaves. So once a master has a
 # response, the request is in `asked`.
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 MAX_KEPT = 100_000
 """The most requests that are kept; a test that polls for an hour at 20 a second makes 72,000."""
 _SHOWN = 20
-"""The most requests that a failed assertion shows."""
+"""The most requests that the message of a failed assertion shows."""
 _READ_WRITE = 0x17
 
 
@@ -56,7 +56,7 @@ class ObservedShell:
         self._switch = FaultSwitch(slave, self._spec, self._profiles)
         return self._switch
 
-    # Where it answers.
+    # The methods below start and stop the slave, and say on which link it answers.
 
     def __enter__(self) -> Self:
         self.start()
@@ -78,7 +78,7 @@ class ObservedShell:
             self._monitor.on_link(self._spec.name)
 
     def stop(self) -> None:
-        """Stop answering, and close the link; what was asked is still there.
+        """Stop answering, and close the link; the recorded requests are still there.
 
         Raises LinkError if the link was lost while the slave answered.
         """
@@ -106,7 +106,7 @@ class ObservedShell:
             raise LinkError(f"{self.link}: a serial line has no TCP host and port")
         return self._shell
 
-    # What it was asked.
+    # The methods below are about the requests that masters sent.
 
     @property
     def records(self) -> list[Record]:
@@ -139,11 +139,11 @@ class ObservedShell:
         """Assert that masters asked for a register or bit, and return those requests.
 
         `what` is a reference of the device ("HR400001"), a range ("HR400001..400004"), or without a
-        profile "holding 0..3". A request counts if it reads or writes at least one address of it;
-        with `written`, if it writes these values from the first address of `what` on. Without
-        `times`, one request is enough; with `times=0` there must be none.
+        profile "holding 0..3". A request counts if it reads or writes at least one address of
+        `what`; with `written`, if it writes these values from the first address of `what` on.
+        Without `times`, one request is enough; with `times=0` there must be none.
 
-        Raises AssertionError with the requests that came instead, UsageError for an unknown
+        Raises AssertionError with a list of the requests that came, UsageError for an unknown
         reference.
         """
         __tracebackhide__ = True
@@ -178,17 +178,17 @@ class ObservedShell:
         )
 
     def forget(self) -> None:
-        """Forget what was asked so far, to assert on what comes next."""
+        """Forget all requests so far, so that assertions see only later ones."""
         self._monitor.records()
         self._records.clear()
 
     def lines(self, last: int | None = None) -> list[str]:
-        """The requests and events as text, a line each: all, or the last ones."""
+        """Return the requests and events as text, a line each: all of them, or the `last` ones."""
         records = self.records
         return [_line(one) for one in (records if last is None else records[-last:])]
 
     def save_log(self, path: AnyPath) -> None:
-        """Write what was asked to a log (.mcap), which `mbtool decode` and `replay` read.
+        """Write the recorded requests to a log (.mcap), which `mbtool decode` and `replay` read.
 
         A file of that name is replaced. Raises UsageError if it cannot be created, OutputError if
         it cannot be written.
@@ -202,14 +202,15 @@ class ObservedShell:
         finally:
             log.close({})
 
-    # Faults on purpose.
+    # The methods below add and remove faults, which spoil responses on purpose.
 
     def fault(self, kind: str, **keys: object) -> None:
         """Spoil responses from now on: `slave.fault("exception", code=6, times=2)`.
 
         docs/faults.md lists the kinds and their keys: delay, no-answer, exception, wrong-unit,
         close and others; `registers`, `units`, `functions`, `nth`, `every` and `times` say which
-        requests. Several faults act one after the other. Raises UsageError for one that is wrong.
+        requests. Several faults act one after the other. Raises UsageError for a fault that is
+        wrong.
         """
         __tracebackhide__ = True
         try:
@@ -218,7 +219,7 @@ class ObservedShell:
             raise error.with_traceback(None) from None  # Without the calls inside mbtool.
 
     def clear_faults(self) -> None:
-        """Take all faults away."""
+        """Remove all faults, so that responses are correct again."""
         if self._switch is not None:
             self._switch.clear()
 
@@ -243,7 +244,7 @@ def _touches(one: NamedTransaction, span: Span) -> bool:
 
 
 def _parts(one: NamedTransaction, span: Span) -> list[range]:
-    """The addresses of the span's table that a request reads or writes."""
+    """Return the address ranges that a request reads or writes in the table of `span`."""
     function = FUNCTIONS.get(one.function)
     if function is None or function.table is not span.table or one.address is None:
         return []
@@ -254,7 +255,11 @@ def _parts(one: NamedTransaction, span: Span) -> list[range]:
 
 
 def _written_at(one: NamedTransaction, span: Span) -> list[int] | None:
-    """The values that a request writes from the first address of the span on, as many as it has."""
+    """Return the values that a request writes from the first address of `span` on.
+
+    They are cut at the end of `span`, unless `span` is a single address. None if the request writes
+    none there.
+    """
     function = FUNCTIONS.get(one.function)
     first = one.write_address if one.function == _READ_WRITE else one.address
     if (

@@ -1,9 +1,10 @@
 """Turns transactions into tidy rows: one value at one time in each row."""
 
-# A transaction of a device with a profile gives its points. If it has none (there is no profile, or
-# the profile has no point there) each register or bit is a row, named by its reference.
+# If the slave's profile names values (points) in a transaction, each of these is a row. Otherwise
+# each register or bit is a row, named by its reference.
 #
-# Values that a slave did not confirm are left out: of exception responses, of unanswered writes.
+# Values that a slave did not confirm are left out, such as those of unanswered writes and of
+# exception responses.
 
 from __future__ import annotations
 
@@ -24,7 +25,8 @@ class PointRow(NamedTuple):
     """A value that was read or written; `pandas.DataFrame(rows)` makes a table of such rows."""
 
     time_ns: int
-    """When the response was complete, in UTC ns; for a broadcast, the request."""
+    """The time when the response was complete, in ns since 1970; for a broadcast, that of the
+    request."""
     link: str
     slave: str | None
     """The slave's address and port on a network; None on a serial line."""
@@ -34,7 +36,7 @@ class PointRow(NamedTuple):
     reference: str
     """The address in the vendor's notation (HR400001), or `holding 107` without a profile."""
     name: str
-    """The name of the point; the reference, if the value is no named point."""
+    """The name of the point; the reference, if the profile names no point there."""
     value: int | float | None
     """The value in the point's unit of measure; None for a text."""
     text: str
@@ -44,7 +46,7 @@ class PointRow(NamedTuple):
 
 
 def point_rows(transaction: NamedTransaction, profile: Profile | None) -> Iterator[PointRow]:
-    """The values of a transaction; `profile` is the profile of its slave."""
+    """Yield a row for each value of a transaction; `profile` is the profile of its slave."""
     if not transaction.took_effect:
         return
     one = transaction
@@ -62,7 +64,7 @@ def point_rows(transaction: NamedTransaction, profile: Profile | None) -> Iterat
 def _plain_values(
     one: NamedTransaction, profile: Profile | None
 ) -> Iterator[tuple[str, int, bool]]:
-    """The reference and value of each register or bit, and True for each that was written."""
+    """Yield reference and value of each register or bit, and True if it was written."""
     function = FUNCTIONS[one.function]
     if function.table is None:
         return

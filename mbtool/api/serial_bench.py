@@ -1,4 +1,4 @@
-"""A serial line without hardware, for Python."""
+"""A virtual serial line for Python programs, which needs no hardware."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 class SerialBench:
-    """A virtual serial line, there while its `with` block runs; made by `mbtool.line`."""
+    """A virtual serial line that exists while its `with` block runs; `mbtool.line` makes it."""
 
     def __init__(self, settings: LineSettings, ends: int) -> None:
         self._settings = settings
@@ -24,7 +24,7 @@ class SerialBench:
         return self._line.ports
 
     def link(self, end: int) -> str:
-        """The LINK of an end for a slave or `sniff`: `rtu:/dev/pts/4@19200-8E1`.
+        """Return the LINK of an end for a slave or `sniff`: `rtu:/dev/pts/4@19200-8E1`.
 
         Ends are counted from 0. Raises UsageError if the line has no such end.
         """
@@ -43,7 +43,7 @@ class SerialBench:
 def line(settings: str = "rtu@19200-8E1", *, ends: int = 2) -> SerialBench:
     """Make a virtual serial line; characters take as long on it as on a real one.
 
-    Linux and macOS. Raises UsageError for settings that a line cannot have; entering the `with`
-    block raises LinkError if the line cannot be made.
+    It works on Linux and macOS. Raises UsageError for settings that a line cannot have; entering
+    the `with` block raises LinkError if the line cannot be made.
     """
     return SerialBench(parse_line(settings), ends)

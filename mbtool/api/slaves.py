@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 _Choice = TypeVar("_Choice", bound=StrEnum)
 
 LOOPBACK = "tcp:127.0.0.1:0"
-"""This machine, at a TCP port that the system chooses."""
+"""The default link of a slave: this machine, at a TCP port that the system chooses."""
 
 Values = Mapping[str, object]
 """Values by reference or name, as in a file for `--image`: {"HR400001": 4660, "C1": 1}."""
@@ -49,13 +49,13 @@ class Slave(ObservedShell):
     ) -> None:
         """Prepare a device of a profile: a built-in name, or the path of a TOML file.
 
-        `on` is where it answers: "tcp:HOST:PORT", "rtu+tcp:HOST:PORT", "rtu:PORT@19200-8E1",
-        "ascii:PORT@9600-7E1"; without it, a free TCP port of this machine. `image` has its start
-        values: a TOML file, or {"HR400001": 4660, "HR400010": [1, 2, 3]}. `others` are further
-        devices on the same link by unit, with their profiles. `faults` is a TOML file
-        (docs/faults.md) or a list of its tables: [{"kind": "no-answer", "times": 2}]. `allow` names
-        networks whose masters may connect beside this machine. With `strict_timing`, an RTU request
-        whose silences are not kept gets no response.
+        `on` is the link on which it answers: "tcp:HOST:PORT", "rtu+tcp:HOST:PORT",
+        "rtu:PORT@19200-8E1", "ascii:PORT@9600-7E1"; without it, a free TCP port of this machine.
+        `image` has its start values: a TOML file, or {"HR400001": 4660, "HR400010": [1, 2, 3]}.
+        `others` are further devices on the same link: their profiles by unit. `faults` is a TOML
+        file (docs/faults.md) or a list of its tables: [{"kind": "no-answer", "times": 2}]. `allow`
+        names networks whose masters may connect, beside those of this machine. With
+        `strict_timing`, an RTU request whose silences (t1.5, t3.5) are wrong gets no response.
 
         Raises UsageError for an argument that is wrong, InputError for a file that cannot be read.
         """
@@ -84,9 +84,9 @@ class Slave(ObservedShell):
             self._add_faults(faults)
 
     def __getitem__(self, what: str) -> int | list[int]:
-        """The register or bit at a reference, or the registers of a named point if it has several.
+        """Return the register or bit at a reference, or all registers of a named point, as a list.
 
-        Raises UsageError for an unknown reference.
+        A point of one register gives its number alone. Raises UsageError for an unknown reference.
         """
         target = self._targets.find(what)
         image = self._behaviour.image
@@ -113,7 +113,7 @@ class Slave(ObservedShell):
 
     @property
     def outputs(self) -> dict[str, str]:
-        """The state of the device's outputs by name, as people read it, if it has any."""
+        """The state of the device's outputs as text, by their names; empty if it has none."""
         return {one.name: one.text for one in self._behaviour.outputs()}
 
     @property
@@ -147,14 +147,14 @@ class Replay(ObservedShell):
     ) -> None:
         """Prepare to answer from a capture or a log; docs/replay.md describes the options.
 
-        `on` is where to answer, as for `Slave`. `match` says how an answer is found: "auto",
-        "sequence", "key", "time", "image"; `on_miss` what an unknown request gets: "image",
-        "exception", "silent"; `on_end` what comes after the last answer: "last", "loop", "image",
-        "silent". `latency` is "recorded", "none", "sampled" or a time such as "5ms"; `speed` 2
-        plays twice as fast, None without any delay. `start` and `end` choose a part of the
-        recording, in seconds from its first request; `where` chooses transactions: 'link ==
-        "10.0.0.9"'. `devices`, `ports`, `rtu_ports` and `any_port` are as for `open`, `faults` and
-        `allow` as for `Slave`.
+        `on` is the link on which to answer, as for `Slave`. `match` says how a response is found:
+        "auto", "sequence", "key", "time", "image"; `on_miss` what a request gets that was never
+        recorded: "image", "exception", "silent"; `on_end` what a request gets after its last
+        recorded response: "last", "loop", "image", "silent". `latency` is "recorded", "none",
+        "sampled" or a time such as "5ms"; `speed` 2 plays twice as fast, None without any delay.
+        `start` and `end` choose a part of the recording, in seconds from its first request; `where`
+        chooses transactions: 'link == "10.0.0.9"'. `devices`, `ports`, `rtu_ports` and `any_port`
+        are as for `open`, `faults` and `allow` as for `Slave`.
 
         Raises InputError if the recording cannot be read or has no request, UsageError for an
         argument that is wrong.
