@@ -3,8 +3,8 @@
 docs/python.md describes this interface. Nothing is loaded before it is used.
 """
 
-# `import mbtool` must stay cheap: the command line and the pytest plugin import it each time. So a
-# name is imported from its module when it is first asked for (PEP 562).
+# `import mbtool` must stay fast: the command line and the pytest plugin import it each time. So
+# each public name is imported from its module only when it is first used (PEP 562).
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ _PLACES = {
     "sniff": ("api.live_capture", "sniff"),
     **{name: ("core.errors", name) for name in _ERRORS},
 }
-"""Each public name, with its module and its name there."""
+"""For each public name: its module, and its name in that module."""
 
 __all__ = [
     "Capture",

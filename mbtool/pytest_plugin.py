@@ -1,13 +1,13 @@
-"""Fixtures for tests of programs that speak Modbus; docs/pytest.md describes them."""
+"""pytest fixtures for tests of programs that speak Modbus; docs/pytest.md describes them."""
 
-# Each fixture is a function that makes what the test asks for and ends it after the test. A slave
-# listens at a port of its own that the system chooses, so tests may run at the same time
+# Each fixture is a function that makes a slave, a replay or a line, and ends it after the test. A
+# slave listens on a TCP port of its own that the system chooses, so tests may run at the same time
 # (pytest-xdist).
 #
 # If a test fails, the traffic of its slaves is written to logs before the slaves end, and a section
 # of the report shows the last requests and where the logs are. A test that passes writes nothing.
 #
-# pytest loads this file at each start, so it imports the rest of mbtool when a fixture is used.
+# pytest loads this file at each start, so the fixtures import the rest of mbtool only when used.
 
 from __future__ import annotations
 
@@ -28,26 +28,26 @@ _Shell = TypeVar("_Shell", bound="mbtool.ObservedShell")
 
 _OPTION = "--mbtool-logs"
 _LAST_LINES = 20
-"""So many requests are shown for each slave of a failed test."""
+"""The report of a failed test shows at most this many of the last requests to each slave."""
 _NAME_LENGTH = 100
 _SLAVES = pytest.StashKey["list[mbtool.ObservedShell]"]()
 _FOLDER = pytest.StashKey[Path]()
 
 
 class MakesSlave(Protocol):
-    """The fixture `mbtool_slave`: takes what `mbtool.Slave` takes."""
+    """The type of the fixture `mbtool_slave`, which takes the arguments of `mbtool.Slave`."""
 
     def __call__(self, profile: Any, /, on: str = ..., **options: Any) -> mbtool.Slave: ...
 
 
 class MakesReplay(Protocol):
-    """The fixture `mbtool_replay`: takes what `mbtool.Replay` takes."""
+    """The type of the fixture `mbtool_replay`, which takes the arguments of `mbtool.Replay`."""
 
     def __call__(self, path: Any, /, on: str = ..., **options: Any) -> mbtool.Replay: ...
 
 
 class MakesLine(Protocol):
-    """The fixture `mbtool_line`: takes what `mbtool.line` takes."""
+    """The type of the fixture `mbtool_line`, which takes the arguments of `mbtool.line`."""
 
     def __call__(self, settings: str = ..., *, ends: int = ...) -> mbtool.SerialBench: ...
 
@@ -125,7 +125,7 @@ def mbtool_line() -> Iterator[MakesLine]:
 def pytest_runtest_makereport(
     item: pytest.Item, call: pytest.CallInfo[None]
 ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-    """Keep the traffic of a failed test; its slaves still run then."""
+    """Keep the traffic of a failed test in logs; its slaves still run at this moment."""
     report = yield
     slaves = item.stash.get(_SLAVES, None)
     if report.failed and slaves and report.when != "teardown":
@@ -140,7 +140,7 @@ def _started(
     factory: pytest.TempPathFactory,
     ends: ExitStack,
 ) -> _Shell:
-    """Start a slave, and note it for the report and for the end of the test.
+    """Start a slave, and remember it for the report and for the end of the test.
 
     An error of mbtool is one line, so it is raised without the calls inside mbtool.
     """
@@ -159,7 +159,7 @@ def _started(
 
 
 def _kept(item: pytest.Item, number: int, slave: mbtool.ObservedShell) -> str:
-    """Write the log of a slave, and return its part of the report."""
+    """Write the traffic of a slave to a log, and return the slave's part of the report."""
     import mbtool
 
     lines = slave.lines()
@@ -180,10 +180,10 @@ def _kept(item: pytest.Item, number: int, slave: mbtool.ObservedShell) -> str:
 
 
 def log_name(test: str, number: int) -> str:
-    """The file name of a log, unique for each test: `test_a.py-test_b-x-1-5b1f03d2-1.mcap`.
+    """Return the file name of a log, unique for each test: `test_a.py-test_b-x-1-5b1f03d2-1.mcap`.
 
-    Characters that a file name should not have are replaced, so that two tests may look the same.
-    The eight hexadecimal digits, made of the test's full name, tell them apart.
+    Characters that do not belong into a file name are replaced, which may make the names of two
+    tests equal. So the name gets eight hexadecimal digits of a hash of the test's full name.
     """
     from hashlib import sha256
 
@@ -192,7 +192,7 @@ def log_name(test: str, number: int) -> str:
 
 
 def _demand_known(fixture: str, made: type, options: dict[str, Any]) -> None:
-    """Raise TypeError for an argument that the class has not, with the name that is meant."""
+    """Raise TypeError for an argument that the class does not have, and suggest a similar name."""
     __tracebackhide__ = True
     from difflib import get_close_matches
     from inspect import signature
@@ -206,6 +206,6 @@ def _demand_known(fixture: str, made: type, options: dict[str, Any]) -> None:
 
 
 def _beside(request: pytest.FixtureRequest, path: Any) -> Path:
-    """The path beside the test's file, if it is there; else as it was given."""
+    """Return the path beside the test's file if a file is there; else the path as given."""
     beside = request.path.parent / path
     return beside if beside.exists() else Path(path)

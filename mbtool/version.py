@@ -1,3 +1,6 @@
-"""The version of mbtool. It stands here only: the package takes it from this file."""
+"""The version of mbtool.
+
+This file is the only place that has it; the package reads it from here.
+"""
 
 __version__ = "0.2.0"
