@@ -1,4 +1,4 @@
-"""What passes between a process that decodes blocks, and those that print them."""
+"""The data that the decoding process exchanges with the processes that print decoded blocks."""
 
 from __future__ import annotations
 
@@ -16,26 +16,27 @@ if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
 
 NO_FILE = "-"
-"""In place of the descriptor of a Parquet file, if lines are printed."""
+"""The argument in place of a Parquet file's descriptor, if the process makes lines of text."""
 SIZE = Struct("<Q")
-"""The size, in bytes, of a pickled reply; it stands before the reply."""
+"""The header of a pickled reply: its size in bytes."""
 
 
 @dataclass(slots=True)
 class PrintedBlock:
-    """What became of a block."""
+    """The reply of a printing process: the lines of a block of packets, and its counts."""
 
     counts: TransactionCounts
     made: list[NamedTransaction] = field(default_factory=list)
-    """The transactions of unusual form among those that were read as arrays."""
+    """Transactions whose PDUs are not the common reads and writes, so that each was made an object
+    to be printed."""
     text: str = ""
-    """The lines; empty if they went to a file."""
+    """The lines of all transactions; empty if the process writes a Parquet file."""
     text_bytes: int = 0
-    """The size of the text as UTF-8, in the file in memory."""
+    """The size of `text` as UTF-8, in bytes; the process passes it in a file in memory."""
 
 
 def write_pieces(descriptor: int, pieces: Sequence[ReadableBuffer]) -> list[int]:
-    """Write pieces to the beginning of a file, one behind the other; return their sizes."""
+    """Write `pieces` in a row from the beginning of a file; return their sizes in bytes."""
     sizes = []
     at = 0
     for piece in pieces:
@@ -48,7 +49,7 @@ def write_pieces(descriptor: int, pieces: Sequence[ReadableBuffer]) -> list[int]
 
 
 def read_pieces(descriptor: int, sizes: Sequence[int]) -> list[bytearray]:
-    """Read pieces of some sizes from the beginning of a file."""
+    """Read from the beginning of a file, one after the other, pieces of the given sizes (bytes)."""
     pieces = [bytearray(size) for size in sizes]
     at = 0
     for piece in pieces:

@@ -1,12 +1,14 @@
-"""The process that prints decoded blocks: python -m mbtool.workflows.shared.block_printing."""
+"""The child process that prints blocks: `python -m mbtool.workflows.shared.block_printing`."""
 
-# The parent (block_processes.py) decodes; this process makes lines or Parquet of what it decoded.
-# The arguments are the format, the descriptor of the Parquet file (or -), and the descriptors of
-# files in memory. The parent writes a block into one of these files, and then a line to standard
-# input: the index of the file, and the sizes of the pieces in it. The reply is a pickled object on
-# standard output, behind its size. Lines of text are in the same file.
+# The parent (block_processes.py) decodes blocks of packets; this process prints their transactions
+# as lines or Parquet. Its arguments are the format, the descriptor of the Parquet file (or -), and
+# the descriptors of files in memory. The parent writes a block into one of these files, and then a
+# line to this process's standard input: the index of the file, and the sizes of the pieces in it.
+# The reply on standard output is a pickled object behind its size. Printed lines are passed back in
+# the same file in memory.
 #
-# When standard input ends, the Parquet file is completed: also if the parent is killed.
+# When standard input ends, the Parquet file is completed. That happens also if the parent is
+# killed.
 
 from __future__ import annotations
 
@@ -73,7 +75,7 @@ def _reply(reply: PrintedBlock | Exception, write: Callable[[bytes], object]) ->
 
 
 class _ParquetBlocks:
-    """Writes the transactions of blocks to a Parquet file."""
+    """Writes the transactions of each block to a Parquet file."""
 
     def __init__(self, descriptor: int) -> None:
         from mbtool.columns.block_table import BlockTables
@@ -94,7 +96,7 @@ class _ParquetBlocks:
 
 
 class _LineBlocks:
-    """Makes the lines of the transactions of blocks."""
+    """Prints the transactions of each block as lines of jsonl or CSV."""
 
     def __init__(self, kind: str) -> None:
         from mbtool.columns.plain_lines import BlockLines
@@ -117,7 +119,8 @@ _LINES: dict[str, tuple[Callable[[NamedTransaction], str], str]] = {
     "jsonl": (lambda one: transaction_to_jsonl(one).decode(), ","),
     "csv": (csv_line, " "),
 }
-"""By format, the line of a transaction, and the text between two values of a list."""
+"""For each format, the function that makes the line of a transaction, and the separator of the
+values of a list in that line."""
 
 
 if __name__ == "__main__":

@@ -1,15 +1,17 @@
-"""Lets other processes print what this one decodes, so that both cores of a machine are used."""
+"""Starts processes that print the transactions which this process decodes, to use several cores."""
 
-# This process reads and decodes; that must be done in the order of the packets. Other processes
-# (block_printing.py) make lines or Parquet of the decoded blocks. So the result is the same as that
-# of one process, whatever the blocks hold. One process writes a Parquet file; lines are made by
-# several in turn, and this one prints them in order.
+# The main process reads and decodes blocks of packets, in the order of the packets. Child processes
+# (block_printing.py) turn the decoded blocks into lines or Parquet, so the output is the same as
+# that of one process. A Parquet file is written by one child. Lines are made by several children in
+# turn, and the main process prints them in order.
 #
-# The arrays of a block go through files in memory. Each process has SLOTS of them, so that it finds
-# the next block when it has printed one. Memory: SLOTS blocks for each process, and their lines.
+# The arrays of a block are passed through files in memory. Each child has SLOTS of them, so that
+# its next block is there when it has finished one. Memory: SLOTS blocks for each child, and their
+# lines.
 #
-# A process that is killed is found by the end of its replies. The processes are in groups of their
-# own (child.py), so Ctrl-C reaches only this one. They end when their standard input does.
+# If a child is killed, the main process notices that its replies end. Each child is in a process
+# group of its own (child.py), so Ctrl-C reaches only the main process. A child ends when its
+# standard input is closed.
 
 from __future__ import annotations
 
@@ -41,21 +43,22 @@ if TYPE_CHECKING:
     from mbtool.columns.column_decoder import DecodedBlock
 
 SLOTS = 2
-"""Blocks that a process has at once: one that it prints, and the next."""
+"""The number of blocks that a child process has at once: the one that it prints, and the next."""
 MOST_LINE_PROCESSES = 2
-"""More are not kept busy by one that decodes: lines take about as long as decoding."""
+"""The most child processes that make lines. One decoding process cannot keep more of them busy, as
+making the lines of a block takes about as long as decoding it."""
 
 _MODULE = "mbtool.workflows.shared.block_printing"
 
 
 class BlockProcesses:
-    """The processes that print blocks. A context manager; its exit ends them."""
+    """The child processes that print decoded blocks; leaving the context manager ends them."""
 
     def __init__(self, format_: str, jobs: int, output: int | None = None) -> None:
-        """Start at most `jobs` - 1 processes, for one of the formats of block_printing.py.
+        """Start at most `jobs` - 1 child processes, but at least one.
 
-        `output` is the descriptor of a Parquet file. Raises LinkError if the system starts no more
-        processes.
+        `format_` is parquet, jsonl or csv; `output` is the file descriptor of a Parquet file.
+        Raises LinkError if the system starts no more processes.
         """
         most = MOST_LINE_PROCESSES if output is None else 1
         self._processes: list[_BlockProcess] = []
@@ -78,9 +81,10 @@ class BlockProcesses:
         self._kill()
 
     def printed(self, blocks: Iterator[DecodedBlock]) -> Iterator[PrintedBlock]:
-        """Print blocks, in order; if one raises an error, it is raised after those before it.
+        """Let the child processes print blocks; yield their replies in the order of the blocks.
 
-        Raises OutputError if a process is killed, and the OSError of one that cannot write.
+        An error of `blocks` is raised after the replies for the blocks before it. Raises
+        OutputError if a child process is killed, and OSError if it cannot write.
         """
         waiting: deque[_BlockProcess] = deque()
         error: Exception | None = None
@@ -97,7 +101,7 @@ class BlockProcesses:
                 continue
             process = self._processes[number % len(self._processes)]
             if process.is_full:
-                yield waiting.popleft().take()  # It is the same process: they take turns.
+                yield waiting.popleft().take()  # Blocks go round in turn, so this is `process`.
             process.send(block)
             waiting.append(process)
             number += 1
@@ -107,9 +111,9 @@ class BlockProcesses:
             raise error
 
     def complete(self) -> TransactionCounts:
-        """Complete the Parquet file, and return the counts of all its transactions.
+        """Complete the Parquet file; return the counts of all its transactions.
 
-        Raises as `printed` does.
+        Raises OutputError if the child process is killed, and OSError if it cannot write.
         """
         (process,) = self._processes
         process.complete()
@@ -121,7 +125,7 @@ class BlockProcesses:
 
 
 class _BlockProcess:
-    """One process that prints blocks."""
+    """One child process that prints decoded blocks."""
 
     def __init__(self, format_: str, output: int | None) -> None:
         self._slots = [_file_in_memory() for _ in range(SLOTS)]
@@ -140,8 +144,9 @@ class _BlockProcess:
         self._sent = self._taken = 0
         self._replies: SimpleQueue[PrintedBlock | Exception | None] = SimpleQueue()
         self.counts = TransactionCounts()
-        """The sum of all replies so far."""
-        # A thread reads the replies: Ctrl-C in the middle of one would lose it.
+        """The sum of the counts in all replies so far."""
+        # A thread of its own reads the replies, as Ctrl-C interrupts only the main thread; there,
+        # it could lose a half-read reply.
         self._receiver = Thread(target=self._receive, daemon=True)
         self._receiver.start()
 
@@ -150,7 +155,7 @@ class _BlockProcess:
         return self._sent - self._taken == SLOTS
 
     def send(self, block: DecodedBlock) -> None:
-        """Let a block be printed; there must be room."""
+        """Send a block to the child process. `is_full` must be False."""
         number = self._sent % SLOTS
         buffers: list[pickle.PickleBuffer] = []
         slim = replace(block, passed=None)
@@ -158,11 +163,14 @@ class _BlockProcess:
         sizes = write_pieces(self._slots[number], [body, *(one.raw() for one in buffers)])
         self._sent += 1
         assert self._process.stdin is not None
-        with suppress(BrokenPipeError):  # It has ended: `take` will tell why.
+        with suppress(BrokenPipeError):  # The process has ended; `take` will raise the reason.
             self._process.stdin.write(f"{number} {' '.join(map(str, sizes))}\n".encode())
 
     def take(self) -> PrintedBlock:
-        """Wait for the next block that was printed."""
+        """Wait for the next reply of the child process: the lines of a block.
+
+        Raises the error in the reply, or OutputError if the process has ended too early.
+        """
         reply = self._replies.get()
         if isinstance(reply, Exception):
             raise reply
@@ -175,7 +183,10 @@ class _BlockProcess:
         return reply
 
     def complete(self) -> None:
-        """Let the process print what it has, and end. Raises as `take` does."""
+        """Wait until the child process has printed all its blocks and ended.
+
+        Raises its error, or OutputError if it has ended too early.
+        """
         assert self._process.stdin is not None
         self._process.stdin.close()
         self._receiver.join()
@@ -220,7 +231,7 @@ class _BlockProcess:
 
 
 def _next_reply(replies: BinaryIO) -> PrintedBlock | Exception | None:
-    """Wait for the next reply; None at the end, also if it is in the middle of a reply."""
+    """Wait for the next reply; None if the stream ends, even in the middle of a reply."""
     head = replies.read(SIZE.size)
     if len(head) < SIZE.size:
         return None
@@ -230,7 +241,10 @@ def _next_reply(replies: BinaryIO) -> PrintedBlock | Exception | None:
 
 
 def _file_in_memory() -> int:
-    """The descriptor of a file that has no name, in memory where the system can do that."""
+    """Create a file without a name and return its descriptor.
+
+    It is in memory if the system supports that, else a temporary file.
+    """
     if hasattr(os, "memfd_create"):
         return os.memfd_create("mbtool")
     with tempfile.TemporaryFile() as file:

@@ -1,12 +1,14 @@
-"""Splits a recording into the pieces to be sent to a serial line: all bytes of both sides."""
+"""Turns a recording into the bytes to send to a serial line: those of the master and the slaves."""
 
-# If it was recorded on a serial line, the bytes are sent as they were captured, with the silences
-# between reads. A read has the time of its last byte, so its first byte began as many character
-# times earlier as the read has bytes. A silence of t3.5 between two pieces is kept at any speed.
+# A recording of a serial line is sent byte by byte as it was captured, with the silences between
+# reads. A read has the time of its last byte, so its first byte began as many character times
+# earlier as the read has bytes. A silence of at least t3.5 is never shortened below t3.5, however
+# fast the recording is played.
 #
-# If it was recorded on a network, each PDU is framed for the serial line. The response is sent
-# right after its request. The next request is sent after the response, even if the recorded master
-# did not wait for the response, because a serial line carries one transaction at a time.
+# A recording of a network is sent as transactions: each PDU is framed for the serial line. A
+# response is sent right after its request. The next request is sent after the response, even if the
+# recorded master did not wait for the response, because a serial line carries one transaction at a
+# time.
 #
 # Only one line can be played; --where 'link == ...' chooses it. Other conditions of --where apply
 # only to transactions recorded on a network: the bytes of a serial line are always all sent.
@@ -48,11 +50,14 @@ if TYPE_CHECKING:
     from mbtool.workflows.shared.recorded import PlayOptions
 
 MAX_PIECE = 256
-"""The most bytes in a piece, so that a port takes it at once: the length of the longest RTU ADU."""
+"""The most bytes that are passed to a serial port at once, so that it takes them without waiting:
+the length of the longest RTU ADU."""
 
 
 class Begun(NamedTuple):
-    """Bytes, when the first of them began (ns), and True if a silence of t3.5 precedes them."""
+    """Bytes to send, the time when the first one begins (UTC ns), and True if a silence of at least
+    t3.5 precedes them.
+    """
 
     begin_ns: int
     data: bytes
@@ -66,10 +71,11 @@ def read_pieces(
     on_remark: Callable[[str], None],
     watch: Watch = unwatched,
 ) -> list[ByteRun]:
-    """Return the pieces to send, in order of time; time counts from the begin of the part played.
+    """Return the pieces of bytes to send, in order of time.
 
-    Raises InputError if the file cannot be read or has no piece to send, UsageError if it has
-    several lines, or a line of another mode (RTU or ASCII) than the link.
+    Their times (ns) count from the beginning of the part that is played. Raises InputError if the
+    file cannot be read or has nothing to send, UsageError if it has several lines, or a line of
+    another mode (RTU or ASCII) than the link.
     """
     window = options.window
     transactions = read_recorded(path, options, on_remark, watch).transactions
@@ -126,7 +132,7 @@ def _of_line(
     link: SerialLink,
     on_remark: Callable[[str], None],
 ) -> list[Begun]:
-    """The bytes of a serial line as they were captured."""
+    """Return the bytes of the serial line `name` as they were captured, in order of time."""
     if path == STANDARD_INPUT:
         raise UsageError("standard input: a recording of a serial line is read twice; name a file")
     pieces: list[_Heard] = []
@@ -141,11 +147,11 @@ def _of_line(
             untimed = untimed or chunk.stamp is Stamp.UNKNOWN
             pieces += _cut(chunk, line.format)
     except (CutError, DamageError):
-        pass  # The user already knows from the reading of the transactions.
+        pass  # `read_recorded` has already told the user that the file is cut or damaged.
     if untimed:
         on_remark(f"{path}: has no times of its bytes: they are sent without a silence")
-    # Sort by end: if the assumed baud rate is too low, a long piece would seem to begin before the
-    # piece that precedes it.
+    # Sort by the time of the last byte, which is known. That of the first byte is computed: if the
+    # assumed baud rate is too low, a long piece would seem to begin before the piece before it.
     pieces.sort(key=lambda one: one.end_ns)
     begun: list[Begun] = []
     end_ns: int | None = None
@@ -158,7 +164,9 @@ def _of_line(
 
 
 class _Heard(NamedTuple):
-    """Bytes, the time of the first and of the last one, and the silence between frames (t3.5)."""
+    """Captured bytes, the times (UTC ns) when the first one began and the last one ended, and t3.5
+    of their line in ns.
+    """
 
     begin_ns: int
     end_ns: int
@@ -179,14 +187,14 @@ def _cut(chunk: Chunk, line: SerialFormat) -> Iterator[_Heard]:
 
 
 def _evidence(path: str, options: ReadingOptions) -> Iterator[tuple[LineSettings, Chunk]]:
-    """The serial bytes of a file, each with the settings of its line."""
+    """Yield the chunks of serial bytes in a file, each with the settings of its line."""
     given = options.line or LineSettings(SerialFormat())
     with open_capture(path, options.line) as capture:
         if capture.kind is CaptureKind.MCAP:
             log = LogReader(capture.stream, capture.name)
             lines: dict[str, LineSettings | None] = {}
             for item in log.evidence():
-                if item.link not in lines:  # Only now, as a log may describe a link late.
+                if item.link not in lines:  # A log may describe a link only before its first item.
                     lines[item.link] = _settings(log.links.get(item.link, {}).get(SPEC))
                 line = lines[item.link]
                 if isinstance(item, Chunk) and line is not None:
@@ -211,11 +219,11 @@ def _evidence(path: str, options: ReadingOptions) -> Iterator[tuple[LineSettings
 
 
 def _line_in(head: CaptureHead, link: str) -> LineSettings | None:
-    """The settings of a link in a capture that describes its links."""
+    """The settings of a link in a capture that describes its links; None if it is not serial."""
     return _settings(head.links.get(link, {}).get(SPEC))
 
 
 def _settings(spec: str | None) -> LineSettings | None:
-    """The settings of a link in a log; None if it is not a serial line."""
+    """The settings in a LINK text, as `rtu:COM3@9600`; None if it is not a serial line."""
     link = None if spec is None else parse_link(spec)
     return LineSettings(link.format, link.ascii) if isinstance(link, SerialLink) else None

@@ -1,14 +1,14 @@
 """Decides whether a file continues the file before it, as a further part of one capture."""
 
 # tcpdump -G and -C, dumpcap -b and sniff --rotate split a capture into several files while
-# connections are open, so a transaction may begin in one file and end in the next. A file is the
-# next part of the capture
+# connections are open, so a transaction may begin in one file and end in the next.
 #
-#     of packets    if its first packet is not earlier (by more than BACK_NS) than the last packet
-#                   of the file before it, is later than the first packet of that file, and has a
-#                   link type that the file before has, too
-#     of a log      if it has the same run, links, devices and profiles, and the next part number;
-#                   and it does not begin earlier
+# A file of packets continues the capture of the file before it if its first packet is later than
+# the first packet of that file, at most BACK_NS earlier than its last packet, and has a link type
+# that also occurs in that file.
+#
+# A log continues the log before it if both have the same metadata of the recording, links, devices
+# and profiles, if its part number is the next one, and if it does not begin earlier.
 #
 # Any other file is a new capture, whose connections are not joined to earlier ones. Two unrelated
 # files of packets in order of time are taken as parts of one capture. This does no harm: sequence
@@ -26,22 +26,26 @@ if TYPE_CHECKING:
     from mbtool.logs import LogReader
 
 BACK_NS = 1_000_000_000
-"""A first item up to so many ns earlier than the last item still continues the capture: packets of
-several interfaces, and bytes of several ports, are written slightly out of order."""
+"""A file continues a capture even if its first packet or chunk is earlier than the last one of the
+file before, by up to this time (ns): packets of several interfaces, and bytes of several ports, are
+written slightly out of order."""
 
 _PART = "part"
 
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """The capture that a log belongs to, and which part of it. Files of packets do not say that."""
+    """Identifies a file as a part of a capture: by a part number and the metadata of its recording.
+
+    A file of packets has no such data, so its number is None and `run` is empty.
+    """
 
     number: int | None = None
     run: tuple[object, ...] = ()
 
     @classmethod
     def of_log(cls, log: LogReader) -> Part:
-        """Read run and part number from the head of a log, before its items."""
+        """Take the part number and the metadata of the recording from the head of a log."""
         number = log.capture.get(_PART, "")
         capture = {key: value for key, value in log.capture.items() if key != _PART}
         run = (capture, dict(log.links), dict(log.devices), dict(log.profiles))
@@ -56,7 +60,10 @@ class Part:
 
 
 class Seam:
-    """The state of a capture read so far: times of its first and last item, and its link types."""
+    """The end of the capture read so far, to check if the next file continues it.
+
+    It has the times of the first and the last item (packet or chunk), and all link types.
+    """
 
     def __init__(self) -> None:
         self._first_ns: int | None = None
@@ -71,7 +78,7 @@ class Seam:
             self._types.add(item.link_type)
 
     def is_continued_by(self, item: Evidence) -> bool:
-        """True if a file that begins with this item can be the next part."""
+        """True if a file whose first packet or chunk is `item` can be the next part."""
         if self._last_ns is None or self._first_ns is None:
             return True
         if item.ts_ns <= self._first_ns < self._last_ns:
@@ -81,9 +88,9 @@ class Seam:
         return item.ts_ns >= self._last_ns - BACK_NS
 
     def is_overtaken_by(self, item: Evidence) -> bool:
-        """True if this first packet of a file is older than packets of earlier files.
+        """True if `item`, the first packet of a file, is older than packets of earlier files.
 
-        Then the user has named the files of the capture in the wrong order.
+        Then the user has probably named the parts of a capture in the wrong order.
         """
         if self._first_ns is None or self._last_ns is None or not isinstance(item, Packet):
             return False

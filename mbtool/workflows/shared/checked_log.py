@@ -1,8 +1,9 @@
-"""A log of `sniff` that also gets the findings which need several transactions."""
+"""Writes a log of `sniff` and adds the findings (broken rules) that need several transactions."""
 
-# The writer itself writes the findings about one transaction, as their codes are in it. Everything
-# that is logged goes to the same rules as in `check`. The rules hold no more than their modules
-# say. Findings that summarise a capture are written when the log is closed.
+# A transaction contains the codes of the findings about itself alone; the log writer writes these.
+# For all other findings, each item of the log is passed to the rules that `check` uses. Findings
+# about the capture as a whole are written when the log is closed. Memory: that of the rules, which
+# their modules in devices/checking/ state.
 
 from __future__ import annotations
 
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 
 
 class FindingsLog(Log, Protocol):
-    """A log that takes findings, too."""
+    """A log writer to which findings can be written, too."""
 
     def add_finding(self, finding: Finding, known_ns: int) -> None: ...
 
@@ -35,17 +36,17 @@ def begin_checked(
     lines: Mapping[str, SerialLink],
     ports: frozenset[int] | None,
 ) -> CheckedLog:
-    """Create a log with `begin`.
+    """Create a log with `begin`, and wrap it so that it also gets the findings of the rules.
 
-    `lines` are the serial links by their names; `ports` are the TCP ports that should carry Modbus,
-    None for all ports.
+    `lines` are the serial links by name. `ports` are the TCP ports that should carry Modbus; None
+    for all ports.
     """
     formats = {name: timing.format_of(line) for name, line in lines.items()}
     return CheckedLog(begin(), CaptureContext(timing.assignments, formats.get, ports=ports))
 
 
 class CheckedLog:
-    """Passes everything on to a log, and adds the findings."""
+    """Passes all items on to a log writer, and adds the findings of the rules."""
 
     def __init__(self, log: FindingsLog, context: CaptureContext) -> None:
         self._log = log
@@ -53,7 +54,7 @@ class CheckedLog:
         self._last_ns = 0
 
     def write(self, item: LogItem | DecodingMark) -> None:
-        """Write an item, and then the findings that are certain because of it.
+        """Write an item, and then the findings that the rules report after this item.
 
         Raises OutputError if the log cannot be written.
         """

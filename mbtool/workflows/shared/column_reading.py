@@ -1,7 +1,8 @@
-"""Reads capture files into tables of transactions, as arrays where that is possible."""
+"""Reads capture files fast, by decoding blocks of packets as numpy arrays."""
 
-# The transactions, their order, the remarks and the errors are the same as with `Reading`. This
-# faster way only works for files of packets, without device profiles.
+# The transactions, their order, the remarks for the user and the errors are the same as with the
+# class `Reading`, which decodes one packet at a time. Reading as arrays only works for files of
+# packets, and without device profiles.
 
 from __future__ import annotations
 
@@ -38,7 +39,7 @@ if TYPE_CHECKING:
 
 
 def can_read_columns(paths: Sequence[str], options: ReadingOptions) -> bool:
-    """True if ColumnReading can read these files.
+    """True if ColumnReading can read these files with these options.
 
     Raises InputError for a file that cannot be read.
     """
@@ -48,24 +49,28 @@ def can_read_columns(paths: Sequence[str], options: ReadingOptions) -> bool:
 
 
 def _has_plain_packets(path: str) -> bool:
-    """True for a file of packets that does not describe its links."""
+    """True for a file of packets, unless mbtool made it from a log and stored its links in it."""
     with open_capture(path) as capture:
         if capture.kind is CaptureKind.PCAPNG:
-            # Packets of a file that describes its links may show bytes of a serial line.
+            # `capture.head`, the description of links, is known once the first packet is read. With
+            # it, packets may contain frames of a serial line, which arrays do not decode.
             with suppress(InputError):
                 next(capture.packets(), None)
         return capture.kind in PACKET_KINDS and capture.head is None
 
 
 class ColumnReading(PartReading):
-    """Reads capture files once, and yields tables or lines of their transactions."""
+    """Reads capture files once as blocks of packets, and yields their transactions.
+
+    They come as records, tables, lines of text, or batches for counting; one method for each form.
+    """
 
     def __init__(self, paths: Sequence[str], options: ReadingOptions) -> None:
         super().__init__(paths, options)
         self.on_block: Callable[[DecodedBlock], None] | None = None
-        """Called with each block before its transactions are given, if not None."""
+        """If not None, called with each decoded block before its transactions are yielded."""
         self._heard_here: HeardLine | None = None
-        """The check of the baud rate of the current file, if it has bytes of a serial line."""
+        """The check of the assumed baud rate, if the current file has bytes of a serial line."""
 
     def records(self) -> Iterator[Record]:
         """Yield all transactions and events, one by one. Raises as `batches` does."""
@@ -78,10 +83,10 @@ class ColumnReading(PartReading):
     def batches(self) -> Iterator[TransactionBatch]:
         """Yield the transactions and events, as a table for each block of packets.
 
-        Raises InputError if the file cannot be read, CutError if it ends too early, after the
-        transactions before that place.
+        Raises InputError if the file cannot be read; CutError if it ends in the middle of a packet,
+        after the transactions before that have been yielded.
         """
-        from mbtool.columns.block_table import BlockTables  # Needs pyarrow, `parts` does not.
+        from mbtool.columns.block_table import BlockTables  # Other methods do not need pyarrow.
 
         tables = BlockTables()
         for block in self._blocks():
@@ -93,9 +98,10 @@ class ColumnReading(PartReading):
     def lines(
         self, line_of: Callable[[NamedTransaction], str], separator: str
     ) -> Iterator[LineBatch]:
-        """Yield the lines of the transactions, as a text for each block of packets.
+        """Yield the transactions as text, the lines of each block of packets together.
 
-        The arguments are those of BlockLines. Raises as `batches` does.
+        `line_of` makes the line of a transaction; `separator` stands between the values of a list
+        in it. Raises as `batches` does.
         """
         lines = BlockLines(line_of, separator)
         for block in self._blocks():
@@ -105,7 +111,7 @@ class ColumnReading(PartReading):
             yield batch
 
     def decoded(self) -> Iterator[DecodedBlock]:
-        """Yield what `batches` makes tables of. Raises as `batches` does."""
+        """Yield the decoded blocks of packets as they are. Raises as `batches` does."""
         for block in self._blocks():
             for _, record in block.records:
                 self._note(record)
@@ -120,7 +126,9 @@ class ColumnReading(PartReading):
                 yield part
 
     def quiet_parts(self) -> Iterator[Record | QuietRows]:
-        """Yield all transactions and events; many answered reads without findings come at once."""
+        """Yield all transactions and events; many answered reads that break no rule come as one
+        object.
+        """
         quiet = QuietParts()
         for block in self._blocks():
             for _, record in block.records:
@@ -152,7 +160,7 @@ class ColumnReading(PartReading):
                     yield self._noted(decoded)
 
     def _columns(self) -> ColumnDecoder:
-        """The decoder of the current capture."""
+        """Return the decoder of the current capture; create it if the capture has none yet."""
         if self._decoder is None:
             self._decoder = self._own_decoder()
             self.format_of, self.line_of = self._decoder.format_of, self._decoder.line_of
@@ -161,7 +169,10 @@ class ColumnReading(PartReading):
         return self._column_decoder
 
     def _ended(self) -> Iterator[DecodedBlock]:
-        """End the capture: yield what its decoder still holds, as of the file read last."""
+        """End the capture: yield the records that its decoder still holds, as a block.
+
+        They count for the last file of the capture, although the next file is already open.
+        """
         file, captures = self.file, self.captures
         block = _block_of(self._end_capture())
         begun = self.file, self.captures
@@ -195,7 +206,7 @@ class ColumnReading(PartReading):
             self.on_block(block)
         events = sum(isinstance(record, WireEvent) for _, record in block.records)
         transactions = len(block.records) - events
-        # Transactions that were read as arrays are in connections whose OPENED event came before.
+        # If a block has transactions read as arrays, something in the files could be decoded.
         if block.plain is not None:
             self._has_found = self._has_decoded = True
             transactions += len(block.plain.request)

@@ -1,8 +1,8 @@
-"""Groups the files of a conversion by capture, and reads each group in one way."""
+"""Groups the input files of `convert` by capture, and reads each group as one capture."""
 
-# The parts of a rotated log, and files of packets that follow one another in time, are one capture:
-# they are decoded as one, in the order of their parts or times, however the user has ordered them.
-# Every other file is a capture of its own.
+# The parts of a rotated log, and files of packets that follow one another in time, are one capture.
+# They are decoded as one, in the order of their part numbers or times, in whatever order the user
+# names them. Every other file is a capture of its own.
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _TABLES = (".parquet", ".csv")
 class _InputFile(NamedTuple):
     path: str
     kind: CaptureKind | None
-    """None for lines of transactions."""
+    """None for a .jsonl file, which contains decoded transactions."""
     part: Part
     first_ns: int
     last_ns: int
@@ -53,17 +53,18 @@ class InputGroup:
     options: ReadingOptions
     head: CaptureHead
     is_log: bool
-    """True for logs and for what was made from one: the files themselves describe their links."""
+    """True for logs, and for captures made from a log: such files describe their links."""
     is_raw: bool
-    """True for logs: their evidence is decoded, in place of what they say."""
+    """True for logs: their packets and bytes are decoded again, and their stored transactions are
+    ignored."""
     marks: EvidenceMarks = field(default_factory=EvidenceMarks)
     broken: InputError | None = None
-    """The error of a file that is cut or damaged, once it was read."""
+    """The error of a file that is cut or damaged, once the file has been read; else None."""
     remarks: list[str] = field(default_factory=list)
     line_of: Callable[[str], SerialLink | None] = lambda _: None
 
     def records(self) -> Iterator[Record]:
-        """Give the transactions and events; those of a log as they stand there."""
+        """Yield the transactions and events; those of a log as they are stored in it."""
         reading = Reading(self.paths, self.options)
         try:
             yield from reading.records()
@@ -74,7 +75,10 @@ class InputGroup:
     def read_marks(
         self, wanted: Callable[[NamedTransaction], bool], first: int, watch: Watch = unwatched
     ) -> None:
-        """Decode the evidence, and note what it says of packets and frames."""
+        """Decode the packets and bytes, and set `marks` to the frames, packets and comments found.
+
+        `wanted` returns True for the transactions to keep; `first` is the number of the first one.
+        """
         reading = EvidenceReading(self.paths, replace(self.options, raw=self.is_raw))
         self.line_of = lambda link: reading.line_of(link)
         try:
@@ -85,12 +89,14 @@ class InputGroup:
         self.marks = reading.marks
 
     def evidence(self) -> Iterator[Chunk | Packet | WireEvent]:
-        """Give the packets and reads."""
+        """Yield the packets, the chunks and the events of the files, not decoded."""
         return evidence_of_files(self.paths, self.options)
 
 
 class TransactionGroup(InputGroup):
-    """A file of transactions without evidence: the bytes of their frames take its place."""
+    """A .jsonl file of transactions. As it has no captured packets or bytes, `evidence` yields the
+    bytes of the transactions' frames.
+    """
 
     def records(self) -> Iterator[Record]:
         (path,) = self.paths
@@ -146,7 +152,7 @@ def _endpoint(text: str | None) -> Endpoint | None:
 
 
 def grouped(paths: Sequence[str], options: ReadingOptions) -> list[InputGroup]:
-    """The files by capture, in the order of their beginnings.
+    """Group the files by capture; return the groups in the order of their first times.
 
     Raises InputError for a file that cannot be read, UsageError for one that is named twice, for
     standard input, which cannot be read twice, and for a kind that is not converted.

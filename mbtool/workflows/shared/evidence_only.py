@@ -1,4 +1,4 @@
-"""A log that gets what is heard and nothing that is decoded."""
+"""Writes a log with only the packets and bytes that were heard, without decoded transactions."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ if TYPE_CHECKING:
 def begin_evidence_only(
     begin: Callable[[], StatusLog], links: Sequence[LinkSpec]
 ) -> EvidenceOnlyLog:
-    """Create a log with `begin`; `links` are those of the run."""
+    """Create a log with `begin` that gets only evidence. `links` are all recorded links."""
     return EvidenceOnlyLog(begin(), {link.name for link in links if isinstance(link, TapLink)})
 
 
 class EvidenceOnlyLog:
-    """Passes evidence on to a log, and the events that decoding it again cannot give."""
+    """Passes packets and chunks on to a log, and events that decoding could not find again."""
 
     def __init__(self, log: StatusLog, taps: Set[str]) -> None:
         """`taps` are the names of the links that are taps."""
@@ -39,7 +39,7 @@ class EvidenceOnlyLog:
             self._log.write(item)
 
     def add_finding(self, finding: Finding, known_ns: int) -> None:
-        pass  # A finding is decoded.
+        pass  # A finding is a result of decoding, so it is not written.
 
     def add_status(self, values: Mapping[str, str]) -> None:
         self._log.add_status(values)
@@ -48,5 +48,5 @@ class EvidenceOnlyLog:
         self._log.tick(now_ns)
 
     def close(self, final: Mapping[str, str]) -> None:
-        # Nothing is decoded, so nothing remains to be decoded.
+        # A log without transactions needs no count of the items that were not decoded.
         self._log.close({key: value for key, value in final.items() if key != UNDECODED_PIECES})

@@ -1,11 +1,13 @@
-"""Reads the evidence of captures, and what decoding says of each packet and frame."""
+"""Finds, for `convert`, which packets and bytes of a capture belong to which transaction."""
 
-# What is read belongs together: one file, or the parts of one capture. It is read twice: first it
-# is decoded, which says what each packet and each frame is, then its packets and reads are given.
+# The files of one capture are read twice. EvidenceReading decodes them and notes which packets and
+# bytes each transaction consists of. Then `read_evidence` yields the packets and reads unchanged,
+# so that they can be written with these notes.
 #
-# In the first reading each packet gets a number, and each byte of a serial line with one tap its
-# place, so that a transaction names the packets and places that it came from. For links with a tap
-# on each side the frames are found by their bytes.
+# While decoding, each packet gets a number, and the bytes of a serial line with one tap get their
+# position in the line's bytes. So a transaction can name the packets or positions that it came
+# from. If two taps hear a line, one the master and one the slaves, there are no positions, and a
+# frame is later found by its bytes (wire_streams.py).
 #
 # Memory: for each frame of a serial line or tap its bytes and its time; for each packet that a
 # transaction or finding is about, a number and a text.
@@ -39,25 +41,26 @@ if TYPE_CHECKING:
 
 @dataclass(slots=True)
 class EvidenceMarks:
-    """What decoding says of packets and frames."""
+    """The frames and packets that transactions consist of, and comments on them."""
 
     frames: dict[StreamKey, list[WireFrame]] = field(default_factory=dict)
-    """The frames of each stream of a serial line or a tap, in the order of the line."""
+    """The frames in each stream of bytes of a serial line or a tap, in their order."""
     skipped: dict[StreamKey, list[SkippedBytes]] = field(default_factory=dict)
-    """The events about bytes of a serial line with one tap, in the order of the line."""
+    """For serial lines that one tap hears: the events about bytes that belong to no frame, in the
+    order of the bytes."""
     comments: dict[int, list[str]] = field(default_factory=dict)
-    """Comments for packets, by the packet's number."""
+    """Comments on packets, by the number of the packet (from 1)."""
     kept: set[int] = field(default_factory=set)
-    """The numbers of the packets with ADUs of wanted transactions."""
+    """The numbers of the packets that contain ADUs of transactions which the user wants."""
     used: set[int] = field(default_factory=set)
-    """The numbers of all packets with ADUs."""
+    """The numbers of all packets that contain ADUs."""
     spans: dict[str, tuple[int, int]] = field(default_factory=dict)
-    """For each serial line, the times of its first and its last read in UTC ns."""
+    """For each serial line, the times of its first and its last read (UTC ns)."""
     transactions: int = 0
 
 
 class EvidenceReading(Reading):
-    """Decodes evidence once, and notes what it says of packets and frames."""
+    """Decodes captures once, and notes which packets and frames each transaction consists of."""
 
     def __init__(self, paths: Sequence[str], options: ReadingOptions) -> None:
         super().__init__(paths, options)
@@ -65,15 +68,17 @@ class EvidenceReading(Reading):
         self._positions: defaultdict[str, int] = defaultdict(int)
         self._packets = 0
         self._keys: dict[tuple[str, ...], StreamKey] = {}
-        """The streams with a direction, by link, direction and ends."""
+        """The streams of bytes that have one direction, by link, direction and, for a TCP
+        connection, the addresses of master and slave."""
         self.marks = EvidenceMarks()
 
     def read_marks(
         self, wanted: Callable[[NamedTransaction], bool], first: int = 1, watch: Watch = unwatched
     ) -> None:
-        """Decode all; `first` is the number of the first transaction.
+        """Decode all files and fill `marks`; the first transaction gets the number `first`.
 
-        Raises the errors of `records`; what was read before is noted.
+        `wanted` returns True for the transactions to keep. Raises the errors of `records`; then
+        `marks` has the transactions before the error.
         """
         number = first
         try:
@@ -142,14 +147,16 @@ class EvidenceReading(Reading):
 
 
 def comments_of(one: NamedTransaction, profile: Profile | None) -> list[str]:
-    """The findings of a transaction, in the words of its slave's profile, and what else there is to
-    remark.
+    """Return comments on a transaction: its findings in the words of its slave's profile, its
+    verdicts, and an outcome without a response.
     """
     return [f"{code}: {finding_text(code, profile)}" for code in one.findings] + remarks_on(one)
 
 
 def remarks_on(one: NamedTransaction) -> list[str]:
-    """What the decoder remarks on a transaction, beside its findings."""
+    """Return the comments on a transaction other than findings: its verdicts, and its outcome if
+    the request or the response is missing.
+    """
     verdicts = [str(each) for each in one.verdicts if each is not Verdict.AMBIGUOUS]
     texts = [f"verdicts: {', '.join(verdicts)}"] if verdicts else []
     if one.outcome in (Outcome.NO_ANSWER, Outcome.NOT_CAPTURED, Outcome.UNSOLICITED):
@@ -160,7 +167,7 @@ def remarks_on(one: NamedTransaction) -> list[str]:
 def frames_of(
     one: NamedTransaction, number: int, comments: Iterable[str], *, is_kept: bool = True
 ) -> Iterator[WireFrame]:
-    """The frames of a transaction; the last one has the comments."""
+    """Yield the frames of a transaction: request, response or both. The last has the comments."""
     sides = []
     if one.request_raw is not None and one.request_ns is not None:
         sides.append((True, one.request_raw, one.request_ns, one.request_offset))
@@ -188,7 +195,7 @@ def frames_of(
 
 
 def evidence_pieces(items: Iterable[Evidence], types: AbstractSet[int]) -> Iterator[Evidence]:
-    """The evidence, with the bytes of a serial line in place of packets that hold them."""
+    """Yield the evidence; a packet with a link type in `types` as the serial bytes in it."""
     for item in items:
         if isinstance(item, Packet) and item.link_type in types:
             yield from serial_pieces(item)
@@ -199,7 +206,9 @@ def evidence_pieces(items: Iterable[Evidence], types: AbstractSet[int]) -> Itera
 def read_evidence(
     paths: Sequence[str], options: ReadingOptions
 ) -> Iterator[Chunk | Packet | WireEvent]:
-    """Give the packets and reads of files in their order, up to the first damage of each file."""
+    """Yield the packets, chunks and events of files in order; of a damaged file, those before the
+    damage.
+    """
     types = serial_types(options.line)
     for path in paths:
         try:

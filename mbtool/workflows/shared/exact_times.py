@@ -1,10 +1,10 @@
-"""Decides for which serial lines the times of bytes are exact."""
+"""Decides for which serial lines the recorded times of bytes are exact."""
 
-# A file of byte times comes from a logic analyser, whose times are exact, or from a program that
-# noted when it read each byte. On a wire a byte ends at least one character time after the byte
-# before it. A program now and then reads several bytes at once, and so notes nearly the same time
-# for them. So the times of a line are taken as exact if at most MAX_NEAR_SHARE of its bytes come
-# less than MIN_CHARACTERS after the byte before.
+# A file with a time for each byte comes from a logic analyser, whose times are exact, or from a
+# program that noted when it read each byte. On a wire a byte ends at least one character time after
+# the byte before it. A program now and then reads several bytes at once, and so notes nearly the
+# same time for them. So the times of a line count as exact if at most MAX_NEAR_SHARE of its bytes
+# come less than MIN_CHARACTERS after the byte before.
 #
 # Memory: three numbers for each line.
 
@@ -22,7 +22,8 @@ MIN_CHARACTERS = 0.9
 """The shortest plausible time from one byte to the next, in character times. It is below 1, as the
 clocks of senders and analysers are a few percent fast or slow."""
 MAX_NEAR_SHARE = 0.01
-"""The share of bytes, 0 to 1, that may come sooner, as a disturbance may look like a byte."""
+"""The largest share (0 to 1) of bytes that may come less than MIN_CHARACTERS after the byte before,
+if the times are exact: a disturbance on the wire may look like a byte."""
 
 
 @dataclass(slots=True)
@@ -32,13 +33,15 @@ class _LineBytes:
 
 
 class ExactTimes:
-    """Finds the serial lines with exact times: counts the bytes that come too soon on each line."""
+    """Counts, for each serial line, the bytes that come too soon after the byte before them, and
+    decides by that if the line's times are exact.
+    """
 
     def __init__(self) -> None:
         self._lines: dict[str, _LineBytes] = {}
 
     def noted(self, pieces: Iterator[Chunk], line: SerialFormat) -> Iterator[Chunk]:
-        """Pass on the bytes of a line, one in each chunk, and count those that come too soon."""
+        """Yield the chunks of a line, each of one byte, and count those that come too soon."""
         least_ns = MIN_CHARACTERS * line.character_ns
         last_ns = -(1 << 63)
         for piece in pieces:
@@ -49,6 +52,6 @@ class ExactTimes:
             yield piece
 
     def is_exact(self, link: str) -> bool:
-        """True if the times of a line's bytes so far are exact; False if there are no times."""
+        """True if the byte times of a line are exact so far; False also if no bytes had times."""
         noted = self._lines.get(link)
         return noted is not None and noted.near <= MAX_NEAR_SHARE * noted.heard

@@ -1,4 +1,4 @@
-"""Adds faults to a slave, and takes them away, while it answers."""
+"""Switches simulated faults of a slave on and off while it runs."""
 
 # The slave's thread calls `respond`; any other thread may call the other methods.
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class FaultSwitch:
-    """A responder that passes requests to another one, with the faults that are on."""
+    """A responder that passes requests on to a slave, and applies the faults that are on."""
 
     def __init__(
         self, slave: Responder, link: SerialLink | TcpLink, profiles: Sequence[Profile] = ()
@@ -29,7 +29,7 @@ class FaultSwitch:
         self._profiles = profiles
         self._faulty = slave
         self.lock = threading.Lock()
-        """Held while a request is answered."""
+        """The lock that the slave's thread holds while it answers a request."""
         self._next: list[Callable[[int], None]] = []
 
     def respond(self, unit: int, pdu: bytes, now_ns: int) -> Response | None:
@@ -40,21 +40,21 @@ class FaultSwitch:
             return self._faulty.respond(unit, pdu, now_ns)
 
     def add(self, source: Path | Mapping[str, Any]) -> None:
-        """Add the faults of a file, or of its keys and values, behind those that are on.
+        """Switch on the faults of a file, or of the keys and values of one; other faults stay on.
 
-        Their `seconds` and `nth` count from the next request on. Raises the errors of `faulty`.
+        Their `seconds` and `nth` count from the next request on. Raises InputError for a file that
+        cannot be read, UsageError for a fault that is unknown or impossible on the link.
         """
         with self.lock:
             self._faulty = faulty(self._faulty, source, self._link, self._profiles)
 
     def clear(self) -> None:
-        """Take all faults away."""
+        """Switch all faults off."""
         with self.lock:
             self._faulty = self._slave
 
     def before_next(self, act: Callable[[int], None]) -> None:
-        """Call `act` in the slave's thread, with the time in ns, before the next request.
-
-        The caller holds `lock`.
+        """Let the slave's thread call `act` with the time (ns) just before it answers the next
+        request. The caller must hold `lock`.
         """
         self._next.append(act)

@@ -1,4 +1,4 @@
-"""Adds the simulated faults in a file to a slave."""
+"""Adds the simulated faults that a file describes to a slave."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ def faulty(
     link: SerialLink | TcpLink,
     profiles: Iterable[Profile] = (),
 ) -> FaultySlave:
-    """Return the responder with the faults of a file, or of the keys and values of one.
+    """Return a responder that answers as `responder` does, but with faults.
 
-    The file may name registers by the references in `profiles`. Raises InputError if it cannot be
-    read or is no TOML, UsageError if it has a fault that is not understood or not possible on the
-    link.
+    `source` is a fault file, or the keys and values of one. It may name registers by the references
+    of `profiles`. Raises InputError if the file cannot be read or is no TOML, UsageError for a
+    fault that is unknown or impossible on the link.
     """
     file = FaultFile(source, profiles)
     for number, fault in enumerate(file.faults, start=1):
@@ -41,7 +41,10 @@ def faulty(
 
 
 def _why_not(kind: FaultKind, link: SerialLink | TcpLink) -> str | None:
-    """A text on why a fault is impossible on a link, and which fault to use; None if possible."""
+    """Return why a kind of fault is impossible on a link, and which kind to use instead, as a text.
+
+    None if it is possible.
+    """
     if kind is FaultKind.BAD_CRC and not isinstance(link, SerialLink) and not link.rtu:
         return "Modbus/TCP has no checksum; use truncated or extra-bytes"
     if kind is FaultKind.WRONG_ID and (isinstance(link, SerialLink) or link.rtu):

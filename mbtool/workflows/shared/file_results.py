@@ -1,6 +1,6 @@
-"""Reads the files of one reading in turn, and tells at the end what came of each.
+"""Reads several files one after the other, and reports at the end the result for each.
 
-A file that is cut or damaged stops no other; its error is raised when all are read.
+If a file is cut or damaged, the other files are still read; its error is raised after all of them.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ T = TypeVar("T")
 
 @dataclass(slots=True)
 class FileResult:
-    """The number of records that a file gave, and the error if it could not be read."""
+    """The numbers of transactions and events in a file, and the error if it could not be read."""
 
     name: str
     transactions: int = 0
     events: int = 0
     error: InputError | None = None
-    """The error if the file could not be read, or not to its end; None if there was none."""
+    """The error if the file could not be read, or not to its end; None if it was read."""
 
     @property
     def remark(self) -> str:
@@ -47,14 +47,14 @@ class FileResults:
     def __init__(self, paths: Sequence[str]) -> None:
         self._paths = paths
         self.refused: dict[str, InputError] = {}
-        """The errors of files that cannot be read at all, by path; the other files are read."""
+        """The errors of files that cannot be read at all and are left out, by path."""
         self.files_read = 0
-        """The number of files that are done, also those left out."""
+        """The number of files that have been read to their end, or left out."""
         self._opened: dict[str, FileResult] = {}
         """The results of the files opened so far, by name."""
         self.heads: dict[str, CaptureHead] = {}
-        """What logs, and captures made from logs, say of their recording, by the file's name;
-        complete at the end of the file."""
+        """The metadata (recording, links, devices) in logs, and in captures that were made from
+        logs, by the file's name; complete once the file is read to its end."""
 
     @property
     def names(self) -> str:
@@ -62,7 +62,7 @@ class FileResults:
         return ", ".join(map(shown_name, self._paths))
 
     def note_head(self, name: str, head: CaptureHead | LogReader) -> None:
-        """Keep what a file says of its recording. A LogReader adds to it while it reads on."""
+        """Keep the metadata of a file's recording. A LogReader may add to it while it reads on."""
         self.heads[name] = CaptureHead(capture=head.capture, links=head.links, devices=head.devices)
 
     def refuse(self, path: str, error: InputError) -> None:
@@ -80,11 +80,11 @@ class FileResults:
         go_on: Callable[[InputError], Iterator[T]],
         end: Callable[[], Iterator[T]],
     ) -> Iterator[T]:
-        """Yield what `read` gives for each path that is not refused.
+        """Yield the items of `read(path)` for each file that is not left out, in order.
 
-        `go_on` is called between a file that is cut or damaged and the next one; `end` behind the
-        last file, or behind one that cannot be opened. Raises InputError for a file that cannot be
-        opened, then the errors of `raise_first`.
+        After a file that is cut or damaged, unless it is the last one, yield those of `go_on`. At
+        the end yield those of `end()`, also if a file cannot be opened. Then raise InputError for a
+        file that cannot be opened, or else the first error of a file that is cut or damaged.
         """
         try:
             for number, path in enumerate(self._paths, 1):
@@ -131,7 +131,7 @@ class FileResults:
             result.events += events
 
     def raise_first(self) -> None:
-        """Raise the first error of a file that is cut or damaged, or else of one not read at all.
+        """Raise the first error of a file that is cut or damaged, or else of a file left out.
 
         Does nothing if all files were read to their ends.
         """
@@ -140,7 +140,10 @@ class FileResults:
             raise error
 
     def table(self) -> list[str]:
-        """A line for each file, under a heading; empty if there is only one or none was opened."""
+        """Return a text table with a line for each file under a heading.
+
+        It is empty if there is only one file, or none was opened.
+        """
         if len(self._paths) < 2 or not self._opened:
             return []
         results = []

@@ -1,12 +1,12 @@
-"""Checks whether the assumed baud rate of the serial line in a file is too low."""
+"""Checks if the baud rate that is assumed for the serial line in a file is too low."""
 
-# Packets of serial link types, and the text of a port monitor, do not tell the baud rate. Such a
-# file has the bytes in pieces. A piece has the time of its last byte, so it began as many character
-# times earlier as it has bytes. If the assumed rate is too low, a piece seems to begin before the
-# piece before it ended: the pieces overlap, and a latency between them would be 0. An overlap of
-# one character is allowed, as the recorder's clock is not exact. Measured with recordings of
-# sigrok: at the true rate (one at 19200 baud, three at 9600) no pieces overlap, at half the true
-# rate half of them do.
+# Packets of serial link types, and the text of a port monitor, do not contain the baud rate. The
+# bytes in such a file come in pieces, each with the time of its last byte. So a piece began as many
+# character times earlier as it has bytes. If the assumed rate is too low, a piece seems to begin
+# before the previous piece ended: the pieces overlap, and a latency between them would be 0. An
+# overlap of one character is allowed, as the recorder's clock is not exact. Measured with
+# recordings of sigrok: at the true rate (one at 19200 baud, three at 9600) no pieces overlap, at
+# half the true rate half of them do.
 #
 # Memory: one piece, as only consecutive pieces of one link are compared.
 
@@ -25,12 +25,16 @@ if TYPE_CHECKING:
 
 
 def serial_types(line: LineSettings | None) -> AbstractSet[int]:
-    """The link types of packets with serial bytes; if `line` is given, also USER0 to USER15."""
+    """Return the link types of packets that contain bytes of a serial line.
+
+    If the user gave the settings of a line, these include USER0 to USER15, which have no fixed
+    meaning.
+    """
     return SERIAL_LINK_TYPES if line is None else SERIAL_LINK_TYPES | USER_LINK_TYPES
 
 
 class HeardLine:
-    """Counts the pieces of one file, and those that overlap at an assumed baud rate."""
+    """Counts the pieces of bytes in one file, and those that overlap at an assumed baud rate."""
 
     def __init__(self, name: str, format_: SerialFormat) -> None:
         self.name = name
@@ -40,7 +44,7 @@ class HeardLine:
         self._overlaps = 0
 
     def note(self, piece: object) -> None:
-        """Count the next item of the file; items that are not bytes of the line are ignored."""
+        """Look at the next item of the file; only chunks (bytes of the line) are counted."""
         if not isinstance(piece, Chunk):
             return
         self._pieces += 1
@@ -57,7 +61,7 @@ class HeardLine:
 
     @property
     def doubt(self) -> str | None:
-        """One line for the user if pieces overlap, else None."""
+        """A line for the user that doubts the baud rate, if pieces overlap; else None."""
         if not self._overlaps:
             return None
         return (
@@ -67,7 +71,8 @@ class HeardLine:
 
 
 def heard_remarks(heard: Sequence[HeardLine], *, is_named: bool) -> list[str]:
-    """Lines for the user: the files read with default settings, and those whose rate seems wrong.
+    """Lines for the user: one about the files that were read with the default line settings, and
+    one for each file whose baud rate seems wrong.
 
     `is_named` is True if the user gave the settings; then there is no line about defaults.
     """

@@ -1,10 +1,10 @@
-"""A log of `sniff --service`, which also gets a heartbeat with counters; `mbtool status` reads it.
+"""Writes a log of `sniff --service` with heartbeats: records with counters for `mbtool status`.
 
-The heartbeat is a metadata record `mbtool.status` (docs/service.md), written at the start, every
-minute, when a link is lost or back, and at the end.
+A heartbeat is a metadata record `mbtool.status` (docs/service.md). It is written at the start,
+every minute, when a link is lost or returns, and at the end.
 """
 
-# The recorder's thread calls `write` and `tick`. So a heartbeat also shows that this thread runs.
+# The recorder's thread calls `write` and `tick`. So a heartbeat also proves that this thread runs.
 # Memory: the counters.
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ HEARTBEAT_NS = 60_000_000_000
 
 
 class StatusLog(FindingsLog, Protocol):
-    """A log that takes heartbeats, too."""
+    """A log writer to which heartbeats can be written, too."""
 
     def add_status(self, values: Mapping[str, str]) -> None: ...
 
 
 class Counts:
-    """What a recording has heard so far."""
+    """Counts what was recorded so far: chunks and packets, bytes, transactions, events, losses."""
 
     def __init__(self) -> None:
         self.pieces = 0
@@ -43,9 +43,9 @@ class Counts:
         self.lost_bytes = 0
         self.lost_packets = 0
         self.waiting = 0
-        """How many chunks and packets the decoder is behind."""
+        """The number of recorded chunks and packets that the decoder has not decoded yet."""
         self.last_ns = 0
-        """When something was last heard, UTC ns."""
+        """The time of the latest chunk or packet, in UTC ns."""
 
     def add(self, item: LogItem | DecodingMark) -> None:
         if isinstance(item, Chunk | Packet):
@@ -63,7 +63,7 @@ class Counts:
             self.waiting = item.waiting
 
     def values(self) -> dict[str, str]:
-        """The counters as a heartbeat has them."""
+        """Return the counters as the keys and texts of a heartbeat record."""
         transactions = {f"transactions.{name}": str(n) for name, n in self.outcomes.items()}
         events = {f"events.{name}": str(count) for name, count in self.events.items()}
         return {
@@ -79,7 +79,7 @@ class Counts:
 
 
 class HeartbeatLog:
-    """Passes everything on to a log, counts it, and adds the heartbeats."""
+    """Passes all items on to a log writer, counts them, and adds the heartbeats."""
 
     def __init__(
         self,
@@ -95,7 +95,7 @@ class HeartbeatLog:
         self._told_lost: list[str] = []
         self.counts = Counts()
         self.ticked_ns = now_ns
-        """When the recorder's thread called last; a watchdog looks at it."""
+        """The time (ns) at which the recorder's thread last called `tick`. A watchdog checks it."""
 
     def write(self, item: LogItem | DecodingMark) -> None:
         self.counts.add(item)

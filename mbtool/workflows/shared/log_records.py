@@ -1,4 +1,4 @@
-"""The records of a log, decoded when the log was made, with names from today's profiles."""
+"""Reads the transactions and events that are stored in a log, without decoding them again."""
 
 from __future__ import annotations
 
@@ -22,9 +22,10 @@ if TYPE_CHECKING:
 def log_records(
     items: Iterable[Record | Chunk | Packet], assignments: Assignments, file: str
 ) -> Iterator[Record]:
-    """The transactions and events among a log's items; `file` is the log, as the user named it.
+    """Yield the transactions and events among the items of a log, without packets and chunks.
 
-    A transaction is named again if the user has assigned a profile to its device.
+    A transaction whose device has a profile in `assignments` gets names and values from that
+    profile. `file` is the path of the log as the user wrote it.
     """
     namer = Namer(assignments)
     for item in items:
@@ -38,8 +39,8 @@ def followed(path: str, assignments: Assignments, wait: Callable[[], bool]) -> I
     """Yield the records of a log that is still being written, as they are added.
 
     `wait` is called at the end of the file; it returns True to read on, False to end.
-    Raises UsageError if the path is standard input or not a plain log, InputError if it cannot be
-    read.
+    Raises UsageError if the path is standard input, or no uncompressed log with records, and
+    InputError if it cannot be read.
     """
     if path == STANDARD_INPUT:
         raise UsageError("--follow reads a log on disk, not standard input; name the log")
@@ -55,9 +56,9 @@ def followed(path: str, assignments: Assignments, wait: Callable[[], bool]) -> I
 
 
 def profiles_of_logs(paths: Sequence[str], line: LineSettings | None) -> list[Profile]:
-    """The profiles in the logs among some files; pipes are not opened.
+    """Return the device profiles stored in those of the files that are logs.
 
-    Raises InputError if a file cannot be read.
+    Pipes are not opened. Raises InputError if a file cannot be read.
     """
     profiles = []
     for path in paths:

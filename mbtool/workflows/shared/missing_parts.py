@@ -1,4 +1,4 @@
-"""Notes what is missing: cut packets, requests that the decoder dropped, messages left out."""
+"""Counts missing data for remarks: cut packets, dropped requests, unreadable log messages."""
 
 from __future__ import annotations
 
@@ -16,7 +16,9 @@ _Item = TypeVar("_Item")
 
 
 class MissingParts:
-    """Notes cut packets, dropped requests and messages of a log that were left out."""
+    """Counts packets cut by the snaplen, requests that the decoder dropped because of a limit, and
+    messages of a log that could not be read.
+    """
 
     def __init__(self) -> None:
         self._cut = 0
@@ -26,19 +28,19 @@ class MissingParts:
         self._left_out: list[str] = []
 
     def note_item(self, item: object) -> None:
-        """Look at the next item of a source; only packets are counted."""
+        """Look at the next item of a capture or log; count it if it is a cut packet."""
         if not isinstance(item, Packet) or item.original_length <= len(item.data):
             return
         self.note_cut(1, len(item.data), len(item.data))
 
     def note_cut(self, count: int, shortest: int, longest: int) -> None:
-        """Take some packets that are cut, and the bytes of the shortest and the longest."""
+        """Count cut packets. `shortest` and `longest` are the lengths (bytes) of two of them."""
         self._shortest = min(self._shortest, shortest) if self._cut else shortest
         self._longest = max(self._longest, longest)
         self._cut += count
 
     def noted(self, items: Iterator[_Item]) -> Iterator[_Item]:
-        """Pass items on, and call `note_item` for each."""
+        """Yield the items unchanged, and call `note_item` for each."""
         for item in items:
             self.note_item(item)
             yield item
@@ -46,8 +48,8 @@ class MissingParts:
     def note_record(self, record: object) -> None:
         """Look at the next decoded record.
 
-        Only requests dropped by a limit are counted, and events of a log (they have no link) that
-        tell of messages which were left out.
+        Count it if it is a request that was dropped because of a limit. Keep its message if it is
+        an event about messages of a log that could not be read.
         """
         if isinstance(record, Transaction):
             if Verdict.OVER_LIMIT in record.verdicts:
@@ -57,9 +59,9 @@ class MissingParts:
 
     @property
     def remarks(self) -> list[str]:
-        """Lines for the user: if packets were cut, requests dropped, or messages left out.
+        """Lines for the user about cut packets, dropped requests and unreadable log messages.
 
-        If all cut packets have the same length, it is the snapshot length of the capture.
+        If all cut packets have the same length, it is reported as the snaplen of the capture.
         """
         remarks = []
         if self._cut:
@@ -75,5 +77,5 @@ class MissingParts:
 
 
 def _is_of_the_log(event: WireEvent) -> bool:
-    """True for an event that tells of messages of a log which were left out."""
+    """True for an event about log messages that could not be read; such an event has no link."""
     return event.kind is EventKind.UNREADABLE and not event.link

@@ -1,11 +1,12 @@
-"""Tells the user if a slave's responses name a model for which it does not have the profile."""
+"""Tells the user if a slave's responses name a model whose profile is not in use for the slave."""
 
-# The response to function 42H of an FA3 module holds its model code. mbtool does not choose the
+# The response to function 42H of an FA3 module contains its model code. mbtool does not choose the
 # profile by this code, since the meaning of a register would then change within a capture. It tells
 # the user instead: by a hint, or by a warning if the profile of another model is in use, whose
 # registers have the same addresses but other meanings.
 #
-# A SunSpec device says its models in registers. A hint tells them, unless the slave has a profile.
+# A SunSpec device lists its SunSpec models in registers. A hint tells the user which they are,
+# unless the slave has a profile.
 #
 # Memory: one hint for each slave, at most MAX_HINTS. Built-in profiles are loaded when the first
 # response to a vendor's own function is seen.
@@ -33,7 +34,7 @@ MAX_HINTS = 64
 
 
 class ModelHints:
-    """Collects hints from the records of one pass."""
+    """Collects hints about the models of slaves, from the records of one reading of the files."""
 
     def __init__(self, profile_for: Callable[[NamedTransaction], Profile | None]) -> None:
         self._profile_for = profile_for
@@ -41,14 +42,14 @@ class ModelHints:
         self._hints: dict[tuple[str, int], str] = {}
         self._sunspec = SunSpecDevices()
         self._named: set[Slave] = set()
-        """The SunSpec devices that have a profile."""
+        """The SunSpec devices that have a profile, so that no hint is needed."""
 
     def note(self, record: Record) -> str | None:
-        """Look at the next record; return a hint if it gives the first one about its slave."""
+        """Look at the next record; return a hint if it is the first one about its slave."""
         if isinstance(record, WireEvent):
             return None
         if record.function in FUNCTIONS:
-            values = record.response_values  # Nearly all records end here, so without a call.
+            values = record.response_values  # Nearly all records end here: no call, for speed.
             if values and (self._sunspec.maps or MARK[0] in values):
                 return self._note_sunspec(record)
             return None
@@ -66,7 +67,9 @@ class ModelHints:
 
     @property
     def remarks(self) -> list[str]:
-        """One line for each slave whose profile is not the one of its model."""
+        """One line for the user for each slave whose model was found and whose profile is not the
+        one for that model.
+        """
         maps = self._sunspec.maps
         sunspec = [_sunspec_hint(*each) for each in maps.items() if each[0] not in self._named]
         return [*self._hints.values(), *filter(None, sunspec)]

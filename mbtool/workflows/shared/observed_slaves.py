@@ -1,7 +1,7 @@
-"""Collects the slaves in a recording, with the requests and responses of each."""
+"""Collects the slaves in a recording, with a summary of the requests and responses of each."""
 
 # Memory: an ObservedSlave (devices/observed_slave.py) for each of at most MAX_SLAVES slaves; the
-# transactions of further slaves are only counted. Register values are kept only with `with_values`.
+# transactions of further slaves are only counted. Register values are kept only on request.
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class ObservedSlaves:
     """The slaves of a recording, in the order in which they first appear."""
 
     def __init__(self, who: Who | None = None, *, with_values: bool = False) -> None:
-        """Collect all slaves or, with `who`, only the slaves that `who` describes.
+        """Collect all slaves or, with `who`, only those with its address and unit.
 
         With `with_values`, the values of registers are kept, too.
         """
@@ -34,7 +34,7 @@ class ObservedSlaves:
         self._with_values = with_values
         self._slaves: dict[tuple[str, str | None, int], ObservedSlave] = {}
         self.forgotten = 0
-        """Number of transactions not kept, as they are of slaves beyond the first MAX_SLAVES."""
+        """The number of transactions left out because there were already MAX_SLAVES slaves."""
 
     def add(self, records: Iterable[Record]) -> None:
         for record in records:
@@ -45,7 +45,7 @@ class ObservedSlaves:
         destination, unit = transaction.destination, transaction.unit
         if self._who is not None and not self._who.fits_slave(destination, unit):
             return
-        # A slave on a network is known by its address, whichever interface captured it.
+        # A slave on a network has the same key whichever interface captured it.
         key = (transaction.link if destination is None else "", destination, unit)
         seen = self._slaves.get(key)
         if seen is None:
@@ -60,10 +60,10 @@ class ObservedSlaves:
         return list(self._slaves.values())
 
     def only(self, option: str) -> ObservedSlave:
-        """Return the only slave, or the only one that answers.
+        """Return the slave if there is one, or if only one of several has sent a response.
 
-        Raises UsageError if there is none or there are several; the message names `option`, the
-        option with which the user can choose a slave.
+        Otherwise raises UsageError; the message names `option`, with which the user can choose a
+        slave.
         """
         slaves = self.slaves
         if len(slaves) == 1:

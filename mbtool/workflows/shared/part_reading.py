@@ -1,4 +1,4 @@
-"""Reads files so that many answered requests may come at once."""
+"""Reads files for commands that only count transactions, so that many may come as one object."""
 
 from __future__ import annotations
 
@@ -14,8 +14,11 @@ if TYPE_CHECKING:
 
 
 class PartReading(Reading):
-    """Reads files once, and yields what is counted."""
+    """Reads files once, and yields transactions and events, or batches of transactions."""
 
     def parts(self) -> Iterator[Record | AnsweredRun]:
-        """Yield all transactions and events; many answered requests may come as one run."""
+        """Yield all transactions and events.
+
+        A subclass may yield many answered requests together as one AnsweredRun.
+        """
         return self.records()

@@ -1,11 +1,12 @@
-"""Writes packets of networks, and frames of serial lines and taps, as pcapng for Wireshark."""
+"""Writes network packets, and the frames of serial lines and taps, as pcapng for Wireshark."""
 
-# How frames become packets is said in packets/line_packets.py. The packets of a link are of two
-# interfaces: frames, and bytes that are no frame. Verdicts, findings and the reasons of events are
-# comments. Requests are outbound and responses inbound, as seen from the master.
+# packets/line_packets.py explains how a frame becomes a packet. Each link becomes two interfaces:
+# one for its frames, one for the bytes that are no frame. Verdicts, findings and the messages of
+# events are written as comments of the packets. Requests are marked outbound and responses inbound,
+# as seen from the master.
 #
-# A request has the time of its last byte, a response that of its first, so that Wireshark shows the
-# same latency as this program.
+# A request gets the time of its last byte, a response that of its first byte, so that Wireshark
+# shows the same latency as mbtool.
 
 from __future__ import annotations
 
@@ -51,7 +52,7 @@ if TYPE_CHECKING:
 
 
 class NumberedPacket(NamedTuple):
-    """A packet and what is said of it."""
+    """A network packet, and the comments that are written to it."""
 
     packet: Packet
     comments: Sequence[str]
@@ -66,7 +67,7 @@ Shown = NumberedPacket | WirePiece
 
 @dataclass(slots=True)
 class Converted:
-    """What was written."""
+    """The numbers of packets, reads and transactions that a conversion wrote."""
 
     packets: int = 0
     reads: int = 0
@@ -74,22 +75,23 @@ class Converted:
 
 
 class PieceWriter:
-    """Writes the frames of links, and the bytes between them, as packets."""
+    """Writes the frames of serial lines and taps, and the bytes between frames, as packets."""
 
     def __init__(self, stream: BinaryIO, head: CaptureHead) -> None:
         self.writer = PcapngWriter(stream)
         self.head = head
         self.numbers: dict[str, int] = {}
-        """The numbers of the links whose frames become packets."""
+        """For each link whose frames become packets, a number from which its IPv4 addresses are
+        made."""
         self._ports: dict[Connection, int] = {}
 
     def add_link(self, link: str) -> None:
-        """Give a link its number, if it has none."""
+        """Assign a number to a link, if it has none yet."""
         if link not in self.numbers:
             self.numbers[link] = len(self.numbers) % MAX_LINK_NUMBER + 1
 
     def names(self, link: str, units: Iterable[int]) -> dict[bytes, str]:
-        """The names of a link's master and slaves, by IPv4 address."""
+        """Return names for a link's master and slaves, by the IPv4 address that stands for each."""
         names: dict[bytes, str] = {}
         name = "".join(one if one.isalnum() else "-" for one in PurePath(link).name)
         for unit in sorted(set(units)):
@@ -110,7 +112,7 @@ class PieceWriter:
         self._write_packet(piece, RAW_IPV4, shown.data, frame.comments, direction, reads)
 
     def _write_bytes(self, piece: WirePiece) -> None:
-        """Write bytes that are no frame."""
+        """Write bytes that are no frame as one packet on the link's interface for such bytes."""
         skipped = piece.skipped
         by_master = piece.key.direction is Direction.REQUEST
         data = rtac_packet(piece.ts_ns, piece.data, by_master=by_master)
@@ -151,7 +153,7 @@ class PieceWriter:
         )
 
     def _datagram(self, key: StreamKey, frame: WireFrame) -> _Datagram | None:
-        """The packet that shows a frame; None if its form is not that of its transport."""
+        """Make the IP datagram that shows a frame; None if an ASCII frame is malformed."""
         raw, skip, original = frame.raw, 6, None
         if frame.transport is Transport.TCP:
             payload, skip = raw, 0
@@ -168,14 +170,14 @@ class PieceWriter:
         return _Datagram(data, skip, original)
 
     def _master_port(self, key: StreamKey) -> int:
-        """The port of the master: connections of a tap each have their own."""
+        """The UDP port that stands for the master; each TCP connection of a tap gets its own."""
         if key.connection is None:
             return MASTER_PORT
         count = len(self._ports)
         return self._ports.setdefault(key.connection, MASTER_PORT + count % 40_000)
 
     def describe(self, link: str, link_type: int) -> None:
-        """Describe an interface of a link, if it is not described yet."""
+        """Write the description of a link's interface with this link type, once."""
         if self.writer.knows(link, link_type):
             return
         spec = self.head.links.get(link, {}).get(SPEC, link)
@@ -185,7 +187,7 @@ class PieceWriter:
 
 
 class PcapngOutput:
-    """Writes packets and pieces of captures as pcapng."""
+    """Writes one pcapng file: network packets, frames, and bytes between frames."""
 
     def __init__(self, stream: BinaryIO, groups: Sequence[InputGroup], head: CaptureHead) -> None:
         self._pieces = PieceWriter(stream, head)
@@ -214,7 +216,7 @@ class PcapngOutput:
             self._pieces.add_link(link)
 
     def _names(self) -> dict[bytes, str]:
-        """The names of all masters and slaves, by IPv4 address."""
+        """The names of all masters and slaves, by the IPv4 address that stands for each."""
         names: dict[bytes, str] = {}
         for group in self._groups:
             for key, frames in group.marks.frames.items():
@@ -225,12 +227,13 @@ class PcapngOutput:
 class _Datagram(NamedTuple):
     data: bytes
     skip: int
-    """How many bytes of the payload come before those of the frame."""
+    """The number of bytes that the payload has in front of the frame's own bytes."""
     raw: bytes | None
-    """The frame as it was on the line, if the packet shows it in another form."""
+    """The bytes of an ASCII frame as they were on the line, as the packet shows them in binary;
+    None for other frames."""
 
 
 def _baud(spec: str) -> int:
-    """The baud rate in a link spec; 0 if it has none."""
+    """The baud rate in a LINK text, as `rtu:COM3@9600`; 0 if it has none."""
     digits = spec.rpartition("@")[2].partition("-")[0]
     return int(digits) if digits.isdecimal() and len(digits) <= 8 else 0

@@ -1,18 +1,19 @@
-"""Makes requests of what a user writes: `HR400001..400010`, `holding 0`, `HR400001=4660`."""
+"""Makes request PDUs from a user's text: `HR400001..400010`, `holding 0`, `HR400001=4660`."""
 
-# What is read or written is named by
+# The user can name the registers or bits to read or write by
 #
 #     a reference             HR400001..400010, X0..XF, in the notation of the device's profile
-#     the name of a point     "CH1 digital value"; also a reference where a point begins. All its
-#                             registers are read; a value to write is in the point's unit.
+#     the name of a point     "CH1 digital value", a named value of the profile; or the reference of
+#                             its first register. All its registers are read; a value to write is in
+#                             the point's unit.
 #     a table and an address  holding 0..9, hr 0x10, coil 3; addresses as on the wire, 0-based
 #     six digits              400001 (or HR400001) is holding 0, 300001 input 0, 100001 discrete 0,
-#                             000001 coil 0; only without a profile, as vendors count otherwise
-#     an address alone        0x10..0x1f, with a function, which says the table
+#                             000001 coil 0; only without a profile, as some vendors count otherwise
+#     an address alone        0x10..0x1f, if the user chose a function, which determines the table
 #
-# A range that is longer than the device or the standard allows is read with several requests. They
-# do not divide a value of several registers, as long as it fits into one request. A write is never
-# divided: a device must not have one half of it.
+# A range that is longer than the device or the standard allows is read with several requests. A
+# point of several registers is not divided between two requests, if it fits into one. A write is
+# never divided, so that a device never has only a part of the new values.
 
 from __future__ import annotations
 
@@ -38,7 +39,7 @@ _READS = {
     Table.INPUT_REGISTERS: 0x04,
 }
 _WRITES = {Table.COILS: (0x05, 0x0F), Table.HOLDING_REGISTERS: (0x06, 0x10)}
-"""The functions that write one value, and several."""
+"""For each writable table, the function that writes one value, and the one that writes several."""
 READ_FUNCTIONS = tuple(_READS.values())
 WRITE_FUNCTIONS = tuple(sorted(code for codes in _WRITES.values() for code in codes))
 
@@ -62,12 +63,12 @@ _BIT_WORDS = {"on": 1, "true": 1, "off": 0, "false": 0}
 
 @dataclass(frozen=True, slots=True)
 class Wording:
-    """How references are to be understood: with which profile, and for which function."""
+    """Interprets the user's texts with the profile of a device and the function that was chosen."""
 
     profile: Profile | None = None
-    """The profile of the device in the mode of the link, which decides the limits."""
+    """The profile of the device, with its limits for the mode of the link: RTU, ASCII or TCP."""
     function: int | None = None
-    """The function to use; None for the one that the table needs."""
+    """The function code that the user chose; None to use the usual one for the table."""
 
     def __post_init__(self) -> None:
         known = (*READ_FUNCTIONS, *WRITE_FUNCTIONS)
@@ -77,9 +78,9 @@ class Wording:
             )
 
     def reads(self, text: str) -> list[bytes]:
-        """The PDUs of the requests that read what `text` names.
+        """Return the PDUs of the requests that read the registers or bits named by `text`.
 
-        Raises UsageError if it names nothing, or nothing that the function can read.
+        Raises UsageError if the text names none, or none that the chosen function can read.
         """
         table, span = self.addresses(text)
         code = self._code(text, table, (_READS[table],))
@@ -89,10 +90,10 @@ class Wording:
         ]
 
     def write(self, text: str) -> bytes:
-        """The PDU of the request for `REFERENCE=VALUE` or `REFERENCE=VALUE,VALUE`.
+        """Return the PDU of the write request for `REFERENCE=VALUE` or `REFERENCE=VALUE,VALUE`.
 
-        Raises UsageError for another form, for what cannot be written, for a value that does not
-        fit, and for more values than the device takes in one request.
+        Raises UsageError for a text of another form, for a table that can only be read, for a value
+        out of range, and for more values than the device takes in one request.
         """
         name, equals, values_text = text.rpartition("=")
         if not equals or not name.strip() or not values_text.strip():
@@ -119,7 +120,10 @@ class Wording:
         return encode_pdu(code, Direction.REQUEST, address=target.address, values=tuple(values))
 
     def addresses(self, text: str) -> tuple[Table, range]:
-        """The table and the addresses that `text` names. Raises UsageError if it names none."""
+        """Return the table and the addresses (on the wire, 0-based) named by `text`.
+
+        Raises UsageError if the text names none.
+        """
         if ".." in text:
             try:
                 span = self._span(text)
@@ -148,7 +152,10 @@ class Wording:
         return parse_span(self._neutral(text), own)
 
     def _neutral(self, text: str) -> str:
-        """Six digits, and an address alone, in the neutral notation; any other text unchanged."""
+        """Rewrite six digits, or an address alone, as table and address: `400001` as `holding 0`.
+
+        Any other text is returned unchanged.
+        """
         begin, dots, end = text.strip().partition("..")
         if self.function is not None and _ADDRESS.fullmatch(begin):
             table = FUNCTIONS[self.function].table
@@ -164,7 +171,10 @@ class Wording:
         return f"{_WORDS[_DIGIT_TABLES[digits[1]]]} {int(digits[2]) - 1}{dots}{end}"
 
     def _code(self, text: str, table: Table, usual: Sequence[int]) -> int:
-        """The function that the user chose, or the first of the usual ones."""
+        """Return the function that the user chose, or the first of the `usual` ones.
+
+        Raises UsageError if the chosen function is not among the usual ones.
+        """
         if self.function is None:
             return usual[0]
         if self.function not in usual:
@@ -185,13 +195,13 @@ class Wording:
         )
 
     def _limit(self, code: int) -> int:
-        """The most registers or bits that one request may read or write."""
+        """The most registers or bits that one request with function `code` may read or write."""
         rule = None if self.profile is None else self.profile.rule(code)
         own = None if rule is None else rule.limit
         return FUNCTIONS[code].limit if own is None else min(own, FUNCTIONS[code].limit)
 
     def _parts(self, code: int, table: Table, span: range) -> Iterator[range]:
-        """Divide a range into parts that one request each can read."""
+        """Divide a range of addresses into parts, each of which one request can read."""
         limit, inside = self._limit(code), self._inside(table)
         start = span.start
         while span.stop - start > limit:
@@ -204,7 +214,10 @@ class Wording:
         yield range(start, span.stop)
 
     def _inside(self, table: Table) -> set[int]:
-        """The addresses of registers that are not the first of their value."""
+        """The addresses of registers that are not the first register of their point.
+
+        A request that begins there would divide the point.
+        """
         if self.profile is None:
             return set()
         return {
@@ -224,7 +237,10 @@ def _named(profile: Profile, name: str) -> ValueTarget | None:
 
 
 def _addresses(target: ValueTarget) -> range:
-    """The addresses to read for a target; a point of a block is read from the block's beginning."""
+    """The addresses to read for a target (a point, register or bit).
+
+    If a point exists only in reads that begin at a certain address, its block, they begin there.
+    """
     first = target.address
     if target.point is not None and target.point.block is not None:
         first = target.point.block
@@ -232,7 +248,7 @@ def _addresses(target: ValueTarget) -> range:
 
 
 def _value(text: str, target: ValueTarget) -> object:
-    """A value, or a list of them, as the user has written it."""
+    """Parse the value behind the `=`: a number, a text, or a list if it has commas."""
     point = target.point
     if point is not None and text.strip() in point.texts.values():
         return text.strip()

@@ -1,16 +1,16 @@
 """Reads captures and logs of any kind into named transactions and events."""
 
 # A packet capture is decoded. A file with the bytes of a serial line is decoded as one line. From a
-# log, the stored transactions and events are read; with `raw` its packets and bytes are decoded
-# again, with the line settings and profiles in the log, unless the user gives others. If a log says
-# that some evidence was not decoded, all logs are decoded again (undecoded_logs.py).
+# log, the stored transactions and events are read; with the option `raw` its packets and bytes are
+# decoded again, with the line settings and profiles in the log, unless the user gives others. If
+# some packets or bytes in a log were not decoded, all logs are decoded again (undecoded_logs.py).
 #
 # Files that are parts of one capture (capture_parts.py), named in their order, are decoded as one,
 # since a connection may begin in one part and end in the next. If a part is cut or damaged, a GAP
-# event stands between it and the next part.
+# event is yielded between its records and those of the next part.
 #
-# Raises InputError for a file that cannot be read; if demand_files() has already found that a file
-# cannot be read, after the records of the other files. If a file is cut (CutError) or damaged
+# InputError is raised for a file that cannot be read: at once, or, if demand_files() has already
+# found it, after the records of the other files. If a file is cut (CutError) or damaged
 # (DamageError), the first such error is raised after all other records.
 
 from __future__ import annotations
@@ -85,28 +85,28 @@ class Reading:
         self._options = options
         self._current: CaptureFile | None = None
         self._decoder: Decoder | None = None
-        """The decoder of the current capture; keeps open transactions from file to file."""
+        """The decoder of the current capture; it is kept for all files of the capture."""
         self._part: Part | None = None
         self._seam = Seam()
         self._items = 0
-        """Number of items given to the decoder: packets, serial reads, events of the source."""
+        """The number of items passed to the decoder: packets, serial reads, events of sources."""
         self._serial_packets = 0
-        """Number of items that are packets with bytes of a serial line."""
+        """The number of packets that contain bytes of a serial line."""
         self._has_found = False
         """True if at least one transaction or event was found."""
         self._has_decoded = False
-        """True if a transaction was found, or an event other than undecodable data."""
+        """True if a transaction was found, or an event that is not about undecodable data."""
         self._first_undecodable: str | None = None
         """The message of the first event about data that cannot be decoded."""
         self._heard: list[HeardLine] = []
-        """For each file that does not tell the baud rate, a check of the assumed baud rate."""
+        """A check of the assumed baud rate, for each file of a line that does not contain it."""
         self._missing = MissingParts()
         self._logs = LogRemarks(paths, is_raw=options.raw)
         self.results = FileResults(paths)
         self._misordered: list[str] = []
         self._kinds: set[CaptureKind] = set()
         self._last_ns = 0
-        """The time of the last record, in ns."""
+        """The time of the last record, in UTC ns."""
         self._ports: tuple[Sequence[int], Sequence[int]] = (
             options.ports or (DEFAULT_PORT,),
             options.rtu_ports,
@@ -115,24 +115,26 @@ class Reading:
         self.assignments = options.assignments
         """The profiles in use: those given by the user, and those in the log that is being read."""
         self.exact_times = ExactTimes()
-        """Knows which serial lines have exact byte times; complete at the end of a file."""
+        """Tells which serial lines have exact byte times; final once a file is read to its end."""
         self.captures = 0
-        """Number of captures completed before the last record; a rotated capture counts as one."""
+        """The number of captures that ended before the last record. The files of one capture, as
+        from `sniff --rotate`, count as one."""
         self.file = ""
-        """The file that the last record came from."""
+        """The name of the file that the last record came from."""
         self.is_log = False
         """True if the last record was read from a log and not decoded again."""
         self.format_of: Callable[[str], SerialFormat | None] = lambda _: None
-        """Returns a serial link's settings, by link name; None if its bytes have no times."""
+        """Returns the baud rate and character format of a serial link, given its name; None if it
+        is unknown, or if the link's bytes have no times."""
         self.line_of: LineOf = lambda _: None
-        """Returns a serial link, by name; None if the name is unknown."""
+        """Returns the serial link with a name; None if the name is unknown."""
 
     def profile_for(self, transaction: NamedTransaction) -> Profile | None:
         return self.assignments.profile_for(transaction)
 
     @property
     def fraction(self) -> float | None:
-        """The share of the files that has been read, 0 to 1; None if unknown, as for a pipe."""
+        """The share (0 to 1) of the files that has been read; None if unknown, as for a pipe."""
         part = self._current.fraction() if self._current is not None else 0.0
         return None if part is None else (self.results.files_read + part) / len(self._paths)
 
@@ -143,7 +145,10 @@ class Reading:
 
     @property
     def why_empty(self) -> str | None:
-        """One line for the user that says why the files gave no transaction and no event."""
+        """A line for the user that says why the files have no transaction and no event.
+
+        None if they have one, or are not completely read.
+        """
         if self._has_found or not self._is_complete:
             return None
         names = self.results.names
@@ -160,7 +165,7 @@ class Reading:
         )
 
     def demand_readable(self) -> None:
-        """Raise InputError if the files gave only events about data that cannot be decoded."""
+        """Raise InputError if the files have only events about data that cannot be decoded."""
         why = self._first_undecodable
         if why is not None and not self._has_decoded and self._is_complete:
             raise InputError(f"{self.results.names}: nothing in it could be read: {why}")
@@ -175,7 +180,7 @@ class Reading:
 
     @property
     def remarks(self) -> list[str]:
-        """Lines for the user about the files, beside the records."""
+        """Lines for the user about the files, for example about cut packets or useless options."""
         remarks = heard_remarks(self._heard, is_named=self._options.line is not None)
         remarks += self._missing.remarks
         kinds = self._kinds
@@ -204,7 +209,7 @@ class Reading:
             raise self.results.refused[self._paths[0]]
 
     def _demand_file(self, path: str, known: set[object]) -> None:
-        """Check one file; `known` has the files checked so far."""
+        """Check one file; `known` identifies the files checked so far, to find one named twice."""
         place, is_pipe = place_of(path)
         if not is_pipe:
             with open_capture(path, self._options.line) as capture:
@@ -257,7 +262,7 @@ class Reading:
         return self._decoded_again(head, reads_of(packets), Part(0))
 
     def _break_off(self, error: InputError) -> Iterator[Record]:
-        """Yield a GAP event: this file ends early, and the next part may continue after the gap."""
+        """Yield a GAP event for a file that is cut or damaged, as the next file may continue it."""
         is_of_packets = self._part is not None and self._part.number is None
         gap = WireEvent(ts_ns=self._last_ns, link="", kind=EventKind.GAP, message=str(error))
         if self._decoder is None:
@@ -273,7 +278,7 @@ class Reading:
         return LineTiming(assignments, options.t1_5, options.t3_5, options.response_timeout)
 
     def _own_decoder(self) -> Decoder:
-        """A decoder for a file that does not describe its links."""
+        """Create a decoder for a file without a description of its links, from the options."""
         options = self._options
         return Decoder(
             Namer(options.assignments),
@@ -282,7 +287,7 @@ class Reading:
             ports=options.ports or (DEFAULT_PORT,),
             rtu_ports=options.rtu_ports,
             any_port=options.any_port,
-            across=True,  # Packets of several interfaces in one file belong together.
+            across=True,  # Several interfaces of the file may have captured one connection.
         )
 
     def _serial_records(self, capture: CaptureFile) -> Iterator[Record]:
@@ -299,11 +304,13 @@ class Reading:
         yield from self._end_capture()
 
     def _fed(self, items: Iterator[Evidence]) -> Iterator[Evidence]:
-        """The evidence as it is given to the decoder; a class that looks at it overrides this."""
+        """Return the packets and chunks to decode. A subclass may override this to see them."""
         return items
 
     def _heard_packets(self, capture: CaptureFile, packets: Iterator[Packet]) -> Iterator[Packet]:
-        """Yield the packets of a capture; count those of a serial line, and check the baud rate."""
+        """Yield the packets unchanged. Count those with bytes of a serial line, and check with them
+        if the assumed baud rate is too low.
+        """
         types = serial_types(self._options.line)
         heard: HeardLine | None = None
         for packet in packets:
@@ -330,7 +337,9 @@ class Reading:
     def _decoded(
         self, evidence: Iterator[Evidence], part: Part, begin: Callable[[], Decoder]
     ) -> Iterator[Record]:
-        """Decode a file. If it continues the capture of the file before, keep the same decoder."""
+        """Decode a file: with the decoder of the file before if it continues the same capture, else
+        with a new one from `begin`.
+        """
         if not part.follows(self._part):
             yield from self._end_capture()
         self._part = part
@@ -353,7 +362,7 @@ class Reading:
             yield from self._decoder.feed(item)
 
     def _note_order(self, item: Evidence) -> None:
-        """Remember the first file that begins before the end of the previous file."""
+        """Note a remark for the user if a file begins before the previous one ends; at most one."""
         if self._seam.is_overtaken_by(item) and not self._misordered:
             self._misordered.append(
                 f"{self._current_name}: begins before "
@@ -396,7 +405,8 @@ class Reading:
                 yield from self._end_capture()
             self._part = part
             self._enter(is_log=True)
-            # The log has names and times, so errors in its profiles or links are ignored.
+            # The log already has decoded names and times, so profiles or links with errors are not
+            # needed and are ignored.
             with suppress(UsageError):
                 self.assignments = all_assignments(log, self._options.assignments)
             lines: dict[str, SerialLink] = {}

@@ -1,4 +1,4 @@
-"""Chooses how files are read: as arrays where that gives the same result, else one by one."""
+"""Chooses how capture files are read: as numpy arrays (faster), or one packet after the other."""
 
 from __future__ import annotations
 
@@ -18,16 +18,18 @@ if TYPE_CHECKING:
 
 
 _WORTH_BYTES = 256 * 1024
-"""Bytes of a capture from which its arrays save more time than importing numpy takes, for commands
-that count: measured with 1500, 3000 and 6000 packets."""
+"""The least size of a capture, in bytes, for which commands that only count read it as arrays. In
+smaller ones, importing numpy takes longer than arrays save: measured with 1500, 3000 and 6000
+packets."""
 
 
 def part_reading(
     paths: Sequence[str], options: ReadingOptions, *, is_filtered: bool = False
 ) -> PartReading:
-    """A pass over files, as arrays where that is possible.
+    """Return an object that reads the files once, as arrays if that is possible and faster.
 
-    `is_filtered` is True if some transactions are left out, by what each of them holds.
+    `is_filtered` is True if the user's options exclude some transactions by their fields. Then each
+    one must be looked at, which arrays do not allow.
     """
     if is_filtered or len(paths) != 1:
         return PartReading(paths, options)
@@ -38,9 +40,10 @@ def part_reading(
 def column_reading(
     paths: Sequence[str], options: ReadingOptions, *, at_least: float = 0
 ) -> ColumnReading | None:
-    """A pass over files as arrays; None if they cannot be read so.
+    """Return an object that reads the files once as arrays; None if that is not possible.
 
-    None also if the files have fewer bytes than `at_least`; compressed ones count ten times.
+    Returns None, too, if the files together have fewer bytes than `at_least`; the size of a
+    compressed file is multiplied by ten.
     """
     if find_spec("numpy") is None or unpacked_bytes(paths) < at_least:
         return None
@@ -53,12 +56,12 @@ def column_reading(
 
 
 def unpacked_bytes(paths: Sequence[str]) -> int:
-    """About how many bytes files have once they are unpacked; a pipe counts nothing."""
+    """The approximate total size of the files in bytes, once uncompressed; a pipe counts as 0."""
     return sum(map(_size, paths))
 
 
 def _size(path: str) -> int:
-    """About how many bytes a file has once it is unpacked; 0 if it cannot be told."""
+    """The approximate size of a file in bytes, once uncompressed; 0 if it is unknown."""
     try:
         size = os.stat(path).st_size
     except (OSError, ValueError):

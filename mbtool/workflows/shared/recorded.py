@@ -1,4 +1,4 @@
-"""Reads the transactions of a recording that is to be played."""
+"""Reads the transactions of a recording that a slave, master or bus is to replay."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlayOptions:
-    """Which part of a recording is played, and how fast: options for slave, master and bus."""
+    """The part of a recording that is replayed, and the speed, for all commands of `replay`."""
 
     reading: ReadingOptions = field(default_factory=ReadingOptions)
     wanted: Callable[[NamedTransaction], bool] = lambda _: True
@@ -33,12 +33,12 @@ class PlayOptions:
 
 
 class Recorded(NamedTuple):
-    """The transactions to be played, and the profiles of their devices."""
+    """The transactions to be replayed, the profiles of their devices, and the damaged frames."""
 
     transactions: list[NamedTransaction]
     assignments: Assignments
     damage: list[WireEvent]
-    """The events about damaged frames."""
+    """The events about frames that were damaged in the recording."""
 
 
 def read_recorded(
@@ -51,9 +51,10 @@ def read_recorded(
 ) -> Recorded:
     """Read the transactions of a capture or a log, in the order in which they ended.
 
-    If the file is cut or damaged, `on_remark` gets a line, and the readable part is returned.
-    Raises InputError if the file cannot be read at all or `wanted` lets no transaction through, and
-    UsageError for a unit that is on several links, unless `may_repeat_units`.
+    If the file is cut or damaged, `on_remark` gets a line for the user, and the readable part is
+    returned. `watch` may show the progress. Raises InputError if the file cannot be read at all, or
+    if `options.wanted` accepts no transaction. Raises UsageError if a unit is on several links,
+    unless `may_repeat_units`.
     """
     transactions: list[NamedTransaction] = []
     damage: list[WireEvent] = []
@@ -78,16 +79,16 @@ def read_recorded(
 
 
 def lateness_p99_ns(sample: Sample, options: PlayOptions) -> int | None:
-    """The 99th percentile, in ns, of the delays in `sample`.
+    """The 99th percentile, in ns, of the delays by which messages were sent too late.
 
-    None if the sample is empty, or if the user did not want recorded times.
+    None if there are none, or if the user wanted to replay as fast as possible.
     """
     late = sorted(sample.values)
     return late[len(late) * 99 // 100] if late and options.rate else None
 
 
 def within(transactions: list[NamedTransaction], window: TimeRange) -> list[NamedTransaction]:
-    """The transactions that begin in a window of time, counted from the first request."""
+    """Return the transactions that begin in `window`, whose times count from the first request."""
     first_ns = min(
         (one.request_ns for one in transactions if one.request_ns is not None), default=0
     )
@@ -95,14 +96,16 @@ def within(transactions: list[NamedTransaction], window: TimeRange) -> list[Name
 
 
 def where_none(window: TimeRange) -> str:
-    """The end of the message "nothing to play": in which part, and what the user can do."""
+    """Return the end of the message "nothing to play": the chosen part, and a way out."""
     if window == TimeRange():
         return "; see what it holds with decode"
     return f" in the part {window}; give another --start and --end"
 
 
 def demand_one_slave_each(path: str, transactions: Sequence[NamedTransaction]) -> None:
-    """Raise UsageError if a unit is on several links, as one unit cannot play two slaves."""
+    """Raise UsageError if a unit is on several links, as these are different slaves, and a replay
+    on one link has only one slave for each unit.
+    """
     links: dict[int, set[str]] = defaultdict(set)
     for one in transactions:
         if one.request_raw is not None and one.outcome is not Outcome.BROADCAST:

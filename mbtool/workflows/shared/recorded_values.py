@@ -1,8 +1,8 @@
-"""Finds register values in a capture, for a slave that repeats them."""
+"""Finds the values of registers in a capture, for a simulated slave that replays them."""
 
 # At each moment a register has the value that was last read or written in the capture; before the
 # first read or write, it has the first known value. Time counts from the capture's first request.
-# Each capture is read only once.
+# Each capture is read only once, however many registers need it.
 
 from __future__ import annotations
 
@@ -24,11 +24,12 @@ if TYPE_CHECKING:
 
 
 def recorded_values(profile: Profile, on_remark: Callable[[str], None] = lambda _: None) -> Recall:
-    """Return a function that finds the values of a register in a capture.
+    """Return a function that finds the values of registers in a capture over time.
 
     `profile` gives the register's name in errors. `on_remark` gets lines for the user about a
     capture, such as that it is cut. The returned function raises InputError for a file that cannot
-    be read, UsageError for a file without the value, or if several units or links have it.
+    be read; UsageError for a file without the value, or if the unit or link is not named and
+    several have it.
     """
     captures: dict[Path, list[NamedTransaction]] = {}
     recordings: dict[tuple[Path, str | None], Recording] = {}

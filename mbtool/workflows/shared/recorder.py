@@ -1,16 +1,18 @@
-"""Writes what the sources hear to the log, in a thread of its own, however late the decoder is."""
+"""Writes captured packets and bytes to the log in a thread that never waits for the decoder."""
 
-# Evidence goes from the sources' threads into an Inbox, from there by the recorder's thread into
-# the log, and then into a second Inbox for the decoder, which runs in the main thread. The decoder
-# hands its records back, and the same thread writes them. So one thread owns the log, and nothing
-# that decodes or prints delays evidence: it is in the log at most 0.6 s after it was heard (see
-# logs/writer.py), and evidence stands before what was decoded from it.
+# The packets and chunks that were heard (the evidence) pass from the threads of the sources (ports,
+# interfaces, taps) into an Inbox. The recorder's thread writes them to the log and puts them into a
+# second Inbox for the decoder, which runs in the main thread. The decoder's records are given back
+# to the recorder's thread, which writes them, too. So only one thread writes the log, and evidence
+# stands before the records decoded from it. Evidence is in the log at most 0.6 s after it was heard
+# (see logs/writer.py).
 #
-# When the second Inbox is full, the decoder is DEFAULT_LIMIT bytes behind. Then items are left out
-# there (sources/inbox.py); the log has them. A mark in the log says how far the decoder is behind
-# once that is more than BEHIND_NS, and when it has caught up (docs/decisions/0012).
+# The second Inbox takes DEFAULT_LIMIT bytes. If the decoder is that far behind, further items are
+# not decoded (sources/inbox.py), but they are in the log. Marks in the log say how far the decoder
+# is behind if it is later than BEHIND_NS, and when it has caught up (docs/decisions/0012).
 #
-# The decoder waits while MAX_RECORDS records wait for the log. The recorder waits for nobody.
+# The decoder waits while MAX_RECORDS records wait to be written. The recorder never waits for the
+# decoder.
 #
 # Memory: the two inboxes (64 MiB each) and MAX_RECORDS records.
 
@@ -33,63 +35,66 @@ if TYPE_CHECKING:
     from mbtool.sources.inbox import Item
 
 TICK_S = 0.1
-"""The longest time in seconds between two looks at the clock."""
+"""The longest time (seconds) for which the recorder's thread waits for evidence before it checks
+the clock."""
 BATCH = 500
-"""The most items that are written before the decoder gets them."""
+"""The most packets and chunks that are written to the log before they are passed to the decoder."""
 MAX_RECORDS = 1000
-"""So many records are written at once, while evidence waits: for less than 0.1 s."""
+"""The most records that wait to be written. The recorder's thread writes all of them at once, which
+delays evidence by less than 0.1 s."""
 BEHIND_NS = 250_000_000
-"""A decoder that is later than this, in ns, is marked as behind. So a log that was not closed lacks
-at most so much of what its evidence shows, beside what was not on the disk."""
+"""If the decoder is later than this (ns), a mark in the log says so. So if recording is killed, the
+log lacks records without a mark for at most this time."""
 _MARK_NS = 100_000_000
-"""While the decoder is behind, a mark is written every so many ns."""
+"""While the decoder is behind, a mark is written to the log at this interval (ns)."""
 
 
 class Log(Protocol):
-    """The part of a log writer that a recorder uses."""
+    """The methods of a log writer that a recorder uses."""
 
     def write(self, item: LogItem | DecodingMark) -> None: ...
 
     def tick(self, now_ns: int) -> None:
-        """Called regularly with the time in ns: write items that have been waiting in memory."""
+        """Write items that have waited in memory for long; called regularly with the time (ns)."""
 
     def close(self, final: Mapping[str, str]) -> None:
-        """Complete the log; `final` holds values that are only known at the end of a run."""
+        """Complete the log; `final` is metadata that is known only at the end of recording."""
 
 
 class Recorder:
-    """Owns a log while sources are heard. `start`, then `stop`, then `close`."""
+    """Writes a log in a thread while sources are recorded. Call `start`, `stop`, then `close`."""
 
     def __init__(self, heard: Inbox, log: Log, now_ns: Callable[[], int]) -> None:
-        """`heard` is the inbox that the sources fill."""
+        """`heard` is the inbox that the sources fill; `now_ns` returns the time in ns."""
         self._heard = heard
         self._log = log
         self._now_ns = now_ns
         self.undecoded = Inbox(behind=heard)
-        """What is in the log, or is no evidence, and is to be decoded."""
+        """The inbox of the decoder: packets and chunks that are in the log, and events."""
         self._records: deque[Record] = deque()
         self._changed = Condition()
         self._failure: Exception | None = None
         self._is_stopping = False
         self._thread: Thread | None = None
         self._recorded = 0
-        """Number of pieces (chunks and packets) in the log."""
+        """The number of pieces (chunks and packets) written to the log."""
         self._decoded = 0
-        """Number of pieces whose records have been handed over."""
+        """The number of pieces that are decoded and whose records were passed to `write`."""
         self.dropped = 0
-        """Number of pieces that the decoder did not get, as it was too far behind."""
+        """The number of pieces that are not decoded, because the decoder was too far behind."""
         self._told_dropped = 0
         self._awaited = (0, now_ns())
-        """A number of recorded pieces, and the time in ns when there were so many."""
+        """A former value of `_recorded`, and the time (ns) when it was reached. If the decoder has
+        not reached it BEHIND_NS later, the decoder is behind."""
         self._is_behind = False
         self._marked_ns = now_ns() - _MARK_NS
         self._discarded_packets = 0
         self._discarded_bytes = 0
-        """Number of bytes that the sources lost, without packets that the kernel dropped."""
+        """The number of bytes that the sources lost; packets dropped by the kernel do not count."""
 
     @property
     def waiting(self) -> int:
-        """The number of pieces in the log that the decoder still has to decode."""
+        """The number of chunks and packets in the log that the decoder still has to decode."""
         return self._recorded - self._decoded - self.dropped
 
     def start(self) -> None:
@@ -97,7 +102,10 @@ class Recorder:
         self._thread.start()
 
     def write(self, record: Record) -> None:
-        """Hand over a record. Raises the error that ended the recording."""
+        """Let the recorder's thread write a decoded record; wait if MAX_RECORDS are waiting.
+
+        Raises the error that ended the recording, if there was one.
+        """
         if self._thread is None:
             self._log.write(record)
             return
@@ -109,7 +117,7 @@ class Recorder:
         self.check()
 
     def note_decoded(self, item: Item) -> None:
-        """Count an item as decoded; its records have been handed over."""
+        """Count an item as decoded. All its records must have been passed to `write`."""
         self._decoded += isinstance(item, Chunk | Packet)
 
     def check(self) -> None:
@@ -118,9 +126,9 @@ class Recorder:
             raise self._failure
 
     def stop(self) -> None:
-        """Write all that is heard, and end the thread. The sources are closed before.
+        """Write all evidence that is still in the inbox, and end the thread.
 
-        The caller owns the log from here on.
+        The caller must close the sources first. Afterwards `write` writes to the log directly.
         """
         self._is_stopping = True
         if self._thread is not None:
@@ -143,9 +151,10 @@ class Recorder:
 
     def _run(self) -> None:
         try:
-            self._tick()  # So `mbtool status` finds the links and a heartbeat from the start.
+            self._tick()  # Lets `mbtool status` find the links and a heartbeat from the start.
             while True:
-                # Read before the inbox: what was heard before the order to stop is then written.
+                # Read the flag before the inbox, so that all items put in before `stop` are
+                # written.
                 is_stopping = self._is_stopping
                 items = self._heard.take(0 if is_stopping else TICK_S, BATCH)
                 self._record(items)
@@ -197,11 +206,11 @@ class Recorder:
 
     @property
     def _news(self) -> bool:
-        """True if pieces were dropped since the last mark."""
+        """True if chunks or packets were dropped (not decoded) since the last mark."""
         return self.dropped > self._told_dropped
 
     def _mark(self, now_ns: int, waiting: int) -> None:
-        # The records of the decoded pieces must stand before the mark.
+        # In the log, the records of all decoded pieces must stand before the mark.
         self._write_records()
         dropped, self._told_dropped = self.dropped - self._told_dropped, self.dropped
         self._marked_ns = now_ns

@@ -1,14 +1,15 @@
 """Passes the requests, responses and outputs of a running slave to the thread that shows them."""
 
-# The slave's thread calls `take` with each request and its response and does not wait. The other
-# thread gets them as transactions, named by the device's profile, and gets the outputs that
-# changed. If a simulated fault distorted a response, the transaction has the intended values and
-# the bytes that were really sent; the event after it says how the response was distorted.
+# The slave's thread calls `take` with each request and its response, and never waits. The thread
+# that shows them calls `records` for the transactions, with names from the device's profile, and
+# `changed_outputs` for the simulated outputs that changed. If a simulated fault distorted a
+# response, the transaction has the intended values and the bytes that were really sent; the event
+# after it says how the response was distorted.
 #
-# Memory: at most `limit` requests that the other thread has not yet fetched. Further requests are
-# counted and dropped, so that a slow screen does not delay the slave.
+# Memory: at most `limit` requests that have not been shown yet. Further requests are counted and
+# dropped, so that a slow screen does not delay the slave.
 #
-# The time of a response is when it is due: the end of its request plus the slave's own delay.
+# The time of a response is when it should be sent: the end of its request plus the slave's delay.
 
 from __future__ import annotations
 
@@ -39,7 +40,7 @@ _ENDINGS = {ConnectionEnding.CLOSE: "connection closed", ConnectionEnding.RESET:
 
 
 class SlaveMonitor:
-    """The requests, responses and outputs of the devices on a link."""
+    """Passes the requests, responses and outputs of the simulated devices on a link to a screen."""
 
     def __init__(
         self,
@@ -49,9 +50,9 @@ class SlaveMonitor:
         *,
         limit: int = MAX_PENDING,
     ) -> None:
-        """`others` are the profiles of further devices on the link, by unit.
+        """`others` are the profiles of single units on the link; `profile` is for all other units.
 
-        `profile` is None if the units without a profile of their own have none.
+        `profile` may be None.
         """
         beside = [Assignment(Who(unit=unit), one) for unit, one in (others or {}).items()]
         own = [] if profile is None else [Assignment(Who(), profile)]
@@ -61,7 +62,7 @@ class SlaveMonitor:
         self._ends = Ends(link.name)
         self._pending: deque[tuple[Adu, Response | None]] = deque()
         self._missed = 0
-        """Number of requests dropped since the start; the slave's thread counts them."""
+        """The number of requests dropped since the start; only the slave's thread changes it."""
         self._missed_told = 0
         self._behaviours: Mapping[int, Behaviour] = {}
         self._outputs: list[DeviceOutput] = []
@@ -72,20 +73,23 @@ class SlaveMonitor:
 
     @property
     def behaviours(self) -> Mapping[int, Behaviour]:
-        """The behaviour of each device by unit; empty before `begin`."""
+        """The simulated device (its Behaviour) of each unit; empty before `begin` is called."""
         return self._behaviours
 
     def profile_for(self, transaction: NamedTransaction) -> Profile | None:
         return self._assignments.profile_for(transaction)
 
     def on_link(self, name: str) -> None:
-        """Name the link in what comes: with TCP port 0, its port is known once it is open."""
+        """Set the link name in all further records.
+
+        With TCP port 0 the system chooses the port, so the name is known only once it is open.
+        """
         self._ends = Ends(name)
 
-    # The slave's thread calls the following methods, up to the next comment.
+    # Only the slave's thread calls `begin` and `take`.
 
     def begin(self, behaviours: Mapping[int, Behaviour]) -> None:
-        """Set the behaviour of each device, by unit, from which the device's outputs are read."""
+        """Set the simulated device (its Behaviour) of each unit, before the first request."""
         self._behaviours = behaviours
         self._outputs = self._all_outputs()
 
@@ -95,10 +99,10 @@ class SlaveMonitor:
         else:
             self._missed += 1
 
-    # The thread that shows the requests calls the following methods.
+    # Only the thread that shows the requests calls `records`, `missed` and `changed_outputs`.
 
     def records(self) -> list[Record]:
-        """The transactions and events since the last call."""
+        """Return the transactions and events since the last call."""
         return [
             record
             for _ in range(len(self._pending))
@@ -106,17 +110,17 @@ class SlaveMonitor:
         ]
 
     def missed(self) -> int:
-        """Number of requests dropped since the last call."""
+        """Return the number of requests dropped since the last call."""
         told, self._missed_told = self._missed_told, self._missed
         return self._missed_told - told
 
     def changed_outputs(self) -> list[DeviceOutput]:
-        """The outputs that have changed since the last call."""
+        """Return the outputs of the devices that have changed since the last call."""
         before, self._outputs = self._outputs, self._all_outputs()
         return [now for was, now in zip(before, self._outputs, strict=True) if now != was]
 
     def _all_outputs(self) -> list[DeviceOutput]:
-        """The outputs of all devices; with several devices, each name begins with the unit."""
+        """Return all outputs of all devices; if there are several, names begin with the unit."""
         return [
             one if len(self._behaviours) == 1 else replace(one, name=f"unit {unit} {one.name}")
             for unit, behaviour in self._behaviours.items()
@@ -159,7 +163,7 @@ class SlaveMonitor:
 
 
 def _how_spoilt(spoiling: Distortion) -> str:
-    """A text that lists what a fault did to a response, in order."""
+    """Return a text that lists how a simulated fault changed a response, separated by commas."""
     ending = "" if spoiling.ending is None else _ENDINGS[spoiling.ending]
     if spoiling.silent:
         return ", ".join(filter(None, ("not sent", ending)))

@@ -1,11 +1,11 @@
-"""Names SunSpec devices by the models that they were asked for."""
+"""Makes profiles for SunSpec devices from the model lists that their master reads in a capture."""
 
-# A master reads the map of a SunSpec device, usually once: the mark, then number and length of each
-# model (devices/sunspec_map.py). The files of the models are the user's: a copy of the folder json
-# of github.com/sunspec/models, where model 103 is model_103.json.
+# A master reads the map of a SunSpec device, usually once: the mark "SunS", then the number and the
+# length of each model (devices/sunspec_map.py). The user provides the definitions of the models: a
+# copy of the folder `json` of github.com/sunspec/models, where model 103 is model_103.json.
 #
-# Files are read twice, first for the maps: so all of a capture is named, also what comes before the
-# map was read.
+# Files are read twice, the first time only for the maps. So all transactions get names, even those
+# before the map was read.
 #
 # Memory: the maps of at most MAX_DEVICES slaves.
 
@@ -35,11 +35,11 @@ STANDARD_INPUT = "-"
 _SHOWN = 12
 
 Slave = tuple[str, str | None, int]
-"""Link, destination and unit."""
+"""A slave: its link, its address and port (None on a serial line), and its unit."""
 
 
 class SunSpecDevices:
-    """The maps of the SunSpec devices in a capture."""
+    """Collects the maps (the lists of models) of the SunSpec devices in a capture."""
 
     def __init__(self) -> None:
         self.maps: dict[Slave, SunSpecMap] = {}
@@ -49,7 +49,7 @@ class SunSpecDevices:
             self.note(record)
 
     def note(self, record: Record) -> Slave | None:
-        """Look at the next record; return its slave if it gave the end of its map."""
+        """Look at the next record; return its slave if it completes the map of that slave."""
         if isinstance(record, WireEvent) or record.function != READ_HOLDING:
             return None
         values, address = record.response_values, record.address
@@ -68,7 +68,7 @@ class SunSpecDevices:
 
 
 class SunSpecFolder:
-    """A folder with the files of SunSpec models."""
+    """The user's folder with the definitions of SunSpec models, as model_103.json."""
 
     def __init__(self, path: str | PathLike[str]) -> None:
         """Raises InputError if there is no model in the folder."""
@@ -83,7 +83,7 @@ class SunSpecFolder:
             )
 
     def file(self, number: int) -> tuple[str, bytes] | None:
-        """The name and content of a model's file; None if there is none."""
+        """Return the path and the content of a model's file; None if the folder lacks it."""
         path = self._folder / f"model_{number}.json"
         try:
             return str(path), path.read_bytes()
@@ -93,7 +93,10 @@ class SunSpecFolder:
             raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
 
     def try_all(self) -> tuple[int, list[str]]:
-        """Import each model by itself; return how many can be, and a line for each other one."""
+        """Import each model by itself, to check the folder.
+
+        Returns the number of models that can be imported, and an error message for each other one.
+        """
         from mbtool.devices.importing.sunspec import import_sunspec
 
         wrong = []
@@ -107,7 +110,9 @@ class SunSpecFolder:
         return count, wrong
 
     def profile(self, found: SunSpecMap, name: str) -> ImportedList:
-        """The profile of a device. Raises UsageError if no model of it can be used."""
+        """Make the profile of a device from its map. Raises UsageError if none of its models can be
+        used.
+        """
         from mbtool.devices.importing.sunspec import import_sunspec_map
 
         return import_sunspec_map(found, [self.file(one.id) for one in found.models], name)
@@ -119,9 +124,9 @@ class SunSpecFolder:
 def with_sunspec(
     paths: Sequence[str], options: ReadingOptions, folder: SunSpecFolder, say: Callable[[str], None]
 ) -> ReadingOptions:
-    """The options with a profile for each SunSpec device in the files that has none.
+    """Return the options with a profile added for each SunSpec device in the files without one.
 
-    Files are read to their end. `say` gets a line for each device.
+    Reads the files to their end. `say` gets a line for the user about each device.
     """
     for path in paths:
         if path == STANDARD_INPUT or place_of(path)[1]:
@@ -150,9 +155,10 @@ def with_sunspec(
 
 
 def only_map(devices: SunSpecDevices, who: Who | None, option: str) -> SunSpecMap:
-    """The map of the only device, or of the one that `who` describes.
+    """Return the map of the only SunSpec device, or of the one with the address and unit in `who`.
 
-    Raises UsageError if there is none, or several; the message names the option for `who`.
+    Raises UsageError if there is none, or if there are several. The message then names `option`,
+    with which the user can choose one.
     """
     maps = {
         Who.of_slave(destination, unit): found
@@ -168,14 +174,14 @@ def only_map(devices: SunSpecDevices, who: Who | None, option: str) -> SunSpecMa
 
 
 def described(found: SunSpecMap) -> str:
-    """What a device is, with its models: `Maker Device, SunSpec models 1, 103 from 40000 on`."""
+    """Describe a device as a text: `Maker Device, SunSpec models 1, 103 from 40000 on`."""
     numbers = ", ".join(str(one.id) for one in found.models)
     name = f"{found.device}, " if found.device else ""
     return f"{name}SunSpec models {numbers} from {found.base} on"
 
 
 def _unbroken(reading: Reading) -> Iterator[Record]:
-    """The records up to the first error, which the pass that prints them will raise."""
+    """Yield the records up to the first error; the second reading of the files raises it."""
     try:
         yield from reading.records()
     except InputError:

@@ -1,10 +1,10 @@
-"""The part of a capture between --start and --end."""
+"""Selects the part of a capture between the options --start and --end."""
 
-# A time since the beginning counts from the capture's first request, as with `replay`. A
-# transaction is decoded when it is complete, so the first transaction decoded need not be the first
-# that began. So records are held until HOLD_NS of the capture have passed (a request may wait that
-# long for its response), or until MAX_HELD records are held. The earliest request among these is
-# taken as the first. A record that began before it counts as being at the beginning.
+# A relative time (`--start 10s`) counts from the capture's first request, as with `replay`. A
+# transaction is decoded when it is complete, so the first decoded transaction is not always the one
+# that began first. So records are held back until HOLD_NS of the capture have passed (a request may
+# wait that long for its response), or until MAX_HELD records are held. The earliest request among
+# these counts as the first. A record that began before it counts as being at relative time 0.
 
 from __future__ import annotations
 
@@ -26,21 +26,24 @@ MAX_HELD = 100_000
 
 @dataclass(slots=True)
 class TimeWindow:
-    """A part of a capture. A record that begins exactly at the end is outside."""
+    """The part of a capture from `start` to `end`; None means the capture's own beginning or end.
+
+    A record that begins exactly at `end` is outside.
+    """
 
     start: TimePoint | None
     end: TimePoint | None
     _first_ns: int | None = field(default=None, init=False)
     _times: tuple[int, int] | None = field(default=None, init=False)
-    """The times (ns) of the earliest and the latest transaction that `in` was asked about."""
+    """The begin times (UTC ns) of the earliest and the latest transaction that was checked."""
     _has_any: bool = field(default=False, init=False)
-    """True if a transaction was in the window."""
+    """True if at least one of the transactions that were checked was in the window."""
 
     @classmethod
     def parse(cls, start: str | None, end: str | None) -> TimeWindow:
-        """Read --start and --end.
+        """Parse the values of --start and --end.
 
-        Raises UsageError for a text that is no moment, and for an end that is not after the start.
+        Raises UsageError for a text that is no time, and for an end that is not after the start.
         """
         first = None if start is None else parse_moment(start, "--start")
         last = None if end is None else parse_moment(end, "--end")
@@ -60,9 +63,10 @@ class TimeWindow:
         return any(one is not None and not one.is_absolute for one in (self.start, self.end))
 
     def begun(self, records: Iterable[Record], *, at_once: bool = False) -> Iterator[Record]:
-        """Yield all records, but hold them back until the first request is known.
+        """Yield all records, but if the window is relative, not before the capture's first request
+        is known, from which relative times count.
 
-        With `at_once`, no record is held back, for live captures: the first transaction that is
+        With `at_once`, for live captures, no record is held back: the first transaction that is
         decoded counts as the first request.
         """
         if not self.is_relative:
@@ -84,7 +88,7 @@ class TimeWindow:
         yield from held or ()
 
     def __contains__(self, record: Record) -> bool:
-        """True if a record begins in the window. Only for records that `begun` has yielded."""
+        """True if a record begins in the window. Call it only for records yielded by `begun`."""
         if isinstance(record, WireEvent):
             return self.contains_ns(record.ts_ns)
         start_ns = record.start_ns
@@ -96,7 +100,9 @@ class TimeWindow:
 
     @property
     def why_empty(self) -> str | None:
-        """A line for the user if there were transactions, but none of them in the window."""
+        """A message for the user if all transactions were outside the window; None if one was in
+        it, or if there were none.
+        """
         if self._has_any or self._times is None:
             return None
         place = "after --start" if self.end is None else "before --end"
@@ -106,13 +112,17 @@ class TimeWindow:
         return f"no transaction {place}: the first is of {first}, the last of {last} UTC"
 
     def contains_ns(self, ts_ns: int) -> bool:
-        """True if a time in UTC ns is in the window, once `begun` has yielded a record."""
+        """True if a time in UTC ns is in the window. Call it only after `begun` has yielded a
+        record.
+        """
         return not self._is_before(ts_ns, self.start) and (
             self.end is None or self._is_before(ts_ns, self.end)
         )
 
     def is_before_ns(self, ts_ns: int) -> bool:
-        """True if a time in UTC ns is before the window, once `begun` has yielded a record."""
+        """True if a time in UTC ns is before the window. Call it only after `begun` has yielded a
+        record.
+        """
         return self._is_before(ts_ns, self.start)
 
     def _is_before(self, ts_ns: int, point: TimePoint | None) -> bool:
@@ -122,7 +132,10 @@ class TimeWindow:
         return (ts_ns if point.is_absolute else since_ns) < point.ns
 
     def _note(self, record: Record) -> int:
-        """Note a record that comes before the first request is known; return its time in ns."""
+        """Look for the earliest transaction among the records that are held back.
+
+        Returns the begin of the given record in UTC ns.
+        """
         if isinstance(record, WireEvent):
             return record.ts_ns
         start_ns = record.start_ns

@@ -1,11 +1,13 @@
-"""Knows which logs hold evidence that was not decoded when they were made."""
+"""Finds logs with packets or bytes that were not decoded while the log was recorded."""
 
-# Logs that were not closed may lack the records of their last moments, too: those of up to
-# MAX_LOOKED_THROUGH bytes together are decoded again if their evidence goes on behind the records.
+# A log has evidence (the packets and bytes as they were heard) and records (transactions and events
+# that were decoded from it). If recording was killed, the records of the last moments may be
+# missing. So a log that was not closed is decoded again if its evidence goes on behind its last
+# record. That is only checked if the files together have at most MAX_LOOKED_THROUGH bytes.
 #
-# Such a log, and one of evidence only, is decoded from its beginning, as what a packet or a byte
-# means depends on what came before it. Its records are left out, but not the events that its
-# evidence cannot give: what drivers, taps and interfaces told.
+# A log with undecoded evidence is decoded from its beginning, as the meaning of a packet or byte
+# depends on what came before it. Then its records are ignored, except for events that cannot be
+# decoded from evidence: those that drivers, taps and interfaces reported.
 
 from __future__ import annotations
 
@@ -36,34 +38,35 @@ _OF_SOURCES = frozenset(
     {EventKind.LINE_ERROR, EventKind.REFUSED, EventKind.BLOCKED, EventKind.CLOCK_STEP}
 )
 _OF_TAPS = frozenset({EventKind.OPENED, EventKind.CLOSED})
-"""Only a tap tells that a connection was opened or closed; packets show it."""
+"""Events that only a tap reports. For captured packets, decoding finds them again."""
 
 _HELD_NS = 2_000_000_000
-"""Evidence is held back for so many ns of its time, as an event may belong before it."""
+"""Evidence is held back until evidence or an event is later by this time (ns), as an event with an
+earlier time may still follow it in the log."""
 _MOST_HELD = 5000
 
 _LOSSES_OF_SOURCES = ("not recorded", "turned away")
 
 
 class LogRemarks:
-    """Tells which logs among some files are not decoded to their end, or were not closed."""
+    """Finds those of the files that are logs with undecoded evidence, or that were not closed."""
 
     def __init__(self, paths: Sequence[str], *, is_raw: bool) -> None:
         """`is_raw` is True if the user wants all logs to be decoded again."""
         self._paths = paths
         self._is_raw = is_raw
         self._unread: dict[str, int] = {}
-        """The number of undecoded chunks and packets of logs that can be read only once: pipes and
-        compressed files."""
+        """By file, the number of undecoded chunks and packets of logs for which that is only known
+        after reading: pipes and compressed files."""
         self._unclosed: list[str] = []
 
     @property
     def are_undecoded(self) -> bool:
-        """True if all logs among the files are to be decoded again."""
+        """True if a log among the files has undecoded evidence, so that all are decoded again."""
         return bool(self._counts) or any(self._ends.values())
 
     def note(self, log: LogReader, name: str) -> None:
-        """Take a log that has been read to its end."""
+        """Note the remarks about a log that has been read to its end."""
         text = log.capture.get(UNDECODED_PIECES, "0")
         if not self._counts and text.isdecimal() and len(text) <= 9 and int(text):
             self._unread[name] = int(text)
@@ -74,7 +77,7 @@ class LogRemarks:
             self._unclosed.append(f"{name}: was not closed; it {end}")
 
     def _last_moments(self, name: str) -> str:
-        """What the user is told of the last moments of a log that was not closed."""
+        """A text for the user on how the last moments of a log that was not closed are decoded."""
         if self._is_raw or self._counts:
             return ""
         if self.are_undecoded:
@@ -83,7 +86,7 @@ class LogRemarks:
 
     @property
     def remarks(self) -> list[str]:
-        """Lines for the user about these logs."""
+        """Lines for the user about logs that were not closed, or not completely decoded."""
         told = ((self._counts, "it is decoded again"), (self._unread, "--raw decodes it again"))
         return self._unclosed + [
             f"{path}: {counted(count, 'piece')} not decoded when it was made; {then}"
@@ -93,15 +96,16 @@ class LogRemarks:
 
     @cached_property
     def _counts(self) -> Mapping[str, int]:
-        """The number of undecoded chunks and packets, by path."""
+        """By path, the number of chunks and packets that a log says were not decoded."""
         counts = {path: undecoded_pieces(path) for path in self._files}
         return {path: count for path, count in counts.items() if count}
 
     @cached_property
     def _ends(self) -> Mapping[str, bool]:
-        """For each log that was looked through: True if its end is not decoded.
+        """For each log that was not closed: True if its last evidence was not decoded.
 
-        Empty if the files are large together, as all of them would be decoded again.
+        Empty if the files together have more than MAX_LOOKED_THROUGH bytes, since decoding all of
+        them again would take too long.
         """
         try:
             if sum(map(os.path.getsize, self._files)) > MAX_LOOKED_THROUGH:
@@ -113,12 +117,12 @@ class LogRemarks:
 
     @property
     def _files(self) -> list[str]:
-        """The paths that are no pipes."""
+        """The paths that are files and not pipes."""
         return [path for path in self._paths if not place_of(path)[1]]
 
 
 def heard(log: LogReader) -> Iterator[Chunk | Packet | WireEvent]:
-    """The evidence of a log, and the events that its evidence cannot give, each at its time."""
+    """Yield the evidence of a log, in order of time with the events that decoding cannot find."""
     taps = {name for name, one in log.links.items() if one.get(SPEC, "").startswith("tap:")}
     return _in_place(
         item for item in log.heard() if not isinstance(item, WireEvent) or is_of_source(item, taps)
@@ -126,10 +130,11 @@ def heard(log: LogReader) -> Iterator[Chunk | Packet | WireEvent]:
 
 
 def _in_place(items: Iterator[Chunk | Packet | WireEvent]) -> Iterator[Chunk | Packet | WireEvent]:
-    """Put each event before the evidence of its link that is later than it.
+    """Move each event in front of the evidence of its link that has a later time.
 
-    An event is written when it has passed the decoder, so often behind later evidence. A loss ends
-    the frames of its line, and must not do so in the middle of a later one.
+    An event is written to the log only after the decoder has passed it on, so often behind later
+    evidence. Decoding a loss of bytes ends the frame at that place; too late, it would break the
+    next frame.
     """
     held: deque[Chunk | Packet | WireEvent] = deque()
     try:
@@ -145,23 +150,24 @@ def _in_place(items: Iterator[Chunk | Packet | WireEvent]) -> Iterator[Chunk | P
             held.insert(at, item)
             while len(held) > _MOST_HELD or held[0].ts_ns < item.ts_ns - _HELD_NS:
                 yield held.popleft()
-    except InputError:  # The log is cut off: what came before is whole.
+    except InputError:  # The log is cut off. The items before that are sound.
         yield from held
         raise
     yield from held
 
 
 def is_of_source(event: WireEvent, taps: Set[str]) -> bool:
-    """True for an event of a driver, a tap or an interface, which the evidence does not show.
+    """True for an event from a driver, a tap or an interface, which decoding cannot find again.
 
     `taps` are the names of the links that are taps.
     """
     if event.kind in _OF_TAPS:
         return event.link in taps
     if event.kind is EventKind.DISCARDED:
-        # The decoder tells what it gave up itself, and will again.
+        # Data that the decoder discarded because of its own limits will be reported again.
         return bool(event.packets) or any(text in event.message for text in _LOSSES_OF_SOURCES)
     if event.kind is EventKind.GAP:
-        # A damaged place of the log, or a port that was unplugged. Of packets, decoding tells gaps.
+        # Without a source, a GAP is a damaged place of the log, or a port that was unplugged. Gaps
+        # between packets are found again by decoding.
         return not event.source
     return event.kind in _OF_SOURCES

@@ -1,10 +1,10 @@
-"""Tells the user which serial lines cannot be read because their settings are wrong."""
+"""Tells the user which serial lines are unreadable, probably because their settings are wrong."""
 
 # With a wrong baud rate, and with most wrong parities, a receiver delivers bytes that were never
-# sent. They tell nothing, so the user is advised to listen again with LINK@auto. With the wrong
-# mode (RTU for ASCII), or with 8 data bits instead of 7, the sent bytes can still be recovered.
-# Then the user is advised to use the settings with which the unreadable bytes are frames with a
-# correct CRC or LRC (settings_fit.py).
+# sent. The right settings cannot be found from them, so the user is advised to listen again with
+# LINK@auto. With the wrong mode (RTU for ASCII), or with 8 data bits instead of 7, the sent bytes
+# can still be recovered. Then the user is advised to use the settings with which the unreadable
+# bytes are frames with a correct CRC or LRC (settings_fit.py).
 #
 # A line is unreadable if at least MIN_BYTES of its bytes are in no frame, and less than
 # MAX_READ_SHARE of all bytes are in frames. In a live capture the user is told after SOON_BYTES
@@ -42,7 +42,7 @@ _RTU_DATA_BITS = 8
 _UNREAD = frozenset((EventKind.SKIPPED, EventKind.BAD_CHECK))
 
 LineOf = Callable[[str], SerialLink | None]
-"""Returns the serial line with a link name; None if the link is unknown or not serial."""
+"""A function that returns the serial line with a link name; None if the link is not serial."""
 
 
 @dataclass(slots=True)
@@ -71,15 +71,14 @@ class UnreadableLines:
     """Counts the bytes of serial lines that could be read and those that could not."""
 
     def __init__(self, line_of: LineOf, *, is_live: bool = False) -> None:
-        """`is_live` is True in a live capture; the messages then name the ports."""
+        """`is_live` is True in a live capture: then messages can name the serial ports."""
         self._line_of = line_of
         self._is_live = is_live
         self._lines: dict[str, _HeardLine] = {}
 
     def note(self, record: Record) -> str | None:
-        """Look at the next record; return a message if its serial line is unreadable so far.
-
-        There is only one message for each serial line.
+        """Look at the next record; return a message for the user if its serial line proves to be
+        unreadable. There is at most one message for each line.
         """
         if not isinstance(record, WireEvent):
             if record.transport.is_serial:
@@ -96,13 +95,15 @@ class UnreadableLines:
         return self._tell(record.link, heard)
 
     def untold(self) -> Iterator[str]:
-        """At the end: a message for each unreadable serial line that `note` has not reported."""
+        """Yield, at the end, a message for each unreadable line that `note` has not reported."""
         for link, heard in self._lines.items():
             if heard.is_unreadable and not heard.is_told:
                 yield self._tell(link, heard)
 
     def unreadable(self) -> Iterator[tuple[WireEvent, str]]:
-        """For each unreadable line, its first unreadable bytes, and a text with the remedy."""
+        """Yield, for each unreadable line, its first event with unreadable bytes, and a text that
+        says what the user can do.
+        """
         for link, heard in self._lines.items():
             if heard.first is not None and heard.is_unreadable:
                 yield heard.first, self._text(link, heard)
@@ -136,7 +137,10 @@ class UnreadableLines:
 
 
 def _fitting(line: SerialLink, heard: _HeardLine) -> SettingsScore | None:
-    """The settings with which the unreadable bytes would be frames; None if there are none."""
+    """Find the line settings with which the unreadable bytes are frames with a correct CRC or LRC.
+
+    None if there are no such settings.
+    """
     trial = SettingsTrial(line.format)
     for event in heard.sample:
         trial.feed(event.raw, (), event.ts_ns + (len(event.raw) - 1) * line.format.character_ns)
@@ -145,7 +149,7 @@ def _fitting(line: SerialLink, heard: _HeardLine) -> SettingsScore | None:
     present = LineSettings(line.format, line.ascii)
     if not best.is_likely or best.settings == present:
         return None
-    # With 7 data bits, RTU frames without a byte above 7FH seem to fit, but RTU needs 8.
+    # With 7 data bits, RTU frames in which no byte exceeds 7FH seem correct, but RTU needs 8 bits.
     is_possible = best.settings.ascii or best.settings.format.data_bits == _RTU_DATA_BITS
     return best if is_possible else None
 

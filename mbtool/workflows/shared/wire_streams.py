@@ -1,13 +1,15 @@
-"""Cuts the bytes of a link into frames and the bytes between them, and says how each was read."""
+"""Cuts the captured bytes of a link into frames and the bytes between frames, for `convert`."""
 
-# A stream is what one side of a link heard: the bytes of reads of a port, in order. It is given the
-# frames that decoding has found, in the order of the line. The place of a frame is known where one
-# tap hears the whole line; elsewhere it is where its bytes are found next.
+# A stream is the bytes that one tap heard, or one direction of a TCP connection, in the order of
+# the reads of its port. The caller also gives the frames that were decoded from it, in their order.
+# The position of a frame in the stream is known if one tap hears the whole line. Otherwise the
+# frame's bytes are searched in the stream.
 #
-# Bytes between frames are cut where the decoder's events about them end; without events, where a
-# read ends. No byte is lost: all pieces together are the bytes of the reads.
+# The bytes between frames are cut where the bytes of the decoder's events about them end, or, if
+# there is no event, where a read ends. No byte is lost: all pieces together are all bytes read.
 #
-# Memory: the bytes that wait for the rest of a frame: those of SEARCH_NS, at most MAX_WAITING.
+# Memory: the bytes of an incomplete frame; while a frame is searched, the bytes of SEARCH_NS, at
+# most MAX_WAITING bytes.
 
 from __future__ import annotations
 
@@ -21,12 +23,13 @@ if TYPE_CHECKING:
     from mbtool.modbus import Transport
 
 SEARCH_NS = 10_000_000_000
-"""A frame whose bytes are not found in so many ns of the capture after it is given up."""
+"""The search for the bytes of a frame ends when the stream has reached a time this much (ns) after
+the frame."""
 MAX_WAITING = 1 << 20
 
 
 class StreamKey(NamedTuple):
-    """What tells the streams of a capture apart."""
+    """The key of a stream of bytes in a capture: its link, its direction, its TCP connection."""
 
     link: str
     direction: Direction
@@ -34,7 +37,7 @@ class StreamKey(NamedTuple):
 
 
 class WireFrame(NamedTuple):
-    """A frame, as decoding has found it."""
+    """A frame that decoding has found, with the data of its transaction."""
 
     raw: bytes
     is_request: bool
@@ -43,16 +46,17 @@ class WireFrame(NamedTuple):
     unit: int
     transport: Transport
     ts_ns: int
-    """When it is shown: the end of a request, the beginning of a response."""
+    """The frame's time in the output (UTC ns): the end of a request, the beginning of a response.
+    """
     comments: tuple[str, ...] = ()
     is_kept: bool = True
-    """False if --start, --end or --where leave it out."""
+    """False if the options --start, --end or --where exclude its transaction."""
     begin: int | None = None
-    """The number of bytes before it in its stream; None if unknown."""
+    """The number of bytes of the stream before the frame; None if unknown."""
 
 
 class SkippedBytes(NamedTuple):
-    """What an event says of bytes that are no frame."""
+    """Bytes that belong to no frame, with the kind, message and time of the event about them."""
 
     raw: bytes
     kind: EventKind
@@ -61,55 +65,59 @@ class SkippedBytes(NamedTuple):
 
 
 class WirePiece(NamedTuple):
-    """Bytes of a stream: a frame, or bytes between frames."""
+    """Consecutive bytes of a stream: one frame, or bytes between frames."""
 
     key: StreamKey
     data: bytes
     reads: list[tuple[int, int]]
-    """How many of the bytes each read brought, and its time in UTC ns."""
+    """For each read of the port that returned bytes of this piece: their number, and the time of
+    the read in UTC ns."""
     is_open: bool
-    """True if the last read brought bytes of the next piece, too."""
+    """True if the last of these reads also returned bytes of the next piece."""
     chunk: Chunk
-    """A read that brought bytes of it, for what all reads of the stream have in common."""
+    """One of these reads, for the fields that all reads of the stream share, as its direction."""
     frame: WireFrame | None = None
     skipped: SkippedBytes | None = None
 
     @property
     def ts_ns(self) -> int:
-        """When it is shown, in UTC ns."""
+        """The time of the piece (UTC ns): that of its frame, its event or its last read."""
         about = self.frame or self.skipped
         return self.reads[-1][1] if about is None else about.ts_ns
 
 
 class WireStream:
-    """One stream: takes reads, gives pieces."""
+    """Cuts one stream: takes the reads of a port and yields frames and the bytes between them."""
 
     def __init__(
         self, key: StreamKey, frames: Iterable[WireFrame], skipped: Iterable[SkippedBytes] = ()
     ) -> None:
-        """Take the frames of the stream in its order, and the events about other bytes."""
+        """`frames` and `skipped` (the bytes of events) are in the order of the stream."""
         self._key = key
         self._frames = deque(frames)
         self._skipped = deque(skipped)
         self._held = bytearray()
         self._position = 0
-        """The number of bytes of the stream before those that are held."""
+        """The number of bytes of the stream that have been yielded, before those in `_held`."""
         self._reads: deque[tuple[int, Chunk]] = deque()
-        """Of each read with bytes that are held, how many these are."""
+        """For each read with bytes in `_held`: the number of these bytes, and the read."""
 
     def feed(self, chunk: Chunk) -> Iterator[WirePiece]:
-        """Take a read; give the pieces that are known to be whole."""
+        """Take the bytes of a read; yield the pieces that no further byte can change."""
         if chunk.data:
             self._held += chunk.data
             self._reads.append((len(chunk.data), chunk))
             yield from self._pieces(chunk.ts_ns)
 
     def close(self) -> Iterator[WirePiece]:
-        """Give the rest."""
+        """End the stream: yield the pieces of all bytes that are left."""
         yield from self._pieces(None)
 
     def _pieces(self, now_ns: int | None) -> Iterator[WirePiece]:
-        """Give what is known; `now_ns` is None at the end of the stream."""
+        """Yield the pieces that no further byte can change.
+
+        `now_ns` is the time of the last read (UTC ns); None at the end of the stream.
+        """
         while self._held:
             frame = self._frames[0] if self._frames else None
             if frame is None:
@@ -128,13 +136,19 @@ class WireStream:
             yield self._take(len(frame.raw), frame=frame)
 
     def _begin(self, frame: WireFrame) -> int:
-        """Where a frame begins in the bytes that are held; -1 if that is not known."""
+        """The index in `_held` at which a frame begins.
+
+        It is negative if its bytes are not found, or were yielded before.
+        """
         if frame.begin is None:
             return self._held.find(frame.raw)
         return frame.begin - self._position
 
     def _waits_for(self, frame: WireFrame, now_ns: int | None) -> bool:
-        """True if the bytes of a frame may still come."""
+        """True if the missing bytes of a frame may come with a later read.
+
+        `now_ns` is the time of the last read (UTC ns); None at the end of the stream.
+        """
         if now_ns is None:
             return False
         if frame.begin is not None:
@@ -142,7 +156,11 @@ class WireStream:
         return now_ns - frame.ts_ns < SEARCH_NS and len(self._held) < MAX_WAITING
 
     def _between(self, size: int, *, is_last: bool) -> Iterator[WirePiece]:
-        """Give bytes that are no frame; unless `is_last`, more of them may follow."""
+        """Yield the first `size` bytes in `_held` as pieces that are no frame.
+
+        Unless `is_last`, more such bytes may follow. Then bytes at the end wait if they are the
+        beginning of an event's bytes.
+        """
         while size:
             about = self._skipped[0] if self._skipped else None
             if about is not None and not about.raw.startswith(self._held[: len(about.raw)]):
