@@ -1,8 +1,9 @@
 """Decodes the bytes of one serial line or one TCP connection into transactions."""
 
-# A splitter cuts the bytes into ADUs, then `Pairing` makes transactions of them. The results come
-# in the order of the wire: every `Adu`, every `Transaction` as soon as it is complete, and a
-# `WireEvent` for everything else, such as skipped bytes.
+# A splitter cuts the bytes into ADUs; `Pairing` (serial lines) or `NetworkPairing` (TCP) joins
+# requests and responses into transactions. The results come in the order of the wire: every `Adu`,
+# every `Transaction` as soon as it is complete, and a `WireEvent` for everything else, such as
+# skipped bytes.
 
 from __future__ import annotations
 
@@ -37,9 +38,9 @@ class _LostBytes(NamedTuple):
     direction: Direction
     size: int
     end: int | None
-    """The position behind the lost bytes; None if unknown."""
+    """Stream position, in bytes, behind the lost bytes; None if unknown."""
     since_ns: int | None = None
-    """When the other end had received them, in ns; None if unknown."""
+    """Time (ns) at which the receiver had acknowledged the lost bytes; None if unknown."""
 
 
 class Bus:
@@ -69,24 +70,32 @@ class Bus:
             self._splitter = RtuSplitter(line, model, timed=timed)
             self._pairing = Pairing(self._ends, model.history.master_still_waits)
         self._origins: SerialOrigins | None = None
-        """None until the first bytes with a known place in a file."""
+        """Finds where each frame stands in the capture file; None until bytes come with their place
+        in a file."""
 
     def feed(self, data: bytes, ts_ns: int, place: StreamPlace | None = None) -> list[Decoded]:
-        """Take the bytes of one read; `ts_ns` is the time of the last one."""
+        """Take the bytes of one read; return what they complete.
+
+        `ts_ns` is the time of the last byte; `place` is where the bytes stand in a capture file.
+        """
         if self._origins is not None or place is not None:
             self._note_origin(len(data), place)
         events = self._splitter.feed(data, ts_ns)
-        # Most bytes complete no frame; testing for that here makes RTU decoding 8 % faster.
+        # Most reads complete no frame; returning early for them makes RTU decoding 8 % faster.
         return self._paired(events) if events else []
 
     def advance(self, now_ns: int) -> list[Decoded]:
-        """Note that the line was silent from the last byte until `now_ns`."""
+        """Note that the line was silent from the last byte until `now_ns`; return what ends."""
         decoded = self._paired(self._splitter.advance(now_ns))
-        # Bytes that the splitter still holds may be the response, so no request times out yet.
+        # While the splitter holds bytes of an incomplete frame, that may be the awaited response.
+        # So no request times out.
         return [*decoded, *self._pairing.advance(now_ns)] if self._splitter.is_idle else decoded
 
     def close(self, end_ns: int | None = None) -> list[Decoded]:
-        """End the line: return everything that is still held; `end_ns` as for Pairing.close."""
+        """End the line: return what its buffered bytes and its pending request become.
+
+        `end_ns` is when the capture ended; None if no response can come any more.
+        """
         events = self._splitter.close()
         end_ns = _until_unread(events, end_ns)
         return [*self._paired(events), *self._pairing.close(end_ns)]
@@ -112,20 +121,23 @@ class ConnectionDecoder:
             Direction.REQUEST: (master, slave),
             Direction.RESPONSE: (slave, master),
         }
-        """The sender and the receiver of each direction."""
+        """By direction, the endpoints (host and port) of the sender and the receiver."""
         self._splitters: dict[Direction, MbapSplitter | RtuStreamSplitter] = {
             each: RtuStreamSplitter(each) if rtu else MbapSplitter(each, by_segments=True)
             for each in self._endpoints
         }
         self._pairing = NetworkPairing(Ends(self._link, master, slave))
         self._last_ns = 0
-        """When the last bytes came."""
+        """The time of the last segment with payload, in ns."""
         self._progress = {direction: StreamProgress() for direction in OTHER}
 
     def feed(
         self, direction: Direction, data: bytes, ts_ns: int, place: StreamPlace | None = None
     ) -> list[Decoded]:
-        """Take the payload of one segment."""
+        """Take the payload of one TCP segment; return what it completes, in the order of the wire.
+
+        `place` is its position in the stream; None if the source gives no positions.
+        """
         self._last_ns = ts_ns
         origin = None if place is None else place.origin
         events = self._splitters[direction].feed(data, ts_ns, origin)
@@ -139,10 +151,10 @@ class ConnectionDecoder:
         return self._placed(events, direction, ts_ns)
 
     def is_at_rest(self, request_position: int, response_position: int, now_ns: int) -> bool:
-        """True if nothing is open or buffered, and all bytes before two positions are known.
+        """True if no request is pending, no byte is buffered, and no byte so far is missing.
 
-        The positions are those of the next byte of each direction; `now_ns` is the time of the next
-        segment.
+        The positions are the stream positions of the next byte of each direction; `now_ns` is the
+        time of the next segment.
         """
         return (
             all(splitter.is_idle for splitter in self._splitters.values())
@@ -152,7 +164,10 @@ class ConnectionDecoder:
         )
 
     def pass_plain(self, stretch: PlainStretch, place: RestPlace) -> None:
-        """Take transactions that were decoded elsewhere and began at the positions in `place`."""
+        """Note transactions that were decoded from arrays of packets instead of being fed here.
+
+        `place` gives the stream positions at which they began.
+        """
         requests, responses = stretch.requests.size, stretch.responses.size
         before = place.response_position + responses - stretch.last_response_size
         self._progress[Direction.REQUEST].pass_plain(requests, before)
@@ -162,7 +177,7 @@ class ConnectionDecoder:
         self._pairing.pass_plain(stretch)
 
     def _lost(self, losses: list[_LostBytes], ts_ns: int) -> list[Decoded]:
-        """Report lost bytes to the pairing: lost requests first, then lost responses."""
+        """Tell the pairing of lost requests, then of lost responses; return what it completes."""
         return [
             each
             for loss in sorted(losses, key=lambda loss: loss.direction is Direction.RESPONSE)
@@ -180,9 +195,9 @@ class ConnectionDecoder:
         kind: EventKind = EventKind.GAP,
         acknowledged_ns: int | None = None,
     ) -> list[Decoded]:
-        """Note that `missing` bytes of one direction are missing here; 0 if the number is unknown.
+        """Note that the capture lacks `missing` bytes of one direction; 0 if the number is unknown.
 
-        `kind` is the kind of event to report: GAP or CUT. `acknowledged_ns` is when the other end
+        `kind` is the kind of event to report: GAP or CUT. `acknowledged_ns` is when the receiver
         had acknowledged the missing bytes; None if that is unknown.
         """
         source, destination = self._endpoints[direction]
@@ -204,11 +219,11 @@ class ConnectionDecoder:
         return [*decoded, lost]
 
     def advance(self, now_ns: int) -> list[Decoded]:
-        """Note that nothing arrived until `now_ns`."""
+        """Note that no segment came until `now_ns`; return the transactions that time out."""
         return [*self._pairing.advance(now_ns)]
 
     def close(self, end_ns: int | None = None) -> list[Decoded]:
-        """End the connection: return everything that is still held.
+        """End the connection: return what its buffered bytes and pending requests become.
 
         `end_ns` is when its capture ended; None if the connection itself ended.
         """
@@ -225,14 +240,15 @@ class ConnectionDecoder:
     def _placed(
         self, events: list[Adu | Skipped], direction: Direction, ts_ns: int
     ) -> list[Decoded]:
-        """Pair the events of one direction's splitter, by their positions if these are known."""
+        """Pair the ADUs of one direction, and report the lost bytes that stream positions show."""
         other, progress = OTHER[direction], self._progress[direction]
         if progress.captured is None:
             return self._paired(events, direction)
         end, received = progress.captured - progress.unread, progress.received
         losses: list[_LostBytes] = []
         if events or direction is Direction.RESPONSE:
-            # A part of a request waits for its rest; requests lost before it are reported first.
+            # An incomplete request may acknowledge lost responses. They are reported once the
+            # request is complete, as requests lost before it have to be reported first.
             of_responses = other is Direction.RESPONSE
             lost = self._progress[other].acknowledge(received, of_responses=of_responses)
             self._pairing.response_is_cut = of_responses and self._progress[other].has_part
@@ -282,7 +298,11 @@ def _paired(
 
 
 def _until_unread(events: list[Adu | Skipped], end_ns: int | None) -> int | None:
-    """When a capture ended for its requests: bytes skipped at its end may begin a response."""
+    """Return the time (ns) up to which the capture shows every response; None if it shows all.
+
+    That is `end_ns`, when the capture ended, or the time of unreadable bytes at its end: they may
+    begin a response.
+    """
     if end_ns is None:
         return None
     return min([end_ns, *(event.ts_ns for event in events if isinstance(event, Skipped))])
@@ -291,7 +311,10 @@ def _until_unread(events: list[Adu | Skipped], end_ns: int | None) -> int | None
 def skipped_event(
     skipped: Skipped, link: str, endpoints: tuple[str, str], speaker: str = ""
 ) -> WireEvent:
-    """Report bytes that were not decoded; `speaker` names their sender on a serial line."""
+    """Make the event for bytes that were not decoded.
+
+    `endpoints` are their sender and receiver; `speaker` names the sender on a serial line.
+    """
     amount = counted(len(skipped.raw), "byte") + (f" of {speaker}" if speaker else "")
     return WireEvent(
         ts_ns=skipped.ts_ns,

@@ -70,9 +70,9 @@ _DROPPED = (
     f"connection no longer followed: it was silent longest of more than {MAX_CONNECTIONS} at once"
 )
 _UNSEEN_ENDS = frozenset((CloseReason.CAPTURE_END, CloseReason.DISCARDED))
-"""Reasons why a connection is followed no longer, although it may go on."""
+"""Reasons for which the decoder stops following a connection that may still be open."""
 _LOSS = frozenset((EventKind.DISCARDED, EventKind.GAP, EventKind.CUT))
-"""Events that mean that the following bytes of a serial line may be missing."""
+"""Events after which bytes of a serial line may be missing."""
 
 Evidence = (
     Chunk | Packet | Quiet | StreamOpened | StreamGap | StreamClosed | StreamEvent | WireEvent
@@ -81,20 +81,20 @@ Record = NamedTransaction | WireEvent
 
 
 class RestingConnection(NamedTuple):
-    """A connection of which nothing is open, held or undecided."""
+    """A connection with no pending request, no buffered bytes and nothing undecided."""
 
     connection: TcpConnection
     decoder: ConnectionDecoder
     place: RestPlace
 
     def pass_plain(self, stretch: PlainStretch) -> None:
-        """Take transactions that were decoded elsewhere, as if their packets had been fed."""
+        """Note transactions that were decoded from arrays, as if their packets had been fed."""
         self.connection.pass_plain(stretch.requests, stretch.responses)
         self.decoder.pass_plain(stretch, self.place)
 
 
 class Decoder:
-    """Takes `Evidence`, returns `Record`s: each transaction as soon as it is complete."""
+    """Takes packets and serial reads; returns each transaction as soon as it is complete."""
 
     def __init__(
         self,
@@ -111,10 +111,9 @@ class Decoder:
         """Set up the links to decode.
 
         `lines` are the serial links by name; `line` holds the settings of all other serial links;
-        `timing` gives t1.5 and t3.5 of either.
-        `ports` (Modbus/TCP) and `rtu_ports` (RTU over TCP) are the TCP ports to decode in packets;
-        with `any_port` connections on all other ports are examined too. `across` treats packets
-        from several interfaces as one network's.
+        `timing` gives t1.5 and t3.5 of both. `ports` (Modbus/TCP) and `rtu_ports` (RTU over TCP)
+        are the TCP ports to decode in packets; with `any_port` connections on all other ports are
+        examined too. `across` treats packets from several interfaces as one network's.
         """
         self._namer = namer
         self._lines = dict(lines or {})
@@ -127,18 +126,18 @@ class Decoder:
         self._reassembler = TcpReassembler(_EVERY_PORT if any_port else self._ports, across=across)
         self._buses: dict[str, Bus | TapPair] = {}
         self._untimed: set[str] = set()
-        """Serial links whose bytes have made-up times."""
+        """Names of the serial links whose bytes have no known times, as in a file of raw bytes."""
         self._detectors: OrderedDict[Connection, ProtocolDetector] = OrderedDict()
         """The detector of each connection, the connection that was silent longest first."""
         self._interfaces: set[str] = set()
-        """Links that have brought packets."""
+        """Names of the network interfaces from which packets came."""
         self._foreign_endpoints: set[str] = set()
         """Endpoints already reported as not Modbus, with `any_port`: the slave's, or both if the
         capture does not show who opened the connection."""
         self._last_ns = 0
 
     def feed(self, item: Evidence) -> list[Record]:
-        """Take the next item of evidence."""
+        """Take the next packet, serial read or event; return what it completes."""
         if isinstance(item, WireEvent):
             return self._wire_event(item)
         self._last_ns = max(self._last_ns, item.ts_ns)
@@ -150,7 +149,7 @@ class Decoder:
         return self._dispatch(self._reassembler.feed(item))
 
     def format_of(self, link: str) -> SerialFormat | None:
-        """A serial link's settings, with its silences; None if the times of its bytes are unknown.
+        """Return a serial link's settings with t1.5 and t3.5; None if its bytes have no times.
 
         Raises UsageError if the line's settings contradict each other.
         """
@@ -159,7 +158,7 @@ class Decoder:
         return self._timing.format_of(self.line_of(link))
 
     def line_of(self, link: str) -> SerialLink:
-        """A serial link with its ports and its settings as the user gave them."""
+        """Return a serial link with its ports and its settings as the user gave them."""
         return self._lines.get(link) or self._line.on(link)
 
     def begin_line(self, line: SerialLink) -> None:
@@ -167,12 +166,12 @@ class Decoder:
         self._lines[line.name] = line
 
     def end_line(self, link: str) -> list[Record]:
-        """End a serial link; later bytes under the same name belong to another line."""
+        """End a serial link, so that later bytes are another line's; return what was incomplete."""
         bus = self._buses.pop(link, None)
         return [] if bus is None else self._to_records(bus.close(self._last_ns))
 
     def break_lines(self) -> list[Record]:
-        """End all serial links, as bytes may be missing; TCP connections notice that themselves."""
+        """End all serial links, as bytes may be missing; TCP connections show that themselves."""
         return [record for link in [*self._buses] for record in self.end_line(link)]
 
     @property
@@ -181,9 +180,10 @@ class Decoder:
         return self._reassembler
 
     def at_rest(self, ends: FlowEnds, now_ns: int) -> RestingConnection | None:
-        """A connection whose next transactions may be decoded elsewhere, if they are plain.
+        """Return a connection whose next transactions may be read from arrays instead of being fed.
 
-        None if it is unknown, or if something of it is open, held or undecided.
+        None if the connection is unknown, or has a pending request, buffered bytes or anything
+        undecided.
         """
         connection = self._reassembler.find(ends)
         place = None if connection is None else connection.rest
@@ -197,7 +197,7 @@ class Decoder:
         return RestingConnection(connection, decoder, place)
 
     def opens_modbus_tcp(self, ends: FlowEnds) -> bool:
-        """True if a SYN between two ends opens a connection of Modbus/TCP, and ends none."""
+        """True if a SYN between these ends opens a Modbus/TCP connection and none is open."""
         known = self._reassembler.find(ends)
         _, lower, _, upper = ends
         return (known is None or known.closed) and self._rtu_ports.isdisjoint((lower, upper))
@@ -205,16 +205,20 @@ class Decoder:
     def pass_times(
         self, times: Sequence[int], start: int, end: int
     ) -> list[tuple[int, list[Record]]]:
-        """Note packets that were read elsewhere, as TcpReassembler.pass_times does."""
+        """Let the times of packets that were decoded from arrays pass for other connections.
+
+        `times[start:end]` are their times in ns, ascending. Returns the records that become due,
+        each list with the index of its time in `times`.
+        """
         delivered = self._reassembler.pass_times(times, start, end)
         return [(at, self._dispatch(items)) for at, items in delivered]
 
     def note_time(self, ts_ns: int) -> None:
-        """Note the latest time of packets that were read elsewhere."""
+        """Note the time (ns) of the latest packet that was decoded from arrays."""
         self._last_ns = max(self._last_ns, ts_ns)
 
     def close(self) -> list[Record]:
-        """End the evidence: return everything that is still held."""
+        """End the input: return the transactions and events that are still incomplete."""
         return self._dispatch(self._reassembler.close(self._last_ns)) + self._close_all()
 
     def _close_all(self) -> list[Record]:
@@ -236,7 +240,7 @@ class Decoder:
             if isinstance(bus, TapPair):
                 return self._to_records(bus.feed(chunk.direction, chunk.data, chunk.ts_ns))
             return self._to_records(bus.feed(chunk.data, chunk.ts_ns, chunk.place))
-        # Without a StreamOpened before it, the connection may go on from a log's previous file.
+        # A connection that no StreamOpened announced may have begun in the log's previous file.
         detector = self._detectors.get(chunk.connection)
         if detector is None:
             detector = self._detector(chunk.connection, joined=True)
@@ -276,8 +280,8 @@ class Decoder:
         return []
 
     def _stream_gap(self, item: StreamGap) -> list[Record]:
-        # A gap reported after the connection's end must not open it again: a detector that is made
-        # for the gap alone is not kept.
+        # A gap may be reported after the connection's end and must not open the connection again.
+        # So a detector that is made for the gap alone is not kept.
         known = self._detectors.get(item.connection)
         detector = known or self._new_detector(item.connection, joined=True)
         gap = detector.gap(
@@ -321,11 +325,12 @@ class Decoder:
     def _wire_event(self, event: WireEvent) -> list[Record]:
         """Return the event. If it means lost bytes, first end the links on which they were lost."""
         if event.kind is EventKind.GAP and not event.link:
-            # A damaged place in a log: bytes of any link may be missing.
+            # An event without a link marks a damaged place in a log: bytes of any link may be
+            # missing.
             records = self._close_all()
         else:
             records = self.end_line(event.link) if event.kind in _LOSS else []
-        self._last_ns = max(self._last_ns, event.ts_ns)  # Only now: what is lost came before it.
+        self._last_ns = max(self._last_ns, event.ts_ns)  # Last, as the lost bytes are earlier.
         return [*records, event]
 
     def _bus(self, chunk: Chunk) -> Bus | TapPair:
@@ -371,23 +376,23 @@ class Decoder:
         )
 
     def _is_expected(self, connection: Connection) -> bool:
-        """True if Modbus is expected; without `any_port` only Modbus ports and taps get here."""
+        """True if Modbus is expected: one of the ports is named, or `any_port` is off."""
         ports = self._ports
         named = connection.slave.port in ports or connection.master.port in ports
         return named or not self._any_port
 
     def _end(self, detector: ProtocolDetector, end_ns: int | None) -> list[Record]:
-        """End a connection, or at `end_ns` only its capture."""
+        """End a connection; `end_ns` is the capture's end, None if the connection has ended."""
         return self._to_records(self._foreign_once(detector, detector.close(end_ns)))
 
     def _foreign_once(self, detector: ProtocolDetector, decoded: list[Decoded]) -> list[Decoded]:
-        """Leave out what an endpoint that is not Modbus has had already; not at a named port."""
+        """Drop a second FOREIGN event of an endpoint, unless Modbus is expected there."""
         if not decoded or detector.state is not ProtocolState.FOREIGN:
             return decoded
         if self._is_expected(detector.connection):
             return decoded
         ends = detector.connection
-        # Without the connection's beginning nobody knows which of its ends is the slave.
+        # If the capture lacks the connection's beginning, either end may be the slave.
         slaves = {str(ends.slave), str(ends.master)} if detector.joined else {str(ends.slave)}
         known = self._foreign_endpoints
         if slaves & known or len(known) >= MAX_FOREIGN_REPORTED:
@@ -396,7 +401,7 @@ class Decoder:
         return decoded
 
     def _to_records(self, decoded: list[Decoded]) -> list[Record]:
-        """Name the transactions, keep the events, leave out the ADUs."""
+        """Add the words of device profiles to transactions, keep the events, leave out the ADUs."""
         records: list[Record] = []
         for one in decoded:
             if isinstance(one, Transaction):
@@ -418,13 +423,13 @@ _HANDLERS: dict[type[Evidence], Callable[[Decoder, Any], list[Record]]] = {
 
 
 def opening_event(ts_ns: int, connection: Connection) -> WireEvent:
-    """The event of a connection that begins with a SYN."""
+    """Make the event of a connection that begins with a SYN."""
     opened = StreamOpened(ts_ns, connection, joined=False)
     return _connection_event(opened, EventKind.OPENED, CONNECTION_OPENED)
 
 
 def closing_event(ts_ns: int, connection: Connection) -> WireEvent:
-    """The event of a connection that both ends have ended with a FIN."""
+    """Make the event of a connection that both ends have ended with a FIN."""
     closed = StreamClosed(ts_ns, connection, CloseReason.FINISHED)
     return _connection_event(closed, EventKind.CLOSED, f"connection closed: {closed.reason}")
 

@@ -1,9 +1,10 @@
-"""Remembers requests that the limit of open requests dropped, to recognise their responses."""
+"""Remembers requests dropped at the limit of pending requests, to recognise their responses."""
 
-# A slave answers requests of one transaction id and unit in their order, and the dropped ones came
-# first. So the next responses with the id and unit of a dropped request belong to it.
+# A slave answers requests of one transaction id and unit in their order, and dropped requests are
+# older than the pending ones. So the next responses with the id and unit of a dropped request
+# belong to it.
 #
-# Memory: MAX_DROPPED pairs of transaction id and unit; beyond that, the oldest one is forgotten.
+# Memory: MAX_DROPPED pairs of transaction id and unit; beyond that, the oldest pair is forgotten.
 # All are forgotten when FORGET_NS have passed since a request was dropped.
 
 from __future__ import annotations
@@ -26,14 +27,14 @@ class DroppedRequests:
     def __init__(self) -> None:
         self._counts: dict[_Key, int] = {}
         self._last_ns: int
-        """When the last request was dropped."""
+        """When the last request was dropped, in ns."""
 
     @property
     def is_empty(self) -> bool:
         return not self._counts
 
     def note(self, request: Adu, now_ns: int) -> None:
-        """Take a request that is dropped now."""
+        """Remember a request that is dropped at `now_ns`."""
         key = (request.transaction_id, request.unit)
         if key not in self._counts and len(self._counts) >= MAX_DROPPED:
             del self._counts[next(iter(self._counts))]
@@ -41,7 +42,7 @@ class DroppedRequests:
         self._last_ns = now_ns
 
     def take_response(self, response: Adu) -> bool:
-        """True if a response belongs to a dropped request; each gets only one."""
+        """True if a response belongs to a dropped request; that request is then forgotten."""
         if not self._counts:
             return False
         if response.start_ns - self._last_ns > FORGET_NS:

@@ -24,7 +24,7 @@ _TLS_RECORD = re.compile(rb"(?s)[\x14-\x17]\x03[\x01-\x04](?:[\x00-\x3F].|[\x40-
 
 
 def foreign_protocol(head: bytes) -> str | None:
-    """The name of the protocol whose messages begin like these bytes, or None."""
+    """Return the name of the protocol whose messages begin like these bytes; None if unknown."""
     return next((name for name, pattern in _PATTERNS.items() if pattern.match(head)), None)
 
 

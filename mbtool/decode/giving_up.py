@@ -1,4 +1,4 @@
-"""Finds the requests of a connection that their master has given up."""
+"""Finds requests of a TCP connection for whose responses the master no longer waits."""
 
 from __future__ import annotations
 
@@ -21,10 +21,11 @@ def give_up_late(
     now_ns: int,
     after_ns: Callable[[int | None], int],
 ) -> None:
-    """Give up the requests that have waited too long, in each reading.
+    """Mark the requests that have waited too long as given up, in each reading.
 
-    `after_ns` gives the longest wait for a function code, in ns. The slave takes one request after
-    the other, so a request that was sent behind others waits only from the last response on.
+    A reading is one way to assign responses to requests. `after_ns` returns the longest wait, in
+    ns, for a function code. A slave handles one request at a time, so a request that was sent while
+    others waited counts its wait from the last response on.
     """
     for reading in readings:
         late: list[OpenRequest] = []
@@ -34,7 +35,7 @@ def give_up_late(
                 since_ns = max(since_ns, habits.last_response_ns)
                 if place and one.number in reading.behind_others:
                     if late or one.is_pipelined:
-                        break  # Only the first late one is slow; the others wait behind it.
+                        break  # The requests behind the first late one only wait for it.
                     since_ns = max(since_ns, reading.gave_up_ns)
             if now_ns - since_ns > after_ns(one.function) and reading.awaits(one):
                 late.append(one)
@@ -44,7 +45,7 @@ def give_up_late(
 
 
 def give_up_repeated(readings: Sequence[PairReading], request: Adu) -> None:
-    """Give up a request that its master sends again, if no other one waits."""
+    """Mark a request as given up if the master repeats it and waits for no other response."""
     for reading in readings:
         awaited = [one for one in reading.waiting if reading.awaits(one)]
         if len(awaited) != 1 or request.start_ns - awaited[0].since_ns < MIN_LATE_NS:
@@ -57,7 +58,11 @@ def give_up_repeated(readings: Sequence[PairReading], request: Adu) -> None:
 
 
 def give_up_lost(readings: Sequence[PairReading], *, is_sequential: bool) -> None:
-    """Give up requests that the capture lacks, as the master now sends the next one."""
+    """Judge the requests that the capture lacks when the master sends its next request.
+
+    A master that never pipelines (`is_sequential`) has given them up. Those whose existence is not
+    proved are marked `may_not_exist` instead.
+    """
     for reading in readings:
         lost = [one for one in reading.waiting if one.adu is None and reading.awaits(one)]
         for one in lost:
@@ -67,5 +72,5 @@ def give_up_lost(readings: Sequence[PairReading], *, is_sequential: bool) -> Non
 
 
 def request_key(request: Adu) -> tuple[int, bytes]:
-    """The unit and PDU of a request; a repetition of the request has the same."""
+    """Return the unit and PDU of a request; a retry has equal ones."""
     return request.unit, request.pdu

@@ -40,7 +40,7 @@ class LineTiming:
         return any((self.t1_5, self.t3_5, self.response_timeout))
 
     def given(self, links: Sequence[LinkSpec]) -> list[LinkSpec]:
-        """The links with the silences of the options, which a log then records.
+        """Return the links with the silences that the options give; a log then records them.
 
         Raises UsageError if silences are given and no link is a serial line, or if they contradict
         each other.
@@ -53,7 +53,7 @@ class LineTiming:
         return [self._given(link) if isinstance(link, SerialLink) else link for link in links]
 
     def format_of(self, line: SerialLink) -> SerialFormat:
-        """A line's settings with its silences filled in.
+        """Return a line's settings with t1.5 and t3.5 filled in.
 
         Raises UsageError if the silences contradict each other.
         """

@@ -16,7 +16,7 @@ times the longest latency so far."""
 SILENT = 3
 """After a silence of this many times the longest latency so far, no response is expected."""
 UNUSUAL = 3
-"""A response that takes this many times as long as usual is slow."""
+"""A response is slow if it takes this many times the usual latency."""
 MIN_LATE_NS = 30_000_000
 FIRST_LATE_NS = 100_000_000
 """The result (ns) of `late_ns` and `silence_ns` before the first response: no master times out
@@ -27,10 +27,10 @@ segment of the slowest response."""
 FORGOTTEN = 1024
 """After this many further responses, even a latency of 2^64 ns no longer counts (see FORGET)."""
 ENOUGH_OVERLAPS = 3
-"""The master is said to pipeline once this many responses came while a further request waited."""
+"""The master counts as pipelining once this many responses came while a further request waited."""
 ENOUGH_REQUESTS = 8
-"""The master is said never to pipeline once this many requests in a row came while no other one
-waited."""
+"""The master counts as never pipelining once this many requests in a row came while no other
+request waited."""
 
 
 class MasterHabits:
@@ -48,7 +48,7 @@ class MasterHabits:
         self.reorders = False
         """True once the slave responded to a request after it had responded to a later one."""
         self._latest_answered = 0
-        """The highest number of a request that had its response."""
+        """The highest number of a request that got its response; requests are counted from 1."""
         self.last_response_ns = 0
         """When the last response was complete, in ns."""
         self._slowest_ns: dict[int | None, int] = {}
@@ -61,9 +61,11 @@ class MasterHabits:
         self.longest_ns = 0
         """The longest latency of all, in ns."""
         self._in_a_row = 0
-        """The number of requests in a row that came while no other one waited."""
+        """The number of requests in a row that came while no other request waited for a
+        response."""
         self.is_sequential = False
-        """True once ENOUGH_REQUESTS came in a row, and the master was never seen to pipeline."""
+        """True once ENOUGH_REQUESTS came in a row with no other request waiting; False again once
+        the master pipelines."""
         self._overlaps = 0
         self._last_id: int | None = None
 
@@ -95,8 +97,7 @@ class MasterHabits:
     def repeats_id(self, transaction_id: int | None) -> bool:
         """True if ids count up and the id of a new request is the last id plus 1.
 
-        If the capture lacks a request between the last one and this one, that request had the same
-        id.
+        A request that the capture lacks between the two then had one of their ids.
         """
         if not self.ids_count_up or transaction_id is None or self._last_id is None:
             return False
@@ -111,7 +112,7 @@ class MasterHabits:
             self._note_id(transaction_id)
 
     def _note_id(self, transaction_id: int) -> None:
-        # A retry may have the same id.
+        # A retry may have the id of its first request, so an equal id says nothing.
         if self._last_id is not None and transaction_id != self._last_id:
             counts_up = (transaction_id - self._last_id & 0xFFFF) < 0x8000
             self.ids_count_up = counts_up and (self.ids_count_up or not self.ids_vary)
@@ -119,9 +120,9 @@ class MasterHabits:
         self._last_id = transaction_id
 
     def note_plain(self, transaction_ids: Sequence[int], number: int, last_ns: int) -> None:
-        """Note requests that were answered before the next one came, all in order.
+        """Note requests in a row, each answered before the next one came.
 
-        `number` is that of the last request, `last_ns` the time of its response.
+        `number` is the number of the last request, `last_ns` the time of its response.
         """
         self._in_a_row += len(transaction_ids)
         if self._in_a_row >= ENOUGH_REQUESTS:
@@ -146,18 +147,18 @@ class MasterHabits:
                 self._note_id(one)
 
     def note_latencies(self, function: int, latencies: Sequence[int]) -> None:
-        """Note how long several responses took, in ns, in their order."""
+        """Note the latencies of several responses with one function code, in ns, in their order."""
         slowest_ns = self._slowest_ns.get(function, 0)
         older = latencies[:-FORGOTTEN]
         if older:
-            # After FORGOTTEN steps, less than FORGET ns is left of an older latency; that falls no
-            # more.
+            # FORGOTTEN steps shrink an older latency to less than FORGET ns. There the integer
+            # division yields 0, so that it shrinks no further.
             slowest_ns = min(max(slowest_ns, max(older)), FORGET - 1)
         for latency_ns in latencies[-FORGOTTEN:]:
             slowest_ns = max(slowest_ns - slowest_ns // FORGET, latency_ns)
         self._slowest_ns[function] = slowest_ns
         usual_ns = self._usual_ns.get(function, latencies[0])
-        for latency_ns in latencies:  # As in note_latency; a call of min would take longer.
+        for latency_ns in latencies:  # Does the same as note_latency; min() would be slower.
             most_ns = 2 * usual_ns
             usual_ns = (7 * usual_ns + (latency_ns if latency_ns < most_ns else most_ns)) // 8
         self._usual_ns[function] = usual_ns
@@ -166,7 +167,7 @@ class MasterHabits:
         self.longest_ns = max(self.longest_ns, *latencies)
 
     def note_answered(self, number: int) -> None:
-        """Note a response to the request with a number."""
+        """Note that the request with this number got its response."""
         self.reorders = self.reorders or number < self._latest_answered
         self._latest_answered = max(number, self._latest_answered)
 

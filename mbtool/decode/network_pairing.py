@@ -96,27 +96,27 @@ class NetworkPairing:
         self._readings = [PairReading([], [])]
         self._habits = MasterHabits()
         self._requests = 0
-        """The number of requests so far."""
+        """The number of requests so far, with those that the capture lacks."""
         self._unanswered = UnansweredCounts()
         self._dropped = DroppedRequests()
         self.response_is_cut = False
-        """True while the capture has only the start of a response that is not yet read."""
+        """True while the capture has only the start of a response, and that is not decoded yet."""
         self._is_shifted = False
-        """True while each response may belong to the request before: after a choice between
-        readings of about equal cost, until a silence, or until a response fits its request and not
-        the request before it."""
+        """True while each response may belong to the request before the one that it is paired with.
+        That begins with a choice between ways to pair of equal cost. It ends with a silence, or
+        with a response that fits its request and not the request before."""
         self._last_two: tuple[OpenRequest | None, OpenRequest | None] = (None, None)
-        """The last two requests."""
+        """The request before the last one, and the last one."""
 
     def feed(self, adu: Adu, place: AduPlace | None = None) -> list[Transaction]:
-        """Take the next ADU, in order of time."""
+        """Take the next ADU, in order of time; return the transactions that it decides."""
         done = self.advance(adu.start_ns)
         take = self._respond if adu.direction is Direction.RESPONSE else self._add_request
         take(adu, place, done)
         return done
 
     def is_at_rest(self, now_ns: int) -> bool:
-        """True if no request is open, and no earlier request can count as a retry of a later one.
+        """True if no request is pending, and no earlier one can count as a retry of a later one.
 
         False also if `now_ns` is before the last response.
         """
@@ -126,7 +126,7 @@ class NetworkPairing:
         return not (is_open or remembers) and self._habits.last_response_ns <= now_ns
 
     def pass_plain(self, stretch: PlainStretch) -> None:
-        """Take transactions that were paired elsewhere. The pairing is at rest."""
+        """Note transactions that were paired elsewhere, while no request is pending here."""
         self._requests += len(stretch.transaction_ids)
         last_ns = stretch.responses.last_ns
         self._habits.note_plain(stretch.transaction_ids, self._requests, last_ns)
@@ -151,7 +151,7 @@ class NetworkPairing:
             waiting = self._readings[0].waiting
             if not (self._habits.pipelines or any(one.is_pipelined for one in waiting)):
                 give_up_late(self._readings, self._habits, at_ns, self._habits.late_ns)
-                if end is None:  # Responses to these may be lost as well.
+                if end is None:  # The responses to these may be lost as well.
                     for reading in self._readings:
                         reading.pass_all(self._habits)
             place = None if end is None else AduPlace(end, None)
@@ -183,7 +183,7 @@ class NetworkPairing:
         return done
 
     def close(self, end_ns: int | None = None) -> list[Transaction]:
-        """End the connection: open requests stay without an answer.
+        """End the connection: requests that are still pending get no response.
 
         `end_ns` is when its capture ended; None if the connection itself ended.
         """
@@ -254,7 +254,7 @@ class NetworkPairing:
             reading.waiting.append(one)
 
     def _drop_oldest(self, now_ns: int, done: list[Transaction]) -> None:
-        """Close the oldest waiting request, at the limit of waiting requests."""
+        """Close the oldest waiting request, as MAX_OPEN_REQUESTS requests wait."""
         self._decide(done)
         oldest = self._readings[0].waiting.pop(0)
         if oldest.adu is None or (
@@ -273,7 +273,7 @@ class NetworkPairing:
         is_only_one = len(self._readings) == 1
         since_ns = self._habits.last_response_ns
         if is_only_one and first.is_only_answered_by(response, place):
-            # Most responses; without this, pairing takes 13 instead of 8 us for each ADU.
+            # The usual case. Without this shortcut, pairing takes 13 instead of 8 us for each ADU.
             one = first.waiting.pop()
             self._habits.last_response_ns = response.end_ns
             if self._is_shifted:
@@ -332,7 +332,7 @@ class NetworkPairing:
         runs = [
             (reading.cost + cost, cost, start, count, reading)
             for reading in self._readings
-            # Different ids will tell which responses are lost, in whatever order they came.
+            # If ids differ, the responses that still come show which ones are lost.
             if not reading.has_different_ids(self._habits)
             for cost, start, count in lost_runs(reading, lost)
         ]
@@ -350,7 +350,7 @@ class NetworkPairing:
                 one.may_be_lost |= not lost or may_be_among(lost, one, reading.waiting)
 
     def _settle(self, done: list[Transaction]) -> None:
-        """Add to `done` the transactions on which all good readings agree."""
+        """Drop costly ways to pair. If one is left, add its transactions to `done`."""
         if len(self._readings) > 1:
             self._readings = without_costly(self._readings)
         first = self._readings[0]
@@ -361,7 +361,7 @@ class NetworkPairing:
             self._decide(done)
 
     def _decide(self, done: list[Transaction]) -> None:
-        """Take the cheapest reading, although another one is about as good."""
+        """Keep the cheapest way to pair; what ways of like cost pair differently is ambiguous."""
         best, *others = sorted(self._readings, key=likely_cost)
         steps = best.steps
         for other in others:
@@ -402,7 +402,7 @@ class NetworkPairing:
         is_sure: bool = True,
         is_late: bool = False,
     ) -> Transaction:
-        """The transaction of a request and its response; the arguments are those of a PairStep."""
+        """Make the transaction of request `one`; `since_ns` is when the previous response ended."""
         if one.adu is None:
             return unsolicited(self._ends, response, Outcome.NOT_CAPTURED)
         verdicts: tuple[Verdict, ...] = ()
@@ -422,7 +422,7 @@ class NetworkPairing:
         return with_response(self._ends, one.adu, response, retries, verdicts, confidence)
 
     def _take_retries(self, answered: OpenRequest) -> int:
-        """Count the equal requests before an answered one; each counts only once."""
+        """Count the equal unanswered requests before this request; each counts only once."""
         (reading,) = self._readings
         if not (self._unanswered or reading.passed or reading.waiting):
             return 0
@@ -439,7 +439,7 @@ class NetworkPairing:
         return retries
 
     def _close(self, one: OpenRequest, done: list[Transaction]) -> None:
-        """Close a request without a response."""
+        """Close a request without a response; one that the capture lacks gives no transaction."""
         if one.adu is None:
             return
         if one.may_be_lost or one.adu.missing or self.response_is_cut:

@@ -16,7 +16,7 @@ SMALLEST_RESPONSE = 9
 
 _EXCEPTION_PDU = 2
 _ADDED_BYTES = {Transport.TCP: 7, Transport.RTU_TCP: 3}
-"""Bytes of an ADU beside its PDU."""
+"""By transport, the number of bytes that an ADU has besides its PDU."""
 
 
 class OpenRequest(msgspec.Struct, gc=False, eq=False, kw_only=True):
@@ -25,21 +25,23 @@ class OpenRequest(msgspec.Struct, gc=False, eq=False, kw_only=True):
     number: int
     """The number of the request, counted from 1 in its connection."""
     since_ns: int
-    """When the request was complete; for one that the capture lacks, when that was noticed."""
+    """Time (ns) of the request's last byte; if the capture lacks the request, when that was
+    noticed."""
     adu: Adu | None
     """None if the capture lacks the request."""
     place: AduPlace | None = None
     is_pipelined: bool = False
-    """True if the master sent it while other requests waited for their responses."""
+    """True if the master sent this request while others waited for their responses."""
     exists: bool = True
-    """False for a request that the capture lacks, if the number of lost bytes does not show that
-    there was one."""
+    """False if the capture lacks this request and the number of lost bytes does not prove that it
+    was sent."""
     may_not_exist: bool = False
-    """True for a request that the capture lacks, if possibly there was no such request."""
+    """True if the capture lacks this request and it is doubtful that it was ever sent."""
     may_be_lost: bool = False
     """True if the capture lacks bytes that may have been its response."""
     repeats_lost_id: bool = False
-    """True if the ids show that a request before it, which the capture lacks, had the same id."""
+    """True if the transaction ids leave no id for a lost request before this one, so that it may
+    have had the same id."""
     counts: bool = True
     """False if a later equal request has already counted this one in its `retries`, or if the
     capture lacks bytes of this request."""
@@ -53,7 +55,7 @@ class OpenRequest(msgspec.Struct, gc=False, eq=False, kw_only=True):
         return None if self.adu is None else self.adu.pdu[0]
 
     def can_get(self, response: Adu, place: AduPlace | None) -> bool:
-        """False if unit, function or acknowledgements rule out that this request got a response."""
+        """False if unit, function or acknowledgements prove that the response is not its own."""
         request = self.adu
         if request is not None and not (
             request.unit == response.unit and is_response_code(request.pdu[0], response.pdu[0])
@@ -67,10 +69,10 @@ class OpenRequest(msgspec.Struct, gc=False, eq=False, kw_only=True):
         return received is None or received < place.end
 
     def fits(self, response: Adu) -> bool:
-        """True if a response has the form that the request asks for."""
+        """True if the response has the length and repeated fields that this request asks for."""
         if self.adu is None or self.adu.missing:
-            return True  # The capture lacks what it asks for.
-        expected = ExpectedResponse.of(self.adu.pdu)  # Cached, so this is the quick way.
+            return True  # The capture lacks bytes of the request: any form is possible.
+        expected = ExpectedResponse.of(self.adu.pdu)  # Cached, so faster than parse_pdu below.
         if response.missing:
             size = response.size - _ADDED_BYTES[response.transport]
             return expected is not None and expected.fits_start(response.pdu, size)

@@ -1,10 +1,10 @@
 """Pairs the requests and responses of one serial line, and makes their transactions."""
 
-# One request is open at a time. The next request closes it without an answer, unless that one is
-# for another unit and comes while the master of the open request still waits. Then a second master
-# has overtaken it, and its response is accepted until the next request. Where silences tell
-# nothing, the response to an overtaken request may also have come after its master had given up.
-# That is supposed, and request and response are marked as ambiguous, until the line has shown
+# One request is pending at a time. The next request ends it without an answer, with one exception:
+# if the next request is for another unit while the master of the pending one may still wait, a
+# second master may have overtaken it. Then its response is accepted until one more request comes.
+# If the times do not prove that the first master still waited, its response may also be late. That
+# is supposed, and request and response are marked as ambiguous, until the line has shown
 # ENOUGH_OVERTAKEN such responses among RECENT_REQUESTS requests. (network_pairing.py pairs the
 # requests and responses of a TCP connection.)
 #
@@ -46,8 +46,8 @@ BUS_TIMEOUT_NS = 5_000_000_000
 """A request without a response is given up after this time, in ns. No master waits so long, so a
 late response is still paired with its request."""
 ENOUGH_OVERTAKEN = 3
-"""There are two masters if this many of RECENT_REQUESTS requests were overtaken by another request
-and then answered. Responses that come too late are rarer."""
+"""The line has two masters if this many of RECENT_REQUESTS requests were overtaken by another
+request and then answered. Responses that come too late are rarer."""
 RECENT_REQUESTS = 100
 EVEN = 0.5
 """The confidence (0 to 1) of each of two explanations that are equally likely."""
@@ -58,7 +58,7 @@ TWO_MASTERS = (
 
 
 def waits_before_any_retry(waited_ns: int) -> bool | None:
-    """True if a master whose timeout is not known certainly waits for a response so long."""
+    """True if every master, whatever its timeout, still waits `waited_ns` after its request."""
     return waited_ns < LatencyStatistics.MIN_RETRY_NS
 
 
@@ -76,21 +76,23 @@ class Pairing:
         self._still_waits = still_waits
         self._open: Adu | None = None
         self._overtaken: Adu | None = None
-        """The request before the open one, if its response may still come."""
+        """The request before the pending one, if a second master overtook it and its response may
+        still come."""
         self._is_surely_overtaken: bool
-        """True if the master of the overtaken request was certainly still waiting; set with it."""
+        """True if the master of the overtaken request certainly still waited. Set when a request is
+        overtaken."""
         self._requests = 0
         self._slowest_ns = 0
         """The longest time from a request to its response, in ns."""
         self._answered_at: deque[int] = deque(maxlen=ENOUGH_OVERTAKEN)
-        """The number of requests heard when each of the last overtaken requests got its
-        response."""
+        """For each of the last overtaken requests that got a response: the number of requests heard
+        by then."""
         self._has_told = False
-        """True if it was said that there are two masters."""
+        """True once the event TWO_MASTERS was returned."""
         self._unanswered = UnansweredCounts()
 
     def feed(self, adu: Adu, _place: AduPlace | None = None) -> list[Transaction | WireEvent]:
-        """Take the next ADU, in order of time; return what it completes.
+        """Take the next ADU, in order of time; return the transactions and events it completes.
 
         The event of kind TWO_MASTERS comes at most once.
         """
@@ -132,7 +134,10 @@ class Pairing:
         return done
 
     def _make_way(self, adu: Adu) -> list[Transaction]:
-        """End the requests that got no response before this request, except one it overtakes."""
+        """End the pending requests when a new one comes, except one that it may have overtaken.
+
+        Returns the transactions of the ended requests.
+        """
         request = self._open
         if request is None or adu.unit in (0, request.unit):
             return self.close()
@@ -162,7 +167,7 @@ class Pairing:
         ]
 
     def _doubt_silence(self, adu: Adu) -> None:
-        """Make the open request ambiguous if an equal frame, called a retry, may be its response.
+        """Mark the pending request as ambiguous if an equal frame after it may be its response.
 
         The outcome of a request is no more certain than the direction of the frame after it.
         """
@@ -187,17 +192,17 @@ class Pairing:
         ]
 
     def _may_be_answered(self, request: Adu, end_ns: int) -> bool:
-        """True if a response to a request may come after `end_ns`."""
+        """True if the response to a request may come after `end_ns`, when the capture ends."""
         waited_ns = end_ns - request.end_ns
         return not self._ends.timed or may_be_answered(waited_ns, self._slowest_ns)
 
     def _unanswered_request(self, request: Adu) -> Transaction:
-        """The transaction of a request that got no response; count it."""
+        """Count a request that got no response; return its transaction."""
         return no_answer(self._ends, request, self._unanswered.add(request))
 
 
 def _in_doubt(adu: Adu) -> Adu:
-    """The ADU with the verdict AMBIGUOUS: it may belong to another transaction."""
+    """Return the ADU as ambiguous, because it may belong to another transaction."""
     verdicts = tuple(dict.fromkeys((*adu.verdicts, Verdict.AMBIGUOUS)))
     return replace(adu, confidence=min(adu.confidence, EVEN), verdicts=verdicts)
 

@@ -1,18 +1,19 @@
-"""Readings: ways in which a connection's responses can belong to its requests, with costs."""
+"""Weighs the ways in which a connection's responses can belong to its requests."""
 
-# A reading gives each response a request, and each run of lost response bytes the requests that
-# they answered. A response can answer a request with its id, unit and function; acknowledgements
-# rule out those that the slave had not received, and those that were sent after the response had
-# been received. Of requests with the same id a slave answers the first one first.
+# A reading is one such way. It assigns each response to a request, and lost response bytes to the
+# requests that they answered. A response can answer a request with its id, unit and function;
+# acknowledgements rule out requests that the slave had not received, and requests that were sent
+# after the response had been received. Among requests with the same id a slave answers the first
+# one first.
 #
-# Costs are in units of one request that the slave leaves unanswered or answers after its master
-# has given it up: both are rare, and about equally so. All other costs are compared with that.
+# Costs are in units of one request that the slave leaves unanswered or answers after its master has
+# given it up: both are rare, and about equally so.
 #
 # Readings that cost MARGIN more than the cheapest one are dropped. Two that leave the same requests
-# waiting can never be told apart: one is kept, and what differs is doubtful.
+# waiting can never be told apart: one is kept, and the pairs in which they differ are ambiguous.
 #
-# Memory: at most MAX_READINGS readings, each with the requests that wait and MAX_PASSED that were
-# passed over.
+# Memory: at most MAX_READINGS readings, each with the requests that wait and MAX_PASSED earlier
+# ones that got no response.
 
 from __future__ import annotations
 
@@ -52,7 +53,7 @@ TOO_EARLY = 1.0
 """Extra cost (in units of LATE) of a response in less than half the shortest latency of this slave
 so far."""
 TOO_SLOW = 0.5
-"""Extra cost (in units of LATE) of a response that comes after `MasterHabits.slow_ns`, if its
+"""Extra cost (in units of LATE) of a response that takes longer than `MasterHabits.slow_ns`, if its
 request is not given up."""
 OTHER_ID = 4.0
 """The cost (in units of LATE) of a response to a request that the capture lacks, although a
@@ -62,10 +63,9 @@ NOT_LIKELY = 0.95
 was no such request. Above MARGIN, so that a captured request gets the response if it can."""
 
 MAX_LATE = 4
-"""The number of given-up requests, the newest ones, that may get a late response.
-
-With the request that waits they make fewer than MAX_READINGS readings, so that none of equal cost
-is dropped."""
+"""At most this many given-up requests, the newest ones, may get a late response. Together with the
+request that waits they allow fewer than MAX_READINGS readings, so that none of equal cost is
+dropped."""
 MAX_READINGS = 8
 MAX_PASSED = 64
 MAX_LOST_RESPONSES = 8
@@ -89,14 +89,14 @@ class PairStep(NamedTuple):
 
 
 class PairOption(NamedTuple):
-    """A request that a response may answer."""
+    """A request that a response may answer, with the cost; no request if none asked for it."""
 
     cost: float
     request: OpenRequest | None
 
 
 class PairReading:
-    """One way to join requests and responses, as far as that is not decided yet."""
+    """One way to join the requests and responses whose pairing is not decided yet."""
 
     __slots__ = (
         "behind_others",
@@ -123,25 +123,29 @@ class PairReading:
         self.waiting = waiting
         """Requests that may still be answered, in order."""
         self.passed = passed
-        """Requests without a response that are before an answered one."""
+        """Requests without a response that were sent before an answered one; a late response may
+        come."""
         self.steps = steps
         self.cost = cost
         self.newest = newest
-        """The highest number of a request that was answered while other requests waited; else 0."""
+        """The highest number of a request that was answered while other requests waited; 0 if none
+        was."""
         self.given_up = given_up
-        """The numbers of the requests for which the master waits no longer, or that are overdue."""
+        """The numbers of the requests for whose responses the master waits no longer, or whose
+        responses are overdue."""
         self.gave_up_ns = gave_up_ns
-        """When a request was given up last."""
+        """The time (ns) at which a request was last marked as given up."""
         self.behind_others = behind_others
-        """The numbers of the requests that were sent while their master waited for others."""
+        """The numbers of the requests that were sent while the master waited for other
+        responses."""
 
     @property
     def someone_waits(self) -> bool:
-        """True if the master waits for a response."""
+        """True if the master waits for a response to any request."""
         return any(self.awaits(one) for one in self.waiting)
 
     def awaits(self, one: OpenRequest) -> bool:
-        """True if the master waits for the response to a request."""
+        """True if the master waits for the response to this request."""
         return not (one.number in self.given_up or one.may_not_exist)
 
     def give_up(self, late: list[OpenRequest]) -> None:
@@ -175,7 +179,7 @@ class PairReading:
         )
 
     def take(self, option: PairOption, response: Adu, habits: MasterHabits, since_ns: int) -> None:
-        """Give the response to the request of an option."""
+        """Assign the response to the request of an option, and add the option's cost."""
         self.cost += option.cost
         request = option.request
         if request is None:
@@ -192,7 +196,7 @@ class PairReading:
             self.newest = max(request.number, self.newest)
 
     def lose(self, start: int, count: int, cost: float, at_ns: int) -> None:
-        """Take lost bytes for the responses to `count` waiting requests from index `start` on."""
+        """Suppose that lost bytes answered `count` waiting requests, from index `start` on."""
         lost = tuple(self.waiting[start : start + count])
         self.cost += cost
         self.steps += (PairStep(at_ns, None, lost),)
@@ -200,11 +204,14 @@ class PairReading:
         self.waiting = self.waiting[start + count :]
         if any(one.adu is None for one in lost):
             for one in self.waiting:
-                # Nobody knows how many of the lost responses are those of lost requests.
+                # It is unknown how many of the lost responses answered requests that are lost, too.
                 one.may_not_exist = one.may_not_exist or not one.exists
 
     def pass_all(self, habits: MasterHabits) -> None:
-        """Pass over the requests that wait, except those with an id of their own."""
+        """Move the waiting requests to `passed`, as their responses may be lost.
+
+        Requests whose id no lost request can have go on waiting.
+        """
         kept = [one for one in self.waiting if habits.has_own_id(one, self.waiting)]
         self.passed += [one for one in self.waiting if one.adu is not None and one not in kept]
         self.waiting = kept
@@ -222,7 +229,7 @@ class PairReading:
 
 
 def is_before(one: OpenRequest, other: OpenRequest, habits: MasterHabits) -> bool:
-    """True if a slave that answers the later request has answered the earlier one or never will."""
+    """True if a slave that answers `other` has answered the earlier `one` or never will."""
     if one.adu is None or other.adu is None:
         return not habits.ids_vary
     return one.adu.transaction_id == other.adu.transaction_id
@@ -231,7 +238,7 @@ def is_before(one: OpenRequest, other: OpenRequest, habits: MasterHabits) -> boo
 def options(
     reading: PairReading, response: Adu, place: AduPlace | None, habits: MasterHabits
 ) -> Iterator[PairOption]:
-    """The requests that a response may answer in one reading, each with its cost."""
+    """Yield the requests that a response may answer in one reading, each with its cost."""
     too_late = _too_late(reading, response, place)
     skipped: list[OpenRequest] = []
     best = UNASKED
@@ -251,7 +258,7 @@ def options(
 
 
 def _too_late(reading: PairReading, response: Adu, place: AduPlace | None) -> set[int]:
-    """The numbers of the requests that were given up too long ago for a response."""
+    """Return the numbers of requests that were given up too long ago to get this response."""
     late = [
         one for one in reading.waiting if one.number in reading.given_up and one.adu is not None
     ]
@@ -267,7 +274,10 @@ def _has_id(one: OpenRequest, response: Adu) -> bool:
 def _cost_of_passing_all(
     reading: PairReading, skipped: list[OpenRequest], chosen: OpenRequest, habits: MasterHabits
 ) -> float:
-    """The cost of earlier requests without a response, when a later one has its response."""
+    """Return the cost of `skipped` requests without a response, if `chosen` has one.
+
+    `chosen` was sent after them.
+    """
     same = others = 0.0
     late = 0
     for one in skipped:
@@ -308,7 +318,7 @@ def _cost(one: OpenRequest, response: Adu, reading: PairReading, habits: MasterH
 
 
 def may_be_among(lost: int, one: OpenRequest, waiting: list[OpenRequest]) -> bool:
-    """True if the response to a waiting request can be among a number of lost bytes."""
+    """True if `lost` missing bytes can contain the response to a waiting request."""
     if len(waiting) > MAX_LOST_RESPONSES:
         return True
     sums = {0}
@@ -322,7 +332,7 @@ def may_be_among(lost: int, one: OpenRequest, waiting: list[OpenRequest]) -> boo
 
 
 def lost_runs(reading: PairReading, lost: int) -> Iterator[tuple[float, int, int]]:
-    """The runs of waiting requests whose responses can have a number of lost bytes together.
+    """Find waiting requests in a row whose responses can have `lost` bytes together.
 
     Yields the cost, the index of the first request, and the number of requests.
     """
@@ -337,7 +347,7 @@ def lost_runs(reading: PairReading, lost: int) -> Iterator[tuple[float, int, int
 
 
 def _counts_in(waiting: list[OpenRequest], lost: int) -> Iterator[int]:
-    """Each n for which the responses to the first n requests can have `lost` bytes together."""
+    """Yield each n for which the first n requests' responses can have `lost` bytes together."""
     sums = {0}
     any_size = 0
     for count, one in enumerate(waiting, 1):
@@ -350,7 +360,10 @@ def _counts_in(waiting: list[OpenRequest], lost: int) -> Iterator[int]:
 
 
 def without_costly(readings: list[PairReading]) -> list[PairReading]:
-    """The readings nearly as cheap as the cheapest; of those with equal waiting requests, one."""
+    """Return the readings (ways to pair) that cost at most MARGIN more than the cheapest one.
+
+    Of readings with the same waiting requests only the cheapest one is returned.
+    """
     limit = min(reading.cost for reading in readings) + MARGIN
     kept: dict[tuple[int, ...], PairReading] = {}
     for reading in sorted(readings, key=likely_cost):
@@ -365,12 +378,12 @@ def without_costly(readings: list[PairReading]) -> list[PairReading]:
 
 
 def likely_cost(reading: PairReading) -> float:
-    """The cost by which one of several good readings is chosen: late responses count extra."""
+    """Return the cost by which the best way to pair is chosen: late responses count extra."""
     return reading.cost + UNLIKELY * sum(step.is_late for step in reading.steps)
 
 
 def _mark_differences(kept: PairReading, other: PairReading) -> None:
-    """Make the steps doubtful in which two readings differ."""
+    """Mark as unsure the steps in which two readings (ways to pair) differ."""
     steps = []
     for one, two in zip(kept.steps, other.steps, strict=True):
         if one.requests == two.requests:

@@ -1,11 +1,11 @@
-"""Transactions of a TCP connection that were decoded elsewhere, as the decoder takes them."""
+"""Describes transactions of a TCP connection that were read from arrays of packets."""
 
-# In a plain stretch each segment with bytes is one whole ADU of Modbus/TCP, in order; a response
-# follows each request, with its transaction id, unit and function, in at most TIMEOUT_NS; each
-# segment acknowledges all bytes that came before it; and times do not go back. A connection at rest
-# decodes such a stretch in one way only, whatever it knows of its master. So the transactions can
-# be read from arrays (columns/), and afterwards the decoder is told what it would have learned from
-# them.
+# A plain stretch is a part of a TCP connection in which each segment with bytes is one whole ADU of
+# Modbus/TCP, in order; a response follows each request, with its transaction id, unit and function,
+# in at most TIMEOUT_NS; each segment acknowledges all bytes that came before it; and times do not
+# go back. If no request is pending before it, such a stretch can be decoded in one way only,
+# whatever was learned about the master. So its transactions can be read from arrays (columns/), and
+# afterwards the decoder is told what it would have learned from them.
 
 from __future__ import annotations
 
@@ -22,21 +22,22 @@ if TYPE_CHECKING:
 
 
 class PlainStretch(NamedTuple):
-    """One or more transactions in a row, from the first request to the last response."""
+    """Transactions in a row that were read from arrays: first request to last response."""
 
     requests: PlainBytes
     responses: PlainBytes
     last_requests: Sequence[bytes]
-    """The ADUs of the last request and of the one before it, if there is one; the last one last."""
+    """The ADUs of the last two requests, or of the only one; the last one last."""
     last_response_size: int
     """The length of the last response in bytes."""
     transaction_ids: Sequence[int]
     latencies: Mapping[int, Sequence[int]]
-    """By function code, the time from request to response of each transaction, in ns."""
+    """By function code, the time from request to response of each transaction, in ns, in their
+    order."""
 
 
 def plain_request(raw: bytes, ts_ns: int) -> Adu:
-    """The ADU of a request in a plain stretch, from its bytes."""
+    """Make the ADU of a Modbus/TCP request from its bytes."""
     return Adu(
         start_ns=ts_ns,
         end_ns=ts_ns,

@@ -75,7 +75,7 @@ _PROTOCOL_ID = re.compile(rb"(?s)..\x00\x00|.{0,2}\x00?\Z")
 
 
 class ProtocolState(Enum):
-    """What is known of a connection's protocol."""
+    """The state of the search for a connection's protocol."""
 
     UNDECIDED = auto()
     MODBUS = auto()
@@ -95,7 +95,7 @@ class ProtocolDetector:
         rtu: bool = False,
         swapped: bool = False,
     ) -> None:
-        """Prepare the candidates.
+        """Prepare a candidate for each possible protocol and assignment of roles.
 
         `tcp` and `rtu` are True if the connection may carry Modbus/TCP or RTU over TCP, `expected`
         if its port is one of Modbus. `joined` is True if the capture lacks its beginning, `swapped`
@@ -137,7 +137,7 @@ class ProtocolDetector:
     def feed(
         self, direction: Direction, data: bytes, ts_ns: int, place: StreamPlace | None = None
     ) -> list[Decoded]:
-        """Take the payload of one segment."""
+        """Take the payload of one segment; return nothing until the protocol is decided."""
         if self.state is ProtocolState.MODBUS:
             (accepted,) = self._candidates
             return accepted.decoder.feed(accepted.roles[direction], data, ts_ns, place)
@@ -171,7 +171,7 @@ class ProtocolDetector:
         kind: EventKind = EventKind.GAP,
         acknowledged_ns: int | None = None,
     ) -> list[Decoded]:
-        """Note missing bytes of one direction. The arguments are those of ConnectionDecoder.gap."""
+        """Note `missing` bytes of one direction. See ConnectionDecoder.gap for the arguments."""
         if self.state is ProtocolState.MODBUS:
             (one,) = self._candidates
             return one.decoder.gap(one.roles[direction], missing, ts_ns, kind, acknowledged_ns)
@@ -191,7 +191,7 @@ class ProtocolDetector:
         return self._decide() if self._seen < MAX_UNDECIDED_BYTES else self._reject()
 
     def advance(self, now_ns: int) -> list[Decoded]:
-        """Note that nothing arrived until `now_ns`."""
+        """Note that no segment came until `now_ns`; return the transactions that time out."""
         if self.state is ProtocolState.MODBUS:
             return self._candidates[0].decoder.advance(now_ns)
         for candidate in self._candidates:
@@ -199,7 +199,7 @@ class ProtocolDetector:
         return []
 
     def close(self, end_ns: int | None = None) -> list[Decoded]:
-        """End the connection: decide if still undecided, and return what is held.
+        """End the connection: decide if still undecided, and return the remaining results.
 
         `end_ns` is when its capture ended; None if the connection itself ended.
         """
@@ -225,7 +225,7 @@ class ProtocolDetector:
         return self._candidates[0].plain_decoder if self.state is ProtocolState.MODBUS else None
 
     def in_detected_roles(self, event: WireEvent) -> WireEvent:
-        """An event of the connection, with master and slave as they were detected."""
+        """Return an event of the connection with its master and slave as they were detected."""
         return self._candidates[0].in_own_roles(event) if self._candidates else event
 
     @property
@@ -234,7 +234,7 @@ class ProtocolDetector:
         return next((one for one in self._candidates if one.is_expected), None)
 
     def _check_beginning(self, direction: Direction, data: bytes) -> None:
-        """Drop the candidates to which a direction's first bytes cannot belong."""
+        """Drop the candidates whose ADUs cannot begin with a direction's first bytes."""
         self._heads[direction] = _head(self._heads[direction], data)
         beginning = self._beginnings[direction]
         if beginning is None or not self._checks_beginning:
@@ -305,7 +305,7 @@ class ProtocolDetector:
         ]
 
     def _foreign_name(self) -> str | None:
-        """The protocol that the first bytes belong to, if it is recognised."""
+        """Return the name of the protocol that the first bytes belong to; None if unknown."""
         head = self._beginnings[Direction.REQUEST] or self._first_bytes
         if any(begins_with_frame(head, direction) for direction in self._beginnings):
             return "RTU over TCP (--rtu-port)"
@@ -313,7 +313,7 @@ class ProtocolDetector:
 
 
 class _ProtocolCandidate:
-    """One protocol and assignment of roles that a connection may have, with its evidence."""
+    """One possible protocol and assignment of roles of a connection, and the evidence for it."""
 
     def __init__(self, connection: Connection, *, rtu: bool, swapped: bool, expected: bool) -> None:
         if swapped:
@@ -331,7 +331,7 @@ class _ProtocolCandidate:
         self._is_rtu = rtu
         self._is_swapped = swapped
         self.roles = OTHER if swapped else {direction: direction for direction in OTHER}
-        """The directions of this candidate, by those of the connection."""
+        """Maps a direction in the connection's roles to the direction in this candidate's roles."""
         self.is_expected = expected
         """True if this is the protocol expected at the port."""
         self.well_formed = 0
@@ -340,7 +340,7 @@ class _ProtocolCandidate:
         """Directions whose first bytes cannot begin an ADU."""
         needs_frame = rtu and not expected
         self._noise = {Direction.REQUEST: 0, Direction.RESPONSE: 0} if needs_frame else {}
-        """By direction, the number of bytes before the first frame."""
+        """By direction, the number of bytes before the first RTU frame; no entry after it."""
 
     @property
     def plain_decoder(self) -> ConnectionDecoder | None:
@@ -378,7 +378,7 @@ class _ProtocolCandidate:
                 self.is_ruled_out = True
 
     def may_begin_with(self, heads: Mapping[Direction, bytes]) -> bool:
-        """True if nothing came, or bytes that may be an incomplete or damaged ADU."""
+        """True if no bytes came, or bytes that may be an incomplete or damaged ADU."""
         if any(_has_bad_check(one) for one in self.decoded) or not any(heads.values()):
             return True
         if not self._is_rtu:
@@ -403,7 +403,7 @@ class _ProtocolCandidate:
                 self.well_formed = 0
 
     def in_own_roles(self, event: WireEvent) -> WireEvent:
-        """An event of the connection, with master and slave as this candidate assigns them.
+        """Return an event with master and slave as this candidate assigns them.
 
         An event with raw bytes keeps its source and destination: they name who sent the bytes.
         """
@@ -414,7 +414,7 @@ class _ProtocolCandidate:
         return replace(event, link=self._connection.link, source=ends[0], destination=ends[1])
 
     def _count(self, adu: Adu) -> None:
-        size = pdu_length(adu.pdu, adu.direction) or 0  # 0 if its bytes do not tell it.
+        size = pdu_length(adu.pdu, adu.direction) or 0  # 0 if the PDU does not tell its length.
         fits = size == len(adu.pdu) + adu.missing
         if fits:
             self.well_formed += 1
@@ -441,7 +441,7 @@ def _has_bad_check(one: Decoded) -> bool:
 
 
 def _is_well_formed(one: Transaction) -> bool:
-    """True if request and response are there and have the structure of a known function."""
+    """True if request and response were captured and have the structure of a known function."""
     return (
         one.outcome in (Outcome.OK, Outcome.EXCEPTION)
         and one.function in FUNCTIONS

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class SerialOrigins:
-    """Counts what a splitter takes and gives, and notes the origin of each ADU."""
+    """Counts the bytes into and out of a splitter, to find where each ADU stands in its file."""
 
     def __init__(self) -> None:
         self._marks: deque[tuple[int, int, StreamPlace | None]] = deque()
@@ -32,17 +32,17 @@ class SerialOrigins:
 
     @property
     def held(self) -> int:
-        """The number of reads remembered."""
+        """The number of reads of which the splitter still holds bytes."""
         return len(self._marks)
 
     def note(self, size: int, place: StreamPlace | None) -> None:
-        """Note that `size` bytes are fed, and their place in the file."""
+        """Note that the splitter is fed `size` bytes, which stand at `place` in a capture file."""
         if size:
             self._marks.append((self._fed, self._fed + size, place))
             self._fed += size
 
     def added_to(self, events: list[Adu | Skipped]) -> list[Adu | Skipped]:
-        """The events that the splitter gives next, with the origins of the ADUs."""
+        """Return the splitter's next events, with the origin of each ADU added."""
         found: list[Adu | Skipped] = []
         for event in events:
             start, self._given = self._given, self._given + len(event.raw)
@@ -55,7 +55,7 @@ class SerialOrigins:
         return found
 
     def _origin(self, first: int, last: int) -> Origin | None:
-        """The origin of an ADU whose first and last byte were fed as byte `first` and `last`."""
+        """Return where an ADU stands; its bytes are number `first` to `last` of all bytes fed."""
         for begin, end, place in self._marks:
             if place is None or place.origin is None:
                 continue

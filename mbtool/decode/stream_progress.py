@@ -1,9 +1,10 @@
 """Follows which bytes of a TCP connection were captured, and which the capture lacks."""
 
 # Two things show that the capture lacks bytes: a gap between two ADUs of one direction, and a
-# segment that acknowledges more of the other direction than was captured. What is lost begins
-# behind the last ADU. The missing bytes of an ADU whose unit and function were captured are not
-# lost: the ADU is known. Without unit and function, the captured part of an ADU is of no use.
+# segment that acknowledges more of the other direction than was captured. The lost bytes begin
+# behind the last ADU. If unit and function of an ADU were captured, its missing bytes do not count
+# as lost, because the ADU is known. Without unit and function, the captured part of an ADU is of no
+# use.
 
 from __future__ import annotations
 
@@ -25,37 +26,39 @@ OTHER = {Direction.REQUEST: Direction.RESPONSE, Direction.RESPONSE: Direction.RE
 
 
 class AduPlace(msgspec.Struct, frozen=True, gc=False):
-    """Where an ADU stands in its TCP connection. Positions count bytes."""
+    """Where an ADU stands in its TCP connection. A position counts the bytes of one direction."""
 
     end: int
-    """The position behind its last byte, in its direction."""
+    """The position behind the ADU's last byte, in the ADU's direction."""
     acknowledged: int | None
-    """The position in the other direction that its sender had received; None if unknown."""
+    """The position up to which the ADU's sender had received the other direction; None if
+    unknown."""
 
 
 class StreamProgress:
-    """The positions up to which the bytes of one direction were captured, and are known."""
+    """Follows up to which positions the bytes of one direction were captured and decoded."""
 
     def __init__(self) -> None:
         self.captured: int | None = None
         """The position behind the last byte captured; None before the first one, and if positions
         are unknown."""
         self.unread = 0
-        """Bytes behind the last ADU or skipped bytes, which the splitter holds."""
+        """The number of bytes since the last ADU or skipped bytes that the splitter still holds."""
         self.received: int | None = None
         """The position in the other direction that the last segment acknowledged; None if
         unknown."""
         self.has_part = False
         """True while the capture has the start of a response but lacks its end."""
         self.lost_ns: int | None = None
-        """When the other end acknowledged all lost bytes behind the last ADU; None if unknown."""
+        """When the receiver acknowledged all lost bytes behind the last ADU, in ns; None if
+        unknown."""
         self._missing = 0
-        """Bytes of the gaps behind the last ADU, as they were reported."""
+        """The number of missing bytes that gaps behind the last ADU reported."""
         self._known = 0
-        """The position behind the last ADU, or behind the lost bytes already reported."""
+        """The position up to which all bytes belong to ADUs or were reported as lost."""
         self._acknowledged = 0
-        """The highest position acknowledged while the splitter held the known start of a
-        response."""
+        """The highest position acknowledged while the splitter held a response's first bytes, up to
+        its function code."""
 
     def is_at_rest(self, position: int) -> bool:
         """True if all bytes before a position were captured and read, and no later byte came."""
@@ -63,14 +66,17 @@ class StreamProgress:
         return not is_open and self.captured == position
 
     def pass_plain(self, size: int, received: int) -> None:
-        """Note whole ADUs that were read elsewhere; their last segment acknowledged `received`."""
+        """Note `size` bytes of whole ADUs that were decoded elsewhere.
+
+        `received` is the position in the other direction that their last segment acknowledged.
+        """
         assert self.captured is not None
         self.captured += size
         self._known = max(self.captured, self._known)
         self.received = received
 
     def take(self, place: StreamPlace, size: int) -> None:
-        """Note a segment."""
+        """Note a segment with `size` bytes of payload."""
         if self.captured is None:
             self._begin(place.position)
         self.captured = place.position + size
@@ -78,10 +84,11 @@ class StreamProgress:
         self.received = place.acknowledged
 
     def acknowledge(self, received: int | None, *, of_responses: bool = False) -> int:
-        """Note that the other end received all before a position; return the number of lost bytes.
+        """Note that the receiver has all bytes before a position; return the number of lost bytes.
 
-        Returns 0 while the splitter holds the known start of a response: the gap behind it will
-        tell what is lost.
+        Returns 0 while the splitter holds a response's first bytes, up to its function code: the
+        gap that follows will show what is lost. `of_responses` is True if this direction is the
+        slave's.
         """
         if received is None:
             return 0
@@ -105,9 +112,9 @@ class StreamProgress:
         return lost
 
     def skip(self, missing: int, known: int, acknowledged_ns: int | None = None) -> None:
-        """Note a gap. `known` of the missing bytes belong to an ADU that was read.
+        """Note a gap. `known` of the `missing` bytes belong to an ADU that was read.
 
-        `acknowledged_ns` is when the other end had acknowledged all of them; None if unknown.
+        `acknowledged_ns` is when the receiver had acknowledged all of them; None if unknown.
         """
         self.lost_ns = acknowledged_ns
         self.unread = 0
@@ -123,12 +130,16 @@ class StreamProgress:
         return self._tell(end, end) if self._missing or end > self.captured else 0
 
     def without_places(self) -> int:
-        """Return the number of bytes that gaps have reported, for a source without positions."""
+        """Return the number of bytes that gaps reported since the last call.
+
+        Used for a source whose segments have no stream positions.
+        """
         missing, self._missing = self._missing, 0
         return missing
 
     def _begin(self, position: int) -> int:
-        # Positions count from 0 if the capture has the beginning of the connection.
+        # Positions are this low only if the capture has the connection's beginning; then they count
+        # from 0.
         self.captured = self._known = 0 if position < LEAD // 2 else position
         return self.captured
 

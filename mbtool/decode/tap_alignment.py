@@ -3,8 +3,8 @@
 # Each of the two adapters delivers bytes with its own delay, so a response can seem to begin before
 # its request has ended. These rules hold on every line:
 #
-#     1  a response follows its request         it may seem to begin up to SKEW_NS before its end
-#     2  the next request follows the response  it may seem to begin up to SKEW_NS before its end
+#     1  a response follows its request         it may seem to begin up to SKEW_NS too early
+#     2  the next request follows the response  it may seem to begin up to SKEW_NS too early
 #     3  a request has at most one response, and responses come in the order of the requests
 #     4  a master waits for a response before it sends the next request
 #
@@ -13,8 +13,8 @@
 # the constants below for a pair whose contents do not fit, a request without a response (rule 4)
 # and a response without a request. So a pair that is off by less than the skew is still aligned. If
 # a capture begins with a response whose request is missing, that response stays alone; otherwise
-# every later response of a fast poll would be assigned to the wrong request. If the earlier
-# responses seemed early by some time, that time costs nothing.
+# every later response of a fast poll would be assigned to the wrong request. If earlier responses
+# seemed early, a later one costs nothing for being early by the same time.
 #
 # At most MAX_ALIGNED requests and responses are examined; later ones do not affect the first.
 
@@ -44,7 +44,8 @@ _MISMATCH_NS = 4 * SKEW_NS
 """Cost of aligning a request and a response of the same unit and function that differ in, for
 instance, the quantity: that is rarer than a lost response."""
 _IMPATIENCE = 8
-"""Cost per ns by which a master waited less than SKEW_NS for a response: masters wait longer."""
+"""Cost for each ns by which a master waited less than SKEW_NS for a response before its next
+request: masters wait longer."""
 _UNSOLICITED_NS = MAX_ALIGNED * SKEW_NS
 """Cost of a response without a request: slaves do not send on their own."""
 _FIRST_UNSOLICITED_NS = SKEW_NS
@@ -78,12 +79,12 @@ def request_of_first(
     ahead_ns: int = 0,
     at_start: bool = False,
 ) -> int | None:
-    """The index of the request that the first response belongs to, or None if there is none.
+    """Return the index of the request that the first response belongs to; None if it has none.
 
     `requests` and `responses` are all that began until `until_ns`, each in order of time; the first
     request may be older and still pending. `ahead_ns` is by how much responses are already known to
-    seem early. With `at_start` the capture begins here, so the request of the first response may be
-    missing.
+    seem early. `at_start` is True if the capture begins here, so that the request of the first
+    response may be missing.
     """
     if len(requests) > MAX_ALIGNED:
         until_ns = min(until_ns, requests[MAX_ALIGNED].adu.start_ns)
@@ -92,7 +93,11 @@ def request_of_first(
         return 0  # The usual case; no alignment can cost less.
 
     def costs(request: int, response: int) -> tuple[int, int, int]:
-        """The lowest costs (ns) from these two on: as a pair, request alone, response alone."""
+        """Return the lowest costs (ns) of aligning everything from these two indices on.
+
+        The three costs: the two are a pair, the request has no response, the response has no
+        request.
+        """
         has_request, has_response = request < len(requests), response < len(responses)
         paired = unanswered = unsolicited = _IMPOSSIBLE_NS
         if has_request and has_response:

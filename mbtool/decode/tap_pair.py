@@ -1,25 +1,25 @@
 """Decodes a serial line of which one tap hears the master and another the slaves."""
 
-# Each side has its own splitter, which knows the direction of its bytes. The events of both sides
-# (ADUs and skipped bytes) are merged into the order in which they were sent, and go to one pairing.
-# Times alone do not give that order, as each adapter has its own delay; the alignment of requests
-# with responses does (tap_alignment.py). If no alignment decides, times do.
+# A side is one tap with a splitter of its own, which knows the direction of its bytes. The events
+# of both sides (ADUs and skipped bytes) are merged into the order in which they were sent, and go
+# to one pairing. Times alone do not give that order, as each adapter has its own delay; the
+# alignment of requests with responses does (tap_alignment.py). If no alignment decides, times do.
 #
-# A side is known up to its last read, up to the time until which it was silent, or up to the first
-# byte that its splitter still holds. The first event of both sides is taken out when both sides are
-# known up to LOOKAHEAD_NS after it; what began later has no influence. So the result depends
-# neither on how the bytes were cut into reads nor on which side was read first. A read arrives at
-# most MAX_CLOCK_STEP_NS after a read of the other side with the same time, so silence follows from
-# the other side's reads: a log does not record it.
+# A side is known up to the time of its last read, up to the time until which it was silent, or up
+# to the first byte that its splitter still holds. The earliest event goes to the pairing when both
+# sides are known up to LOOKAHEAD_NS after it; what began later has no influence. So the result
+# depends neither on how the bytes were cut into reads nor on which side was read first. A read
+# arrives at most MAX_CLOCK_STEP_NS after a read of the other side with the same time. So reads of
+# one side also show how long the other was silent: a log does not record it.
 #
 # A time more than MAX_CLOCK_STEP_NS before what is known means that the clock was set back. All
-# held events are then returned and both sides start again, as at the start of a capture.
+# waiting events then go to the pairing, and both sides start again, as at the start of a capture.
 #
 # If the first MISPLACED_FRAMES frames that fit one direction only are all on the wrong side, one
 # MISPLACED event reports that the two ports are exchanged.
 #
-# Limit: MAX_HELD held events, beside what the splitters hold; beyond that the first is taken out
-# without waiting for the lookahead.
+# Limit: MAX_HELD waiting events, beside what the splitters hold; beyond that the earliest one goes
+# to the pairing without waiting for the lookahead.
 
 from __future__ import annotations
 
@@ -55,8 +55,8 @@ if TYPE_CHECKING:
 
 LOOKAHEAD_NS = 2 * SKEW_NS
 MAX_HELD = 512
-"""The most events held: a line at 115200 baud carries so many of the shortest frames in a
-second."""
+"""The most events that wait for the pairing: a line at 115200 baud carries so many of the shortest
+frames in a second."""
 MISPLACED_FRAMES = 4
 
 _SPEAKERS = {Direction.REQUEST: "the master", Direction.RESPONSE: "a slave"}
@@ -75,17 +75,18 @@ class TapPair:
         self._master = self._sides[Direction.REQUEST]
         self._slaves = self._sides[Direction.RESPONSE]
         self._pending: TapRequest | None = None
-        """The last request taken out, as long as its response is not taken out."""
+        """The last request that went to the pairing; None once its response went there too, and for
+        a broadcast."""
         self._has_request = False
-        """False until the first request is taken out."""
+        """False until the first request goes to the pairing."""
         self._answered_ns: int | None = None
-        """When the last response ended; None if a request has followed."""
+        """When the last response ended, in ns; None if a request has followed."""
         self._ahead_ns = 0
         """The time, in ns, by which responses seem early (negative: late), learned from earlier
         ones."""
         self._misplaced = 0
-        """The number of frames that only the other side can have sent; -1 once the ports are
-        known."""
+        """The number of frames so far that only the other side can have sent; -1 once it is known
+        whether the ports are exchanged."""
 
     def feed(self, direction: Direction, data: bytes, ts_ns: int) -> list[Decoded]:
         """Take the bytes of one read; `ts_ns` is the time of the last one.
@@ -102,7 +103,7 @@ class TapPair:
         return decoded + self._take_known()
 
     def advance(self, now_ns: int) -> list[Decoded]:
-        """Note that everything that either side heard until `now_ns` was fed."""
+        """Note that all bytes that the taps heard until `now_ns` were fed."""
         known_ns = min(side.until_ns for side in self._sides.values())
         decoded = self._restart_if_set_back(now_ns, known_ns)
         for side in self._sides.values():
@@ -113,11 +114,14 @@ class TapPair:
         return decoded
 
     def close(self, end_ns: int | None = None) -> list[Decoded]:
-        """End the line: return everything that is still held; `end_ns` as for Pairing.close."""
+        """End the line: return all events and transactions that still wait.
+
+        `end_ns` is when the capture ended; None if no response can come any more.
+        """
         return [*self._take_all(), *self._pairing.close(end_ns)]
 
     def _restart_if_set_back(self, ts_ns: int, known_ns: int) -> list[Decoded]:
-        """Return all held events and forget all times if the clock was set back."""
+        """If the clock was set back, return all waiting events and forget all times."""
         if ts_ns >= known_ns - MAX_CLOCK_STEP_NS:
             return []
         decoded = self._take_all()
@@ -137,7 +141,7 @@ class TapPair:
         return decoded
 
     def _take_known(self) -> list[Decoded]:
-        """Take out the events before which no event of either side can still arrive."""
+        """Give the pairing the events before which no event of either side can still arrive."""
         known_ns = min(side.known_ns for side in self._sides.values())
         decoded: list[Decoded] = []
         while self._held and (self._first_ns + LOOKAHEAD_NS <= known_ns or self._held > MAX_HELD):
@@ -177,7 +181,7 @@ class TapPair:
         self._pending = TapRequest.of(request) if request.unit != 0 else None
 
     def _next_side(self) -> _TapSide:
-        """The side whose first event was sent before the other's."""
+        """Return the side whose first event was sent before the other side's."""
         if not self._slaves.events:
             return self._master
         if not self._master.events:
@@ -223,7 +227,7 @@ class TapPair:
 
 
 class _TapSide:
-    """One tap: its splitter, and its events that were not taken out."""
+    """One tap: its splitter, and its events that the pairing has not got yet."""
 
     def __init__(self, speaker: Direction, line: SerialFormat, *, ascii: bool) -> None:  # noqa: A002
         self.speaker = speaker
@@ -232,13 +236,13 @@ class _TapSide:
         self._splitter: AsciiSplitter | RtuSplitter = splitter(line, speaker=speaker)
         self._character_ns = line.character_ns
         self.until_ns = 0
-        """All bytes of this side up to this time, in ns, were fed."""
+        """All bytes of this tap up to this time, in ns, were fed."""
         self._held: deque[_Read] = deque()
         """The reads whose last bytes the splitter still holds."""
 
     @property
     def known_ns(self) -> int:
-        """The earliest time at which an event that is still missing can begin."""
+        """The time (ns) before which no further event of this side can begin."""
         return self._held[0].start_ns if self._held else self.until_ns
 
     @property
@@ -259,12 +263,12 @@ class _TapSide:
         self._add(self._splitter.close())
 
     def adus(self, until_ns: int) -> Iterator[Adu]:
-        """The first ADUs among the events, at most MAX_ALIGNED + 1, that began by `until_ns`."""
+        """Yield the first MAX_ALIGNED + 1 ADUs that wait here, if they began by `until_ns`."""
         began = takewhile(lambda event: _start_ns(event) <= until_ns, self.events)
         return islice((event for event in began if isinstance(event, Adu)), MAX_ALIGNED + 1)
 
     def _add(self, events: list[Adu | Skipped]) -> None:
-        """Append events, and take their bytes off the held reads."""
+        """Append events, and forget the reads whose bytes they contain."""
         self.events += events
         released = sum(len(event.raw) for event in events)
         while released and self._held:
@@ -296,7 +300,7 @@ def _start_ns(event: Adu | Skipped) -> int:
 
 
 def _only_speaker(event: Adu | Skipped) -> Direction | None:
-    """The only direction whose form an event fits; None if it fits both or neither."""
+    """Return the only direction whose form an event fits; None if it fits both or neither."""
     speakers = (Direction.REQUEST, Direction.RESPONSE)
     if isinstance(event, Adu):
         fitting = [each for each in speakers if pdu_length(event.pdu, each) == len(event.pdu)]

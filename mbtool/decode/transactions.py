@@ -39,10 +39,10 @@ def with_response(
     verdicts: tuple[Verdict, ...],
     confidence: float = 1.0,
 ) -> Transaction:
-    """The transaction of a request and its response.
+    """Make the transaction of a request and its response.
 
     `verdicts` and `confidence` tell how surely the two belong together; they are combined with
-    those of the two frames.
+    those of the two frames. `retries` is the number of equal unanswered requests before.
     """
     noticed = [*request.verdicts, *response.verdicts, *verdicts]
     if request.missing or response.missing:
@@ -85,7 +85,7 @@ def with_response(
 def _cut(
     ends: Ends, request: Adu, response: Adu, verdicts: list[Verdict], confidence: float
 ) -> Transaction:
-    """A request with its response, where the capture lacks bytes of one or both."""
+    """Make the transaction of a request and response that were not captured whole."""
     facts = _facts(request)
     whole = None if response.missing else parse_pdu(response.pdu, Direction.RESPONSE)
     return _record(
@@ -109,7 +109,7 @@ def _cut(
 
 
 def _latency_ns(request: Adu, response: Adu) -> int | None:
-    """Nanoseconds from the end of the request to the start of the response.
+    """Return the nanoseconds from the end of the request to the start of the response.
 
     0 if the adapter merged the two in one read, so that the response seems to start earlier. None
     if the capture's clock was set back in between.
@@ -120,29 +120,32 @@ def _latency_ns(request: Adu, response: Adu) -> int | None:
 
 
 def no_answer(ends: Ends, request: Adu, retries: int) -> Transaction:
-    """A request without a response."""
+    """Make the transaction of a request without a response."""
     return _alone(ends, request, Outcome.NO_ANSWER, retries)
 
 
 def response_not_captured(
     ends: Ends, request: Adu, verdicts: tuple[Verdict, ...] = ()
 ) -> Transaction:
-    """A request whose response the capture lacks."""
+    """Make the transaction of a request whose response the capture lacks."""
     return _alone(ends, request, Outcome.NOT_CAPTURED, 0, verdicts)
 
 
 def capture_ended(ends: Ends, request: Adu) -> Transaction:
-    """A request whose response may have come after the end of the capture."""
+    """Make the transaction of a request whose response may have come after the capture's end."""
     return response_not_captured(ends, request, (Verdict.CAPTURE_END,))
 
 
 def broadcast(ends: Ends, request: Adu) -> Transaction:
-    """A request to all units, which no unit answers (Serial Line V1.02, 2.1)."""
+    """Make the transaction of a request to all units; none answers it (Serial Line V1.02, 2.1)."""
     return _alone(ends, request, Outcome.BROADCAST, 0)
 
 
 def unsolicited(ends: Ends, response: Adu, outcome: Outcome = Outcome.UNSOLICITED) -> Transaction:
-    """A response without a request; `outcome` is NOT_CAPTURED if the capture lacks the request."""
+    """Make the transaction of a response whose request is unknown.
+
+    `outcome` is NOT_CAPTURED if there was a request that the capture lacks.
+    """
     pdu = parse_pdu(response.pdu, Direction.RESPONSE)
     if response.missing:
         pdu = Pdu(pdu.code, {}, None)
@@ -227,7 +230,7 @@ def _request_facts(request: bytes) -> _RequestFacts:
 
 
 def _facts(request: Adu) -> _RequestFacts:
-    """The facts of a request; without its values if the capture lacks some of them."""
+    """Return the fields that follow from a request; no values if the capture lacks bytes of it."""
     facts = _request_facts(request.pdu)
     if not request.missing:
         return facts
@@ -242,7 +245,7 @@ def _record(
     exception: int | None,
     **fields: Any,
 ) -> Transaction:
-    """The record of a transaction that has a request, a response or both."""
+    """Make the record of a transaction that has a request, a response or both."""
     adu = request or response
     assert adu is not None
     asked = None if request is None else request.origin
@@ -271,7 +274,7 @@ def _record(
 
 
 def add_origins(fields: dict[str, Any], request: Origin | None, response: Origin | None) -> None:
-    """Add the fields that say where the request and the response come from."""
+    """Add to `fields` the file, packet, offset and addresses that two frames come from."""
     addresses: LinkAddresses | None = None
     if request is not None:
         fields["file"] = request.file or None
@@ -297,7 +300,7 @@ def add_origins(fields: dict[str, Any], request: Origin | None, response: Origin
 
 
 def _values(pdu: Pdu) -> tuple[int, ...] | None:
-    """The registers (0..65535) or bits (0 or 1) that a PDU carries."""
+    """Return the registers (0..65535) or bits (0 or 1) that a PDU carries; None if none."""
     values = pdu.numbers("values")
     if values is not None:
         return values
@@ -317,7 +320,7 @@ def _values(pdu: Pdu) -> tuple[int, ...] | None:
 
 
 def _response_values(request: Pdu, response: Pdu) -> list[int] | None:
-    """The values that a response brings; None if it only repeats the request's."""
+    """Return the values that a response brings; None if it only repeats the request's."""
     if request.code in WRITE_ONE:
         return None
     values = _values(response)

@@ -14,9 +14,10 @@ if TYPE_CHECKING:
 
 
 class UnansweredCounts(dict[tuple[int, bytes], int]):
-    """By unit and PDU, the number of requests in a row that had no answer."""
+    """Maps unit and PDU to the number of equal requests in a row that had no answer."""
 
-    # A dict, as each transaction asks whether there are any: of a dict, that takes no call.
+    # This is a dict because every transaction tests if it is empty; for a dict the test calls no
+    # Python function.
     __slots__ = ()
 
     def add(self, request: Adu) -> int:
@@ -28,5 +29,5 @@ class UnansweredCounts(dict[tuple[int, bytes], int]):
         return before
 
     def take(self, request: Adu) -> int:
-        """Forget the number of requests equal to this one, and return it."""
+        """Return the number of unanswered requests equal to this one, and forget it."""
         return self.pop(request_key(request), 0)

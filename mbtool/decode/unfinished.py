@@ -1,8 +1,8 @@
 """Tells if the capture of a link ends too early to know that a request has no answer."""
 
-# Nobody is blamed for what a longer capture may have shown. A request counts as not answered only
-# if it had USUAL_NS, and also much more time than any response of its link took, unless its master
-# gave it up. USUAL_NS leaves time for TCP to send a lost segment again.
+# A request counts as not answered only if the capture goes on for USUAL_NS after it, and for SLOWER
+# times the longest latency of its link; the second condition does not apply if the master gave the
+# request up. USUAL_NS leaves time for TCP to send a lost segment again.
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ SLOWER = 3
 
 
 def may_be_answered(waited_ns: int, slowest_ns: int, *, is_given_up: bool = False) -> bool:
-    """True if the response to a request may still come after `waited_ns`.
+    """True if the response to a request may still come after a wait of `waited_ns`.
 
-    `slowest_ns` is the longest time in which a request of the same link was answered so far.
+    `slowest_ns` is the longest latency on the same link so far, in ns.
     """
     return waited_ns < max(USUAL_NS, 0 if is_given_up else SLOWER * slowest_ns)
 
 
 def unfinished_in(reading: PairReading, habits: MasterHabits, end_ns: int | None) -> set[int]:
-    """The numbers of the waiting requests of a connection that may be answered after `end_ns`.
+    """Return the numbers of the waiting requests that may be answered after `end_ns`.
 
-    None of them if `end_ns` is None. A slave begins with a request that others wait behind only
-    after its last response.
+    Returns none if `end_ns` is None. A slave handles one request at a time, so a request that was
+    sent while others waited counts its wait from the last response on.
     """
     if end_ns is None:
         return set()
