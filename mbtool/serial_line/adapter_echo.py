@@ -1,17 +1,18 @@
 """Recognises an adapter that hears what it sends, so that each request comes twice."""
 
-# The copy follows its request within about one character time. When the adapter counts as echoing
-# depends on what is heard:
+# The copy follows its request within about one character time. How many copies prove that the
+# adapter echoes depends on the silences that it lets through:
 #
-# - Silences, and no request has come without a copy: one copy is enough if the request cannot be a
-#   response by its form, since no master repeats a request without a silence of t3.5.
+# - Silences are heard, and no request has come without a copy: one copy is enough if the request
+#   cannot be a response by its form, since no master repeats a request without a silence of t3.5.
 # - The same, but not even the short pause between request and copy is heard: the adapter may have
-#   merged a request with its retry. So one copied request must have got a response before.
-# - No silences: a copy may be a retry. So ENOUGH_COPIES requests in a row must have come twice.
-# - A request copied without a response counts neither for an echo nor against one: the copy may be
-#   its retry.
+#   merged a request with its retry. So an earlier request that came twice must have got a response.
+# - No silences are heard: a copy may be a retry. So ENOUGH_COPIES requests in a row must have come
+#   twice.
+# - A request that came twice without a response counts neither for an echo nor against one: the
+#   copy may be its retry.
 #
-# An AdapterEcho holds no frame but the last request.
+# Memory: the last request.
 
 from __future__ import annotations
 
@@ -36,11 +37,11 @@ class AdapterEcho:
         self.echoes = False
         """True if the adapter echoes."""
         self.reason = ECHOES
-        """The reason that the next copy gets: ECHOES the first time, then ECHO."""
+        """The reason given for the next skipped copy: ECHOES the first time, then ECHO."""
         self.last = b""
         """The last frame if it was a request and has not been copied; otherwise empty."""
         self.copied = b""
-        """The last request if its copy came last; otherwise empty."""
+        """The last request if the last frame was its copy; otherwise empty."""
         self._is_certain = False
         """True if the request in `last` cannot be a response, and no response can equal it."""
         self._is_copied = False
@@ -53,11 +54,11 @@ class AdapterEcho:
         """True if some request has come only once."""
 
     def awaits(self, data: bytes) -> bool:
-        """True if `data`, the bytes held, can be the beginning of a copy of the last request."""
+        """True if the undecided bytes `data` may begin a copy of the last request."""
         return self.echoes and self.last.startswith(data)
 
     def takes_copy(self, *, glued: bool, exact: bool = True) -> bool:
-        """Take bytes equal to the last request; True if they are its copy, not a new frame.
+        """Decide if bytes equal to the last request are its copy; True if so, not a new frame.
 
         `glued` is True if silences are heard and no silence separates the request from these bytes.
         `exact` is True if the pause between the two, shorter than t3.5, is heard. If it is not, the
@@ -66,7 +67,8 @@ class AdapterEcho:
         """
         is_heard = glued and not self._has_single and (exact or self.copies > 0)
         is_enough = self.copies >= ENOUGH_COPIES or is_heard
-        # If all requests so far have come twice, an equal write is no response either.
+        # A write and its response are equal, too. But if all requests so far came twice, this is a
+        # copy.
         is_certain = self._is_certain or (self.copies >= ENOUGH_COPIES and not self._has_single)
         if not self.echoes and not (is_certain and is_enough):
             return False
@@ -75,7 +77,7 @@ class AdapterEcho:
         return True
 
     def copied_size(self, data: bytes) -> int:
-        """How many bytes of the last request and a further copy of it `data` begins with.
+        """Return how many first bytes of `data` repeat the last request and one more copy of it.
 
         The result is 0 if `data` begins with anything else.
         """
@@ -83,21 +85,22 @@ class AdapterEcho:
         return min(len(data), len(both)) if both.startswith(data[: len(both)]) else 0
 
     def may_copy(self, raw: bytes, following: bytes) -> bool:
-        """True if a frame and its copy may be an unrecognised echo: earlier requests came twice.
+        """True if a frame may belong to an echo not recognised yet: earlier requests came twice.
 
-        The frame is `raw`, with `following` behind it.
+        `raw` is the frame, `following` the bytes behind it. An equal frame comes before or behind
+        it.
         """
         if self.echoes or self._has_single or not self.copies:
             return False
         return raw == self.last or following.startswith(raw)
 
     def said(self) -> str:
-        """The reason for skipping a copy; only the first one says that the adapter echoes."""
+        """Return the reason for skipping a copy; only the first says that the adapter echoes."""
         reason, self.reason = self.reason, ECHO
         return reason
 
     def hear_request(self, raw: bytes, *, is_certain: bool) -> None:
-        """Take a request.
+        """Note that a request was heard.
 
         `is_certain` is True if it cannot be a response, and no response can equal it.
         """
@@ -111,7 +114,7 @@ class AdapterEcho:
         self.last, self._is_certain = raw, is_certain
 
     def hear_response(self) -> None:
-        """Take a response."""
+        """Note that a response was heard."""
         self.copied = b""
         if self._is_copied:
             self._is_copied, self.copies = False, self.copies + 1

@@ -12,7 +12,7 @@
 #
 # If the port has 8 data bits, bit 7 may be a parity bit. So it is ignored in colon, CR and LF.
 #
-# Holds at most one incomplete frame (513 characters) and one run of skipped characters
+# Memory: at most one incomplete frame (513 characters) and a series of skipped characters
 # (skips.MAX_RUN). A frame is parsed at most twice: after its first CR, and at its end.
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _CHANGE_DELIMITER = b"\x08\x00\x03"
 
 
 class AsciiSplitter:
-    """Takes timed characters of a line and gives out `Adu` and `Skipped`, in order."""
+    """Takes timed characters of a line; returns `Adu` (frames) and `Skipped`, in order."""
 
     def __init__(
         self,
@@ -73,10 +73,10 @@ class AsciiSplitter:
         self._first_ns = 0
         self._last_ns = 0
         self._read_ns = 0
-        """When the first character of the read that is being taken ended, in ns."""
+        """When the first character of the current read ended, in ns."""
         self._least_ns = 0
         self._given_ns: int | None = None
-        """When the last frame given out ended; None at the start."""
+        """When the last frame that was returned ended, in ns; None at the start."""
         self._noise = SkipRun(lambda _: (EventKind.SKIPPED, "characters outside a frame", None))
 
     @property
@@ -108,9 +108,9 @@ class AsciiSplitter:
         return events
 
     def advance(self, now_ns: int) -> list[Adu | Skipped]:
-        """Take the information that the line was silent from the last character until `now_ns`.
+        """Note that the line was silent from the last character until `now_ns`.
 
-        If that is more than 1 s, return the incomplete frame and the skipped characters held.
+        If that is more than 1 s, return the incomplete frame and the skipped characters so far.
         """
         events: list[Adu | Skipped] = []
         if self._timed and now_ns - self._last_ns > CHARACTER_TIMEOUT_NS:
@@ -120,7 +120,7 @@ class AsciiSplitter:
         return events
 
     def close(self) -> list[Adu | Skipped]:
-        """End the capture: return the incomplete frame and the skipped characters held."""
+        """End the capture: return the incomplete frame and the skipped characters so far."""
         events: list[Adu | Skipped] = []
         self._end(events, "a frame that never ends")
         self._noise.end(events)
@@ -128,7 +128,7 @@ class AsciiSplitter:
         return events
 
     def _time(self, offset: int) -> int:
-        """When the character at an offset of the read that is being taken ended, in ns.
+        """Return when the character at an offset of the current read ended, in ns.
 
         That is at the earliest when the last character of the previous read ended.
         """
@@ -137,7 +137,10 @@ class AsciiSplitter:
     def _take_outside(
         self, data: bytes, seen: bytes, offset: int, events: list[Adu | Skipped]
     ) -> int:
-        """Take the characters up to and including a colon. Returns the offset after them."""
+        """Skip the characters before a colon, and begin a frame with the colon.
+
+        Returns the offset of the next character to take.
+        """
         colon = seen.find(b":", offset)
         end = colon if colon >= 0 else len(data)
         while offset < end:
@@ -153,7 +156,7 @@ class AsciiSplitter:
     def _take_inside(
         self, data: bytes, seen: bytes, offset: int, events: list[Adu | Skipped]
     ) -> int:
-        """Take characters of a frame, up to where it may end. Returns the offset after them."""
+        """Add characters to the frame, up to where it may end. Returns the offset after them."""
         frame = self._frame
         behind_cr = self._cr == len(frame) - 1
         stop: int | None
@@ -260,7 +263,7 @@ class AsciiSplitter:
         return classification
 
     def _verdicts(self, frame: AsciiFrame, classification: Classification) -> tuple[Verdict, ...]:
-        """The verdicts on a frame.
+        """Return the verdicts on a frame.
 
         If the frame ends with the requested delimiter, that becomes the line's delimiter.
         """

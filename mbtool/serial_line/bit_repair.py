@@ -13,7 +13,7 @@ from mbtool.modbus.adu_bytes import crc, crc_on
 
 
 def repaired(frame: bytes) -> bytes | None:
-    """The frame with one bit changed so that its CRC is correct; None if no single bit does that.
+    """Return the frame with one bit changed so that its CRC is correct; None if no bit does that.
 
     `frame` has at most 256 bytes, and its CRC is wrong.
     """
@@ -26,7 +26,7 @@ def repaired(frame: bytes) -> bytes | None:
 
 @cache
 def _wrong_bits() -> dict[int, int]:
-    """For each remainder of the CRC that one wrong bit can leave, the position of that bit.
+    """Map each remainder of the CRC that one wrong bit can leave to the position of that bit.
 
     The position is 8 times the number of bytes after the wrong byte, plus the bit's number (0 to
     7).

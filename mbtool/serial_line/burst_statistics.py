@@ -1,9 +1,10 @@
-"""Learns from bursts, and the silences before them, if an adapter may merge a retry."""
+"""Learns if an adapter may merge a request and its retry into one burst of bytes."""
 
-# An adapter or a program that holds bytes back for up to 255 ms delivers a request and its retry as
-# one burst, like a request and its response. The silence between the two then tells nothing. Such
-# an adapter shows no short silence: the next burst comes when the time is over. Only a full buffer
-# is delivered sooner, so the silences before and behind it tell nothing.
+# A burst is the bytes from one silence of t3.5 to the next. An adapter or a program that holds
+# bytes back for up to 255 ms delivers a request and its retry as one burst, like a request and its
+# response. The silence between the two then tells nothing. Such an adapter shows no short silence:
+# the next burst comes when the time is over. Only a full buffer is delivered sooner, so the
+# silences before and behind it tell nothing.
 
 from __future__ import annotations
 
@@ -12,18 +13,19 @@ from math import inf
 MAX_GLUED = 2**-0.8
 """If at most this share of the frames (57 %) is glued, the silences between frames are trusted."""
 ENOUGH_BURSTS = 3
-"""After this many bursts that were no full buffer, the shortest silence counts as known."""
+"""After this many bursts (bytes between two silences) that were no full buffer, the shortest
+silence counts as known."""
 MERGING_NS = 100_000_000
 """If no silence between bursts is shorter than this, in ns, the adapter may hold bytes back for so
 long that it merges a request and its retry."""
 BUFFER_SIZES = 32, 62
-"""A full buffer holds a multiple of so many bytes."""
+"""A full buffer of an adapter holds a multiple of 32 or of 62 bytes."""
 SILENCE_GROWTH = 1.01
-"""Each burst makes the shortest silence on record 1 % longer."""
+"""Each burst makes the shortest silence on record 1 % longer, so that it is forgotten in time."""
 
 
 class BurstStatistics:
-    """The shortest silence lately between two bursts, once the adapter has merged two frames."""
+    """Tracks the shortest recent silence between bursts, once the adapter has merged frames."""
 
     __slots__ = (
         "_bursts", "_shortest_ns", "_silence_ns", "_size", "_was_full", "has_merged",
@@ -42,14 +44,15 @@ class BurstStatistics:
         self._was_full = False
         """True if the burst before the current one was a full buffer."""
         self._shortest_ns = inf
-        """The shortest silence lately, in ns."""
+        """The shortest recent silence between two bursts, in ns."""
         self._bursts = 0
         """The number of bursts whose silence was counted."""
 
     def hear_frame(self, silence_ns: int, size: int, cut: int, *, is_glued: bool) -> None:
-        """Take a frame of `size` bytes; `is_glued` if the silence before it is shorter than t3.5.
+        """Note a frame of `size` bytes; `is_glued` is True if the silence before it is below t3.5.
 
-        `cut` is the offset of the last silence inside the frame; `size` if there is none.
+        `silence_ns` is that silence. `cut` is the offset of the last silence inside the frame;
+        `size` if there is none.
         """
         self.has_merged = True
         if is_glued:
@@ -60,7 +63,10 @@ class BurstStatistics:
             self._begin_burst(inf, size - cut)
 
     def _begin_burst(self, silence_ns: float, size: int) -> None:
-        """Count the burst that a silence has ended; the next one begins with `size` bytes."""
+        """Count the burst that a silence has ended; the next one begins with `size` bytes.
+
+        `silence_ns` is the silence between the two.
+        """
         first, second = BUFFER_SIZES
         is_full = self._size % first == 0 or self._size % second == 0
         self._shortest_ns *= SILENCE_GROWTH

@@ -1,8 +1,8 @@
 """Tells requests from responses on a bus where nothing says who speaks; follows the bus state."""
 
-# One tap on a two-wire line hears the master and the slaves alike. Whether a frame is a request or
-# a response follows from its form and from the bus state (bus_state.py): frame_costs.py gives the
-# cost of each in bits, and the cheaper one wins.
+# One tap on a two-wire line hears the master and the slaves alike. The form of a frame and the bus
+# state (which request is pending, and what came last: bus_state.py) tell if the frame is a request
+# or a response: frame_costs.py gives the cost of each in bits, and the cheaper one wins.
 #
 # An adapter may merge several frames, so that all the silences between them appear as one silence
 # before the first. That silence does not tell which response was missing. But if it is longer than
@@ -10,8 +10,8 @@
 # more (`silence_cost`).
 #
 # The search for frames (search.py) asks for the next state of each of its paths. `BusModel` keeps
-# the states that are possible after the frames given out: several, at most MAX_STATES, after an
-# ambiguous frame. It also learns from these frames (line_history.py).
+# the states that are possible after the frames returned so far: several, at most MAX_STATES, after
+# an ambiguous frame. It also learns from these frames (line_history.py).
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
 SURE = 0.8
-"""The least confidence (0.5 to 1) of a frame that is not called ambiguous."""
+"""A frame is called ambiguous if its confidence (0.5 to 1) is less than this."""
 
 CERTAIN_BY = frozenset((DirectionBy.FORM, DirectionBy.PORT))
 ROLES = (Direction.REQUEST, Direction.RESPONSE)
@@ -61,7 +61,7 @@ class Classification(msgspec.Struct, frozen=True, gc=False):
 
 
 _SLOW_NS = LatencyStatistics.MIN_WRITE_NS
-"""Only responses that take longer than this, in ns, may be taken for retries."""
+"""A response that comes sooner than this, in ns, is not taken for a retry."""
 
 _REQUEST_BY_FORM = Classification(Direction.REQUEST, DirectionBy.FORM, 1.0)
 _RESPONSE_BY_FORM = Classification(Direction.RESPONSE, DirectionBy.FORM, 1.0)
@@ -79,7 +79,7 @@ class BusModel:
         self.history = LineHistory(timed=timed)
         self.history.timeout = ResponseTimeout(response_timeout_ns)
         self.states: list[CostedState] = [(0.0, BusState())]
-        """The possible bus states, the most likely first."""
+        """The possible bus states with their costs in bits, the most likely first."""
 
     @property
     def state(self) -> BusState:
@@ -112,12 +112,15 @@ class BusModel:
         return Classification(direction, by, confidence_of(sum(other) - sum(best)))
 
     def cost(self, state: BusState, unit: int, pdu: bytes, role: Direction, at_ns: int) -> float:
-        """The cost, in bits, of a frame as a request or a response in a bus state."""
+        """Return the cost, in bits, of taking a frame for request or response in a bus state."""
         by_state, by_time = frame_cost(self.history, state, unit, pdu, role, at_ns)
         return by_state + by_time
 
     def _least_cost(self, unit: int, pdu: bytes, role: Direction, at_ns: int) -> CostParts:
-        """The cost of a frame as `role`, in whichever possible bus state that is the cheapest."""
+        """Return the least cost of a frame as `role` in any of the possible bus states.
+
+        The cost has two parts, in bits: by the bus state, and by the silence before the frame.
+        """
         least = math.inf, 0.0
         for bits, state in self.states:
             by_state, by_time = frame_cost(self.history, state, unit, pdu, role, at_ns)
@@ -126,10 +129,10 @@ class BusModel:
         return least
 
     def expects(self, state: BusState, unit: int, code: int, size: int, role: Direction) -> bool:
-        """True if a frame with this unit, function and PDU size (0: unknown) is due.
+        """True if a frame with this unit, function and PDU size (0: unknown) is expected next.
 
-        A response is due if it can answer the pending request. A request is due if none is pending
-        and this function was requested of this unit before.
+        A response is expected if it can answer the pending request. A request is expected if none
+        is pending and this function was requested of this unit before.
         """
         if role is Direction.RESPONSE:
             pending = state.pending
@@ -139,7 +142,7 @@ class BusModel:
         return state.pending is None and (unit, code) in self.history.functions
 
     def expects_incomplete(self, head: bytes, sizes: Mapping[Direction, int]) -> bool:
-        """True if `head` can be the incomplete beginning of the frame that is due.
+        """True if `head` can be the incomplete beginning of the frame that is expected next.
 
         `sizes` gives the size of the whole frame, in bytes, as a request and as a response, if
         `head` tells it already.
@@ -158,7 +161,7 @@ class BusModel:
         return self.expects(state, head[0], head[1], size and size - RTU_EXTRA_BYTES, role)
 
     def silence_cost(self, state: BusState, *, is_last: bool = False) -> float:
-        """The cost, in bits, of supposing that no response was missing in the last silence.
+        """Return the cost, in bits, of supposing that no response was missing in the last silence.
 
         `is_last` is True if no frame after that silence is known yet.
         """
@@ -181,7 +184,7 @@ class BusModel:
         end_ns: int,
         inside_ns: int = 0,
     ) -> None:
-        """Take a frame that was given out: learn from it and compute the bus states after it.
+        """Learn from a frame that the splitter returns, and compute the bus states after it.
 
         `inside_ns` is the longest silence inside the frame; 0 if its bytes follow one another.
         """
@@ -236,7 +239,7 @@ class BusModel:
             history.learn_latency(pending, pdu, start_ns, is_sure)
 
     def _learn_from_outcome(self, unit: int, pdu: bytes, start_ns: int) -> None:
-        """Learn from a new request if, and when, the request before it was answered."""
+        """Learn from a new request if and how late the request before it was answered."""
         state = self._state_before(unit, pdu, start_ns)
         if state is None:
             return
@@ -250,13 +253,14 @@ class BusModel:
         ):
             is_slow = history.trusts_silences and latency_ns > _SLOW_NS
             went_on_ns = start_ns - (state.last_ns or start_ns)
-            # A master that waited this long for a response would have waited again after a retry.
+            # After a retry the master would have waited as long again. It sent sooner: it had a
+            # response.
             is_response = went_on_ns < latency_ns * costs.SOONER
             if is_slow and (is_response or history.timeout.is_not_over(latency_ns)):
                 history.learn_echo(answered, latency_ns)
 
     def _state_before(self, unit: int, pdu: bytes, start_ns: int) -> BusState | None:
-        """The bus state before a request; None if several states are nearly as likely."""
+        """Return the bus state before a request; None if several states are nearly as likely."""
         if len(self.states) == 1:
             return self.state
         costed = [
@@ -276,7 +280,7 @@ class BusModel:
         inside_ns: int,
         by_form: bool,
     ) -> list[CostedState]:
-        """The possible bus states after a frame of direction `role`."""
+        """Return the possible bus states, with costs in bits, after a frame of direction `role`."""
         after = [
             (
                 bits + self.cost(state, unit, pdu, role, start_ns),
@@ -288,11 +292,12 @@ class BusModel:
         return [(bits - least, state) for bits, state in after]
 
     def may_be_reversed(self, start_ns: int) -> bool:
-        """True if all frames so far may have the opposite direction. The next frame fits both.
+        """True if all frames so far may have the opposite direction: requests may be responses.
 
-        No frame so far has shown by its form if it is a request or a response, and two alternating
-        silences do not show which of them is the slave's response time. But the first two frames of
-        a capture are taken for a request and its response if the second comes soon.
+        `start_ns` is when the next frame began, whose form fits both directions. No frame so far
+        has shown by its form if it is a request or a response, and two alternating silences do not
+        show which of them is the slave's response time. But the first two frames of a capture are
+        taken for a request and its response if the second comes soon.
         """
         state = self.state
         if not self.history.timed or state.direction_known:
@@ -369,9 +374,10 @@ class BusModel:
         inside_ns: int = 0,
         by_form: bool = False,
     ) -> BusState:
-        """The bus state after a frame that was heard in `state`.
+        """Return the bus state after a frame that was heard in `state`.
 
-        `by_form` is True if by its form the frame can only have the direction `role`.
+        `by_form` is True if by its form the frame can only have the direction `role`. `inside_ns`
+        is the longest silence inside the frame.
         """
         silence_ns = self._unexplained_silence_ns(state, role, start_ns, inside_ns)
         pending, overdue, answered = state.pending, state.overdue, None
@@ -401,7 +407,7 @@ class BusModel:
     def _unexplained_silence_ns(
         self, state: BusState, role: Direction, start_ns: int, inside_ns: int
     ) -> int:
-        """The length, in ns, of the last silence up to the end of a frame.
+        """Return the length, in ns, of the last silence up to the end of a frame.
 
         It is 0 if the silence was the wait for a response that never came.
         """
@@ -415,9 +421,9 @@ class BusModel:
 
 
 def roles_of(pdu: bytes) -> tuple[Direction, ...]:
-    """The directions that a PDU can have by its function and length; both if it fits neither.
+    """Return the directions that a PDU can have by function and length; both if it fits none.
 
-    A PDU of an unknown function fits neither.
+    A PDU of an unknown function fits none.
     """
     fitting = tuple(role for role in ROLES if pdu_length(pdu, role) == len(pdu))
     return fitting or ROLES

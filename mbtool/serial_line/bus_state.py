@@ -1,7 +1,8 @@
 """The bus state of a serial line: which request is pending or overdue, and what came last."""
 
-# A bus state is an immutable value, so that the search can suppose one for each of its paths, and
-# compare them. bus_model.py computes the state that follows a frame.
+# A bus state is an immutable value, so that the search can suppose one for each of its paths
+# (explanations of the bytes), and compare them. bus_model.py computes the state that follows a
+# frame.
 
 from __future__ import annotations
 
@@ -18,19 +19,17 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
 DOUBT_BITS = 6.0
-"""An explanation that costs so many bits more than the best one (which makes it true once in 65
-times) raises no doubt about the best one."""
+"""An explanation that costs so many bits more than the best one is true once in 65 times. It raises
+no doubt about the best one."""
 MAX_PENDING_NS = 1_000_000_000
-"""How long a request is pending. After that the master may send again.
-
-Serial Line V1.02, 2.4.1, gives 1 s to several seconds as the usual response timeout.
-"""
+"""A request is pending for at most this time, in ns; after that the master may send again. Serial
+Line V1.02, 2.4.1, gives 1 s to several seconds as the usual response timeout."""
 MAX_STATES = 4
 """The most bus states that are considered possible at once."""
 
 
 class PendingRequest(msgspec.Struct, frozen=True, gc=False):
-    """A request without a response so far."""
+    """A request that has no response so far."""
 
     unit: int
     pdu: bytes
@@ -55,7 +54,7 @@ class PendingRequest(msgspec.Struct, frozen=True, gc=False):
 
 
 class BusState(msgspec.Struct, frozen=True, gc=False):
-    """Who may speak next, the master or which slave, as known from the frames heard so far."""
+    """Which request is pending and what came last: it tells who may speak next."""
 
     pending: PendingRequest | None = None
     overdue: PendingRequest | None = None
@@ -125,7 +124,7 @@ CostedState = tuple[float, BusState]
 
 
 def most_likely(states: Iterable[CostedState]) -> list[CostedState]:
-    """The states that cost less than DOUBT_BITS, each once: at most MAX_STATES, cheapest first."""
+    """Return the states that cost less than DOUBT_BITS: at most MAX_STATES, cheapest first."""
     kept: list[CostedState] = []
     for bits, state in sorted(states, key=lambda one: one[0]):
         if bits < DOUBT_BITS and len(kept) < MAX_STATES and all(state != one for _, one in kept):
@@ -134,7 +133,7 @@ def most_likely(states: Iterable[CostedState]) -> list[CostedState]:
 
 
 def confidence_of(bits: float) -> float:
-    """The probability (0.5 to 1) of the better of two explanations whose costs differ by `bits`."""
+    """Return the probability (0.5 to 1) of the better of two explanations that differ by `bits`."""
     return 1 / (1 + math.exp2(-bits))
 
 
@@ -144,5 +143,5 @@ follow from the other direction is not kept."""
 
 
 def bits_of(confidence: float) -> float:
-    """The difference in cost, in bits, that gives a confidence: the inverse of `confidence_of`."""
+    """Return the difference in cost, in bits, for a confidence: inverse of `confidence_of`."""
     return math.log2(confidence / (1 - confidence)) if confidence < 1 else math.inf

@@ -1,10 +1,10 @@
-"""Finds what may begin at each byte of an RTU window: whole, damaged and incomplete frames."""
+"""Finds the whole, damaged and incomplete RTU frames that may begin at each undecided byte."""
 
-# Each candidate has a cost in bits (costs.py). Candidates are: frames of a known form with a
-# correct CRC; frames of unknown form, whose end only the CRC or the silences tell; damaged frames;
-# an incomplete frame at the end of the window. Candidates whose cost does not depend on the bus
-# state are computed once for each offset. The work for one offset is bounded by the 256 bytes that
-# a frame can have.
+# A window is the bytes that one search explains. Each candidate has a cost in bits (costs.py).
+# Candidates are: frames of a known form with a correct CRC; frames of unknown form, whose end only
+# the CRC or the silences tell; damaged frames; an incomplete frame at the end of the window.
+# Candidates whose cost does not depend on the bus state are computed once for each offset. The work
+# for one offset is bounded by the 256 bytes that a frame can have.
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ MAX_UNKNOWN_ENDS = 3
 """A frame of an unknown function may end wherever its CRC is correct. At most this many ends are
 tried."""
 LOST_BYTES = (1, 2)
-"""The numbers of lost bytes that are tried for a damaged frame."""
+"""A damaged frame is tried as one that has lost each of these numbers of bytes."""
 LONG_SKIP = 4
-"""A run of at least this many skipped bytes may contain a damaged request or response."""
+"""At least this many skipped bytes in a row may contain a damaged request or response."""
 
 NOISE = frozenset(b"\x00\xf8\xfc\xfe\xff")
 """The bytes that receivers hear when the bus changes direction: one low period, read as a byte."""
@@ -60,7 +60,7 @@ class ByteWindow:
     is_behind_noise: bool
     """True if the bytes directly before the window belong to no frame."""
     may_continue: bool
-    """True if an incomplete frame at the end may still be completed."""
+    """True if later bytes may still complete an incomplete frame at the end of the window."""
     must_decide: bool = False
     """True if the bytes before an incomplete frame are decided now, without waiting for its end."""
 
@@ -111,7 +111,7 @@ class _RangeCount:
 
 
 class Candidates:
-    """The whole, damaged and incomplete frames that may begin at each byte of one window."""
+    """The whole, damaged and incomplete frames that may begin at each byte of a window."""
 
     def __init__(
         self,
@@ -137,29 +137,29 @@ class Candidates:
         """For each offset, the number of earlier bytes that directly follow a silence."""
 
     def split_cost(self, offset: int, size: int) -> float:
-        """The cost, in bits, of the silences of t3.5 between the bytes of a segment."""
+        """Return the cost, in bits, of the silences of t3.5 inside bytes taken for one frame."""
         silences = self._silences[offset + size] - self._silences[offset + 1]
         if not silences:
             return 0.0
         return self._statistics.split.bits + (silences - 1) * costs.SPLIT_MORE
 
     def longest_silence_ns(self, offset: int, size: int) -> int:
-        """The longest silence inside a segment, or 0 if none is as long as t3.5."""
+        """Return the longest silence (ns) inside `size` bytes; 0 if none is as long as t3.5."""
         if self._silences[offset + size] == self._silences[offset + 1]:
             return 0
         times = self._window.times[offset : offset + size]
         return max(map(int.__sub__, times[1:], times)) - self._window.character_ns
 
     def inside_cost(self, offset: int, size: int, *, known: bool = True) -> float:
-        """The cost, in bits, of the silences in a segment and of the frames that begin in it."""
+        """Return the cost, in bits, of silences and frames inside bytes taken for one frame."""
         return self.split_cost(offset, size) + self._enclosed_cost(offset, size, known=known)
 
     def _enclosed_cost(self, offset: int, size: int, *, known: bool) -> float:
-        """The cost, in bits, of the frames that begin inside a segment.
+        """Return the cost, in bits, of frames that begin inside bytes taken for one longer frame.
 
         A frame inside that begins without a silence costs nothing: registers may look like a frame
         by chance. A frame inside that begins after a silence costs CRC_COINCIDENCE. If `known` is
-        False, only the segment's length shows that it is a frame; then all frames inside but one
+        False, only their length shows that the bytes are a frame; then all frames inside but one
         cost that much.
         """
         first, last = offset + 1, offset + size - MIN_FRAME + 1
@@ -181,7 +181,7 @@ class Candidates:
         return burst >= MIN_FRAME and crc(self._data[offset : offset + burst]) == 0
 
     def frames(self, offset: int) -> list[FrameCandidate]:
-        """The frames of known form with a correct CRC that begin at an offset."""
+        """Return the frames at an offset with a correct CRC and the size their function tells."""
         frames = self._frames.get(offset)
         if frames is None:
             frames = self._frames[offset] = self._find_frames(offset)
@@ -203,7 +203,7 @@ class Candidates:
         return frames
 
     def unknown_frames(self, offset: int) -> Iterator[FrameCandidate]:
-        """The frames of unknown form with a correct CRC that begin at an offset."""
+        """Yield frames at an offset with a correct CRC whose function does not tell their size."""
         head = self._data[offset : offset + MAX_RTU_ADU]
         if len(head) >= MIN_FRAME:
             burst = self._burst_size(offset) if self._window.silences[offset] else 0
@@ -211,7 +211,7 @@ class Candidates:
             yield from self._ended_by_crc(offset, head, burst)
 
     def _whole_burst(self, offset: int, head: bytes, burst: int) -> Iterator[FrameCandidate]:
-        """A frame with a correct CRC that is the whole burst, as a request and as a response.
+        """Yield the bytes up to the next silence as a frame with a correct CRC, once for each role.
 
         `burst` is the number of bytes from one silence to the next; 0 if no silence precedes them.
         """
@@ -225,7 +225,7 @@ class Candidates:
             yield FrameCandidate(burst, role, self._roles, cost)
 
     def _ended_by_crc(self, offset: int, head: bytes, burst: int) -> Iterator[FrameCandidate]:
-        """Frames of unknown size that end where the CRC is correct, but not at the burst's end."""
+        """Yield frames of unknown size that end where the CRC is correct and no silence follows."""
         is_query = head[1:4] == _QUERY_DATA
         roles = [
             role for role in self._roles if is_query or (head[1] and frame_size(head, role) == 0)
@@ -243,7 +243,7 @@ class Candidates:
                 yield FrameCandidate(size, role, self._roles, cost, is_unbound=not is_burst)
 
     def _zero_end_cost(self, offset: int, size: int) -> float:
-        """The cost, in bits, of the bytes 00 at the end of a frame of unknown form."""
+        """Return the cost, in bits, of bytes 00 at a frame's end: they may not belong to it."""
         raw = self._data[offset : offset + size]
         zeros = size - max(len(raw.rstrip(b"\x00")), MIN_FRAME)
         if not zeros:
@@ -253,14 +253,14 @@ class Candidates:
         return costs.ENDS_IN_ZERO + more - (costs.ZERO_BEFORE_SILENCE if is_last else 0.0)
 
     def _burst_size(self, offset: int) -> int:
-        """The number of bytes up to the next silence; 0 if there is none within 256 bytes."""
+        """Return the number of bytes up to the next silence; 0 if none is within 256 bytes."""
         for size in range(1, min(MAX_RTU_ADU, self._end - offset) + 1):
             if self._window.silences[offset + size]:
                 return size
         return 0
 
     def damaged(self, offset: int, state: BusState) -> Iterator[DamagedCandidate]:
-        """Damaged frames that may begin at an offset where no frame with a correct CRC begins."""
+        """Yield damaged frames that may begin where no frame with a correct CRC begins."""
         head = self._data[offset : offset + MAX_RTU_ADU]
         if len(head) < MIN_FRAME:
             return
@@ -280,9 +280,9 @@ class Candidates:
     def _damaged_as(
         self, offset: int, head: bytes, size: int, role: Direction, state: BusState
     ) -> Iterator[DamagedCandidate]:
-        """The damaged frames of direction `role` that had `size` bytes when they were sent.
+        """Yield the damaged frames of direction `role` that had `size` bytes when they were sent.
 
-        Only a frame that is due is also tried with one or two lost bytes.
+        Only a frame that the bus state expects is also tried with one or two lost bytes.
         """
         expected, cost = self._expectation(head, size, role, state)
         if not expected:
@@ -296,10 +296,10 @@ class Candidates:
                 yield DamagedCandidate(size - lost, cost + more)
 
     def _damaged_burst(self, offset: int) -> Iterator[DamagedCandidate]:
-        """The whole burst as one frame, whose first bytes are damaged and so do not tell its size.
+        """Yield all bytes up to the next silence as one frame whose first bytes are damaged.
 
-        This is tried only if frames are never glued on this line: then the burst is not several
-        frames.
+        Those bytes would tell its size. Used only if frames are never glued on this line: else the
+        bytes may be several frames.
         """
         burst = self._burst_size(offset) if self._window.silences[offset] else 0
         if (
@@ -313,7 +313,7 @@ class Candidates:
             yield DamagedCandidate(burst, cost)
 
     def _repaired_same_size(self, offset: int, head: bytes) -> Iterator[DamagedCandidate]:
-        """Frames with one wrong bit that does not change their size."""
+        """Yield frames with one wrong bit that does not change their size."""
         for role in self._roles:
             size = frame_size(head, role)
             if size and size <= len(head):
@@ -322,7 +322,7 @@ class Candidates:
                     yield self._repaired(offset, whole, role)
 
     def _repaired_other_size(self, offset: int, head: bytes) -> Iterator[DamagedCandidate]:
-        """Frames with one wrong bit in the function or byte count, so that their size looks wrong.
+        """Yield frames with one wrong bit in function or byte count, which falsifies their size.
 
         Only functions that were requested of the frame's unit are tried: with all functions, such
         frames would be found everywhere.
@@ -349,10 +349,11 @@ class Candidates:
         return DamagedCandidate(size, cost + self.inside_cost(offset, size), role, whole)
 
     def damaged_request(self, offset: int) -> Iterator[DamagedCandidate]:
-        """A damaged request, heard before without damage, where a frame with a correct CRC begins.
+        """Yield a damaged request at an offset where a frame with a correct CRC seems to begin.
 
-        A request whose CRC ends in 00 has a correct CRC without that byte too. So if just that byte
-        is lost, the rest may look like a whole response.
+        The request was heard before without damage. A request whose CRC ends in 00 has a correct
+        CRC without that byte too. So if just that byte is lost, the rest may look like a whole
+        response.
         """
         head = self._data[offset : offset + MAX_RTU_ADU]
         size = frame_size(head, Direction.REQUEST) if Direction.REQUEST in self._roles else 0
@@ -366,7 +367,7 @@ class Candidates:
             yield DamagedCandidate(size - 1, cost + self.split_cost(offset, size - 1))
 
     def _is_frame_in_noise(self, offset: int, size: int) -> bool:
-        """True if a burst is a frame with at most three bytes of noise at each end."""
+        """True if bytes are a frame with at most three bytes of noise at each end."""
         burst = self._data[offset : offset + size]
         befores = [at for at in range(LONG_SKIP) if NOISE.issuperset(burst[:at])]
         behinds = [at for at in range(LONG_SKIP) if NOISE.issuperset(burst[size - at :])]
@@ -375,7 +376,7 @@ class Candidates:
         )
 
     def _ends_in_frame(self, offset: int, size: int) -> bool:
-        """True if a burst begins with other bytes and ends with a frame of known form.
+        """True if bytes between two silences end with a frame of known form that begins later.
 
         That frame is not register contents of a longer frame: the CRC of the longer frame would
         follow.
@@ -390,7 +391,7 @@ class Candidates:
     def _expectation(
         self, head: bytes, size: int, role: Direction, state: BusState
     ) -> tuple[bool, float]:
-        """True if a frame that begins with `head` is due, and the cost of its contents in bits."""
+        """Return True if the frame is expected next, and the cost of its contents in bits."""
         pdu_size = size - RTU_EXTRA_BYTES if size else 0
         unit, pdu = head[0], head[1 : 1 + pdu_size]
         if role is Direction.REQUEST:
@@ -403,11 +404,11 @@ class Candidates:
         return self._model.expects(state, unit, head[1], pdu_size, role), 0.0
 
     def incomplete(self, offset: int, state: BusState) -> tuple[bool, float] | None:
-        """Read the bytes from an offset to the window's end as the beginning of a frame.
+        """Take the bytes from an offset to the window's end for the beginning of a frame.
 
-        Returns True if that frame is due, else False, and the cost in bits of taking the bytes for
-        it. Returns None if the bytes cannot be the beginning of a frame, or if no more bytes can
-        follow.
+        Returns True if the bus state expects that frame, else False, and the cost in bits of taking
+        the bytes for it. Returns None if the bytes cannot be the beginning of a frame, or if no
+        more bytes can follow.
         """
         rest = self._end - offset
         if not self._window.may_continue or rest >= MAX_RTU_ADU:

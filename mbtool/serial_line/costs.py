@@ -1,8 +1,9 @@
 """The costs, in bits, by which the search compares explanations of the bytes on a serial line."""
 
 # A cost is a negative log-likelihood ratio to base 2: one bit more means half as likely. Costs of
-# independent facts add up, and the search (search.py) takes the path of the lowest total. A correct
-# CRC is evidence of 16 bits. The other values are estimates; each states its reason.
+# independent facts add up, and the search (search.py) takes the path (the explanation of all bytes)
+# with the lowest total. A correct CRC is evidence of 16 bits. The other values are estimates; each
+# states its reason.
 #
 # Seven costs are only start values: the line statistics (line_statistics.py) replace them by what
 # this line shows. For such a cost, the pair named *_LIMITS gives the least and the most bits that
@@ -12,7 +13,8 @@
 
 from __future__ import annotations
 
-# Who speaks: the cost of a frame as a request or as a response, given the bus state.
+# The costs below tell who speaks: they are the costs of a frame as a request or as a response,
+# given the bus state (which request is pending, and what came last).
 
 REQUEST = 1.0
 """The cost, in bits, of a request while none is pending: the ordinary case."""
@@ -43,16 +45,17 @@ REPEAT_AGAIN = 1.0
 """Extra cost, in bits, of the same request once more after it was repeated and answered: a master
 that writes one value in a loop goes on with it."""
 LATE_RESPONSE = 2.0
-"""The cost, in bits, of a response to the overdue request, after its retry or after damaged
-bytes."""
+"""The cost, in bits, of a response to a request that the master has given up (an overdue request),
+after its retry or after damaged bytes."""
 LATE_RESPONSE_TO_OTHER = 5.0
-"""The cost, in bits, of a response to the overdue request when the master has already sent a
-different request: about as rare as no response at all."""
+"""The cost, in bits, of a response to a request that the master has given up, when it has already
+sent a different request: about as rare as no response at all."""
 MISMATCHED_RESPONSE = 10.0
 """The cost, in bits, of a response that has the unit and function of the pending request, but
 cannot answer it."""
 UNREQUESTED_RESPONSE = 12.0
-"""The cost, in bits, of a response that fits neither the pending nor the overdue request."""
+"""The cost, in bits, of a response that fits neither the pending request nor one that the master
+has given up."""
 RESPONSE_AFTER_DAMAGE = 4.0
 """The cost, in bits, of a response without a request when damaged bytes came before it and no
 request is pending: its request may be among the damaged bytes."""
@@ -142,10 +145,11 @@ REVERSED_PAIR = 6.0
 its request, and no frame so far had a certain direction: the two frames are probably a response and
 the next request."""
 
-# Where frames are: the cost of the segments of a path.
+# The costs below tell where frames begin and end: they are the costs of the segments of a path
+# (frames, damaged frames and skipped bytes).
 
 SKIP = 8.0
-"""The cost, in bits, of the first byte of a run of skipped bytes (bytes that belong to no frame):
+"""The cost, in bits, of the first of several skipped bytes in a row (bytes that are in no frame):
 such runs are rare on a good line. A start value, which the line statistics replace."""
 SKIP_LIMITS = (3.0, 10.0)
 """The least and the most, in bits, that the learned cost of the first skipped byte can become."""
@@ -155,8 +159,8 @@ hear such bytes when the bus changes direction. A start value, which the line st
 NOISE_LIMITS = (2.0, 9.0)
 """The least and the most, in bits, that the learned cost of noise after a frame can become."""
 MIN_NOISE_IN_WINDOW = 4.0
-"""The least cost, in bits, of noise after a frame. Each run of skipped bytes makes the next run in
-the same window 1 bit cheaper, but not cheaper than this."""
+"""The least cost, in bits, of noise after a frame. Each time that bytes are skipped makes the next
+time in the same window 1 bit cheaper, but not cheaper than this."""
 SKIP_PER_BYTE = 0.25
 """The cost, in bits, of each skipped byte after the first, and of each byte of a damaged frame."""
 MAX_DAMAGED_LENGTH = 12.0
@@ -254,10 +258,12 @@ ZERO_BEFORE_SILENCE = 1.5
 """Bits taken off ENDS_IN_ZERO if a silence follows the 00 at the end of the frame: a stray byte
 usually has a silence before it as well."""
 
-# The beam: which paths the search (search.py) drops because they cost too much.
+# The limits below tell which paths (explanations of the bytes so far) the search (search.py) drops
+# because they cost too much.
 
 BEAM_MARGIN = 12.0
-"""A path is dropped if it costs this many bits more than the best path of at least its length."""
+"""A path (an explanation of the bytes up to an offset) is dropped if it costs this many bits more
+than the best path of at least its length."""
 INCOMPLETE_DOUBT = 3.0
 """A path that ends in an incomplete frame is not kept if it costs this many bits more than the best
 such path."""

@@ -1,7 +1,8 @@
-"""Finds the requests without answer whose answer came, but with a wrong CRC or LRC."""
+"""Finds requests that have no answer because their response came with a wrong CRC or LRC."""
 
-# The check of such a frame is wrong, so its unit id proves nothing. It is taken for the answer to
-# the request that was open when it came, which is known when that request turns out to have none.
+# If the CRC or LRC of a frame is wrong, its unit id proves nothing. So the frame is taken for the
+# response to the request that was pending when it came. That request is known as soon as its
+# transaction ends without a response.
 #
 # Memory: the times of the last MAX_FRAMES such frames of each line.
 
@@ -21,11 +22,11 @@ MAX_FRAMES = 16
 
 
 class DamagedAnswers:
-    """Takes all events, and all transactions, in the order in which they were decoded."""
+    """Matches damaged frames with requests; takes all events and transactions in order."""
 
     def __init__(self) -> None:
         self._frames_ns: dict[str, deque[int]] = {}
-        """By link, the times (UTC ns) of frames that belong to no request yet."""
+        """By link, the times (UTC ns) of damaged frames that are not matched with a request yet."""
 
     def note(self, event: WireEvent) -> None:
         if event.kind is EventKind.BAD_CHECK:
@@ -33,9 +34,9 @@ class DamagedAnswers:
             frames.append(event.ts_ns)
 
     def has(self, one: Transaction) -> bool:
-        """True if a transaction has no answer because its answer is one of these frames.
+        """True if a transaction has no response because a damaged frame was its response.
 
-        A frame is the answer to one request only, so each transaction is asked for once.
+        A damaged frame is the response to one request only, so ask once for each transaction.
         """
         if one.outcome is not Outcome.NO_ANSWER or one.link not in self._frames_ns:
             return False

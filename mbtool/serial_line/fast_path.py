@@ -1,10 +1,10 @@
-"""The fast path: recognises the frame at the front of an RTU line where no search is needed."""
+"""The fast path: recognises the next frame of an RTU line where no search is needed."""
 
 # Most bytes of a working line are decided here. A frame is certain if its function tells its
 # length, its CRC is correct in one direction only (or the other direction is far less likely), and
-# the bus state expects it. A silence or one more byte has to follow it. If the frame that is due is
-# longer than the bytes held and can begin with them, they are certainly an incomplete frame, and
-# the search waits for the rest.
+# the bus state expects it. A silence or one more byte has to follow it. If the frame that is
+# expected is longer than the undecided bytes and can begin with them, they are certainly an
+# incomplete frame, and the search waits for the rest.
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _MAX_COST = costs.REQUEST + costs.NEW_REQUEST
 
 
 class FastPath:
-    """Tells if the bytes held begin with a certain frame, or are certainly an incomplete one."""
+    """Tells if the next bytes of a line are certainly a frame, or certainly part of one."""
 
     def __init__(self, bus_model: BusModel, speaker: Direction | None, max_size: int) -> None:
         """`speaker` is the direction of all frames if only one side is heard; None if both are.
@@ -45,17 +45,18 @@ class FastPath:
         `max_size` is the number of bytes at which the search decides without waiting for a silence.
         """
         self.needed = MIN_FRAME
-        """The number of bytes that must be held before anything can be decided."""
+        """The number of undecided bytes from which on anything can be decided."""
         self._model = bus_model
         self._speaker = speaker
         self._max_size = max_size
         self._is_behind_noise = False
         self._roles = ROLES if speaker is None else (speaker,)
         self._sizes: list[tuple[Direction, int]] = []
-        """The size of the frame at the front in each direction, once its bytes tell it."""
+        """The size in bytes of the next frame as a request and as a response, once its bytes tell
+        it."""
 
     def restart(self, *, behind_noise: bool) -> None:
-        """Forget what was found at the front, since other bytes are at the front now.
+        """Forget the sizes found for the next frame, since other bytes come next now.
 
         `behind_noise` is True if the bytes before them belong to no frame.
         """
@@ -66,7 +67,7 @@ class FastPath:
     def frame(
         self, data: bytes, start_ns: int, burst_over: bool
     ) -> tuple[int, Classification] | None:
-        """The size and the direction of the frame at the front; None if they are not certain.
+        """Return the size and the direction of the frame that begins `data`; None if not certain.
 
         `start_ns` is when the first byte of `data` began. `burst_over` is True if a silence follows
         `data`.
@@ -94,7 +95,7 @@ class FastPath:
     def _valid_size(
         self, head: bytes, sizes: list[tuple[Direction, int]], start_ns: int
     ) -> tuple[int, list[Direction]]:
-        """The size with a correct CRC, and the directions that have it; 0 if there is no such size.
+        """Return the size with a correct CRC, and the directions that have it; 0 if there is none.
 
         A frame that ends in 00 has a correct CRC one byte shorter too. So of two sizes, the longer
         one counts if the other is far less likely. Otherwise the result is 0.
@@ -113,7 +114,7 @@ class FastPath:
         return (size, [role]) if is_certain else (0, [])
 
     def is_incomplete(self, data: bytes, silences_at: Sequence[int]) -> bool:
-        """True if the bytes held are certainly the incomplete beginning of the frame that is due.
+        """True if the bytes are certainly the incomplete beginning of the frame that is expected.
 
         `silences_at` are the offsets of the bytes that have a silence before them.
         """
@@ -132,7 +133,7 @@ class FastPath:
         return any(size <= len(data) and crc(data[:size]) == 0 for size in sizes)
 
     def _measure(self, data: bytes) -> list[tuple[Direction, int]]:
-        """The size of the frame at the front in each direction; empty if one is not known."""
+        """Return the size of the next frame in each direction; empty if one is not known yet."""
         head = data[:MAX_RTU_ADU]
         sizes, longest = [], 0
         for role in self._roles:
@@ -150,7 +151,7 @@ class FastPath:
         return sizes
 
     def _is_known_request(self, unit: int, pdu: bytes) -> bool:
-        """True for a request heard before, if it cannot begin the response that is due."""
+        """True for a request heard before, if it cannot begin the response that is expected."""
         is_due = any(
             state.pending is not None and state.pending.is_named_by(unit, pdu[0])
             for _, state in self._model.states

@@ -38,14 +38,17 @@ USUAL_RETRIES = 3
 """Masters seldom repeat a request more often than this."""
 
 CostParts = tuple[float, float]
-"""The cost, in bits, of a frame in two parts, in bits: one for the bus state, one for the silence
-before the frame."""
+"""The cost of a frame in two parts, in bits: one by the bus state, one by the silence before the
+frame."""
 
 
 def frame_cost(
     history: LineHistory, state: BusState, unit: int, pdu: bytes, role: Direction, at_ns: int
 ) -> CostParts:
-    """The cost, in bits, of taking a frame for `role`; its first byte began at `at_ns`."""
+    """Return the cost of taking a frame for `role`; its first byte began at `at_ns`.
+
+    The cost has two parts, in bits: by the bus state, and by the silence before the frame.
+    """
     if role is Direction.REQUEST:
         cost, by_time = _request_cost(history, state, unit, pdu, at_ns)
         if _is_only_a_response(history, state.pending, unit, pdu):
@@ -88,9 +91,7 @@ def _request_cost(
 
 
 def _short_pause_cost(history: LineHistory, state: BusState, at_ns: int) -> float:
-    """The cost, in bits, of repeating the request just answered sooner than this line's usual
-    pause.
-    """
+    """Return the cost, in bits, of repeating the request just answered sooner than usual here."""
     if history.pauses < ENOUGH_PAUSES or state.last_ns is None:
         return 0.0
     is_short = at_ns - state.last_ns < history.shortest_pause_ns * costs.SHORT_PAUSE_SHARE
@@ -100,7 +101,7 @@ def _short_pause_cost(history: LineHistory, state: BusState, at_ns: int) -> floa
 def _early_cost(
     history: LineHistory, state: BusState, pending: PendingRequest, at_ns: int, *, is_retry: bool
 ) -> float:
-    """The cost, in bits, of a request so early that the master should still wait for a response."""
+    """Return the cost, in bits, of a request that comes while the master should still wait."""
     waited_ns, overdue = at_ns - pending.awaited_from_ns, state.overdue
     if history.latency.is_known and history.latency.doublings_late(waited_ns) < 0:
         return costs.EARLY_REQUEST
@@ -155,7 +156,7 @@ def _is_unrequested_exception(history: LineHistory, unit: int, pdu: bytes) -> bo
 
 
 def _answers_late(overdue: PendingRequest, unit: int, pdu: bytes, at_ns: int) -> bool:
-    """True if a frame can be the response to the overdue request."""
+    """True if a frame can be the response to a request that the master has given up."""
     if pdu == overdue.pdu and pdu[0] in NEVER_ECHOED:  # The master repeats its read.
         return False
     return at_ns - overdue.awaited_from_ns <= MAX_PENDING_NS and overdue.fits(unit, pdu)
@@ -164,7 +165,7 @@ def _answers_late(overdue: PendingRequest, unit: int, pdu: bytes, at_ns: int) ->
 def _late_response_cost(
     state: BusState, pending: PendingRequest | None, overdue: PendingRequest, pdu: bytes
 ) -> float:
-    # The request that came after the overdue one: it waits for its response, or has got it.
+    # The request sent after the one that was given up: it waits for its response, or has got it.
     after = pending or state.answered
     is_other = after is not None and not after.is_same(overdue.unit, overdue.pdu)
     cost = costs.LATE_RESPONSE_TO_OTHER if is_other else costs.LATE_RESPONSE
@@ -202,7 +203,7 @@ def _fitting_response_cost(
 def _lateness_cost(
     history: LineHistory, pending: PendingRequest, silence_ns: int, *, is_echo: bool
 ) -> float:
-    """The cost, in bits, of the silence between a request and its response."""
+    """Return the cost, in bits, of the silence between a request and its response."""
     latency = history.latency
     if not is_echo:
         doublings = latency.doublings_late(silence_ns)

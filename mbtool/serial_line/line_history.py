@@ -1,6 +1,6 @@
 """The history of a serial line: the requests, response times and repetitions heard so far."""
 
-# A LineHistory holds at most MAX_REQUESTS requests, and two entries for each function of each unit.
+# Memory: at most MAX_REQUESTS requests, and two entries for each function of each unit.
 
 from __future__ import annotations
 
@@ -44,7 +44,8 @@ class LineHistory:
         self.unanswered: dict[int, int] = {}
         """By unit, the number of requests in a row that had no response."""
         self.answering: set[int] = set()
-        """The units of which a response was heard that cannot be a request sent again."""
+        """The units that sent a response that cannot have been a
+        retry."""
         self.shortest_pause_ns = 0.0
         """The shortest silence lately, in ns, from a response to the next request."""
         self.pauses = 0
@@ -60,7 +61,7 @@ class LineHistory:
         self.units: set[int] = set()
 
     def has_function(self, head: bytes) -> bool:
-        """True if a request has named the unit, and the function if given, that begin a frame.
+        """True if some request had the unit, and the function if given, with which a frame begins.
 
         `head` is the unit, or the unit and the function code, also that of an exception response.
         """
@@ -71,7 +72,7 @@ class LineHistory:
     def master_still_waits(self, waited_ns: int) -> bool | None:
         """True if a master surely still waits for a response after `waited_ns`; else False.
 
-        None if silences tell nothing.
+        None if the silences heard on this line do not tell who speaks.
         """
         if not self.trusts_silences:
             return None
@@ -136,16 +137,19 @@ class LineHistory:
             self.latency.learn_capped(latency_ns)
 
     def learn_echo(self, answered: PendingRequest, latency_ns: int) -> None:
-        """Learn how long a slave took to echo a request, once the next frame shows the echo."""
+        """Learn how long a slave took for a response that equals its request.
+
+        `latency_ns` is that time; the frame after the response shows that it was no retry.
+        """
         key = answered.unit, answered.pdu[0]
         self.echo_latencies.setdefault(key, LatencyStatistics()).learn(latency_ns)
         self.all_echo_latencies.learn(latency_ns)
 
     def learn_answer(self, unit: int) -> None:
-        """Learn that a unit has answered, by a response that cannot be a request sent again."""
+        """Note that a unit has answered, by a response that cannot be a retry."""
         self.answering.add(unit)
         self.unanswered.pop(unit, None)
 
     def learn_no_answer(self, unit: int) -> None:
-        """Learn that a request to a unit had no response."""
+        """Note that a request to a unit had no response."""
         self.unanswered[unit] = self.unanswered.get(unit, 0) + 1

@@ -96,12 +96,15 @@ class LatencyStatistics:
         self._longest_ns = float(self.MIN_NS)
 
     def learn(self, latency_ns: int) -> None:
-        """Take the time of one more response; if it is shorter, the longest time shrinks by 1 %."""
+        """Note the time (ns) of one more response.
+
+        If it is shorter than the longest time, that shrinks by 1 %.
+        """
         self._heard += 1
         self._longest_ns = max(latency_ns, self._longest_ns * 0.99, self.MIN_NS)
 
     def learn_capped(self, latency_ns: int) -> None:
-        """Take a time that may be no response time: it can at most double the longest time."""
+        """Note a time (ns) that may be no response time: it can at most double the longest time."""
         self.learn(min(latency_ns, 2 * int(self._longest_ns)))
 
     @property
@@ -114,7 +117,7 @@ class LatencyStatistics:
         return self._heard > 0 and latency_ns <= self._longest_ns * self.NEARLY
 
     def doublings_late(self, silence_ns: int, least_ns: int = 0) -> float:
-        """The binary logarithm of a silence divided by the longest response time.
+        """Return the binary logarithm of a silence divided by the longest response time.
 
         It is negative if the silence is the shorter. The longest response time counts as at least
         `least_ns`.

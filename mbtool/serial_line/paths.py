@@ -1,9 +1,9 @@
-"""Paths through the lattice of segments of an RTU window, and the confidence of each segment."""
+"""Paths (explanations of the bytes of an RTU window), and the confidence of each segment."""
 
-# A path is a linked list: each path knows its last segment and the path before it, so that paths
-# share their common beginning. Of the paths that reach the same offset in the same bus state, the
-# cheapest goes on. Those that cost almost as little stay with it as rivals; they lower the
-# confidence of the segments that they do not contain.
+# A path is a linked list of segments: each path knows its last segment and the path before it, so
+# that paths share their common beginning. Of the paths that reach the same offset in the same bus
+# state, the cheapest goes on. Those that cost almost as little stay with it as rivals; they lower
+# the confidence of the segments that they do not contain.
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class SegmentKind(Enum):
 
 
 class Segment(msgspec.Struct, frozen=True, gc=False):
-    """A run of bytes of the window with one meaning, such as a frame."""
+    """Consecutive bytes of the window with one meaning, such as a frame."""
 
     kind: SegmentKind
     offset: int
@@ -63,8 +63,8 @@ class Path(msgspec.Struct, eq=False):
     """True if the bytes skipped at the end of the path directly follow a frame and are all noise,
     as receivers hear it when the bus changes direction."""
     runs: int = 0
-    """The number of runs of skipped bytes in the path. A line that has some probably has more, so
-    each run lowers the cost of beginning a further one by one bit."""
+    """The number of times that the path skips bytes, bytes in a row counted once. A line that has
+    skipped bytes probably has more, so each time lowers the cost of the next by one bit."""
     ends_frame: bool = False
     """True if the path ends with a frame, so that another frame probably begins behind it."""
     rivals: tuple[Path, ...] = ()
@@ -73,7 +73,7 @@ class Path(msgspec.Struct, eq=False):
 
 
 def with_confidence(ends: list[Path]) -> Iterator[Segment]:
-    """The segments of the first and cheapest of `ends`, in order.
+    """Yield the segments of the first and cheapest path of `ends`, in order.
 
     A frame has less confidence if it is missing in a path that costs little more.
     """
@@ -93,12 +93,12 @@ def with_confidence(ends: list[Path]) -> Iterator[Segment]:
 
 
 def as_doubtful(segment: Segment) -> Segment:
-    """The segment with a confidence of at most 0.5."""
+    """Return the segment with a confidence of at most 0.5."""
     return replace(segment, confidence=min(segment.confidence, 0.5))
 
 
 def _chain(end: Path) -> Iterator[Path]:
-    """A path and its beginnings, the longest first."""
+    """Yield a path, the path before it, and so on back to the first."""
     path: Path | None = end
     while path is not None:
         yield path
@@ -106,10 +106,10 @@ def _chain(end: Path) -> Iterator[Path]:
 
 
 def settled_segments(ends: list[Path], incomplete: Path, end: int) -> list[Segment]:
-    """The first segments of a path to an incomplete frame, up to where the best other path differs.
+    """Return the first segments on which the cheapest path and the best other path agree.
 
-    `incomplete` is that path; it costs no more than the others, which are in `ends`, the cheapest
-    first. All bytes behind these segments, up to `end`, become one incomplete segment.
+    `incomplete` is the cheapest path; it ends in an incomplete frame. The others are in `ends`, the
+    cheapest first. All bytes behind these segments, up to `end`, become one incomplete segment.
     """
     other = {path.segment.identity for path in _chain(ends[0]) if path.segment} if ends else set()
     segments = with_confidence([incomplete, *ends])
@@ -121,7 +121,7 @@ def settled_segments(ends: list[Path], incomplete: Path, end: int) -> list[Segme
 
 
 def _differences(best: list[Path], path: Path, rival: Path) -> list[int]:
-    """The offsets of the segments that a path contains and its rival does not."""
+    """Return the offsets of the segments that a path contains and its rival does not."""
     known = {id(one) for one in best}
     others = set()
     for other in _chain(rival):

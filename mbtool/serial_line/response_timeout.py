@@ -1,10 +1,11 @@
-"""The master's response timeout on a serial line: told by the user, or learned from its retries."""
+"""The master's response timeout on a serial line: given by the user, or learned from retries."""
 
 # A write of one value equals its response, so by its form a second one may be a retry or the
-# response. A retry of a read can be nothing else. A master waits as long before it retries a write
-# as before it retries a read, so the retries of reads tell how long a silence before a retry is.
+# response. A read that comes twice can only be a retry. A master waits as long before it retries a
+# write as before it retries a read, so the retries of reads tell how long a silence before a retry
+# is.
 #
-# A ResponseTimeout holds at most SAMPLES waits: times from a request to its retry.
+# Memory: at most SAMPLES waits (times from a request to its retry).
 
 from __future__ import annotations
 
@@ -33,7 +34,7 @@ TRIMMED = 8
 
 
 class ResponseTimeout:
-    """How long the master waits for a response before it repeats a request, in ns."""
+    """The time, in ns, that the master waits for a response before it repeats a request."""
 
     __slots__ = ("_is_given", "_range", "_running_until_ns", "_waits")
 
@@ -42,7 +43,7 @@ class ResponseTimeout:
         self._waits: deque[int] = deque(maxlen=SAMPLES)
         self._is_given = given_ns is not None
         self._range: tuple[float, float] | None = None
-        """The shortest and the longest wait that may end in a retry; None while unknown."""
+        """The shortest and the longest wait, in ns, that may end in a retry; None while unknown."""
         self._running_until_ns = 0.0
         """After a shorter wait than this, in ns, the timeout is certainly not over."""
         if given_ns is not None:
@@ -55,7 +56,7 @@ class ResponseTimeout:
         return self._range is not None
 
     def learn(self, wait_ns: int) -> None:
-        """Take the wait before a frame that by its form is a retry."""
+        """Note the wait, in ns, before a frame that by its form is a retry."""
         if self._is_given:
             return
         self._waits.append(wait_ns)
@@ -76,7 +77,7 @@ class ResponseTimeout:
         return wait_ns < self._running_until_ns
 
     def share_over(self, wait_ns: int) -> float:
-        """From 0 to 1: how sure it is that the timeout is over after `wait_ns`.
+        """Return how sure it is, from 0 to 1, that the timeout is over after `wait_ns`.
 
         The result is also 0 if the timeout is unknown, and after the longest wait that can end in a
         retry.

@@ -1,21 +1,21 @@
 """Cuts what one tap hears on a two-wire RTU line into frames."""
 
-# Three steps, from the cheapest to the most expensive. The first decides most bytes of a working
-# line, so the search runs only where something is unclear.
+# Three steps decide the bytes, from the cheapest to the most expensive. The first decides most
+# bytes of a working line, so the search runs only where something is unclear.
 #
-# 1. The fast path (fast_path.py): is the frame at the front certain, or certainly incomplete?
-# 2. At a silence of t3.5, the search (search.py) explains the bytes held. All of them are given out
-#    except an incomplete frame, which an adapter may have split. That one is held until HOLD_NS
-#    after its last byte. The bytes before it are held too if only its end can make their meaning
+# 1. The fast path (fast_path.py) tells if the next frame is certain, or certainly incomplete.
+# 2. At a silence of t3.5, the search (search.py) explains the buffered bytes. All are returned
+#    except an incomplete frame, which an adapter may have split. It stays buffered until HOLD_NS
+#    after its last byte. The bytes before it stay too if only its end can make their meaning
 #    certain, but for at most MAX_SILENCES silences.
-# 3. Without a silence, the search runs when the window is full. All but the last 256 bytes are
-#    given out.
+# 3. Without a silence, the search runs when the buffer (the window) is full. All but its last 256
+#    bytes are returned.
 #
 # The time of a byte is the end of its last bit. The bytes of one read get their times from the time
 # of the last one, a character time apart. The output depends on these times only, not on how the
-# bytes were divided into reads. When the clock was set back, all bytes held are given out.
+# bytes were divided into reads. When the clock was set back, all buffered bytes are returned.
 #
-# Holds less than WINDOW bytes.
+# Memory: less than WINDOW bytes.
 
 from __future__ import annotations
 
@@ -43,24 +43,24 @@ if TYPE_CHECKING:
 WINDOW = 512
 """The number of bytes at which the search decides without a silence: two frames of full size."""
 HOLD_NS = 300_000_000
-"""How long an incomplete frame is held: more than the longest latency timer of an FTDI adapter,
-255 ms."""
+"""An incomplete frame waits this long, in ns, for more bytes: longer than the longest latency timer
+of an FTDI adapter, 255 ms."""
 MAX_SILENCES = 16
-"""After this many silences of t3.5 the bytes held are decided, even if a frame may be incomplete. A
-frame of 256 bytes that comes in pieces of 32 bytes has 8 silences."""
+"""After this many silences of t3.5 the buffered bytes are decided, even if a frame may be
+incomplete. A frame of 256 bytes that comes in pieces of 32 bytes has 8 silences."""
 
 UNSURE = 0.79
-"""The most confidence of a frame that is ambiguous: just below `SURE`."""
+"""The confidence (0.5 to 1) of an ambiguous frame is at most this, just below `SURE`."""
 
 LONG_NOISE = 2 * WINDOW
-"""After so many bytes without a frame, a full window is searched only if a frame with a correct CRC
-begins in it: among so much noise, a damaged frame would mean nothing."""
+"""After this many bytes without a frame, a full buffer is searched only if a frame with a correct
+CRC begins in it: among so much noise, a damaged frame would mean nothing."""
 
 _COPIED_RETRY = Classification(Direction.REQUEST, DirectionBy.TIMING, 1.0)
 
 
 class RtuSplitter:
-    """Takes timed bytes of a line and gives out `Adu` and `Skipped`, in order."""
+    """Takes timed bytes of a line; returns `Adu` (frames) and `Skipped`, in order."""
 
     def __init__(
         self,
@@ -91,24 +91,24 @@ class RtuSplitter:
         self._data = b""
         self._times: list[int] = []
         self._decided_size = 0
-        """The number of bytes held that the last search took for an incomplete frame."""
+        """The number of buffered bytes that the last search took for an incomplete frame."""
         self._silence_count = 0
-        """The number of silences of t3.5 since bytes were last given out."""
+        """The number of silences of t3.5 since bytes were last returned."""
         self._silences_at: list[int] = []
-        """The offsets of the bytes held that have a silence of t3.5 before them."""
+        """The offsets of the buffered bytes that have a silence of t3.5 before them."""
         self._noise_size = 0
-        """The number of bytes in a row, up to the last one given out, that belong to no frame."""
+        """The number of bytes in a row, up to the last one returned, that belong to no frame."""
         self._was_noise = False
-        """True if the bytes skipped last were all noise of a change of direction."""
+        """True if the last skipped bytes were all noise, as heard when the bus changes
+        direction."""
         self._follows_silence = True
-        """True if a silence of t3.5 precedes the frame given out last."""
+        """True if a silence of t3.5 precedes the frame returned last."""
         self._last_end: tuple[int, Verdict] | None = None
-        """The end time (ns) of the last byte given out; the verdict on a frame directly after
-        it."""
+        """The end time (ns) of the last byte returned; the verdict on a frame directly after it."""
 
     @property
     def is_idle(self) -> bool:
-        """True if no byte is held."""
+        """True if no byte is buffered."""
         return not self._data
 
     def feed(self, data: bytes, ts_ns: int) -> list[Adu | Skipped]:
@@ -121,7 +121,7 @@ class RtuSplitter:
         if not size:
             return events
         first_ns = ts_ns - (size - 1) * step_ns
-        # The usual case, made quick: a frame goes on, and nothing can be decided yet.
+        # The usual case, first because it is quick: more bytes of a frame that is not complete yet.
         if (
             times
             and 0 <= first_ns - times[-1] < self._silent_ns
@@ -152,7 +152,7 @@ class RtuSplitter:
         return events
 
     def advance(self, now_ns: int) -> list[Adu | Skipped]:
-        """Take the information that the line was silent from the last byte until `now_ns`.
+        """Note that the line was silent from the last byte until `now_ns`.
 
         Returns the frames and skipped bytes that this silence ends.
         """
@@ -162,14 +162,14 @@ class RtuSplitter:
         return events
 
     def close(self) -> list[Adu | Skipped]:
-        """End the capture: return all bytes held, as frames and skipped bytes."""
+        """End the capture: return all buffered bytes, as frames and skipped bytes."""
         events: list[Adu | Skipped] = []
         if self._data:
             self._hear_silence(events, is_long=True)
         return events
 
     def _restart(self) -> list[Adu | Skipped]:
-        """Give out the bytes held; forget the times and the bus state. The clock was set back."""
+        """Return the buffered bytes; forget times and bus state, as the clock was set back."""
         events = self.close()
         self._last_end = None
         self._fast_path.restart(behind_noise=False)
@@ -177,7 +177,7 @@ class RtuSplitter:
         return events
 
     def _hear_silence(self, events: list[Adu | Skipped], is_long: bool) -> None:
-        """Decide the bytes before a silence; a long one ends an incomplete frame as well."""
+        """Decide the buffered bytes at a silence; a long one ends an incomplete frame as well."""
         if len(self._data) > self._decided_size:
             self._silence_count += 1
             self._end_burst(events, may_continue=True)
@@ -206,7 +206,7 @@ class RtuSplitter:
         self._decided_size = len(self._data)
 
     def _emit_certain_frames(self, events: list[Adu | Skipped], burst_over: bool = False) -> None:
-        """Emit the frames at the front of the buffer that are beyond doubt, without the search."""
+        """Emit the next frames as long as they are beyond doubt without the search."""
         while len(self._data) >= MIN_FRAME:
             last = self._echo.last
             if last and self._data.startswith(last) and self._take_copy(events):
@@ -226,7 +226,7 @@ class RtuSplitter:
             self._emit_frame(*frame, events)
 
     def _may_be_copied(self, size: int) -> bool:
-        """True if a silence precedes the frame at the front, and none of t3.5 follows it so far."""
+        """True if a silence precedes the next frame, and none of t3.5 follows it so far."""
         last = self._last_end
         if last is None or self._times[0] - last[0] < self._silent_ns:
             return False
@@ -234,7 +234,7 @@ class RtuSplitter:
         return is_copy and self._model.history.trusts_silences
 
     def _take_copy(self, events: list[Adu | Skipped]) -> bool:
-        """Give out the copy of the last request, if an adapter that echoes added one."""
+        """Skip the next bytes if they are an adapter's copy of the last request; True if so."""
         last = self._echo.last
         if not last or self._last_end is None or not self._data.startswith(last):
             return False
@@ -243,7 +243,7 @@ class RtuSplitter:
         # the frame before the request to it, so the request follows no silence.
         is_heard = self._model.history.trusts_silences and self._follows_silence
         is_glued = is_heard and first_ns - self._last_end[0] < self._silent_ns
-        # A longer frame may begin with the same bytes.
+        # If no silence follows, a longer frame may begin with the same bytes.
         is_glued &= len(self._data) == size or self._is_silent(size)
         is_exact = first_ns - self._last_end[0] > self._character_ns
         if not self._echo.takes_copy(glued=is_glued, exact=is_exact):
@@ -260,7 +260,7 @@ class RtuSplitter:
         must_decide: bool = False,
         keep: int = 0,
     ) -> None:
-        """Search for an explanation of all bytes held; give them out except an incomplete frame.
+        """Explain all buffered bytes by the search; return them except an incomplete frame.
 
         `keep` is the number of bytes at the end that stay undecided.
         """
@@ -311,7 +311,7 @@ class RtuSplitter:
             self._model.hear_damage()
 
     def _classified(self, segment: Segment) -> Classification:
-        """The direction of a frame that the search has found."""
+        """Return the direction of a frame that the search has found, and what decided it."""
         if self._speaker is not None:
             return Classification(self._speaker, DirectionBy.PORT, segment.confidence)
         unit, pdu = self._data[0], self._data[1 : segment.size - 2]
@@ -325,7 +325,7 @@ class RtuSplitter:
     def _emit_frame(
         self, size: int, classification: Classification, events: list[Adu | Skipped]
     ) -> None:
-        """Append the frame at the front to `events`, remove its bytes, and learn from it."""
+        """Append the next frame to `events`, remove its bytes, and learn from it."""
         raw = self._data[:size]
         self._noise_size = 0
         times = self._times
@@ -375,7 +375,7 @@ class RtuSplitter:
         )
 
     def _learn(self, size: int, before_ns: int | None, longest_ns: int) -> None:
-        """Update the line statistics by the frame at the front."""
+        """Update the line statistics by the silences and the noise before and in the next frame."""
         last, statistics = self._last_end, self._statistics
         was_skipped = last is not None and last[1] is Verdict.NOISE_BEFORE
         statistics.skip.learn(was_skipped)
@@ -396,7 +396,7 @@ class RtuSplitter:
     def _verdicts(
         self, size: int, before_ns: int | None, longest_ns: int, confidence: float
     ) -> tuple[Verdict, ...]:
-        """The verdicts on the frame at the front."""
+        """Return the verdicts on the next frame, which has `size` bytes."""
         verdicts, times = [], self._times
         if self._timed:
             if self._last_end is not None and before_ns is not None and before_ns < self._t3_5_ns:
@@ -414,7 +414,7 @@ class RtuSplitter:
         return tuple(dict.fromkeys(verdicts)) if verdicts else ()
 
     def _emit_skipped(self, size: int, events: list[Adu | Skipped]) -> None:
-        """Give out skipped bytes: one event for a frame with a wrong CRC, else one per burst."""
+        """Append skipped bytes to `events`: a frame with a wrong CRC, or bytes up to a silence."""
         self._noise_size += size
         while size:
             cut = size
@@ -438,7 +438,7 @@ class RtuSplitter:
         return self._times[offset] - self._times[offset - 1] >= self._silent_ns
 
     def _remove(self, size: int, leaves: Verdict) -> None:
-        """Remove the first bytes, now given out; `leaves` is the verdict on the frame behind."""
+        """Remove the first bytes; `leaves` is the verdict on a frame directly behind them."""
         self._last_end = self._times[size - 1], leaves
         self._data = self._data[size:]
         del self._times[:size]

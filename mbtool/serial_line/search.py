@@ -40,8 +40,8 @@ if TYPE_CHECKING:
     from mbtool.serial_line.line_statistics import LineStatistics
 
 BEAM_WIDTH = 4
-"""The most paths kept at an offset. They differ in their bus state, or one ends with a skipped byte
-and another does not."""
+"""The most paths (explanations of the bytes so far) kept at an offset. They differ in their bus
+state, or one ends with a skipped byte and another does not."""
 MIN_HEAD = 3
 """The number of bytes of a frame before its registers: unit, function and byte count."""
 MAX_ENCLOSED = 2
@@ -61,7 +61,8 @@ class PathSearch:
     ) -> None:
         """`roles` are the directions that frames can have.
 
-        That is one direction if only one side is heard; then costs do not depend on the bus state.
+        That is one direction if only master or slaves are heard; then costs do not depend on the
+        bus state.
         """
         self._window = window
         self._data = window.data
@@ -74,15 +75,16 @@ class PathSearch:
         self._lowest_costs = [float("inf")] * len(self._paths)
         """For each offset in the window, the cost in bits of the cheapest path that ends there."""
         self._incomplete: Path | None = None
-        """The cheapest path to an incomplete frame at the end of the window."""
+        """The cheapest path that ends in an incomplete frame at the end of the window."""
         self._incomplete_limit = float("inf")
-        """Another path to an incomplete frame is kept only if it costs fewer bits than this."""
+        """Another path that ends in an incomplete frame is kept only if it costs fewer bits than
+        this."""
         self._limit = float("inf")
         """Paths that cost more bits than this are dropped."""
         self._candidates = Candidates(window, bus_model, statistics, roles)
 
     def segments(self) -> list[Segment]:
-        """The segments of the most likely path, in order; together they cover the window."""
+        """Return the segments of the most likely path, in order; together they cover the window."""
         self._extend_all()
         ends, incomplete = self._paths[self._end], self._incomplete
         for path in ends:
@@ -97,7 +99,7 @@ class PathSearch:
         return self._doubt_enclosed_frames(list(merge_skipped(segments)))
 
     def _extend_all(self) -> None:
-        """Extend the paths at each offset, from the first byte to the last."""
+        """Extend the paths at each offset by the frames and skipped bytes that may follow there."""
         skipped = int(self._window.is_behind_noise)
         first = Path(0.0, self._model.state, None, None, skipped, ends_frame=not skipped)
         self._paths[0] = [first]
@@ -115,7 +117,7 @@ class PathSearch:
                 self._paths[offset] = []
 
     def _doubt_enclosed_frames(self, segments: list[Segment]) -> list[Segment]:
-        """Make frames ambiguous if they may be register contents of one large damaged frame.
+        """Mark frames as ambiguous if they may be register contents of one large damaged frame.
 
         That is so if skipped bytes directly precede and follow them.
         """
@@ -132,9 +134,10 @@ class PathSearch:
         return segments
 
     def _may_touch_frame(self, segment: Segment, side: int) -> bool:
-        """True if a run of skipped bytes is no noise and has no silence at one of its ends.
+        """True if skipped bytes are no noise and no silence separates one end from a frame there.
 
-        `side` is the end's offset in the run: 0 for the beginning, its size for the end.
+        `side` is the offset of that end: 0 for the beginning, the number of skipped bytes for the
+        end.
         """
         raw = self._data[segment.offset : segment.offset + segment.size]
         is_noise = len(raw) < MIN_HEAD or NOISE.issuperset(raw)
@@ -162,7 +165,7 @@ class PathSearch:
             self._limit = min(self._limit, path.cost + costs.BEAM_MARGIN)
 
     def _extend(self, offset: int, paths: list[Path]) -> None:
-        """Add to the paths each segment that may begin at an offset."""
+        """Extend paths that end at an offset by each frame or skipped byte that may begin there."""
         frames = self._candidates.frames(offset)
         silent = self._window.silences[offset]
         likely = [path for path in paths if silent or self._may_begin_frame(path, offset)]
@@ -189,13 +192,13 @@ class PathSearch:
             self._add_skipped(offset, path, bool(frames), bool(unknown))
 
     def _is_silence_hidden(self, path: Path, offset: int) -> bool:
-        """True if a path ends with a few stray bytes, which have a silence before them."""
+        """True if a path ends with a few skipped bytes that hide the silence before a frame."""
         return 0 < path.skipped < LONG_SKIP and (
             path.skipped > offset or self._window.silences[offset - path.skipped]
         )
 
     def _may_begin_frame(self, path: Path, offset: int) -> bool:
-        """True if a frame probably begins at an offset: after another one, or because it is due."""
+        """True if a frame probably begins at an offset: behind a frame, or with a known start."""
         if path.ends_frame or (path.is_noise and path.skipped < LONG_SKIP):
             return True
         head = self._data[offset : offset + 2]
@@ -268,7 +271,7 @@ class PathSearch:
             self._keep_incomplete(incomplete)
 
     def _keep_incomplete(self, path: Path) -> None:
-        """Keep a path to an incomplete frame if it is the cheapest so far.
+        """Keep a path that ends in an incomplete frame if it is the cheapest so far.
 
         Of two paths to the same incomplete frame, the dearer one becomes a rival of the other.
         """
@@ -305,7 +308,7 @@ class PathSearch:
             self._keep(end, Path(cost, ignored, path, segment, runs=path.runs))
 
     def _add_skipped(self, offset: int, path: Path, is_frame: bool, is_unknown: bool) -> None:
-        """Extend a path by the byte at an offset, taken for a byte that belongs to no frame.
+        """Extend a path by one byte that belongs to no frame.
 
         A frame with a correct CRC may begin there: one of known form if `is_frame` is True, one of
         unknown form if `is_unknown` is True.

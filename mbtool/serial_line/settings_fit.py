@@ -1,4 +1,4 @@
-"""The settings fit: how well each line setting and mode explains the bytes heard on a line."""
+"""Scores how well each line setting and mode (RTU or ASCII) explains the bytes heard on a line."""
 
 # Bytes heard at one setting are evidence for several, since 7 data bits with parity look like 8
 # data bits without (Serial Line V1.02, 2.5.1 and 2.5.2: both characters have 10 bits):
@@ -16,7 +16,7 @@
 # A setting is scored by the bytes in frames with a correct CRC or LRC, less the bytes marked as
 # damaged. A frame with a correct CRC appears by chance now and then, never several in a row.
 #
-# Holds the bytes that the splitters hold (ascii.py, rtu.py), and a few counts.
+# Memory: the incomplete frames in the splitters (ascii.py, rtu.py), and a few counts.
 
 from __future__ import annotations
 
@@ -41,17 +41,20 @@ LIKELY_FIT = 0.3
 """Settings are likely if at least LIKELY_FRAMES frames have a correct CRC or LRC, and their fit is
 at least LIKELY_FIT (0 to 1)."""
 ENOUGH_WITHOUT_FRAME = 48
-"""A trial ends after this many bytes if no setting gives a frame with a correct CRC or LRC."""
+"""Listening at one serial format ends after this many bytes if no setting gives a frame with a
+correct CRC or LRC."""
 ENOUGH_WITHOUT_FIT = 200
-"""A trial ends after this many bytes if the fit of its best setting is below LIKELY_FIT."""
+"""Listening at one serial format ends after this many bytes if its best setting has a fit below
+LIKELY_FIT."""
 ENOUGH = 600
-"""Every trial ends after this many bytes: more bytes would hardly change the scores."""
+"""Listening at one serial format ends after this many bytes: more would hardly change the
+scores."""
 
 BAUD_RATES = (19200, 9600, 115200, 38400, 57600, 4800, 2400, 1200)
 
 
 def settings_to_try() -> list[SerialFormat]:
-    """The serial formats to listen at, the most usual first."""
+    """Return the serial formats to listen at, the most usual first."""
     # Even parity before none: some receivers that mark no errors hear 8E1 as 8N1, with correct
     # CRCs. At 8E1 the CRCs are correct too, and so is the character time.
     usual = [SerialFormat(baud, 8, parity, 1) for baud in BAUD_RATES for parity in "EN"]
@@ -59,7 +62,7 @@ def settings_to_try() -> list[SerialFormat]:
 
 
 def other_parity(line: SerialFormat) -> SerialFormat:
-    """The same format with odd parity instead of even, and with even instead of any other.
+    """Return the same format with odd parity instead of even, and with even instead of any other.
 
     A port delivers the same bytes with both; only the errors that its driver marks differ.
     """
@@ -74,7 +77,7 @@ class SettingsScore:
     frames: int
     """The number of frames with a correct CRC or LRC."""
     failures: int
-    """The number of damaged frames and of runs of bytes that are no frame."""
+    """The number of damaged frames and of other skipped bytes, those in a row counted once."""
     framed: int
     """The number of bytes in frames with a correct CRC or LRC."""
     heard: int
@@ -83,7 +86,7 @@ class SettingsScore:
 
     @property
     def fit(self) -> float:
-        """The share of the bytes that are in correct frames, times the share of undamaged bytes.
+        """Return the share of bytes in correct frames, times the share of undamaged bytes.
 
         The result is from 0 (nothing fits) to 1.
         """
@@ -125,14 +128,14 @@ class SettingsTrial:
         self._readings = [one for one in _readings(heard_as) if one.is_ascii or not only_ascii]
 
     def feed(self, data: bytes, damaged: Sequence[int], ts_ns: int) -> None:
-        """Take one read, the offsets of its damaged bytes, and the time of its last byte in ns."""
+        """Take the bytes of one read, the offsets of damaged bytes, and the time of the last."""
         self.heard += len(data)
         self.marked += len(damaged)
         for reading in self._readings:
             reading.feed(data, damaged, ts_ns)
 
     def advance(self, now_ns: int) -> None:
-        """Take the information that the line was silent from the last byte until `now_ns`."""
+        """Note that the line was silent from the last byte until `now_ns`."""
         for reading in self._readings:
             reading.count(reading.splitter.advance(now_ns))
 
@@ -148,7 +151,7 @@ class SettingsTrial:
         )
 
     def scores(self) -> list[SettingsScore]:
-        """The score of each setting and mode, the best first."""
+        """Return the score of each setting and mode, the best first."""
         scores = [reading.score(self.heard) for reading in self._readings]
         return sorted(scores, key=lambda score: score.rank, reverse=True)
 
@@ -178,7 +181,8 @@ class _SettingsReading:
 
     def count(self, events: Sequence[Adu | Skipped]) -> None:
         for event in events:
-            # An ASCII frame with parity in bit 7 counts for 7 data bits only.
+            # An ASCII frame with a parity bit in bit 7 counts only for the settings with 7 data
+            # bits.
             as_set = event.raw.isascii() or not self.is_ascii
             is_right = isinstance(event, Adu) and event.checksum is not None and event.checksum.ok
             is_frame = is_right and as_set

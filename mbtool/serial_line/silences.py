@@ -12,10 +12,11 @@ if TYPE_CHECKING:
 def silences(
     times: Sequence[int], last_ns: int | None, least_ns: int, *, at_end: bool
 ) -> list[bool]:
-    """For each byte, True if at least `least_ns` lie between its end and that of the byte before.
+    """Return for each byte True if a silence precedes it, and `at_end` as one more value.
 
-    `last_ns` is when the byte before the first one ended; without it, a silence precedes the first.
-    One more value at the end, `at_end`, is True if a silence follows the last byte.
+    A silence is at least `least_ns` from the end of one byte to the end of the next. `last_ns` is
+    when the byte before the first one ended; without it, a silence precedes the first. `at_end` is
+    True if a silence follows the last byte.
     """
     first = last_ns is None or times[0] - last_ns >= least_ns
     between = [after - before >= least_ns for before, after in pairwise(times)]
@@ -23,15 +24,16 @@ def silences(
 
 
 def longest_silence_ns(times: Sequence[int], size: int, character_ns: int) -> int:
-    """The longest silence among the first `size` bytes; a byte takes `character_ns`."""
+    """Return the longest silence (ns) among the first `size` bytes; a byte takes `character_ns`."""
     steps = map(int.__sub__, times[1:size], times[: size - 1])
     return max(max(steps) - character_ns, 0)
 
 
 def last_silence(times: Sequence[int], size: int, least_ns: int) -> int:
-    """The offset of the byte, among the first `size`, before which the last silence is.
+    """Return the offset, among the first `size` bytes, of the byte behind the last silence.
 
-    There must be one.
+    A silence is `least_ns` or more from the end of a byte to the end of the next. There must be
+    one.
     """
     offsets = range(size - 1, 0, -1)
     return next(offset for offset in offsets if times[offset] - times[offset - 1] >= least_ns)
