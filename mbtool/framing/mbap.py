@@ -33,7 +33,7 @@
 # If the capture lacks the end of an ADU whose unit and function it has, the ADU is reported with
 # the bytes that are there.
 #
-# Holds at most one incomplete ADU (260 bytes; 1460 with `by_segments`) and one run of skipped bytes
+# Memory: at most one incomplete ADU (260 bytes; 1460 with `by_segments`) and the last skipped bytes
 # (skips.MAX_RUN).
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ LONGEST_LENGTH = 1454
 messages of up to about 1 KB."""
 
 MAX_REQUEST_NS = 30_000_000_000
-"""The longest time from the first byte of a request to its last (ns) that is without a remark. FA3
+"""A request gets a remark if its first and last byte are further apart than this, in ns. FA3
 modules disconnect a master that takes longer, by default (their manual, 10.3, register 00F5H)."""
 
 _LENGTH_END = MBAP_BYTES - 1
@@ -87,14 +87,14 @@ class MbapSplitter:
 
     @property
     def is_idle(self) -> bool:
-        """True if the splitter holds no byte and the next byte begins a header."""
+        """True if no byte is buffered and the next byte begins a header."""
         return self._in_step and not self._buffer
 
     def feed(self, data: bytes, ts_ns: int, origin: Origin | None = None) -> list[Adu | Skipped]:
         """Take the bytes of one segment; return the ADUs and skipped bytes that they complete."""
         is_idle = self._in_step and not self._buffer.data
         if is_idle and _HEADER.match(data) and data[5] == len(data) - _LENGTH_END:
-            # Most segments: one whole ADU, which needs no buffer.
+            # Most segments are one whole ADU, which needs no buffer.
             return [self._adu(data, ts_ns, ts_ns, origin)]
         self._buffer.append(data, ts_ns, origin)
         events: list[Adu | Skipped] = []
@@ -107,10 +107,10 @@ class MbapSplitter:
         return events
 
     def gap(self, missing: int = 0) -> list[Adu | Skipped]:
-        """Take the information that `missing` bytes are missing here; 0 if the number is unknown.
+        """Note that the capture lacks `missing` bytes here; 0 if the number is unknown.
 
-        Returns the bytes held: as an ADU if they are its beginning and the missing bytes its end,
-        else as skipped.
+        Returns the buffered bytes: as an ADU if they begin one that the missing bytes can end, else
+        as skipped.
         """
         events: list[Adu | Skipped] = []
         held = len(self._buffer)
@@ -123,7 +123,7 @@ class MbapSplitter:
         return events
 
     def close(self) -> list[Adu | Skipped]:
-        """End the stream: return the bytes held, as skipped."""
+        """End the stream: return the buffered bytes, as skipped."""
         events: list[Adu | Skipped] = []
         self._skips.end(events)
         if self._buffer:
@@ -133,7 +133,7 @@ class MbapSplitter:
         return events
 
     def _first_size(self) -> int | None:
-        """The size of the ADU at the start of the buffer.
+        """Return the size in bytes of the ADU at the start of the buffer.
 
         0 if none begins there, None if more bytes are needed to know.
         """
@@ -157,7 +157,10 @@ class MbapSplitter:
         return self._size_by_segments(size)
 
     def _known_size(self, size: int) -> int | None:
-        """The size of an ADU of a known function found out of step, as `_first_size` gives it."""
+        """Return `size` if an ADU of a known function begins here; 0 if not, None if not known yet.
+
+        Used after bytes that were no header: the ends of TCP segments must confirm the ADU.
+        """
         if not self._by_segments or self._buffer.is_seam(0):
             return size
         if len(self._buffer) < size:
@@ -165,12 +168,12 @@ class MbapSplitter:
         return size if self._may_end_at(size) else 0
 
     def _whole_segment(self, size: int) -> int:
-        """The size of an ADU whose PDU is malformed if it is one whole segment; else 0."""
+        """Return `size` if an ADU with a malformed PDU is one whole TCP segment; else 0."""
         is_whole = self._by_segments and self._buffer.is_seam(0) and len(self._buffer) == size
         return size if is_whole else 0
 
     def _size_by_segments(self, size: int) -> int | None:
-        """The size of an ADU that only the ends of segments confirm, as `_first_size` gives it."""
+        """Return `size` if the ends of segments confirm an ADU; 0 if not, None if not known yet."""
         if not self._by_segments or not (self._in_step or self._buffer.is_seam(0)):
             return 0
         if len(self._buffer) < size:
@@ -178,7 +181,7 @@ class MbapSplitter:
         return size if self._may_end_at(size) else 0
 
     def _may_end_at(self, end: int) -> bool:
-        """True if a segment ends in front of an index of the buffer, or a header follows."""
+        """True if a segment ends before index `end` of the buffer, or a header follows."""
         if self._buffer.is_seam(end):
             return True
         following = self._buffer.peek(_LENGTH_END, end)
@@ -210,7 +213,7 @@ class MbapSplitter:
         return pdu_size == len(pdu) or (pdu_size == 0 and self._buffer.is_seam(at))
 
     def _cut_size(self, missing: int) -> int:
-        """The size of the ADU that the held bytes begin, if `missing` bytes can end it; else 0."""
+        """The size of the ADU that the buffer begins, if `missing` bytes can end it; else 0."""
         held = len(self._buffer)
         start = self._buffer.peek(held)
         if held <= MBAP_BYTES or start[2:4] != _MODBUS:
@@ -270,7 +273,7 @@ class MbapSplitter:
         return tuple(verdict for is_true, verdict in verdicts if is_true)
 
     def _drop(self, events: list[Adu | Skipped]) -> None:
-        """Drop the bytes before the next byte at which a header may begin."""
+        """Skip the bytes before the next byte at which a header may begin."""
         undecided = len(self._buffer) - MBAP_BYTES + 1
         next_header = self._buffer.find(self._header, 1)
         for piece, ts_ns in self._buffer.drain(min(next_header or undecided, undecided)):

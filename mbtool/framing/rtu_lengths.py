@@ -36,9 +36,10 @@ _VARIABLE = frozenset(
 
 
 def frame_size(start: bytes, direction: Direction) -> int | None:
-    """The size in bytes of the RTU frame that begins with `start`, by its function and byte count.
+    """Return the size in bytes of the RTU frame that begins with `start`.
 
-    None if more bytes are needed to know, 0 if the frame's bytes do not tell its size.
+    Its function and byte count tell the size. None if more bytes are needed to know, 0 if the
+    frame's bytes do not tell its size.
     """
     if len(start) < 2:
         return None
@@ -50,7 +51,7 @@ def frame_size(start: bytes, direction: Direction) -> int | None:
 
 
 def has_frame(data: bytes, directions: Iterable[Direction]) -> bool:
-    """True if a frame of known form with a correct CRC begins somewhere in `data`."""
+    """True if a frame with a correct CRC and the size that its function tells begins in `data`."""
     tables = [(_FIXED[direction], direction) for direction in directions]
     end = len(data)
     for offset in range(end - MIN_FRAME + 1):
@@ -65,10 +66,11 @@ def has_frame(data: bytes, directions: Iterable[Direction]) -> bool:
 
 
 def crc_ends(start: bytes, most: int) -> list[int]:
-    """The sizes, in bytes, at which a frame that begins with `start` has a correct CRC.
+    """Return the sizes, in bytes, at which a frame that begins with `start` has a correct CRC.
 
-    Returns the `most` smallest, in order. One in 65,536 sizes has a correct CRC by chance. Where
-    the CRC is correct and a byte 00 follows, it is also correct one byte further.
+    Only the smallest ones are returned, at most `most`, in order. One in 65,536 sizes has a correct
+    CRC by chance. Where the CRC is correct and a byte 00 follows, it is also correct one byte
+    further.
     """
     sizes = []
     residue = crc(start[: MIN_FRAME - 1])
@@ -84,7 +86,7 @@ def crc_ends(start: bytes, most: int) -> list[int]:
 def why_skipped(
     raw: bytes, directions: Iterable[Direction]
 ) -> tuple[EventKind, str, Checksum | None]:
-    """The kind of skipped bytes, the reason in one sentence, and the wrong CRC if there is one."""
+    """Return the kind of skipped bytes, the reason in one sentence, and the wrong CRC, if any."""
     if len(raw) >= MIN_FRAME and len(raw) in [frame_size(raw, each) for each in directions]:
         check = Checksum(int.from_bytes(raw[-2:], "little"), crc(raw[:-2]))
         if not check.ok:

@@ -6,7 +6,7 @@
 # known, so its bytes are skipped. One search skips all bytes up to the next known function code,
 # since bytes that are no Modbus would otherwise cost as much time as frames.
 #
-# Holds at most one incomplete frame (256 bytes) and one run of skipped bytes (skips.MAX_RUN).
+# Memory: at most one incomplete frame (256 bytes) and the last skipped bytes (skips.MAX_RUN).
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 def _beginnings(direction: Direction) -> re.Pattern[bytes]:
-    """A pattern that matches where a frame may begin.
+    """Return a pattern that matches where a frame may begin.
 
     A frame may begin at any byte (the unit) before a function code that tells the frame's length,
     and at the last byte received, since the function code may follow.
@@ -58,14 +58,14 @@ class RtuStreamSplitter:
         return self._frames(ended=False)
 
     def gap(self, missing: int = 0) -> list[Adu | Skipped]:
-        """Take the information that bytes are missing here; return what `close` returns.
+        """Note that the capture lacks bytes here: return the buffered bytes, as `close` does.
 
         A frame whose end is missing is skipped, since no CRC confirms it.
         """
         return self.close()
 
     def close(self) -> list[Adu | Skipped]:
-        """End the stream: return the bytes held, as skipped bytes and whole frames among them."""
+        """End the stream: return the buffered bytes, as skipped bytes and whole frames."""
         events = self._frames(ended=True)
         self._skips.end(events)
         return events
@@ -94,7 +94,7 @@ class RtuStreamSplitter:
         return events
 
     def _size_at(self, place: int) -> int | None:
-        """The size of the frame at an index; 0 if there is none, None if more bytes are needed."""
+        """Return the size of the frame at an index; 0 if none, None if more bytes are needed."""
         start = self._buffer.peek(MAX_RTU_ADU, place)
         size = frame_size(start, self._direction)
         if size is None:

@@ -1,4 +1,4 @@
-"""Collects bytes that cannot be read, so that a run of them becomes one event."""
+"""Collects bytes that cannot be read, so that those in a row become one event."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ Reason = tuple[EventKind, str, Checksum | None]
 the bytes are a frame with one."""
 
 MAX_RUN = 1024
-"""A run that has this many bytes becomes an event and a new run begins, to limit memory."""
+"""Skipped bytes in a row are reported when they are this many, to limit memory."""
 
 
 class SkipRun:
-    """A run of skipped bytes. Holds less than MAX_RUN of them."""
+    """Skipped bytes in a row that are not reported yet; less than MAX_RUN of them."""
 
     __slots__ = ("_bytes", "_first_ns", "_why")
 
     def __init__(self, why: Callable[[bytes], Reason]) -> None:
-        """`why` takes the bytes of a run and returns why they cannot be read."""
+        """`why` takes the skipped bytes and returns why they cannot be read."""
         self._why = why
         self._bytes = bytearray()
         self._first_ns = 0
@@ -34,11 +34,11 @@ class SkipRun:
 
     @property
     def room(self) -> int:
-        """The number of bytes that still fit into the run."""
+        """The number of bytes that can be added before an event reports them."""
         return MAX_RUN - len(self._bytes)
 
     def add(self, data: bytes, ts_ns: int, events: list[Adu | Skipped]) -> None:
-        """Take bytes that arrived at `ts_ns`. A full run is appended to `events`."""
+        """Add bytes that arrived at `ts_ns`; each MAX_RUN bytes, append one event to `events`."""
         while data:
             if not self._bytes:
                 self._first_ns = ts_ns
@@ -49,7 +49,7 @@ class SkipRun:
                 self.end(events)
 
     def end(self, events: list[Adu | Skipped]) -> None:
-        """Append the run to `events`, if there is one."""
+        """Append one event with the collected bytes to `events`, if there are any."""
         if self._bytes:
             raw = bytes(self._bytes)
             kind, reason, checksum = self._why(raw)

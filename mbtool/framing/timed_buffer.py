@@ -13,7 +13,10 @@ if TYPE_CHECKING:
 
 
 class TimedBuffer:
-    """Bytes of one link, taken from the front. The bytes of one `append` share time and origin."""
+    """A queue of bytes: `append` adds at the end, `take` removes from the start.
+
+    The bytes of one `append` share their time (ns) and their origin (packet or file).
+    """
 
     __slots__ = ("_last_end", "_marks", "_taken", "data")
 
@@ -21,7 +24,7 @@ class TimedBuffer:
         self.data = bytearray()
         """The bytes; only this class changes them."""
         self._taken = 0
-        """The number of bytes taken so far."""
+        """The number of bytes ever taken."""
         self._marks: deque[tuple[int, int, Origin | None]] = deque()
         """For each `append` that has bytes left in the buffer: the number of bytes ever appended up
         to its end, the time of its bytes in ns, and their origin."""
@@ -42,7 +45,7 @@ class TimedBuffer:
         return self._marks[0][1]
 
     def mark_at(self, index: int) -> tuple[int, Origin | None]:
-        """The time in ns and the origin of the byte at an index from the front.
+        """Return the time in ns and the origin of the byte at an index of the buffer.
 
         Raises IndexError beyond the end.
         """
@@ -53,16 +56,16 @@ class TimedBuffer:
         raise IndexError(index)
 
     def is_seam(self, index: int) -> bool:
-        """True if an `append` began or ended in front of the byte at an index from the front."""
+        """True if an `append` began or ended directly before the byte at an index of the buffer."""
         place = self._taken + index
         return place == self._last_end or any(mark[0] == place for mark in self._marks)
 
     def peek(self, size: int, at: int = 0) -> bytes:
-        """Up to `size` bytes from an index on, which stay in the buffer."""
+        """Return up to `size` bytes from index `at` on, which stay in the buffer."""
         return bytes(self.data[at : at + size])
 
     def find(self, pattern: re.Pattern[bytes], at: int) -> int | None:
-        """The index of the first match of a pattern from an index on; None if there is none."""
+        """Return the index of the first match of a pattern from index `at` on; None if none."""
         match = pattern.search(self.data, at)
         return None if match is None else match.start()
 
@@ -76,7 +79,7 @@ class TimedBuffer:
         return taken
 
     def drain(self, size: int) -> Iterator[tuple[bytes, int]]:
-        """Remove the first `size` bytes; yield them in pieces of one time each, with that time."""
+        """Remove the first `size` bytes; yield those of each `append`, with their time in ns."""
         left = min(size, len(self.data))
         while left:
             end, ts_ns, _ = self._marks[0]
