@@ -63,7 +63,7 @@ class Verdict(StrEnum):
     T1_5_BROKEN = "t1.5-broken"
     """The frame contains a silence longer than t1.5, but none as long as t3.5."""
     AMBIGUOUS = "ambiguous"
-    """Another reading is nearly as likely: another direction or end of the frame, or, in a TCP
+    """Another explanation is nearly as likely: another direction or end of the frame, or, in a TCP
     connection, another request for this response."""
     PARITY_IN_DATA = "parity-in-data"
     """A port with 8 data bits received an ASCII line with 7: bit 7 of each character is a parity
@@ -86,7 +86,7 @@ class Verdict(StrEnum):
     LATE_PARTS = "late-parts"
     """More than 30 s passed between the first and the last byte of a Modbus/TCP request."""
     OVER_LIMIT = "over-limit"
-    """The decoder dropped this request because of its limit of open requests; or this is the
+    """The decoder dropped this request because of its limit of pending requests; or this is the
     response to such a request. The two are not joined."""
     CAPTURE_END = "capture-end"
     """The capture of this link ends, or is interrupted, sooner than the response may come."""

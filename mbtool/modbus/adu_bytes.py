@@ -12,7 +12,7 @@ RTU_EXTRA_BYTES = 3
 
 
 def crc(data: bytes) -> int:
-    """The CRC-16/MODBUS of `data` (Serial Line V1.02, 6.2.2).
+    """Return the CRC-16/MODBUS of `data` (Serial Line V1.02, 6.2.2).
 
     It is 0 if `data` is a whole RTU frame that ends with its own correct CRC.
     """
@@ -42,7 +42,7 @@ def ascii_adu(unit: int, pdu: bytes) -> bytes:
 
 
 def mbap_size(header: bytes) -> int:
-    """The size in bytes of the Modbus/TCP ADU with this MBAP header, as its length field says."""
+    """Return the size in bytes of the Modbus/TCP ADU with this MBAP header, by its length field."""
     return MBAP_BYTES - 1 + int.from_bytes(header[4:6])
 
 

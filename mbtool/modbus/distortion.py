@@ -1,9 +1,9 @@
 """Makes the bytes of a response on the wire, with simulated faults of a slave or a line."""
 
-# A Response has a PDU and a Distortion, which lists the faults. A slave's shell calls `wire_pieces`
-# for the bytes to send: the ADU with another unit or transaction id, with a wrong CRC or LRC, cut
-# short, with more bytes behind it, or in pieces with pauses between them. The faults are applied in
-# this order.
+# A Response has a PDU and a Distortion, which lists the faults. A simulated slave calls
+# `wire_pieces` for the bytes to send: the ADU with another unit or transaction id, with a wrong CRC
+# or LRC, cut short, with more bytes behind it, or in pieces with pauses between them. The faults
+# are applied in this order.
 #
 # A Modbus/TCP ADU has no CRC or LRC, so `wrong_check` changes nothing there.
 
@@ -25,9 +25,9 @@ _HEX_DIGITS = b"0123456789ABCDEF"
 def wire_pieces(
     response: Response, transport: Transport, unit: int, transaction_id: int = 0
 ) -> list[tuple[int, bytes]]:
-    """The bytes to send for a response, in pieces; no pieces if the response is not sent.
+    """Return the bytes to send for a response, in pieces; no pieces if it is not sent.
 
-    Each piece has the time at which to send it, in ns after the first piece.
+    Each piece comes with the time at which to send it, in ns after the first piece.
     """
     faults = response.distortion or Distortion()
     if faults.silent:

@@ -25,8 +25,8 @@ UNKNOWN_SIZE = 0
 EXCEPTION_SIZE = 2
 """The size of the PDU of an exception response in bytes."""
 MAX_KNOWN = 1024
-"""The expected responses of so many different requests are remembered; then the least recently used
-is forgotten."""
+"""The expected responses of this many different requests are remembered; beyond that, the least
+recently used one is forgotten."""
 
 _ECHOED = ECHOING - {0x08}  # 08 echoes only some of its sub-functions.
 _SIZES = {code: one.response.length(b"") or UNKNOWN_SIZE for code, one in FUNCTIONS.items()}

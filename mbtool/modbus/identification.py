@@ -86,7 +86,7 @@ def _server_id(data: bytes) -> list[Identity]:
 
 
 def _id_text(data: bytes) -> str:
-    """The bytes as text if all are printable and at least _LEAST_TEXT, else in hexadecimal."""
+    """Return bytes as text if all are printable and at least _LEAST_TEXT, else in hexadecimal."""
     trimmed = data.rstrip(b"\x00 ")
     if len(trimmed) >= _LEAST_TEXT and all(0x20 <= byte < 0x7F for byte in trimmed):
         return text_of(trimmed)
@@ -94,7 +94,7 @@ def _id_text(data: bytes) -> str:
 
 
 def text_of(data: bytes) -> str:
-    """The bytes as text: printable ASCII unchanged, other bytes in hexadecimal.
+    """Return bytes as text: printable ASCII unchanged, other bytes in hexadecimal.
 
     Bytes 00 and spaces at the end are left out.
     """

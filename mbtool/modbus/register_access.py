@@ -1,6 +1,6 @@
 """Finds the registers or bits that a request reads and writes, and makes its response."""
 
-# Whether the device has these addresses is not checked here; only the caller knows the device.
+# Nothing here checks if a device has these addresses; only the caller knows the device.
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class RegisterAccess:
 
 
 def register_access(request: Pdu) -> RegisterAccess | None:
-    """The addresses that a request reads and writes.
+    """Return the addresses that a request reads and writes.
 
     None if the request's function accesses no table, or if the request breaks the form of its
     function or the standard's limit of its quantity.
@@ -61,7 +61,7 @@ def keeps_limits(request: Pdu) -> bool:
 
 
 def values_after(request: Pdu, before: Sequence[int]) -> tuple[int, ...]:
-    """The values that a request leaves in the addresses that it writes.
+    """Return the values that the addresses written by a request have after it.
 
     `before` are the values there before the request; a mask write (16H) changes only some bits.
     """

@@ -9,8 +9,8 @@ import msgspec
 
 from mbtool.modbus.adu import DirectionBy, Transport, Verdict
 
-# The ranges of numbers. They are checked only when JSON is read, as any program may have written
-# it.
+# These types give the ranges of numbers. They are checked only when JSON is read, as any program
+# may have written it.
 Byte = Annotated[int, msgspec.Meta(ge=0, le=0xFF)]
 Word = Annotated[int, msgspec.Meta(ge=0, le=0xFFFF)]
 Count = Annotated[int, msgspec.Meta(ge=0)]
