@@ -51,8 +51,8 @@ if TYPE_CHECKING:
     from mbtool.packets.connection import TcpConnection
 
 _FLOWS_AT_ONCE = MAX_CONNECTIONS // 2
-"""A part of a block may have this many flows (pairs of TCP ends): opening all of them makes the
-reassembler drop no connection that is in use."""
+"""The most flows (pairs of TCP ends) that are decoded in one part of a block: with so few, the
+reassembler never drops a connection that is still in use."""
 
 
 @dataclass(slots=True)
@@ -89,11 +89,9 @@ class DecodedBlock:
 
 
 def order_of(packets: Int64s) -> Int64s:
-    """Return the sort numbers of results that are completed by the bytes of the packets with these
-    indices.
-    """
-    # A packet's bytes complete results with odd numbers. Even numbers, just before them, are for
-    # results that only the packet's time completes, such as timeouts.
+    """Return a sort key for each result, from the index of the packet whose bytes completed it."""
+    # Results that the bytes of packet i complete have the key 2i + 1. Results that only its time
+    # completes, such as timeouts, have 2i and come before them.
     return 2 * packets + 1
 
 
@@ -262,7 +260,7 @@ class _BlockPass:
         return is_whole
 
     def _stretch_flows(self) -> Int64s:
-        """For each stretch, the number of its flow (pair of TCP ends)."""
+        """For each plain stretch (series of polls of one connection), the number of its flow."""
         firsts = self._rows.first_place[self._stretches.bounds[:-1]]
         flows: Int64s = self._stretches.flows[firsts]
         return flows

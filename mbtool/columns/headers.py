@@ -1,6 +1,6 @@
 """Reads the link layer, IPv4 and TCP headers of all packets of a block at once, as arrays."""
 
-# Each packet is of one of these kinds (a followed port is one of the TCP ports of Modbus):
+# Each packet is of one of these kinds (a followed port is a TCP port that carries Modbus):
 #
 #     plain      a whole TCP segment in IPv4 between a port that is followed and one that is not
 #     odd        a segment of a followed connection that is not plain: cut, or malformed

@@ -53,7 +53,8 @@ class PacketBlock:
     """Consecutive packets of a capture file. Each array has one element per packet."""
 
     data: Octets
-    """The bytes of all packets, with other bytes between them; SPARE bytes follow the last one."""
+    """The bytes of all packets. Other bytes of the file, such as record headers, may lie between
+    them; SPARE bytes follow the last one."""
     starts: Int64s
     """The offset in `data` at which each packet begins."""
     captured: Int64s
@@ -256,8 +257,8 @@ class _PcapBlocks:
         return places, at, 0
 
     def _has_zeros(self, data: bytes, at: int) -> bool:
-        """True if the record header at offset `at` is all zeros, as in a file whose end was
-        preallocated.
+        """True if the record header at offset `at` is all zeros: the file was not written to its
+        end.
         """
         return data.startswith(bytes(16), at)
 

@@ -107,7 +107,8 @@ def _ended(
     connections: list[Connection],
     is_lower: list[bool],
 ) -> Iterator[EndedConnection]:
-    """Make what the reassembler keeps of ended connections.
+    """Yield an EndedConnection for each connection, by which the reassembler recognises late
+    segments.
 
     `is_lower` is True for a connection whose master is the lower of the two ends (by port, then
     address).
@@ -127,7 +128,9 @@ def _ended(
 
 
 def _connection(ends: FlowEnds, *, is_lower: bool, number: int) -> Connection:
-    """Return the connection between two ends; `is_lower` is True if the first one is the master."""
+    """Return the connection between two ends; `is_lower` is True if the first of them is the
+    master.
+    """
     low, low_port, high, high_port = ends
     if is_lower:
         return Connection(Endpoint(_host(low), low_port), _endpoint(high, high_port), number)

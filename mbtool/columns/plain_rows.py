@@ -133,8 +133,8 @@ class TransactionArrays:
         return self._order[self.first_place[at] : stop]
 
     def stretch(self, at: int, end: int) -> PlainStretch:
-        """Return the transactions `at` to `end` (exclusive) in the form in which the Decoder is
-        told of them.
+        """Return the transactions `at` to `end` (exclusive) as a PlainStretch, by which the Decoder
+        learns of them.
         """
         some, last, lists = slice(at, end), end - 1, self._lists
         first_place = lists.first_place[at]
@@ -199,11 +199,10 @@ class TransactionArrays:
         return headers
 
     def rows(self, block: PacketBlock, taken: list[tuple[int, int, Connection]]) -> PlainRows:
-        """Return the rows of the stretches that the Decoder was told of, in the order of their
-        responses.
+        """Return the transactions of the given stretches, in the order of their responses.
 
-        Each item of `taken` has the index of a stretch's first transaction, the index behind its
-        last one, and its connection.
+        A stretch is a series of polls of one connection. Each item of `taken` has the index of a
+        stretch's first transaction, the index behind its last one, and its connection.
         """
         firsts = np.array([first for first, _, _ in taken])
         sizes = np.array([end - first for first, end, _ in taken])

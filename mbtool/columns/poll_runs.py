@@ -131,7 +131,7 @@ class PollRuns:
 
 
 def _places(rows: PlainRows) -> list[_Place]:
-    """The place of each stretch."""
+    """For each connection in `rows.connections`, its link, IP and MAC addresses (see _Place)."""
     return [
         (one.link, one.master.host, str(one.slave), *origin_fields(*addresses)[:2])
         for one, addresses in zip(rows.connections, rows.addresses, strict=True)
@@ -141,10 +141,10 @@ def _places(rows: PlainRows) -> list[_Place]:
 def between(
     rows: PlainRows, is_usual: Bools, records: list[tuple[int, Record]]
 ) -> list[tuple[int, Record | None]]:
-    """Return what interrupts the rows for which `is_usual` is True, in order.
+    """Return the items between the rows for which `is_usual` is True, in order.
 
-    These are the Decoder's records, each with the index of the row behind it, and the other rows,
-    each with its index and None.
+    These are the Decoder's records, each with the index of the row that follows it, and the other
+    rows, each as its index and None.
     """
     places = np.searchsorted(order_of(rows.response), [place for place, _ in records]).tolist()
     found: list[tuple[int, Record | None]] = [

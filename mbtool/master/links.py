@@ -92,7 +92,7 @@ class MasterLink(ABC):
     _asked = 0
     """The number of requests sent by `ask`, which is also the `number` of the last of them."""
     _request: Adu
-    """The last request."""
+    """The request sent last, with the time when it was sent."""
     _response: Adu | None = None
     """The last response that belongs to a request."""
 
@@ -289,7 +289,7 @@ class TcpMaster(MasterLink):
 
     @staticmethod
     def _has_bytes(connected: socket.socket, wait_s: float) -> bool:
-        """Wait at most `wait_s` seconds for bytes. TLS may have some already decrypted."""
+        """Wait at most `wait_s` seconds; True if bytes can be read, also from TLS's buffer."""
         if isinstance(connected, ssl.SSLSocket):
             if connected.pending():
                 return True

@@ -1,4 +1,4 @@
-"""A TCP connection: delivers the bytes of both directions in order, causes before effects."""
+"""Reassembles a TCP connection: delivers both directions in order, requests before responses."""
 
 # A hole is a run of bytes that has not come yet although later ones have. A hole that is given up
 # becomes a gap, and the bytes behind it are delivered.
@@ -27,8 +27,8 @@
 #
 # Keep-alive probes, as the alive check of the FA3 modules sends them, repeat the byte before the
 # next expected one, or carry its sequence number and no byte (RFC 1122, 4.2.3.6). They are counted.
-# If a joined stream begins with a single byte and the byte behind it does not come in time, that
-# byte is a probe too.
+# If the capture starts in the middle of a stream, and the byte behind a first single byte does not
+# come in time, that single byte is a probe too.
 #
 # Times. The time of a byte is when that byte and all bytes before it had been captured. So bytes
 # that waited for earlier bytes get the time of those earlier bytes.
@@ -64,7 +64,7 @@ HOLE_NS = 10_000_000_000
 """How long a hole may wait for a retransmission, in ns."""
 
 _STATE_FLAGS = ACK | FIN | RST | SYN
-"""The flags of which a segment in the middle of a connection has only ACK."""
+"""Of these flags, an ordinary segment in the middle of a connection has only ACK."""
 
 
 class TcpConnection:
@@ -104,7 +104,8 @@ class TcpConnection:
         self.unanswered_probes = 0
         """The keep-alive probes that one end has sent since the other end last sent anything."""
         self._prober: Stream | None = None
-        """The direction of the end that sent the last keep-alive probe."""
+        """The stream of the end that sent the last keep-alive probe; None before the first
+        probe."""
         self._master_is_lower = master_is_lower
         self._arrivals = 0
         """The number of segments of this connection so far, both directions together."""
@@ -132,7 +133,7 @@ class TcpConnection:
         return RestPlace(*(way.next_sequence for way in ways), *(way.position for way in ways))
 
     def pass_plain(self, requests: PlainBytes, responses: PlainBytes) -> None:
-        """Advance behind segments that columns/ has read from arrays, up to a response."""
+        """Move both directions past segments that columns/ has decoded from arrays."""
         asking, answering = self._directions[0]
         asking.pass_plain(requests, self._arrivals)
         answering.pass_plain(responses, self._arrivals)
@@ -216,7 +217,7 @@ class TcpConnection:
             self.close(ts_ns, CloseReason.FINISHED)
 
     def advance(self, now_ns: int) -> None:
-        """Let time pass: give up holes that have waited too long."""
+        """Let capture time pass: treat missing bytes as lost if they were awaited too long."""
         self._now_ns = now_ns
         self._deliver_held()
         if not self.closed and self._is_finished():
@@ -276,7 +277,9 @@ class TcpConnection:
         other: Stream,
         origin: Origin | None,
     ) -> None:
-        """Deliver or hold the bytes of a segment; bytes that the capture cut off become a gap."""
+        """Deliver bytes or keep them until earlier ones come; bytes cut by the snaplen become a
+        gap.
+        """
         ts_ns, arrival = self._now_ns, self._arrivals
         if sender.origin is None:
             sender.join(sequence, arrival, ts_ns)
@@ -359,9 +362,9 @@ class TcpConnection:
         return stream.is_overdue(self._arrivals, PATIENCE, self._now_ns, PATIENCE_NS, needed)
 
     def _deliver_held(self, *, force: bool = False) -> None:
-        """Deliver waiting bytes whose turn has come, and give up holes that have waited too long.
+        """Deliver waiting bytes whose turn has come; treat bytes awaited too long as lost.
 
-        `force` gives up all holes.
+        `force` treats all missing bytes as lost.
         """
         # Each pass of the loop delivers bytes or gives up a hole, so it ends.
         moved = True
@@ -379,7 +382,7 @@ class TcpConnection:
                 moved = any(self._give_up(stream, force) for stream in streams)
 
     def _give_up(self, stream: Stream, force: bool) -> bool:
-        """Give up the hole before the first waiting bytes if it has had enough time to be filled.
+        """Treat the bytes missing before the first waiting ones as lost, if they had time to come.
 
         Returns True if bytes or a gap were delivered.
         """

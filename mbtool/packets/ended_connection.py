@@ -1,4 +1,6 @@
-"""The state of a TCP connection that columns/ has read from arrays, from its SYN to both FINs."""
+"""The state of a TCP connection that columns/ has decoded from arrays, from its SYN to both
+FINs.
+"""
 
 # It takes the place of a closed TcpConnection, and is made in a tenth of the time: its Streams are
 # made only if a later segment between the same ends must be compared with them.

@@ -57,8 +57,8 @@ _MAX_NS = 2**63 - 1
 _PAYLOAD_AT = _IPV4.size + _UDP.size
 
 
-# Any program may write such a block. Its size is bounded by MAX_BLOCK, as that of all pcapng
-# blocks.
+# Other programs can write a block with this code too. Its size is bounded by MAX_BLOCK, as that of
+# all pcapng blocks.
 class CaptureHead(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """Describes the serial lines and taps whose bytes a pcapng file holds, as a log's metadata
     does.
@@ -248,7 +248,7 @@ def reads_of(packets: Iterable[Packet]) -> Iterator[Chunk | Packet]:
 
 
 def _checksum(header: bytes) -> int:
-    """The checksum of an IPv4 header whose checksum is 0 (RFC 791)."""
+    """Compute the checksum of an IPv4 header whose checksum field is 0 (RFC 791)."""
     total: int = sum(word for (word,) in struct.iter_unpack(">H", header))
     total = (total & 0xFFFF) + (total >> 16)
     return 0xFFFF - ((total + (total >> 16)) & 0xFFFF)

@@ -51,7 +51,7 @@ class PcapForm(NamedTuple):
     """The form of a pcap file's records, as the file header gives it."""
 
     order: str
-    """The byte order, as struct writes it."""
+    """The byte order as a format character of `struct`: `<` or `>`."""
     unit_ns: int
     """The nanoseconds in one unit of the fraction of a second."""
     extra: int

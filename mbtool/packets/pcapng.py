@@ -256,7 +256,9 @@ class _Reader:
 
 
 def _options(header: Struct, data: bytes) -> dict[int, bytes]:
-    """Return the options of a block, bytes by code; of an incomplete list, those that are whole."""
+    """Return the options of a block by code; if their list is cut off, only those before
+    the cut.
+    """
     options: dict[int, bytes] = {}
     at = 0
     while at + 4 <= len(data):

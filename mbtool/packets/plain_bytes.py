@@ -1,4 +1,6 @@
-"""Tells a connection of bytes that columns/ has read from arrays, past the connection's Streams."""
+"""Describes bytes that columns/ has decoded from arrays, so that a TcpConnection can move past
+them.
+"""
 
 from __future__ import annotations
 
@@ -6,15 +8,15 @@ from typing import NamedTuple
 
 
 class PlainBytes(NamedTuple):
-    """Describes bytes of one direction that were read from arrays: whole segments in order, none
-    missing or sent twice.
+    """Bytes of one direction that were decoded from arrays: whole segments in order, none missing
+    or sent twice.
     """
 
     size: int
     tail: bytes
     """The last stream.RECENT_BYTES bytes, or all if fewer, to compare retransmissions with."""
     last_segment: int
-    """How many segments of both directions, counted together, came up to the one with the last
+    """The number of segments of both directions together, up to and including the one with the last
     byte."""
     last_ns: int
     """The time of the segment that brought the last byte, in UTC ns."""

@@ -124,7 +124,9 @@ class TcpReassembler:
         return items
 
     def advance(self, now_ns: int) -> list[StreamItem]:
-        """Let capture time pass: give up holes that waited too long, and close idle connections."""
+        """Let capture time pass: treat bytes awaited too long as lost, and close idle
+        connections.
+        """
         self._finish(self._fragments.advance(now_ns), now_ns)
         self._advance(now_ns)
         return self._take_out()
@@ -199,7 +201,7 @@ class TcpReassembler:
         return delivered
 
     def note_used(self, flows: Iterable[FlowEnds]) -> None:
-        """Mark connections as the most recently used ones, the last one as the very latest."""
+        """Mark connections as used, in this order; the one unused for longest is dropped first."""
         for ends in flows:
             if ("", *ends) in self._connections:
                 self._connections.move_to_end(("", *ends))

@@ -220,7 +220,7 @@ class Stream:
         return (self.origin or 0) + self.position & _MASK
 
     def pass_plain(self, passed: PlainBytes, arrivals: int) -> None:
-        """Advance behind bytes that columns/ has read from arrays.
+        """Move the stream past bytes that columns/ has decoded from arrays.
 
         `arrivals` is the number of segments of the connection before them.
         """

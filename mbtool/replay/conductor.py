@@ -130,8 +130,8 @@ class Conductor:
         """Called with a response to the request with this number.
 
         `start_ns` and `end_ns` are the times of the response's first and last byte. Returns True if
-        the response means the same as the recorded one, False if it does not, and None if no open
-        request has this number.
+        the response means the same as the recorded one, False if it does not, and None if no
+        pending request has this number.
         """
         request = self._open.pop(number, None)
         if request is None:
@@ -156,7 +156,7 @@ class Conductor:
         """Stop waiting for the response to the request with this number.
 
         Returns a list with one item: the step, and True if the recording has no response to it
-        either. The list is empty if no open request has this number.
+        either. The list is empty if no pending request has this number.
         """
         request = self._open.pop(number, None)
         if request is None:

@@ -7,8 +7,8 @@
 #     registers  by table, address, and read or written: the values. Only reads with outcome ok and
 #                acknowledged writes count; the masks of mask write (16H) are no values
 #
-# A slave is a unit on a link. The same link may have another name in another capture, so a unit
-# number that occurs on one link only identifies the slave alone.
+# A slave is a unit on a link. The same link may have another name in another capture, so if a unit
+# number occurs on only one link, the number alone identifies the slave.
 #
 # Memory grows with the number of different requests and values, not with the length of a capture.
 # Limits:

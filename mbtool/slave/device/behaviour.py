@@ -88,7 +88,10 @@ class Behaviour:
         return None
 
     def allows(self, table: Table, span: range, *, writing: bool = False) -> bool:
-        """True if a master may read, or write, the whole range. The answer never changes."""
+        """True if a master may read (or write) all addresses of the range.
+
+        The result never changes.
+        """
         asked = table, span.start, span.stop, writing
         known = self._allowed.get(asked)
         if known is None:

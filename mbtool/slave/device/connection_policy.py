@@ -21,9 +21,9 @@ from enum import Enum, auto
 
 MAX_NOTES = 16
 SPARE_NS = 1_000_000_000
-"""If the limit of connections is reached, a connection of which nothing came in its first SPARE_NS
-is closed in favour of a new one (TCP guide, V1.0b, 4.3.2: the oldest unused connection is closed).
-In ns."""
+"""If the limit of connections is reached, a connection that is older than this, in ns, and has sent
+nothing is closed in favour of a new one (TCP guide, V1.0b, 4.3.2: the oldest unused connection is
+closed)."""
 
 
 class Loss(Enum):
@@ -70,7 +70,7 @@ class KeepAlive:
     interval_s: int
     """Seconds from one probe to the next."""
     count: int
-    """The connection is closed after so many unanswered probes."""
+    """The connection is closed after this many unanswered probes."""
 
 
 class ConnectionPolicy:
@@ -82,7 +82,7 @@ class ConnectionPolicy:
     def __init__(self, places: int = 32, idle_s: float = 600.0) -> None:
         self.places = places
         self.idle_s = idle_s
-        """A connection is closed after so many seconds without a complete request."""
+        """A connection is closed after this many seconds without a complete request."""
         self.changed = False
         """True if `keep_alive`, `split_s` or `closed_until_ns` may have changed.
 

@@ -12,7 +12,7 @@
 #                 names no setting to hold the outputs
 #
 # The registers 00F0H to 00F5H are non-volatile. A real module uses a new IP address in 00F0H after
-# a restart. The embedded slave always uses the address of its link: the value is stored without
+# a restart. The simulated slave always uses the address of its link: the value is stored without
 # effect.
 #
 # Outputs follow the coils and registers while a master is connected. While no master is connected,

@@ -82,7 +82,7 @@ class _Fa3Analog(Fa3):
         self.image.set(Table.DISCRETE_INPUTS, _INITIAL_SETTING, [0])
 
     def take_settings(self, now_ns: int) -> None:
-        """Apply the settings in the holding registers from `now_ns` on."""
+        """Called at each initial data setting: apply the settings in the holding registers."""
 
     def _words(self, span: range) -> list[int]:
         return self.image.get(Table.HOLDING_REGISTERS, span.start, len(span))

@@ -92,7 +92,9 @@ class Host(Protocol):
 
 
 class MasterConnection(asyncio.BufferedProtocol):
-    """The connection of one master, as asyncio's protocol."""
+    """One master's TCP connection; asyncio calls its methods when something happens on the
+    socket.
+    """
 
     peer: Peer
     _transport: asyncio.Transport

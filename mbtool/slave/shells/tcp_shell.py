@@ -40,7 +40,8 @@ if TYPE_CHECKING:
     from mbtool.slave.device.connection_policy import Peer
 
 MAX_REFUSED_HOSTS = 64
-"""At most so many refused machines are reported to the user; further ones are refused silently."""
+"""At most this many refused machines are reported to the user; further ones are refused
+silently."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
