@@ -1,4 +1,4 @@
-"""A base for objects that are context managers because they can be closed."""
+"""A base class for objects that can be closed, which makes them context managers."""
 
 from __future__ import annotations
 

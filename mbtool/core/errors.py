@@ -17,7 +17,7 @@ from __future__ import annotations
 
 
 class MbtoolError(Exception):
-    """Any error this program raises on purpose; the text is one line for the user."""
+    """Any error that this program raises on purpose; its text is one line for the user."""
 
 
 class UsageError(MbtoolError):
@@ -25,7 +25,7 @@ class UsageError(MbtoolError):
 
 
 class ProfileError(UsageError):
-    """A key of a device profile has a value that it cannot have."""
+    """A key in a device profile has a value that is not allowed there."""
 
     def __init__(self, file: str, key: str, problem: str) -> None:
         super().__init__(f"{file}: {key}: {problem}")
@@ -55,8 +55,8 @@ class OutputError(MbtoolError):
 
 
 def reason_of(error: OSError | ValueError) -> str:
-    """The operating system's text for an error, without the error's number and file name.
+    """Return the operating system's text for an error, without its number and file name.
 
-    For an error that has no such text, the text of the error itself.
+    If the error has no such text, this is the error's own text.
     """
     return getattr(error, "strerror", None) or str(error)

@@ -1,4 +1,4 @@
-"""Events of a link: all that is reported except transactions, such as a gap or skipped bytes."""
+"""Events of a link: all that is reported beside transactions, such as a gap or skipped bytes."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ class EventKind(StrEnum):
     FOREIGN = "foreign"
     """Well-formed bytes of another protocol."""
     LINE_ERROR = "line-error"
-    """Errors that a port's driver reports: parity, framing, break, overrun. The event may have a
-    time up to 1 s after the error."""
+    """Errors that a port's driver reports: parity, framing, break, overrun. The time of the event
+    may be up to 1 s after the error."""
     GAP = "gap"
     """Bytes that are known to be missing from the capture."""
     OVERLAP = "overlap"
@@ -25,9 +25,10 @@ class EventKind(StrEnum):
     DISCARDED = "discarded"
     """Data that was dropped because a limit of this program was exceeded."""
     REFUSED = "refused"
-    """A tap could not make a connection: the slave cannot be reached, or TLS failed."""
+    """A tap could not make a connection: the master is not allowed, the slave cannot be reached, or
+    TLS failed."""
     BLOCKED = "blocked"
-    """A tap that is read-only did not pass a request on, and answered it itself."""
+    """A read-only tap did not pass a request on to the slave, and answered it itself."""
     OPENED = "opened"
     CLOSED = "closed"
     UNREADABLE = "unreadable"
@@ -37,11 +38,13 @@ class EventKind(StrEnum):
     ECHO = "echo"
     """The second copy of a request, from an adapter that also receives its own bytes."""
     TWO_MASTERS = "two-masters"
-    """Requests on a serial line come while others wait for their response. Said once for a line."""
+    """Several masters seem to be on a serial line: requests come while other requests still wait
+    for their response. Reported once for each line."""
     SPOILT = "spoilt"
-    """This program, playing the slave, distorted a response on purpose."""
+    """This program, playing the slave, distorted a response on purpose, as the user asked."""
     CLOCK_STEP = "clock-step"
-    """Somebody set the system's clock while it was recorded. The times in the log do not step."""
+    """Somebody set the system's clock during the recording. The times in the log go on without a
+    step."""
     CUT = "cut"
     """The file ends in the middle of a record, or the capture kept only part of a packet."""
 
@@ -53,7 +56,7 @@ the second for one that had begun before the capture."""
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WireEvent:
-    """Something that happened on a link and is no transaction."""
+    """Something that happened on a link and is no transaction, such as a gap."""
 
     ts_ns: int
     link: str

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 
 class Direction(StrEnum):
-    """Who sent: REQUEST if it was the master, RESPONSE if it was a slave.
+    """Says who sent bytes: REQUEST is the master, RESPONSE is a slave.
 
     Bytes from a two-wire bus are UNKNOWN until the decoder has found out who sent them.
     """
@@ -19,16 +19,16 @@ class Direction(StrEnum):
 
 
 class Stamp(StrEnum):
-    """Says which bytes of a chunk have the time of the chunk."""
+    """Says for which bytes of a chunk the chunk's time is right."""
 
     AT_ONCE = "at-once"
-    """All bytes have the time of the chunk, as in a TCP segment."""
+    """The time of the chunk is that of all its bytes, as in a TCP segment."""
     LAST_BYTE = "last-byte"
-    """The last byte has the time of the chunk, and each other byte ended one character time before
-    the next, as in a read of a serial port."""
+    """The time of the chunk is that of its last byte, and each other byte ended one character time
+    before the next, as in a read of a serial port."""
     UNKNOWN = "unknown"
-    """No byte has the time of the chunk, as in a file of bytes without times: only the order of the
-    bytes is known."""
+    """The time of the chunk is that of no byte, as in a file of bytes without times: only the order
+    of the bytes is known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,11 +49,12 @@ class Connection:
     master: Endpoint
     slave: Endpoint
     number: int = 0
-    """The number of the connection among all of the same source, such as a capture file. It tells
-    two connections between the same ends apart."""
+    """The number of the connection among all connections of the same source, such as a capture
+    file. It tells two connections between the same endpoints apart."""
 
     def __hash__(self) -> int:
-        # Each segment looks its connection up: the hash of all fields takes three times as long.
+        # The decoder looks a connection up for each segment, and a hash of all fields takes three
+        # times as long.
         return hash((self.number, self.master.port, self.slave.host))
 
     @property
@@ -74,7 +75,7 @@ class LinkAddresses(NamedTuple):
 
 
 class Origin(NamedTuple):
-    """Where bytes come from: a packet, or a position in a file of serial bytes."""
+    """Where captured bytes come from: a packet, or a position in a file of serial bytes."""
 
     file: str
     """The capture file, as the user named it; empty in a live capture."""
@@ -83,22 +84,24 @@ class Origin(NamedTuple):
     addresses: LinkAddresses | None = None
     """The addresses of the packet on the link layer, if it has any."""
     offset: int | None = None
-    """In a file of serial bytes, the number of bytes before these; None for a packet."""
+    """In a file of serial bytes, the number of bytes of the file's line before these; None for a
+    packet."""
 
 
 class StreamPlace(NamedTuple):
-    """The position, in bytes, of a TCP segment in its connection, or of serial bytes in a file."""
+    """The position of a TCP segment's bytes in its connection, or of serial bytes in their file."""
 
     position: int
-    """The number of bytes before these in the same direction of the connection, or in the file."""
+    """The number of bytes that precede these in the same direction of the connection, or in the
+    file."""
     acknowledged: int | None
-    """The position in the other direction up to which the sender had received all bytes when it
-    sent the segment; None if unknown."""
+    """The number of bytes of the other direction that the sender had acknowledged when it sent the
+    segment; None if unknown."""
     origin: Origin | None = None
     """The packet or the file that the bytes come from; None if unknown."""
 
     def after(self, count: int) -> StreamPlace:
-        """The place of the bytes after the first `count` bytes."""
+        """Return the place of the bytes that follow the first `count` bytes."""
         return self._replace(position=self.position + count)
 
 
@@ -107,8 +110,8 @@ class Chunk:
     """The bytes of one read of a port, or the payload of one TCP segment."""
 
     ts_ns: int
-    """When the bytes were read or captured, in UTC ns. After a read of a port, the clock is read at
-    once."""
+    """When the bytes were read or captured, in UTC ns. For a port this is the time right after the
+    read."""
     link: str
     """The name of the serial line, or the slave's address. It contains no slash, because it is a
     part of the names of topics in a log."""
@@ -118,8 +121,8 @@ class Chunk:
     connection: Connection | None = None
     """The TCP connection that carried the bytes; None on a serial line."""
     place: StreamPlace | None = field(default=None, compare=False)
-    """The position of the bytes in the TCP connection, or in the file of a serial line. None if
-    unknown, as in a live capture of a serial line or a tap."""
+    """Where the bytes are in the TCP connection, or in the file of a serial line. None if unknown,
+    as in a live capture of a serial line or a tap."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -134,7 +137,8 @@ class Packet:
     """A LINKTYPE_ value of the pcap registry (tcpdump.org/linktypes.html)."""
     data: bytes
     original_length: int
-    """Bytes that the packet had on the wire; more than len(data) if the capture cut it."""
+    """The number of bytes that the packet had on the wire; more than len(data) if the capture cut
+    it."""
     file: str = field(default="", compare=False)
     """The capture file, as the user named it; empty in a live capture."""
     number: int = field(default=0, compare=False)
@@ -143,7 +147,7 @@ class Packet:
 
 @dataclass(frozen=True, slots=True)
 class Quiet:
-    """Says that all bytes that arrived on a link up to `ts_ns` have been delivered."""
+    """Says that all bytes that arrived on a link up to `ts_ns` (UTC ns) have been delivered."""
 
     ts_ns: int
     link: str

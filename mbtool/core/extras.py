@@ -1,4 +1,4 @@
-"""Names the command that installs an extra of this package where this mbtool is installed."""
+"""Finds the command that installs an optional extra of mbtool into the environment it runs in."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from mbtool.core.errors import UsageError
 
 
 def missing_extra(what: str, extra: str) -> UsageError:
-    """The error for a command that needs an extra which is not installed."""
+    """Return the error for a command that needs an extra which is not installed."""
     return UsageError(f"{what} needs the extra mbtool[{extra}]: {installer(*requirements(extra))}")
 
 
 def requirements(extra: str) -> list[str]:
-    """The requirements of an extra, without the marks that name it."""
-    from importlib import metadata  # Loads the package email; no command needs it to run.
+    """Return the requirements of an extra, without their markers (such as `; extra == "tls"`)."""
+    from importlib import metadata  # Imports the package email; rarely needed.
 
     try:
         lines = metadata.requires("mbtool") or []
@@ -30,10 +30,11 @@ def requirements(extra: str) -> list[str]:
 
 
 def installer(*packages: str, prefix: str = sys.prefix) -> str:
-    """The command that installs packages where this mbtool is installed.
+    """Return the command that installs packages into the environment that this mbtool runs in.
 
-    `uv tool install --with` would remove what an earlier --with has installed, so packages are
-    added to the environment of a tool of uv. The venv that `make` creates has no pip of its own.
+    `uv tool install --with` would remove what an earlier --with has installed, so for a tool of uv
+    the packages are added to its environment. The venv that `make` creates has no pip of its own,
+    so the pip of python3 installs into it.
     """
     parts = Path(prefix).parts
     quoted = shlex.join(packages)

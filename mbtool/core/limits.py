@@ -1,30 +1,33 @@
-"""Limits that several packages of mbtool use, and the times that a master keeps on a link."""
+"""Limits that several packages of mbtool use, and the times that a master observes on a link."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 MAX_OPEN_REQUESTS = 256
-"""The most pending requests of one link; if one more comes, the oldest is given up."""
+"""The most requests of one link that wait for a response. If one more comes, the decoder no longer
+waits for the response to the oldest."""
 
 MAX_CLOCK_STEP_NS = 1_000_000_000
-"""If a time is earlier than the one before it by more than this, in ns, the clock was set back."""
+"""If a time is earlier than the previous one by more than this, in ns, the clock was set back."""
 
 RESPONSE_TIMEOUT_NS = 1_000_000_000
-"""Default time in ns that a master waits for a response."""
+"""The default time in ns that a master waits for a response."""
 TURNAROUND_NS = 100_000_000
-"""Pause after a broadcast, in ns (Serial Line V1.02, 2.4.1: typically 100 to 200 ms)."""
+"""The default pause of a master after a broadcast, in ns (Serial Line V1.02, 2.4.1: typically 100
+to 200 ms)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LinkLimits:
-    """The times that a master keeps on a link, in ns."""
+    """The times that a master observes on a link."""
 
     timeout_ns: int = RESPONSE_TIMEOUT_NS
     """The longest time that the master waits for a response, in ns."""
     one_at_a_time: bool = False
-    """True on a serial line and on RTU over TCP: no request while another one is pending."""
+    """True on a serial line and on RTU over TCP: the master sends no request while another one
+    waits for its response."""
     pause_ns: int = 0
     """The shortest pause between the last byte on the link and the next request, in ns."""
     turnaround_ns: int = TURNAROUND_NS
-    """The pause after a broadcast, which has no response, before the next request, in ns."""
+    """The pause in ns after a broadcast, which has no response, before the next request."""

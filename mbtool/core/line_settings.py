@@ -1,4 +1,4 @@
-"""The value of `--link` for a file of serial bytes: the settings of the line, without a port."""
+"""The value of `--link` for a file of serial bytes: a line's settings, without a port."""
 
 #     rtu@19200-8E1      RTU; `rtu` alone means rtu@19200-8E1
 #     ascii@9600-7E1     ASCII; `ascii` alone means ascii@9600-7E1
@@ -22,7 +22,7 @@ class LineSettings:
     ascii: bool = False
 
     def on(self, port: str) -> SerialLink:
-        """The serial link that has this port and these settings."""
+        """Return the serial link with this port and these settings."""
         return SerialLink(port, self.format, ascii=self.ascii)
 
     def __str__(self) -> str:

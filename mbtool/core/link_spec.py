@@ -34,9 +34,9 @@ HEARD = (
     "rtu:PORT@19200-8E1, ascii:PORT@9600-7E1, rtutap:PORT@19200-8E1=PORT, net:INTERFACE "
     "or tap:LISTEN=TARGET"
 )
-"""The forms of LINK that the command sniff takes, as a text for error messages."""
+"""The forms of LINK that the command sniff accepts, as a text for error messages."""
 ANSWERED = "rtu:PORT@19200-8E1, ascii:PORT@9600-7E1, tcp:HOST:PORT or rtu+tcp:HOST:PORT"
-"""The forms of LINK that the commands slave and replay take, as a text for error messages."""
+"""The forms of LINK that the commands slave and replay accept, as a text for error messages."""
 _ALL = (
     "rtu:PORT@19200-8E1, ascii:PORT@9600-7E1, rtutap:PORT@19200-8E1=PORT, net:INTERFACE, "
     "tap:LISTEN=TARGET, tcp:HOST:PORT or rtu+tcp:HOST:PORT"
@@ -52,12 +52,13 @@ _OWN_ADDRESSES = {
     "127.0.0.1": ("localhost",),
     "localhost": ("127.0.0.1",),
 }
-"""Other addresses and names that reach a tap, by the address at which it listens."""
+"""Other addresses and names that reach a tap, by the address at which it listens. They show that a
+tap would connect to itself."""
 
 
 @dataclass(frozen=True, slots=True)
 class SerialLink:
-    """A line that carries RTU or ASCII, and its one or two ports."""
+    """A serial line that carries RTU or ASCII, and the one or two ports on it."""
 
     port: str
     """The port on the line; if there are two, the port that receives the master's bytes."""
@@ -68,7 +69,7 @@ class SerialLink:
     is_relay: bool = field(default=False, kw_only=True)
     """True if the line is cut in two, and mbtool passes bytes between its two ports."""
     modem_lines: ModemLines = field(default=ModemLines(), kw_only=True)
-    """What a listener does with DTR and RTS; no part of the text of a link."""
+    """What a listener does with DTR and RTS. It is not part of the link's text."""
 
     def __post_init__(self) -> None:
         if self.is_relay and self.slave_port is None:
@@ -87,7 +88,7 @@ class SerialLink:
         return "+".join(PurePath(port).name for port in self.ports)
 
     def demand_one_port(self) -> None:
-        """Raise UsageError if the link has two ports: these can only listen."""
+        """Raise UsageError if the link has two ports, as two ports can listen but not answer."""
         if self.slave_port is not None:
             raise UsageError(
                 f"link {self}: two ports can only listen; to answer, name one, "
@@ -102,14 +103,14 @@ class SerialLink:
 
 @dataclass(frozen=True, slots=True)
 class AutoLink:
-    """A line whose settings are found by listening."""
+    """A serial line whose settings are still to be found by listening."""
 
     ports: tuple[str, ...]
     """The line's only port, or two ports: the one at the master's side, then the slaves' side."""
     only_ascii: bool = False
 
     def settled(self, format_: SerialFormat, *, ascii: bool) -> SerialLink:  # noqa: A002
-        """The serial link with these ports and the settings that were found by listening."""
+        """Return the serial link with these ports and the settings that were found by listening."""
         return SerialLink(self.ports[0], format_, ascii, *self.ports[1:])
 
     @property
@@ -122,7 +123,7 @@ class AutoLink:
 
 @dataclass(frozen=True, slots=True)
 class InterfaceLink:
-    """One network interface to listen on, or several on one network."""
+    """One network interface to capture, or several that belong to one network."""
 
     interfaces: tuple[str, ...]
 
@@ -162,16 +163,17 @@ class TargetTls:
 
 @dataclass(frozen=True, slots=True)
 class TapLink:
-    """A relay that listens at one endpoint and connects to another."""
+    """A TCP relay (tap) that listens at one endpoint and connects to another, the target."""
 
     listen: Endpoint
     target: Endpoint
     listen_tls: ListenTls | None = field(default=None, kw_only=True)
     target_tls: TargetTls | None = field(default=None, kw_only=True)
     read_only: bool = field(default=False, kw_only=True)
-    """True if the tap passes on only requests that read."""
+    """True if the tap passes on only requests that change nothing in the slave."""
     is_rtu: bool = field(default=False, kw_only=True)
-    """True if the target speaks RTU over TCP; only a tap that is read-only has to know."""
+    """True if the target speaks RTU over TCP. Only a read-only tap, which parses requests, needs
+    this."""
 
     @property
     def tls_sides(self) -> tuple[str, ...]:
@@ -206,7 +208,7 @@ LinkSpec = SerialLink | AutoLink | InterfaceLink | TapLink | TcpLink
 
 
 def parse_link(text: str, offer: str = _ALL) -> LinkSpec:
-    """Read a LINK string. Raises UsageError if it has none of the forms in docs/links.md.
+    """Parse a LINK string. Raises UsageError if it has none of the forms in docs/links.md.
 
     `offer` is a text with the forms of LINK that the error message proposes.
     """
@@ -239,9 +241,10 @@ def parse_link(text: str, offer: str = _ALL) -> LinkSpec:
 def _parse_serial(
     text: str, scheme: str, rest: str, example: str | None = None
 ) -> SerialLink | AutoLink:
-    """Read `PORT@SETTINGS`, also with two ports. Raises UsageError if it is anything else.
+    """Parse `PORT@SETTINGS`, also with two ports. Raises UsageError if it is anything else.
 
-    `example` is a correct link for the text of that error; None to make one from `text`.
+    `text` is the whole LINK, and `example` is a correct link, both for the text of that error; if
+    `example` is None, one is made up.
     """
     listed, at, settings = rest.rpartition("@")
     ports = (listed if at else rest).split(",")
@@ -269,9 +272,10 @@ def _parse_serial(
 
 
 def _parse_relay(text: str, scheme: str, rest: str) -> SerialLink:
-    """Read `PORT@SETTINGS=PORT`, where both ports have these settings.
+    """Parse `PORT@SETTINGS=PORT`, where both ports have these settings.
 
-    Raises UsageError if `rest` is anything else or names one port twice.
+    `text` is the whole LINK, for error messages. Raises UsageError if `rest` is anything else or
+    names one port twice.
     """
     master_side, equals, slave_port = rest.rpartition("=")
     is_ascii = scheme == "asciitap"
@@ -320,7 +324,7 @@ def _parse_endpoint(text: str, part: str) -> Endpoint:
             "for example 127.0.0.1:1502 or [::1]:1502"
         )
     if match["host"] is not None and match["host"].isdecimal():
-        # The system would take 1502 as the address 0.0.5.222.
+        # The system would take the text 1502 as the address 0.0.5.222.
         raise UsageError(
             f"link {text!r}: {part!r} names no host; write HOST:PORT, "
             f"for example 127.0.0.1:{part.partition(':')[0]}"

@@ -1,7 +1,7 @@
 """The serial ports and network interfaces of this machine, and obstacles to opening them."""
 
-# These classes only hold facts that the packages mbtool.ports and mbtool.sources find out. A
-# property that cannot be found out is None.
+# These classes only hold facts that the packages mbtool.ports and mbtool.sources find out. A fact
+# that cannot be found out is None.
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Trouble:
 
     problem: str
     remedy: str = ""
-    """A command that solves the problem. This program never runs it itself."""
+    """A command that solves the problem, for the user. This program never runs it itself."""
 
     def __str__(self) -> str:
         return f"{self.problem}: {self.remedy}" if self.remedy else self.problem
@@ -36,20 +36,21 @@ class Holder:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LocalSerialPort:
-    """A serial port with hardware behind it."""
+    """A serial port of this machine that has hardware."""
 
     device: str
     """The name by which the port is opened, for example /dev/ttyUSB0."""
     stable: str | None = None
     """Another path of the port, which stays the same when its adapter is plugged in elsewhere or in
-    another order."""
+    another order; None if there is none."""
     description: str = ""
     usb_id: str | None = None
     """The ids of the USB adapter's vendor and product, for example 0403:6001."""
     serial_number: str | None = None
     driver: str | None = None
     latency_timer_ms: int | None = None
-    """The longest time in ms that the adapter waits for more bytes before it delivers bytes."""
+    """The FTDI latency timer: the longest time in ms that the adapter waits for more bytes before
+    it delivers those it has."""
     fifo_bytes: int | None = None
     """The number of bytes that a UART collects before it delivers them."""
     low_latency: bool | None = None
@@ -57,7 +58,8 @@ class LocalSerialPort:
     low_latency_support: bool | None = None
     holders: tuple[Holder, ...] = ()
     unseen_processes: int = 0
-    """Number of processes that this user may not inspect; one of them may have the port open."""
+    """The number of processes that this user may not inspect; one of them may have the port
+    open."""
     troubles: tuple[Trouble, ...] = ()
 
     @property
@@ -66,7 +68,7 @@ class LocalSerialPort:
 
     @property
     def link(self) -> str:
-        """The LINK to write for this port, with the default line settings of the standard."""
+        """The LINK that a user can write for this port, with the default line settings."""
         return str(SerialLink(self.stable or self.device, SerialFormat()))
 
 
@@ -78,9 +80,9 @@ class LocalInterface:
     description: str = ""
     is_up: bool | None = None
     has_carrier: bool | None = None
-    """True if the cable connects to something; None while the interface is down."""
+    """True if the cable is connected at both ends; None while the interface is down."""
     troubles: tuple[Trouble, ...] = ()
-    """Problems that keep a capture from starting, even if the interface is up."""
+    """Problems that prevent a capture from starting, even if the interface is up."""
 
     @property
     def link(self) -> str:

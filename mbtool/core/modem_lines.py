@@ -1,7 +1,8 @@
-"""What is done with DTR and RTS of a port that is opened to listen."""
+"""Says what is done with DTR and RTS of a port that is opened to listen."""
 
-# When a port is opened, the kernel raises both, and when it is closed, drops both; no program can
-# prevent the first. Some adapters for RS-485 send, or are powered, by one of them.
+# When a port is opened, the kernel raises DTR and RTS, and when it is closed, drops both; no
+# program can prevent the raising. Some RS-485 adapters send, or are powered, while one of them is
+# raised.
 
 from __future__ import annotations
 
@@ -10,19 +11,20 @@ from enum import StrEnum
 
 
 class ModemLine(StrEnum):
-    """What is done with one of the two lines."""
+    """What is done with DTR, or with RTS, of a port."""
 
     RAISED = "raised"
-    """Raised while the port is open, dropped at the end: what the kernel does."""
+    """Raised while the port is open, dropped when it is closed: the kernel does so by itself."""
     KEEP = "keep"
-    """Raised, and not dropped at the end. Drivers can do this for both lines only."""
+    """Raised, and not dropped when the port is closed. Drivers can do this only for both lines
+    together."""
     OFF = "off"
-    """Dropped right after the opening."""
+    """Dropped right after the port is opened."""
 
 
 @dataclass(frozen=True, slots=True)
 class ModemLines:
-    """DTR and RTS of a port."""
+    """What is done with DTR and with RTS of a port."""
 
     dtr: ModemLine = ModemLine.RAISED
     rts: ModemLine = ModemLine.RAISED
@@ -32,6 +34,6 @@ class ModemLines:
 
     @classmethod
     def parse(cls, text: str) -> ModemLines:
-        """The opposite of str()."""
+        """Read the text that str() returns, such as `raised,off`."""
         dtr, _, rts = text.partition(",")
         return cls(ModemLine(dtr), ModemLine(rts))

@@ -1,4 +1,4 @@
-"""Reads the times that a user writes: dates with times of day, and times since the beginning."""
+"""Reads the times that a user writes: dates with times of day, and times since a beginning."""
 
 #     2026-11-22T09:14:03.201Z    a date and a time as ISO 8601; UTC if no zone is given
 #     2026-11-22 09:14            the same; without a time of day, 00:00
@@ -37,7 +37,10 @@ class TimePoint(NamedTuple):
 
 
 def parse_moment(text: str, option: str) -> TimePoint:
-    """Read a moment. Raises UsageError, with the name of the option, for any other text."""
+    """Read a time that a user gave in an option.
+
+    Raises UsageError, which names the option, for a text that is no time.
+    """
     absolute_ns = parse_iso(text)
     if absolute_ns is not None:
         return TimePoint(absolute_ns, is_absolute=True)
@@ -58,7 +61,7 @@ def parse_iso(text: str) -> int | None:
     text = match["whole"] if ":" in match["whole"] else f"{match['whole']}T00:00"
     try:
         whole = datetime.fromisoformat(text + (match["zone"] or "Z"))
-    except ValueError:  # The date does not exist, as in a 13th month.
+    except ValueError:  # The date does not exist, such as month 13.
         return None
     since = whole - _EPOCH
     ns = int((match["fraction"] or "").ljust(9, "0"))

@@ -1,11 +1,11 @@
-"""Tells if a TOML or JSON text nests too deep, before a parser reads it."""
+"""Tells if a TOML or JSON text nests too deep for the parsers, before one of them reads it."""
 
-# The parser of TOML needs memory that grows with the square of the parts of a dotted key: 40 kB of
-# a.a.a...=1 take 1.6 GB. Parsers of JSON and of arrays call themselves once for each level. No
-# file that mbtool reads has more than five levels.
+# The parser of TOML needs memory that grows with the square of the number of parts of a dotted key:
+# 40 kB of a.a.a...=1 take 1.6 GB. Parsers of JSON and of arrays call themselves once for each
+# level. No file that mbtool reads has more than five levels.
 #
-# A text that is neither TOML nor JSON passes or is refused; no text takes longer than its length
-# explains: each character is looked at a fixed number of times.
+# A text that is neither TOML nor JSON may pass or be refused. The time is proportional to the
+# length of the text, as each character is looked at a fixed number of times.
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ import re
 MAX_DEPTH = 16
 """The most levels of brackets, and the most parts of a dotted key."""
 
-# Only sets of characters are repeated possessively (`*+`): Python before 3.11.5 repeats groups
-# wrongly.
+# In this regular expression only sets of characters are repeated possessively (`*+`), not groups:
+# Python before 3.11.5 repeats groups wrongly.
 _QUOTED_OR_COMMENT = re.compile(
     r'"""[^\\"]*+(?:(?:\\.|"(?!""))[^\\"]*+)*(?:"""|\\?\Z)'
     r"|'''[^']*+(?:'(?!'')[^']*+)*(?:'''|\Z)"
@@ -24,13 +24,14 @@ _QUOTED_OR_COMMENT = re.compile(
     r"|\#[^\n]*+",
     re.DOTALL,
 )
-"""A text in quotes, whether the closing quotes are there or not; or a comment of TOML."""
+"""Matches what may contain brackets that do not nest: a text in quotes, even if the closing quotes
+are missing, or a comment of TOML."""
 _BETWEEN_KEYS = re.compile(r"[=\n,\[\]{}]")
 _BRACKET = re.compile(r"[\[\]{}]")
 
 
 def why_too_deep(text: str) -> str | None:
-    """Say why a TOML or JSON text is refused, on one line; None if it is not."""
+    """Say in one line why a TOML or JSON text is refused; return None if it is not."""
     bare = _QUOTED_OR_COMMENT.sub("_", text)
     depth = 0
     for bracket in _BRACKET.finditer(bare):

@@ -12,7 +12,8 @@ UNITS = range(0x100)
 def parse_unit(text: str, where: str, others: str = "") -> int:
     """Read a unit number. Raises UsageError if `text` is no number from 0 to 255.
 
-    `where` and `others` are used in the text of the error, as in parse_number.
+    `where` names the option for the text of the error, and `others` lists other values that are
+    allowed there.
     """
     return parse_number(text, "unit", UNITS, where, others)
 

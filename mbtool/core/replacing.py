@@ -1,8 +1,8 @@
-"""Replaces a file in one step, so that a run that fails leaves the old one as it was."""
+"""Replaces a file in one step, so that a run that fails leaves the old file unchanged."""
 
-# What is written goes into a second file in the same folder, .NAME.PID.part, which gets the name of
-# the old one when it is whole. If the process is killed, the second file stays under its own name,
-# until a process of the same id (in a container always 1) replaces the same file.
+# The new content is written to a second file in the same folder, .NAME.PID.part, which is renamed
+# to the old file's name when it is complete. If the process is killed, the second file stays under
+# its own name, until a process with the same id (in a container always 1) replaces the same file.
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @contextmanager
 def replacing(path: str | Path) -> Iterator[Path]:
-    """Yield the path of an empty file; when the context ends, it replaces the one at `path`.
+    """Yield the path of an empty file that replaces the file at `path` when the context ends.
 
     Only its owner can read it until then; it gets the old file's permissions. A symbolic link is
     followed and stays. If the context ends by an error, the old file stays and the new one is
@@ -40,7 +40,8 @@ def replacing(path: str | Path) -> Iterator[Path]:
             raise OutputError(str(error)) from error
     except OutputError as error:
         refusal = _refusal(error)
-        # The error may name the second file, or say that what was written so far can be read.
+        # The error may name the second file, or say that what was written so far can be read. Both
+        # would mislead the user.
         why = error if refusal is None else f"{path}: cannot be written: {reason_of(refusal)}"
         raise OutputError(f"{why}; {path} stays as it was") from error
     finally:
@@ -49,7 +50,7 @@ def replacing(path: str | Path) -> Iterator[Path]:
 
 
 def _create(beside: Path, path: str | Path) -> None:
-    """Create the second file, empty; remove one that a killed process left."""
+    """Create the second file, empty, in place of one that a killed process may have left."""
     try:
         beside.unlink(missing_ok=True)
         os.close(os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600))
@@ -68,7 +69,7 @@ def _copy_rights(old: Path, new: Path) -> None:
 
 
 def _refusal(error: BaseException | None) -> OSError | None:
-    """The error of the system that led to this one."""
+    """Find the operating system's error that caused this one; None if there is none."""
     while error is not None and not isinstance(error, OSError):
         error = error.__cause__
     return error

@@ -8,7 +8,7 @@
 #     9600-8E1,t3.5=28bits
 #     19200-8N2,t1.5=1ms,t3.5=5ms
 #
-# If only t3.5 is given and is shorter than the standard's t1.5, t1.5 is set to t3.5.
+# If only t3.5 is given and is shorter than the standard's t1.5, t1.5 is set to the given t3.5.
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ _PATTERN = re.compile(
 )
 
 MIN_BAUD, MAX_BAUD = 50, 4_000_000
-"""The lowest and the highest baud rate that a user may give: the limits of the rates for which
-termios has names."""
+"""The lowest and the highest baud rate that a user may give: those of the rates that termios has
+names for."""
 
 _PARITIES = ("N", "E", "O")
 
@@ -47,7 +47,8 @@ class SerialFormat:
     """The parity: N (none), E (even) or O (odd)."""
     stop_bits: int = 1
     t1_5: Silence | None = None
-    """The t1.5 that the user gives; None for the standard's t1.5. `t3_5` likewise."""
+    """The t1.5 that the user gave; None means the standard's t1.5. The same holds for `t3_5` and
+    t3.5."""
     t3_5: Silence | None = None
 
     def __post_init__(self) -> None:
@@ -67,9 +68,10 @@ class SerialFormat:
 
     @classmethod
     def parse(cls, text: str) -> Self:
-        """Read `19200-8E1`, or `19200` alone for 8E1, the standard's default; silences may follow.
+        """Read `19200-8E1`, or `19200` alone, which means 19200-8E1; silences may follow.
 
-        Raises UsageError if `text` is anything else, or if a value is out of its range.
+        The silences are t1.5 and t3.5, as in `19200-8E1,t3.5=5ms`. Raises UsageError if `text` is
+        anything else, or if a value is out of its range.
         """
         settings, *silences = text.split(",")
         line = cls._parse_settings(settings)
@@ -85,7 +87,7 @@ class SerialFormat:
         return line.with_silences(given.get(_T1_5), given.get(_T3_5))
 
     def with_silences(self, t1_5: Silence | None, t3_5: Silence | None) -> Self:
-        """The same line settings with other silences; None keeps the present silence.
+        """Return the same line settings with another t1.5 and t3.5; None keeps the present value.
 
         Raises UsageError if a silence is 0 or longer than 1 s, or if t1.5 is longer than t3.5.
         """

@@ -1,7 +1,8 @@
 """The length of a silence on a line, in bit times, character times, ms or us (28bits, 5ms)."""
 
-# The time of a bit or a character depends on the baud rate and format of the line. So a silence
-# keeps the unit in which it was given: 28 bit times stay 28 bit times at 9600 and at 19200 baud.
+# The duration of a bit or a character depends on the line's baud rate and character format. So a
+# silence keeps the unit in which it was given: 28 bit times stay 28 bit times at 9600 and at 19200
+# baud.
 
 from __future__ import annotations
 
@@ -16,7 +17,8 @@ from mbtool.core.errors import UsageError
 _PATTERN = re.compile(r"(?P<amount>\d{1,6}(?:\.\d{1,3})?) ?(?P<unit>bits|chars|ms|us)", re.ASCII)
 
 MAX_NS = 1_000_000_000
-"""The longest silence that a user can give, in ns: no line needs more between two frames."""
+"""The longest silence that a user can give, in ns; no line needs a longer one between two
+frames."""
 
 
 class SilenceUnit(StrEnum):
@@ -47,7 +49,7 @@ class Silence:
         return cls(Decimal(match["amount"]), SilenceUnit(match["unit"]))
 
     def ns(self, baud: int, character_bits: int) -> int:
-        """The length in ns on a line of this baud rate, with `character_bits` to a character."""
+        """The length in ns on a line with this baud rate and this number of bits in a character."""
         match self.unit:
             case SilenceUnit.BITS:
                 return int(self.amount * 1_000_000_000 / baud)

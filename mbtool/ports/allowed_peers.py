@@ -1,6 +1,6 @@
 """Decides which machines may connect to a TCP listener: this one, and those given by --allow.
 
-The limits of their connections go with it.
+It also carries the limits that the user has set for their connections.
 """
 
 # This machine may always connect, through its loopback address. Other machines may connect if their
@@ -39,8 +39,8 @@ class AllowedPeers:
     def parse(cls, texts: Iterable[str], limits: ConnectionLimits = _NO_LIMITS) -> Self:
         """Read the values of --allow, each a network or the address of one machine.
 
-        Raises UsageError for a value that is neither, such as 192.168.1.7/24: an address inside a
-        network.
+        Raises UsageError for a value that is neither, such as 192.168.1.7/24, which is an address
+        inside a network. `limits` are the limits for their connections.
         """
         return cls(tuple(_network(text) for text in texts), limits)
 
@@ -60,7 +60,7 @@ THIS_MACHINE = AllowedPeers()
 
 
 def plain_address(host: str) -> IPv4Address | IPv6Address:
-    """Read an IP address; of an IPv4-mapped IPv6 address, return the IPv4 address.
+    """Read an IP address; turn an IPv4-mapped IPv6 address (::ffff:10.0.0.1) into the IPv4 address.
 
     Raises ValueError for a text that is no IP address.
     """

@@ -1,10 +1,10 @@
-"""Tells when bytes arrived that a process reads late, for lack of processor time."""
+"""Finds out when bytes arrived that a process reads late, for lack of processor time."""
 
-# Of a TCP connection the kernel (Linux) notes when the segment with the last of the bytes arrived.
+# For a TCP connection the kernel (Linux) notes when the segment with the last of the bytes arrived.
 # Other systems and TLS do not tell: there, bytes count as having arrived when they are read.
 #
-# Of a serial port nobody notes it. But bytes that are there at once when one looks may have come
-# right after one looked before, and bytes that one waited for have come before the wait was over.
+# For a serial port nothing notes the arrival. But bytes that a read finds at once may have come
+# right after the read before, and bytes that a read waited for have come before its wait was over.
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ MOST_LATE_NS = 10_000_000_000
 
 
 class SerialArrivals:
-    """Times of arrival of the bytes of a serial port, not later than they can be.
+    """Estimates when the bytes of a serial port arrived, even if the process read them late.
 
-    A process that is kept from running between a look at the port and the next one does not see a
-    silence that was not on the line.
+    So a process that was kept from running between two reads sees no silence that was not on the
+    line.
     """
 
     def __init__(self, character_ns: int) -> None:
@@ -52,7 +52,7 @@ class SerialArrivals:
 
 
 def note_arrivals(connected: socket.socket) -> None:
-    """Ask the kernel for the times of arrival, where it knows them."""
+    """Ask the kernel to note when the bytes of a connection arrive: on Linux, and without TLS."""
     if sys.platform == "linux" and not isinstance(connected, ssl.SSLSocket):
         connected.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
 

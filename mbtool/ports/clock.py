@@ -3,12 +3,12 @@
 # Somebody may set the system's clock while a recording runs: a person, NTP after a boot without
 # network, a GPS receiver. Silences and latencies are differences of times, and a recording has a
 # length. So `now_ns` is the system's UTC at one moment plus the time that has passed since. It
-# never steps. The moment is the import of this module, or the begin of the run (`begun_run`). A
-# child process gets it from its parent, so that both tell the same time.
+# never steps. The moment is the import of this module, or the begin of the capture (`begun_run`). A
+# child process gets the moment from its parent, so that the clocks of both tell the same time.
 #
-# The time that has passed is that of CLOCK_BOOTTIME where the system has it: unlike the monotonic
-# clock it goes on while the machine sleeps. NTP also speeds up and slows down this clock, so it
-# drifts from UTC only by steps.
+# The time that has passed is measured with CLOCK_BOOTTIME where the system has it: unlike the
+# monotonic clock it goes on while the machine sleeps. NTP speeds up and slows down this clock, too,
+# as it does with UTC, so `now_ns` and UTC differ only by the steps of the system's clock.
 
 from __future__ import annotations
 
@@ -26,14 +26,16 @@ if TYPE_CHECKING:
 __all__ = ["ClockWatch", "begun_run", "monotonic_ns", "now_ns", "share_clock", "steady_clock"]
 
 _AHEAD = "MBTOOL_CLOCK_AHEAD_NS"
-"""The environment variable from which a child process takes the clock of its parent."""
+"""The environment variable that passes the clock to a child process: UTC minus the time since the
+machine was started, in ns."""
 _CERTAIN_NS = 50_000
-"""Two clocks are compared again if reading both took longer than so many ns."""
+"""If reading the two clocks to be compared took longer than this, in ns, they are read again."""
 _TRIES = 5
 STEP_NS = 500_000_000
-"""The smallest step of the system's clock, in ns, that is told."""
+"""The smallest step of the system's clock, in ns, that is reported."""
 SLEW_NS = 1_000_000
-"""A difference smaller than this, in ns, is no step, but an error of the comparison."""
+"""A change of the difference of two clocks by less than this, in ns, is an error of measurement,
+not a step."""
 
 
 if hasattr(time, "CLOCK_BOOTTIME"):
@@ -47,7 +49,7 @@ else:
 
 
 def _measured_ahead_ns() -> int:
-    """The system's UTC minus the time that has passed since the machine was started, in ns."""
+    """The difference of the system's UTC and the time since the machine was started, in ns."""
     tried = []
     for _ in range(_TRIES):
         before_ns = passed_ns()
@@ -60,22 +62,25 @@ def _measured_ahead_ns() -> int:
 
 
 class _RunClock:
-    """The clock of this process."""
+    """The clock of this process: its offset, and how many captures are using it."""
 
     lock = Lock()
     ahead_ns = int(os.environ.get(_AHEAD) or _measured_ahead_ns())
     runs = 0
-    """Number of runs that are under way in this process."""
+    """Number of contexts of `begun_run` that are open in this process."""
 
 
 def now_ns() -> int:
-    """The present time in UTC ns; the top of this file says which."""
+    """The present time in UTC ns, of a clock that does not step when the system's clock is set."""
     return passed_ns() + _RunClock.ahead_ns
 
 
 @contextmanager
 def begun_run() -> Iterator[None]:
-    """While a context is open, `now_ns` counts from the system's clock at the first entry."""
+    """A context for one run.
+
+    If no other run is open, entering it sets `now_ns` to the system's clock.
+    """
     with _RunClock.lock:
         if not _RunClock.runs:
             _RunClock.ahead_ns = _measured_ahead_ns()
@@ -88,31 +93,32 @@ def begun_run() -> Iterator[None]:
 
 
 def share_clock(environment: dict[str, str]) -> dict[str, str]:
-    """Add to the environment of a child process what makes its clock tell the same time."""
+    """Add to a child process's environment the offset that makes its clock tell the same time."""
     return {**environment, _AHEAD: str(_RunClock.ahead_ns)}
 
 
 class ClockWatch:
-    """Compares the system's clock with `now_ns`. Not for several threads."""
+    """Watches for steps of the system's clock by comparing it with `now_ns`. Not thread-safe."""
 
     def __init__(self) -> None:
         self.ahead_ns = 0
-        """How far the system's clock is ahead of `now_ns`, in ns; 0 for less than SLEW_NS."""
+        """How far the system's clock was ahead of `now_ns` at the last comparison, in ns, except
+        for changes below SLEW_NS."""
         self._before_ns = 0
-        """The same before the last step."""
+        """How far it was ahead before its last step, in ns."""
         self.look()
         self._before_ns = self._told_ns = self.ahead_ns
 
     def look(self) -> None:
-        """Compare the clocks again."""
+        """Compare the clocks again; changes below SLEW_NS are taken as errors of measurement."""
         ahead_ns = self._measured()
         if abs(ahead_ns - self.ahead_ns) >= SLEW_NS:
             self._before_ns, self.ahead_ns = self.ahead_ns, ahead_ns
 
     def take_step(self) -> int:
-        """Compare, and return by how many ns the clock was set forward (or back: negative).
+        """Return by how many ns the system's clock was set forward (or back: negative).
 
-        0 for less than STEP_NS since the step that was returned before.
+        Returns 0 if it has changed by less than STEP_NS since the step that was returned last.
         """
         self.look()
         step_ns = self.ahead_ns - self._told_ns
@@ -122,10 +128,11 @@ class ClockWatch:
         return step_ns
 
     def from_system(self, system_ns: int, near_ns: int) -> int:
-        """The time of `now_ns` for a time of the system's clock that was about `near_ns`.
+        """Convert a time of the system's clock to one of `now_ns`, both in ns.
 
-        If the clock was set since the last look, the time before and the time after may be meant:
-        the one nearer to `near_ns` is right, as the times are those of the last moments.
+        `near_ns` is a time of `now_ns` from the same moments. If the system's clock was set
+        recently, `system_ns` may be from before or after that: the result that is nearer to
+        `near_ns` is right.
         """
         return min(
             system_ns - self.ahead_ns,
@@ -138,7 +145,7 @@ class ClockWatch:
 
 
 def steady_clock() -> Callable[[], int]:
-    """Return a clock that starts at the present UTC and then follows the monotonic clock.
+    """Return a clock that starts at the present UTC and then follows the monotonic clock, in ns.
 
     It never steps back. A slave uses it to measure silences and delays, which must not change when
     somebody sets the system's clock.

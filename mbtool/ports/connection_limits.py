@@ -1,8 +1,8 @@
 """How many masters may be connected at once, how fast they may connect, how long they may idle."""
 
 # A connection that comes faster than the rate allows is reset. The rate is a bucket of tokens: a
-# burst of as many connections as come in one second at the rate is accepted, then one for each
-# token that the time brings.
+# burst of as many connections as may come in one second is accepted at once, then one for each
+# token that the passing time adds.
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from dataclasses import dataclass
 
 DEFAULT_PER_SECOND = 100.0
 SPARE_S = 1.0
-"""If all places are taken, a connection on which nothing was answered yet, and nothing was said for
-so many seconds, gives its place to a new one. (The TCP guide, V1.0b, 4.3.2, closes the oldest
-unused connection.)"""
+"""If the limit of connections is reached, a new connection replaces one on which nothing was
+answered yet and nothing was sent for this many seconds. (The TCP guide, V1.0b, 4.3.2, closes the
+oldest unused connection.)"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ConnectionLimits:
-    """The limits of one endpoint that a user has chosen; None for the default."""
+    """The limits for connections to one endpoint that the user has set; None means the default."""
 
     connections: int | None = None
     per_second: float | None = None
-    """The most new connections in a second; by default DEFAULT_PER_SECOND."""
+    """The most new connections in a second; None means DEFAULT_PER_SECOND."""
     idle_s: float | None = None
 
 
 class ConnectionRate:
-    """Tells which of the connections that arrive keep a rate. Holds two numbers."""
+    """Limits the rate of new connections with a bucket of tokens."""
 
     def __init__(self, per_second: float | None) -> None:
         self.per_second = DEFAULT_PER_SECOND if per_second is None else per_second
@@ -35,7 +35,7 @@ class ConnectionRate:
         self._at_s = -math.inf
 
     def admits(self, now_s: float) -> bool:
-        """Take a connection that arrives; True if it may stay."""
+        """Count a new connection at `now_s` (seconds); return True if the rate allows it."""
         self._left = min(self._burst, self._left + max(now_s - self._at_s, 0.0) * self.per_second)
         self._at_s = now_s
         if self._left < 1.0:

@@ -1,8 +1,8 @@
 """Reports the bytes of a serial line that the port's driver marks as damaged or counts as lost."""
 
-# A driver can tell of damaged bytes in two ways: by marks at single bytes (marks.py), and by error
-# counters. Both are reported, since neither is complete: some drivers count but set no marks, some
-# set marks but do not count, and only the counters tell of lost bytes.
+# A driver can report damaged bytes in two ways: by marks at single bytes (marks.py), and by error
+# counters. Both are used, since neither is complete: some drivers count but set no marks, some set
+# marks but do not count, and lost bytes appear only in the counters.
 #
 # A single error is reported at once. Further errors are summed up and reported once in GATHER_NS,
 # as a wrong baud rate gives thousands of them. The counters are read once in GATHER_NS, too, and
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 GATHER_NS = 1_000_000_000
 """The shortest time between two reports, in ns."""
 SHOWN = 8
-"""Number of damaged bytes whose values a report shows."""
+"""The number of damaged bytes whose values a report shows."""
 
 _COUNTER_MASK = 0xFFFFFFFF
 
@@ -52,7 +52,7 @@ class ErrorCounts:
 
 @dataclass(frozen=True, slots=True)
 class LineTrouble:
-    """One report of damaged bytes (`text`), or of lost bytes (`lost`, their number)."""
+    """A report of damaged bytes (`text` describes them) or of lost bytes (`lost`: how many)."""
 
     ts_ns: int
     text: str = ""
@@ -60,7 +60,10 @@ class LineTrouble:
 
 
 class LineErrors:
-    """Turns a driver's marks and counters into reports: in GATHER_NS one of damage, one of loss."""
+    """Turns a driver's marks and counters into reports of damaged and of lost bytes.
+
+    There is at most one report of each in GATHER_NS.
+    """
 
     def __init__(
         self, counts: Callable[[], ErrorCounts | None], character_ns: int, now_ns: int
@@ -78,8 +81,8 @@ class LineErrors:
     def mark(self, data: bytes, damaged: Sequence[int], ts_ns: int) -> None:
         """Remember the damaged bytes of one read, for the next report.
 
-        `data` are all bytes of the read, and `ts_ns` is the time of the last one. `damaged` has the
-        positions of the damaged bytes in `data`, at least one.
+        `data` are all bytes of the read, and `ts_ns` is the time of the last one, in ns. `damaged`
+        has the indexes of the damaged bytes in `data`, at least one.
         """
         if not self._marked:
             self._first_ns = ts_ns - (len(data) - 1 - damaged[0]) * self._character_ns
@@ -89,7 +92,10 @@ class LineErrors:
         self._first += bytes(data[at] for at in damaged[: SHOWN - len(self._first)])
 
     def tell(self, now_ns: int) -> Sequence[LineTrouble]:
-        """Return the reports that are due. Called after every read, so there are mostly none."""
+        """Return the reports that are due at `now_ns`.
+
+        This is called after every read, so there are mostly none.
+        """
         return () if now_ns < self._due_ns else self.tell_all(now_ns)
 
     def tell_all(self, now_ns: int) -> list[LineTrouble]:

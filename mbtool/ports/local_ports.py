@@ -29,7 +29,8 @@ from mbtool.ports.serial_port import who_may
 from mbtool.ports.system_files import read_line, read_number
 
 _SERIAL_CORE = "serial-base"
-"""A bus in /sys to be skipped: since Linux 6.5 its devices are between a port and its hardware."""
+"""The name of a bus in /sys that is skipped: since Linux 6.5 its devices stand between a port and
+the port's hardware."""
 _ASYNC_LOW_LATENCY = 0x2000
 _WITHOUT_LOW_LATENCY = {"cdc_acm", "ch341", "ch341-uart", "cp210x", "pl2303", "xr_serial"}
 """Linux drivers that ignore the low-latency flag."""
@@ -39,13 +40,14 @@ _SERVICES = {
     "ModemManager": "sudo systemctl stop ModemManager",
     "gpsd": "sudo systemctl stop gpsd.socket gpsd",
 }
-"""Services that open serial ports, each with the command to stop it; if killed, it restarts."""
+"""Services that open serial ports, each with the command that stops it. If such a service is killed
+instead, it starts again."""
 
 
 def local_ports(root: Path = Path("/")) -> list[LocalSerialPort]:
-    """All serial ports with hardware behind them, in the order of their names.
+    """Return all serial ports that have hardware, in the order of their names.
 
-    `root` is the folder that holds /sys, /proc and /dev; only Linux uses it.
+    `root` is the folder that contains /sys, /proc and /dev; only Linux uses it.
     """
     if sys.platform != "linux":
         return ports_by_pyserial()
@@ -72,7 +74,7 @@ def ports_by_pyserial() -> list[LocalSerialPort]:
 
 @dataclass(frozen=True, slots=True)
 class _Scan:
-    """Facts about the machine that are needed to describe each port; read only once."""
+    """Facts about the whole machine that are needed to describe each port."""
 
     root: Path
     stable: dict[str, str]
@@ -126,7 +128,7 @@ def _stable_names(root: Path) -> dict[str, str]:
     """Return the paths of udev's symbolic links, by the name of the port they lead to (ttyUSB0).
 
     A link named after the adapter is preferred to one named after the USB socket. Two adapters of
-    one type without serial numbers have the same name; the link then leads to one of them.
+    one type without serial numbers share one such name; the link then leads to one of them.
     """
     found: dict[str, str] = {}
     for kind in ("by-path", "by-id"):
@@ -136,14 +138,14 @@ def _stable_names(root: Path) -> dict[str, str]:
         except OSError:
             continue
         for link in links:
-            if "," not in link:  # mbtool could not use this path: a comma separates ports.
+            if "," not in link:  # Not usable in a LINK, where a comma separates ports.
                 target = os.path.basename(os.path.realpath(folder / link))
                 found[target] = f"/dev/serial/{kind}/{link}"
     return found
 
 
 def _driver(hardware: Path) -> tuple[str | None, str | None]:
-    """Return the names of the hardware's driver and of its bus; None twice without a driver."""
+    """Return the names of the hardware's driver and of its bus; both None if there is no driver."""
     for device in (hardware, *hardware.parents):
         bus = os.path.basename(os.path.realpath(device / "subsystem"))
         if (device / "driver").exists() and bus != _SERIAL_CORE:
@@ -168,7 +170,7 @@ def _product(usb: Path) -> str:
 def _low_latency(
     timer: int | None, flags: int | None, driver: str | None
 ) -> tuple[bool | None, bool | None]:
-    """Return whether low latency is on, and whether it can be switched on; None for unknown."""
+    """Return two bools: low latency is on; it can be switched on. None means unknown."""
     if timer is not None:
         return timer <= 1, True
     if flags is not None:
@@ -184,7 +186,7 @@ def _permission(path: Path, name: str) -> list[Trouble]:
             Trouble(f"the kernel has it, but there is no /dev/{name} here; is this a container?")
         ]
     except OSError:
-        pass  # Without these facts, the user counts as having no access.
+        pass  # Then the user counts as having no access.
     if os.access(path, os.R_OK | os.W_OK, effective_ids=os.access in os.supports_effective_ids):
         return []
     why = who_may(str(path))
@@ -234,5 +236,5 @@ def _fifo(fifo: int | None, name: str) -> list[Trouble]:
 
 
 def _natural(name: str) -> list[tuple[str, int]]:
-    """A key that sorts ttyS2 before ttyS10."""
+    """Return a key for sorting that puts ttyS2 before ttyS10."""
     return [(text, int(digits or 0)) for text, digits in re.findall(r"(\D+)(\d*)", name)]

@@ -1,4 +1,4 @@
-"""Has a Linux driver hand over bytes at once while a port is open, and puts back what was."""
+"""Makes a Linux driver deliver bytes at once while a port is open, and restores its settings."""
 
 # Two settings of drivers delay bytes, so that the ends of frames are timed late:
 #
@@ -7,8 +7,9 @@
 #                         It changes nothing on an 8250.
 #     rx_trig_bytes       of an 8250: how many bytes its FIFO collects. Only root may change it.
 #
-# Both stay after the port is closed, so `restore` puts them back; a process that is killed does
-# not. What the driver or the permissions do not allow stays as it is; `mbtool links` tells it.
+# Both settings outlast the closing of the port, so `restore` puts the old ones back; if the process
+# is killed, they are not put back. A setting that the driver or the permissions do not allow stays
+# unchanged; `mbtool links` reports it.
 
 from __future__ import annotations
 
@@ -28,10 +29,10 @@ _AT_ONCE = "1"
 
 
 class LowLatency:
-    """The settings of one port, for as long as it is open."""
+    """Sets the low-latency settings of one port, and restores the old ones."""
 
     def __init__(self, fd: int, port: str, root: Path = Path("/")) -> None:
-        """Set what is allowed; `root` is the folder that holds /sys."""
+        """Change the settings that may be changed; `root` is the folder that contains /sys."""
         self._fd = fd
         name = os.path.basename(os.path.realpath(port))
         self._trigger = root / "sys/class/tty" / name / "rx_trig_bytes"
@@ -47,7 +48,7 @@ class LowLatency:
                     self._trigger_was = was
 
     def restore(self) -> None:
-        """Put back what was before; the port is still open."""
+        """Put back the old settings. Call this while the port is still open."""
         with suppress(OSError):
             if not self._flag_was:
                 self._set_flag(is_on=False)
@@ -56,7 +57,7 @@ class LowLatency:
                 self._trigger.write_text(self._trigger_was, encoding="ascii")
 
     def _set_flag(self, *, is_on: bool) -> bool:
-        """Set ASYNC_LOW_LATENCY; return its state before. Raises OSError."""
+        """Set or clear the port's flag ASYNC_LOW_LATENCY; return its old state. Raises OSError."""
         answer = fcntl.ioctl(self._fd, termios.TIOCGSERIAL, bytes(_SETTINGS.size))
         values = list(_SETTINGS.unpack(answer))
         was = bool(values[_FLAGS_AT] & _LOW_LATENCY)

@@ -8,9 +8,9 @@
 #     FF 00 00    a break, or a byte 00 that was damaged
 #
 # Every other byte stands for itself. A damaged byte stays in the data, since it was on the line. A
-# break becomes a byte 00, as without marks.
+# break is returned as a byte 00, as a driver without marks returns it.
 #
-# A driver puts a whole mark into its buffer at once. So an FF with no further byte behind it, and
+# A driver puts a whole mark into its buffer at once. So an FF that is the last byte there is, and
 # an FF followed by a byte other than FF and 00, are data.
 #
 # Memory: at most two bytes, the beginning of a mark that continues in the next read.
@@ -27,16 +27,16 @@ _DAMAGED = b"\xff\x00"
 
 
 class Unmarker:
-    """Turns marked bytes into the bytes on the line, even if a read ends inside a mark."""
+    """Removes the marks from the bytes of consecutive reads, even if a read ends inside a mark."""
 
     def __init__(self) -> None:
         self._held = b""
 
     def feed(self, data: bytes) -> tuple[bytes, Sequence[int]]:
-        """Take the data of one read. Return the bytes without marks, and the damaged positions.
+        """Return the bytes of one read without marks, and the indexes of the damaged ones.
 
-        These are positions in the returned bytes. If the data end inside a mark, the part of the
-        mark is held until the next read.
+        The indexes are those in the returned bytes. If the data end inside a mark, its first bytes
+        are kept for the next call.
         """
         if not self._held and _MARK not in data:
             return data, ()
@@ -62,6 +62,6 @@ class Unmarker:
         return bytes(heard), damaged
 
     def flush(self) -> bytes:
-        """Return the held bytes as data. Called when no byte follows, so they are no mark."""
+        """Return as data the bytes kept as a possible mark. Call this when no byte follows them."""
         held, self._held = self._held, b""
         return held

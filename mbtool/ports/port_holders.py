@@ -17,7 +17,11 @@ if TYPE_CHECKING:
 
 
 def holders_of(devices: Collection[str], root: Path) -> tuple[dict[str, list[Holder]], int]:
-    """Return the processes that have each port open, and how many could not be looked into."""
+    """Return the processes that have each port open, and how many processes may not be inspected.
+
+    `devices` are paths such as /dev/ttyUSB0, and the keys of the result. `root` is the folder that
+    contains /proc.
+    """
     found: dict[str, list[Holder]] = {device: [] for device in devices}
     unseen = 0
     for process in _processes(root / "proc"):
@@ -53,7 +57,7 @@ def _open_files(process: Path) -> Iterator[str]:
 
 
 def _is_of_the_kernel(process: Path) -> bool:
-    """True for a kernel thread or an ended process: neither has a command line."""
+    """True if a process is a kernel thread or has ended: neither has a command line."""
     try:
         return not (process / "cmdline").read_bytes()
     except PermissionError:

@@ -1,9 +1,9 @@
 """Finds a serial port again after it was unplugged, under whatever name it comes back."""
 
-# A USB adapter that is unplugged while it is open comes back as /dev/ttyUSB1, not ttyUSB0. On Linux
-# its serial number tells it from others; an adapter with several ports has a USB interface for
-# each. A path that is a symbolic link (/dev/serial/by-id/...) is looked up again. A port that is
-# neither, or an adapter without a serial number, is expected under its path.
+# A USB adapter that is unplugged while its port is open comes back as /dev/ttyUSB1, not ttyUSB0. On
+# Linux its serial number identifies it; an adapter with several ports has a USB interface for each.
+# A path that is a symbolic link (/dev/serial/by-id/...) is resolved again. Any other port, and an
+# adapter without a serial number, is expected under its old path.
 #
 #     /sys/class/tty/NAME/device      leads to the hardware
 #     .../idVendor, idProduct, serial of the USB device above it
@@ -23,18 +23,18 @@ _ROOT = Path("/")
 
 @dataclass(frozen=True, slots=True)
 class PortIdentity:
-    """What tells the adapter behind a port from all others."""
+    """The facts that tell the USB adapter behind a port from all other adapters."""
 
     usb_id: str
     serial_number: str
     interface: str
-    """The number of the USB interface; an adapter with several ports has several."""
+    """The number of the USB interface; each port of an adapter has its own."""
 
 
 def identity_of(path: str, root: Path = _ROOT) -> PortIdentity | None:
-    """The identity of the adapter behind a port; None if it has none, or is named by a link.
+    """Return the identity of the adapter behind a port; None without one, or if `path` is a link.
 
-    `root` is the folder that holds /sys.
+    `root` is the folder that contains /sys.
     """
     if sys.platform != "linux" or os.path.islink(path):
         return None
@@ -42,9 +42,10 @@ def identity_of(path: str, root: Path = _ROOT) -> PortIdentity | None:
 
 
 def find_port(path: str, identity: PortIdentity | None, root: Path = _ROOT) -> str | None:
-    """The path of a port that was named `path` when it was opened; None if it is not there.
+    """Find the present path of the port that had the path `path` before; None if it is not there.
 
-    `root` is the folder that holds /sys and /dev.
+    Without an identity the port is expected under its old path. `root` is the folder that contains
+    /sys and /dev.
     """
     if identity is None:
         return path if os.path.exists(path) else None

@@ -3,7 +3,7 @@
 # pyserial opens a port for writing, too, but this class has no method that writes.
 #
 # A read waits IDLE_S or not at all: for any other timeout, pyserial would set up the port again.
-# pyserial does not say which bytes were damaged, nor how many were lost.
+# pyserial does not report which bytes were damaged, nor how many were lost.
 
 from __future__ import annotations
 

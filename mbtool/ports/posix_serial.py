@@ -1,14 +1,15 @@
 """A serial port of Linux or macOS: read-only to listen, read and write for a serial tap."""
 
 # pyserial can set up a line on every system, also with unusual baud rates, but its open() opens the
-# port for writing, too. So the descriptor is opened here, with O_RDONLY, and only pyserial's setup
-# is applied to it (_reconfigure_port of pyserial 3.5 needs only the descriptor and the settings).
+# port for writing, too. So the port is opened here, with O_RDONLY, and only pyserial's setup is
+# applied to the descriptor (_reconfigure_port of pyserial 3.5 needs only the descriptor and the
+# settings).
 #
 # The kernel itself does two things that no program can prevent. It raises DTR and RTS when a port
-# is opened and drops them when it is closed (--dtr and --rts do what is possible afterwards). And
-# until a port is raw, its line discipline echoes what arrives: a port that was not raw before may
-# send back what arrives in the moment between opening and the next two calls here, which lock the
-# port and make it raw, before all other settings.
+# is opened and drops them when it is closed (--dtr and --rts do what is possible after the
+# opening). And until a port is raw, its line discipline echoes what arrives: a port that was not
+# raw before may send back what arrives between the opening and the next two calls here, which lock
+# the port and make it raw, before all other settings.
 #
 # The port is locked with flock, as pyserial and most terminal programs do, because two readers of
 # one port take bytes from each other. The lock stops only programs that use flock, and ends with
@@ -47,7 +48,8 @@ if TYPE_CHECKING:
 _COUNTERS = struct.Struct("20i")
 """struct serial_icounter_struct of linux/serial.h: 11 counters and room for 9 more."""
 _ERROR_COUNTERS = slice(6, 11)
-"""The positions of the counters frame, overrun, parity, brk, buf_overrun, as in `ErrorCounts`."""
+"""Where the counters frame, overrun, parity, brk and buf_overrun are, in the order of
+`ErrorCounts`."""
 
 
 class PosixPort:
@@ -85,7 +87,7 @@ class PosixPort:
             heard, self.damaged = self._unmarker.feed(data)
             if heard:
                 return heard
-            wait_s = 0  # Do not wait: if a mark has begun, its rest is there already.
+            wait_s = 0  # Do not wait: the rest of a mark is there already.
 
     def _read(self) -> bytes:
         try:
@@ -119,7 +121,7 @@ class PosixPort:
 
 
 class PassingPort(PosixPort):
-    """A port at one end of a line that was cut in two; a serial tap reads and writes it."""
+    """One of the two ports of a serial tap, whose line was cut in two; it is read and written."""
 
     _access = os.O_RDWR
 
@@ -140,7 +142,10 @@ class PassingPort(PosixPort):
 
 
 def _claim(fd: int) -> None:
-    """Lock a port, and make it raw, so that it echoes nothing. Fails if it is no serial port."""
+    """Lock a port and make it raw, so that it echoes nothing.
+
+    Raises an OSError or termios.error if it is locked or no serial port.
+    """
     fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
     attributes = termios.tcgetattr(fd)
     attributes[0] &= ~(termios.IXON | termios.IXOFF)
@@ -150,7 +155,10 @@ def _claim(fd: int) -> None:
 
 
 def _set_modem_lines(fd: int, port: str, wanted: ModemLines) -> None:
-    """Drop DTR and RTS, or have them kept at the end. Raises LinkError if the driver does not."""
+    """Drop DTR and RTS now, or have them stay raised when the port is closed, as `wanted` says.
+
+    Raises LinkError if the driver cannot drop them.
+    """
     lines = ((wanted.dtr, "DTR", termios.TIOCM_DTR), (wanted.rts, "RTS", termios.TIOCM_RTS))
     if ModemLine.KEEP in (wanted.dtr, wanted.rts):
         attributes = termios.tcgetattr(fd)
@@ -170,17 +178,18 @@ def _set_modem_lines(fd: int, port: str, wanted: ModemLines) -> None:
 def _set_up(fd: int, port: str, format_: SerialFormat) -> Unmarker | None:
     """Apply the line settings, and discard the bytes that arrived before.
 
-    Returns an Unmarker if the driver now marks damaged bytes, else None.
+    Returns an Unmarker, which removes the driver's marks, if the driver now marks damaged bytes;
+    otherwise None.
     """
-    # With this timeout pyserial sets VMIN to 1. So a read without data fails with EAGAIN, and a
-    # read that returns no bytes means that the port is gone.
+    # With this timeout pyserial sets VMIN to 1. So a read fails with EAGAIN if there are no data,
+    # and a read that returns no bytes means that the port is gone.
     settings = serial.Serial(inter_byte_timeout=0, **settings_for(port, format_))
     settings.fd = fd
     settings._reconfigure_port(force_update=True)  # type: ignore[attr-defined]
     is_marking = _ask_for_marks(fd)
     if not hasattr(termios, f"B{format_.baud}"):
         # termios has no constant for this baud rate, so pyserial has set it by a special call. On
-        # some systems later calls have undone it; repeat it.
+        # some systems later calls have undone it, so it is repeated.
         with suppress(NotImplementedError):
             settings._set_special_baudrate(format_.baud)  # type: ignore[attr-defined]
     termios.tcflush(fd, termios.TCIFLUSH)
@@ -188,7 +197,7 @@ def _set_up(fd: int, port: str, format_: SerialFormat) -> Unmarker | None:
 
 
 def _ask_for_marks(fd: int) -> bool:
-    """Ask the driver to mark damaged bytes and to keep breaks; return True if it does both."""
+    """Ask the driver to mark damaged bytes and breaks; return True if it does both."""
     unwanted = termios.IGNPAR | termios.IGNBRK | termios.BRKINT | termios.ISTRIP
     attributes = termios.tcgetattr(fd)
     attributes[0] = attributes[0] & ~unwanted | termios.INPCK | termios.PARMRK

@@ -1,8 +1,9 @@
-"""Finds out which baud rate a driver really set; it may set another one without an error."""
+"""Reads back which baud rate a driver has set, as a driver may set another one without an error."""
 
-# The kernel rounds to a rate that the port has, and stores that in the port's settings: an 8250
-# that ends at 115200 makes 9600 of 230400. Linux tells any rate as a number by TCGETS2; the number
-# of that call is the same on x86, ARM and RISC-V. Elsewhere nothing is known, and nothing refused.
+# The kernel rounds to a rate that the port supports, and stores it in the port's settings: an 8250
+# whose highest rate is 115200 makes 9600 of 230400. Linux reports any rate as a number by the ioctl
+# TCGETS2, whose number is the same on x86, ARM and RISC-V. On other systems the rate is not known,
+# and no port is refused.
 
 from __future__ import annotations
 
@@ -13,15 +14,17 @@ import sys
 from mbtool.core import LinkError
 
 TOLERANCE = 0.03
-"""Receivers bear a rate that is wrong by some 4 %; dividers of clocks are off by 1 or 2 %."""
+"""The largest relative difference that is accepted. Receivers tolerate a rate that is wrong by some
+4 %; clock dividers are off by 1 or 2 %."""
 
 _TCGETS2 = 0x802C542A
 _TERMIOS2 = struct.Struct("4I20B2I")
-"""struct termios2: four sets of flags, line discipline and 19 characters, two rates."""
+"""struct termios2: four sets of flags, line discipline and 19 control characters, two rates in
+baud."""
 
 
 def demand_rate(fd: int, port: str, baud: int) -> None:
-    """Raise LinkError if the port runs at another rate than `baud`."""
+    """Raise LinkError if the port's real rate differs from `baud` by more than TOLERANCE."""
     real = real_rate(fd)
     if real is not None and abs(real - baud) > TOLERANCE * baud:
         raise LinkError(
@@ -31,7 +34,7 @@ def demand_rate(fd: int, port: str, baud: int) -> None:
 
 
 def real_rate(fd: int) -> int | None:
-    """The rate of a port in baud; None if the system does not tell."""
+    """The rate in baud that a port has been set to; None if the system does not tell."""
     if sys.platform != "linux":
         return None
     try:

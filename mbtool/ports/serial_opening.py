@@ -1,4 +1,4 @@
-"""Opens serial ports: to listen, to pass bytes on, and to act as a master or a slave."""
+"""Opens serial ports: to listen, for a serial tap, and for a master or a slave."""
 
 # A port opened to listen is never written to. On POSIX its descriptor is read-only
 # (posix_serial.py); elsewhere pyserial opens it, and the class has no way to write
@@ -46,7 +46,7 @@ def open_listening(
 def open_passing(
     port: str, format_: SerialFormat, modem_lines: ModemLines | None = None
 ) -> PassingPort:
-    """Open a port at one end of a line that was cut in two, for a serial tap to read and write.
+    """Open one of the two ports of a serial tap, whose line was cut in two, to read and write it.
 
     Raises LinkError if that fails, and always on Windows.
     """
@@ -84,7 +84,7 @@ def open_port(link: SerialLink, timeout_s: float) -> serial.Serial:
 
 @contextmanager
 def port_in_use(link: SerialLink) -> Iterator[None]:
-    """Turn the errors of reads and writes of an open port, inside `with`, into a LinkError."""
+    """Turn errors of an open port, raised inside the `with` block, into a LinkError."""
     try:
         yield
     except WriteTimeout as error:

@@ -30,7 +30,7 @@ class ListeningPort(Protocol):
     """A serial port that can only be read."""
 
     damaged: Sequence[int]
-    """Positions of the bytes with a wrong parity or stop bit, in the result of the last read."""
+    """Indexes of the bytes with a wrong parity or stop bit, in the result of the last read."""
 
     def read(self, wait_s: float) -> bytes:
         """Return the bytes that have arrived; if there are none, wait until some arrive.
@@ -57,8 +57,8 @@ class ListeningPort(Protocol):
 def settings_for(port: str, format_: SerialFormat) -> dict[str, Any]:
     """Return the line settings as arguments of serial.Serial.
 
-    For a pseudo-terminal they are always 8N1, whatever `format_` says. It has no parity: Linux
-    clears PARENB, and some C libraries then report EINVAL.
+    For a pseudo-terminal they are always 8N1, whatever `format_` says. A pseudo-terminal has no
+    parity: Linux clears PARENB, and some C libraries then report EINVAL.
     """
     is_pty = os.path.realpath(port).startswith(_PTY_FOLDERS)
     return {
@@ -76,7 +76,7 @@ def lost(port: str) -> LinkError:
 
 @contextmanager
 def explained(port: str, format_: SerialFormat) -> Iterator[None]:
-    """Turn the errors of opening or setting up a port, inside `with`, into a LinkError."""
+    """Turn errors of opening or setting up a port, inside the `with` block, into LinkError."""
     try:
         yield
     except Exception as error:
@@ -86,7 +86,7 @@ def explained(port: str, format_: SerialFormat) -> Iterator[None]:
 
 
 def is_port_error(error: Exception) -> bool:
-    """True for an OSError and for a termios.error, which is no OSError."""
+    """True if an error is an OSError or a termios.error, which is not derived from OSError."""
     return isinstance(error, OSError) or type(error).__module__ == "termios"
 
 
@@ -115,7 +115,7 @@ def explain(port: str, format_: SerialFormat, error: Exception) -> LinkError:
 def _error_number(error: Exception) -> int | None:
     """Return the errno of the system's error; None if it is unknown.
 
-    If pyserial raised an error of its own, the errno can only be in that error's `__context__`.
+    If pyserial raised an error of its own, only that error's `__context__` may have the errno.
     """
     for one in (error, error.__context__ if isinstance(error, serial.SerialException) else None):
         if one is not None and one.args and isinstance(one.args[0], int):
@@ -124,7 +124,7 @@ def _error_number(error: Exception) -> int | None:
 
 
 def _line_hint(port: str) -> str:
-    """For the path of a port outside /dev: which command makes one."""
+    """Return a hint that mbtool line can make such a port; "" for a path inside /dev."""
     if sys.platform == "win32" or port.startswith("/dev/"):
         return ""
     return f"an end of a virtual line is there while mbtool line {port} runs; "
@@ -136,7 +136,7 @@ def _ports_here() -> str:
 
 
 def who_may(port: str) -> Trouble:
-    """Say who may open a port, and which command gives the user that right."""
+    """Say who may open a port, and which command gives the user this permission."""
     if sys.platform == "win32":
         return Trouble("another program may hold it")
     import grp

@@ -1,4 +1,4 @@
-"""The records that the process reading serial ports sends through a pipe to its parent."""
+"""The records that a process that reads serial ports sends through a pipe to its parent process."""
 
 # The layout of a record:
 #
@@ -17,11 +17,11 @@
 #
 # A record is never larger than PIPE_BUF, so a write to the pipe succeeds whole or not at all. The
 # writer does not wait for the reader: while the pipe is full, records are dropped. The bytes of
-# dropped DATA and ANSWER records are counted, and a LOST record with that count goes before the
-# next record that fits. On Linux a pipe holds 1 MiB, if the system allows it: more than 40 s of a
-# busy line at 19200 baud with a record for each character. Elsewhere it has the system's usual
+# dropped DATA and ANSWER records are counted, and a LOST record with that count is written before
+# the next record that fits. On Linux the pipe holds 1 MiB, if the system allows it: more than 40 s
+# of a busy line at 19200 baud with a record for each character. Elsewhere it has the system's usual
 # size. On Windows a write to a full pipe waits, and the driver's buffer must hold the bytes that
-# arrive meanwhile.
+# arrive in the meantime.
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ MAX_DATA = getattr(select, "PIPE_BUF", 4096) - _HEADER.size
 
 
 class RecordKind(IntEnum):
-    """The kinds of records; the top of this file says what each means."""
+    """The kinds of records; the comment at the top of serial_records.py says what each means."""
 
     DATA = 1
     QUIET = 2
@@ -59,7 +59,7 @@ _READS = frozenset((RecordKind.DATA, RecordKind.ANSWER))
 
 @dataclass(frozen=True, slots=True)
 class SerialRecord:
-    """One record; the top of this file describes the fields."""
+    """One record: its kind, its time in UTC ns, and its data."""
 
     kind: RecordKind
     ts_ns: int
@@ -67,13 +67,16 @@ class SerialRecord:
 
     @property
     def lost(self) -> int:
-        """The number of lost bytes in a LOST or OVERRUN record; other records have none."""
+        """The number in the data of a LOST or OVERRUN record: how many bytes were lost."""
         count: int = _COUNT.unpack(self.data)[0]
         return count
 
 
 class RecordWriter:
-    """Writes records into a pipe. Raises BrokenPipeError once the reader has closed it."""
+    """Writes records into a pipe.
+
+    Its methods raise BrokenPipeError once the reader has closed it.
+    """
 
     def __init__(self, pipe: int) -> None:
         self._pipe = pipe
@@ -93,7 +96,7 @@ class RecordWriter:
             self._lost += len(data) if kind in _READS else 0
 
     def put_count(self, kind: RecordKind, ts_ns: int, count: int) -> None:
-        """Write a record whose data is a number."""
+        """Write a record whose data is one number."""
         self.put(kind, ts_ns, _COUNT.pack(count))
 
     def end(self, ts_ns: int, error: str = "") -> None:
@@ -120,13 +123,13 @@ class RecordWriter:
 
 
 class RecordReader:
-    """Splits the bytes from the pipe into records; holds at most one incomplete record."""
+    """Splits the bytes from the pipe into records; keeps at most one incomplete record."""
 
     def __init__(self) -> None:
         self._buffer = b""
 
     def feed(self, data: bytes) -> list[SerialRecord]:
-        """Take data from the pipe; return the records that it completes."""
+        """Take data from the pipe; return the records that are now complete."""
         buffer = self._buffer + data
         records = []
         start = 0

@@ -2,9 +2,9 @@
 
 # The protocol of sd_notify(3): a datagram of lines NAME=value to the Unix socket that the
 # environment variable NOTIFY_SOCKET names; a name that begins with "@" is one of Linux's abstract
-# names. WATCHDOG_USEC, in microseconds, says that the manager wants WATCHDOG=1 at least so often,
-# else it kills the service; WATCHDOG_PID names the process that this is for. Without NOTIFY_SOCKET
-# nothing is sent. A manager that takes no message is no reason to end a recording.
+# names. The variable WATCHDOG_USEC is a period in microseconds: if the manager gets no WATCHDOG=1
+# for so long, it kills the service. WATCHDOG_PID names the process that this applies to. Without
+# NOTIFY_SOCKET nothing is sent. If the manager accepts no message, the recording goes on.
 
 from __future__ import annotations
 
@@ -17,19 +17,20 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
 MAX_STATUS = 500
-"""The most characters of a status."""
+"""The most characters of the status line that is sent to the manager."""
 
 
 class ServiceManager:
-    """The manager that the environment names, if any."""
+    """The service manager that the environment names; without one, all methods do nothing."""
 
     def __init__(self, environment: Mapping[str, str]) -> None:
         self._address = environment.get("NOTIFY_SOCKET", "")
         self.watchdog_s = _watchdog_s(environment)
-        """How often the manager wants `alive`, in seconds; None if it does not."""
+        """The period in seconds within which the manager must get an `alive`; None if it expects
+        none."""
 
     def ready(self, status: str) -> None:
-        """Tell that the service has begun; with a status in one line for people."""
+        """Tell the manager that the service is ready; `status` is one line for people."""
         self._send(f"READY=1\n{_status(status)}")
 
     def status(self, status: str) -> None:

@@ -9,7 +9,7 @@ if TYPE_CHECKING:
 
 
 def read_text(path: Path) -> str:
-    """Return the whole text of a file."""
+    """Return the whole text of a file; "" if it cannot be read."""
     try:
         return path.read_text(encoding="utf-8", errors="replace")
     except OSError:
@@ -17,7 +17,7 @@ def read_text(path: Path) -> str:
 
 
 def read_line(path: Path) -> str:
-    """The first line of a file, without white space around it."""
+    """The first line of a file, without white space around it; "" if it cannot be read."""
     return read_text(path).partition("\n")[0].strip()
 
 

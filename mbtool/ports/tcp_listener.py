@@ -1,13 +1,14 @@
 """Listens at one TCP endpoint, for the slave and for the tap."""
 
-# An endpoint that other machines can reach is opened only with --allow. The table goes by address;
+# An endpoint that other machines can reach is opened only with --allow. The table is by IP address;
 # a host name is first resolved to its address.
 #
 #     endpoint             without --allow         with --allow
 #     127.0.0.1, ::1       this machine connects   the same
 #     any other address    UsageError              this machine and the named networks connect
 #
-# [::] takes IPv4 and IPv6 peers, on every system. For port 0 the system chooses a free port.
+# The address [::] takes IPv4 and IPv6 peers, on every system. For port 0 the system chooses a free
+# port.
 #
 # The system completes a connection before the program sees the peer's address. So the slave and
 # the tap call `refusal` for each connection and close it if the peer must not connect.
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
 BACKLOG = 64
 """The most connections that may wait in the system's queue until they are accepted."""
 TELL_EVERY_S = 10.0
-"""The shortest time between two reports that no more connections can be opened, in seconds."""
+"""The shortest time in seconds between two reports that no more connections can be opened."""
 
 _EXHAUSTED = frozenset((errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM))
 
@@ -81,13 +82,17 @@ class TcpListener:
 
     @property
     def endpoint(self) -> Endpoint:
-        """The endpoint of the socket; after `open` with the chosen port instead of port 0."""
+        """The endpoint of the socket.
+
+        After `open` it has the port that the system chose for port 0.
+        """
         return self._endpoint
 
     def refusal(self, host: str) -> str | None:
         """Return a text that says why a peer with this address may not connect; None if it may.
 
-        It is called once for each connection, and takes this one into account for the rate.
+        Call this once for each connection: each call counts as one connection for the limit on the
+        rate.
         """
         if host not in self._allowed:
             return f"{_shown(host)} is in no network of --allow"
@@ -102,9 +107,9 @@ class TcpListener:
     ) -> asyncio.Server:
         """Accept connections in the running event loop.
 
-        While the process can open no more connections (too many files are open), `on_exhausted`
-        gets a line for the user, at most one in TELL_EVERY_S. Raises LinkError if the endpoint is
-        in use, which can happen after `hold`.
+        `protocol` makes the asyncio protocol of a connection. While the process can open no more
+        connections (too many files are open), `on_exhausted` gets a line for the user, at most one
+        in TELL_EVERY_S. Raises LinkError if the endpoint is in use, which can happen after `hold`.
         """
         loop = asyncio.get_running_loop()
 
@@ -121,11 +126,11 @@ class TcpListener:
         loop.set_exception_handler(note_trouble)
         try:
             return await loop.create_server(protocol, sock=self.sock, backlog=BACKLOG)
-        except OSError as error:  # After `hold`, another program may already listen there.
+        except OSError as error:  # After `hold`, another program may listen there.
             raise self._not_listening(error) from error
 
     def hold(self) -> None:
-        """Replace the socket, which the server has closed, by one that is bound but not listening.
+        """Replace the socket, which the server has closed, by one that is bound and not listening.
 
         The new socket reserves the address; the system refuses all connections until `serve` is
         called again. Raises LinkError if the address cannot be bound.

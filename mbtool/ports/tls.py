@@ -3,12 +3,12 @@
 # Modbus/TCP Security (MB-TCP-Security-v21, chapter 6) is Modbus/TCP inside TLS 1.2 or later, with a
 # certificate at each end. A tap cannot decrypt a connection that passes through it. So it ends the
 # master's TLS connection, with a certificate of its own, and opens another one to the slave. The
-# user chooses for each of the two sides whether it has TLS.
+# user chooses for each of the two connections whether it has TLS.
 #
 # All files are read before a connection is accepted; a LinkError names the file that is wrong. Each
 # certificate in a CA file is trusted, even if it belongs to no CA, such as the certificate of the
-# device itself. If the file holds no CA certificate, the target must show one of the certificates
-# in the file, and the name in it is not checked.
+# slave itself. If the file holds no CA certificate, the slave must show one of the certificates in
+# the file, and the name in it is not checked.
 
 from __future__ import annotations
 
@@ -40,7 +40,8 @@ _NO_TLS = frozenset(
         "WRONG_VERSION_NUMBER",
     }
 )
-"""Reasons that the versions of OpenSSL give if the peer's first bytes are not TLS."""
+"""OpenSSL's reasons, in several versions, for a failed handshake in which the peer's first bytes
+are not TLS."""
 _TOO_OLD = frozenset(
     {
         "NO_PROTOCOLS_AVAILABLE",
@@ -50,8 +51,8 @@ _TOO_OLD = frozenset(
     }
 )
 _OTHER_NAMES = frozenset({62, 64})
-"""OpenSSL's error codes for a certificate with another name: X509_V_ERR_HOSTNAME_MISMATCH and
-X509_V_ERR_IP_ADDRESS_MISMATCH."""
+"""OpenSSL's error codes for a certificate with another name than the expected one:
+X509_V_ERR_HOSTNAME_MISMATCH and X509_V_ERR_IP_ADDRESS_MISMATCH."""
 _REFUSALS = {
     "BAD_CERTIFICATE": "the tap's certificate is not to its liking",
     "CERTIFICATE_EXPIRED": "the tap's certificate has expired",
@@ -60,11 +61,12 @@ _REFUSALS = {
     "HANDSHAKE_FAILURE": "it demands a certificate, or has no cipher in common",
     "UNKNOWN_CA": "it does not know who vouches for the tap's certificate",
 }
-"""What the peer that sends a TLS alert objects to, by the name of the alert (RFC 8446, 6.2)."""
+"""What a peer that sends a TLS alert objects to, in words for the user, by the name of the alert
+(RFC 8446, 6.2)."""
 
 
 def server_context(tls: ListenTls) -> ssl.SSLContext:
-    """Return the TLS context for connections from masters.
+    """Return the TLS context for connections from masters to a tap.
 
     Raises LinkError if a certificate or key file cannot be used.
     """
@@ -77,10 +79,10 @@ def server_context(tls: ListenTls) -> ssl.SSLContext:
 
 
 def why_outdated(option: str, cert: str) -> str | None:
-    """Return a line for the user if the tap's own certificate has expired, else None.
+    """Return a line for the user if the tap's own certificate has expired, otherwise None.
 
-    An expired certificate is still used, as not every peer checks the date. Also returns None if
-    the extra mbtool[tls] is not installed, or if the file cannot be read.
+    An expired certificate is still used, as not every peer checks the date. The result is also None
+    if the extra mbtool[tls] is not installed, or if the file cannot be read.
     """
     try:
         end = end_of(Path(cert).read_bytes())
@@ -92,7 +94,7 @@ def why_outdated(option: str, cert: str) -> str | None:
 
 
 def client_context(tls: TargetTls, host: str) -> tuple[ssl.SSLContext, str]:
-    """Return the TLS context for the target, and the name that its certificate must have.
+    """Return the TLS context for a tap's target, and the name that its certificate must have.
 
     Raises LinkError if a certificate or key file, or --tls-target-name, cannot be used.
     """
@@ -102,8 +104,8 @@ def client_context(tls: TargetTls, host: str) -> tuple[ssl.SSLContext, str]:
         context.verify_mode = ssl.CERT_NONE
     else:
         _load_ca(context, "--tls-target-ca", tls.ca)
-        # x509_ca counts the certificates that could sign others. If there are none, the file holds
-        # the target's own certificate, and its name is not checked.
+        # x509_ca counts the certificates that could sign others. If it is 0, the file holds the
+        # target's own certificate, and its name is not checked.
         if tls.name is None and not context.cert_store_stats()["x509_ca"]:
             context.check_hostname = False
     if tls.cert is not None:
@@ -117,7 +119,7 @@ def client_context(tls: TargetTls, host: str) -> tuple[ssl.SSLContext, str]:
                 f"--tls-target-name {name!r}: no host can have such a name; "
                 "give the one in the target's certificate"
             ) from None
-        # Here the name is the host in the user's LINK. It is invalid, so connecting will fail, with
+        # Here the name is the host in the user's LINK. It is invalid, so connecting will fail with
         # an error that says so.
     return context, name
 
@@ -133,7 +135,7 @@ def failure(error: OSError, who: str) -> str | None:
             why += "; --tls-target-name says which name it has instead"
         return f"TLS: the {who}'s certificate is refused: {why}"
     if not isinstance(error, ssl.SSLError):
-        # If a handshake fails, asyncio raises one of the next two errors without an errno. If the
+        # asyncio reports a failed handshake by one of the next two errors, without an errno. If the
         # operating system raises such an error, it has an errno.
         if isinstance(error, ConnectionAbortedError) and error.errno is None:
             return f"TLS: the {who} does not complete the handshake"
@@ -196,7 +198,7 @@ def _load_ca(context: ssl.SSLContext, option: str, path: str) -> None:
     except ssl.SSLError as error:
         raise LinkError(f"{option} {path}: cannot be used: {_words(error)}") from None
     ends: list[str] = []
-    with suppress(UnicodeDecodeError):  # Names that are not UTF-8: only the handshake can tell.
+    with suppress(UnicodeDecodeError):  # A name is not UTF-8: only the handshake can tell.
         ends = [str(one["notAfter"]) for one in context.get_ca_certs()]
     last = max(ends, key=ssl.cert_time_to_seconds, default=None)
     if last is not None and ssl.cert_time_to_seconds(last) < now_ns() / 1e9:
@@ -205,9 +207,10 @@ def _load_ca(context: ssl.SSLContext, option: str, path: str) -> None:
 
 
 def _pem(option: str, path: str, label: re.Pattern[bytes], what: str) -> bytes:
-    """Return the content of a file.
+    """Return the content of a certificate or key file.
 
-    Raises LinkError if the file cannot be read, or holds no PEM block of the wanted kind.
+    `label` finds the first line of the wanted kind of PEM block, which `what` names. Raises
+    LinkError if the file cannot be read or has no such block.
     """
     try:
         held = Path(path).read_bytes()

@@ -7,7 +7,7 @@
 # and expired certificates are not reported.
 #
 # The text in a peer's certificate cannot be trusted: at most MAX_TEXT characters of it are shown,
-# and control characters are shown as escapes, so that the terminal does not obey them.
+# and control characters are shown as escapes, so that they do not control the terminal.
 
 from __future__ import annotations
 
@@ -23,7 +23,8 @@ ROLE = "1.3.6.1.4.1.50316.802.1"
 MAX_TEXT = 200
 
 _ROLE_DER = bytes.fromhex("06 0b 2b06010401 83890c 8622 01")
-"""The id of the role extension in DER. Only a certificate with these bytes can have a role."""
+"""The id of the role extension, encoded in DER. Only a certificate with these bytes can have a
+role."""
 _SHORT = {
     "commonName": "CN",
     "organizationName": "O",
@@ -38,10 +39,8 @@ _SHORT = {
 class PeerTls(ssl.SSLObject):
     """A TLS connection that accepts a peer's certificate with names that are not UTF-8.
 
-    Old CAs wrote such names.
-
-    Without this class, ssl verifies such a certificate and then raises UnicodeDecodeError when
-    asyncio asks for the names, so the handshake fails.
+    Old CAs wrote such names. Without this class, ssl verifies such a certificate and then raises
+    UnicodeDecodeError when asyncio asks for the names, so the handshake fails.
     """
 
     def getpeercert(self, binary_form: bool = False) -> Any:
@@ -92,7 +91,7 @@ def load_reader() -> None:
 
 
 def role_of(der: bytes) -> str | None:
-    """Return the role in a certificate (DER); None if it has none, or one that cannot be read.
+    """Return the role in a certificate (DER); None if it has no role that can be read.
 
     Raises ImportError without the extra mbtool[tls].
     """
