@@ -85,7 +85,7 @@ class Segments:
     begin: Int64s
     """The offset of the payload in the data of the block."""
     size: Int64s
-    """The number of payload bytes; 0 for a segment that is not plain."""
+    """The number of payload bytes; 0 where `is_plain` is False."""
     ts_ns: Int64s
 
 

@@ -22,7 +22,9 @@ if TYPE_CHECKING:
 
 
 def plain_transaction(rows: PlainRows, index: int) -> Transaction:
-    """Return the transaction of the row at an index."""
+    """Return the transaction in row `index` of the arrays, as the Decoder would make it from
+    packets.
+    """
     identity = rows.connections[rows.connection[index]]
     ends = Ends(identity.link, str(identity.master), str(identity.slave))
     request = _adu(

@@ -38,8 +38,7 @@ faster."""
 
 
 class QuietParts:
-    """Splits the results of each block into groups of rows without findings and single
-    transactions.
+    """Splits the transactions of each block into groups of reads without findings and single ones.
 
     For a capture that is decoded without device profiles.
     """

@@ -314,7 +314,7 @@ class TcpConnection:
     def _take_piece(self, sender: Stream, other: Stream, piece: HeldBytes) -> None:
         """Deliver those bytes of a segment that are new, or keep them until earlier ones have come.
 
-        Bytes after their gap, or different from their first copy, are reported as events.
+        Bytes whose gap was reported before, or that differ from their first copy, become events.
         """
         differs = False
         fresh, behind = piece, sender.position - piece.start

@@ -156,8 +156,8 @@ class Datagram:
         return len(added)
 
     def is_copy(self, fragment: Fragment) -> bool:
-        """True if this packet, already whole, has the same bytes as a fragment at the fragment's
-        place.
+        """True if this packet, already whole, contains the bytes of a fragment unchanged: it is a
+        copy.
         """
         touching = self._touching(fragment.start, fragment.end)
         return fragment.end <= self.held and not any(_differ(fragment, one) for one in touching)

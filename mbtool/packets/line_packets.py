@@ -106,7 +106,7 @@ class LineEnds(NamedTuple):
     """The made-up IP addresses under which a packet shows a master and a slave."""
 
     master: bytes
-    """The IPv4 address, 4 bytes."""
+    """The master's IPv4 address, 4 bytes."""
     slave: bytes
     master_port: int = MASTER_PORT
 
@@ -181,7 +181,7 @@ class OpenReads:
         return [chunk for chunk in done if chunk.data]
 
     def close(self) -> list[Chunk]:
-        """Return the reads that were to continue in a packet that never came."""
+        """Return the reads whose last bytes were expected in a packet that never came."""
         held, self._open = [*self._open.values()], {}
         return held
 

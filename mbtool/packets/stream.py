@@ -58,7 +58,7 @@ class HeldBytes(NamedTuple):
     their segment acknowledges it; 0 if they need not wait for it."""
     ts_ns: int
     arrival: int
-    """The number of the packet that brought these bytes, counted in the connection."""
+    """The number of the segment that brought these bytes, counted from 1 in its connection."""
     receipt: int | None = None
     """The position in the other direction that the segment acknowledges; None if unknown."""
     origin: Origin | None = None

@@ -100,7 +100,8 @@ class Found(NamedTuple):
 
     answer: RecordedAnswer
     lap: int = 0
-    """How many times the answers have begun again; always 0 if the matcher uses the clock."""
+    """How many times all recorded answers were played before this one; 0 if the matcher uses the
+    clock."""
 
 
 class Matcher(Protocol):

@@ -136,7 +136,7 @@ class RecordedSlave:
         self._steps = 0
         """How many answers may still be played although the player is paused."""
         self._time_ns = recording.begin_ns
-        """The player's time: the time in the recording from which values are taken, in ns."""
+        """The time in the recording, in ns, from which values for responses are taken."""
         self._lap = 0
         """How many times the recording has begun again: by the clock, or as the matcher counts."""
         self._writes = LiveWrites(recording)
@@ -194,7 +194,9 @@ class RecordedSlave:
         return self._steering.progress(position_ns, done)
 
     def _moment(self, now_ns: int) -> Moment:
-        """Update the player's time in the recording, and return it with the player's state."""
+        """Update the time in the recording from which values are taken; return it with the player's
+        state.
+        """
         if not self._match.by_clock:
             is_paused = self._steering.is_paused and not self._steps
             self._steps = max(self._steps - 1, 0)
@@ -243,7 +245,10 @@ class RecordedSlave:
         return Response(answer, self._delay_ns(unit, pdu[0], recorded.latency_ns))
 
     def _go_to(self, found: Found) -> None:
-        """Set the player's time to the recorded time of an answer, unless it follows the clock."""
+        """Take the next values from the time at which this answer was recorded.
+
+        If the matcher uses the clock, the clock decides the time instead.
+        """
         if not self._match.by_clock:
             self._time_ns, self._lap = found.answer.at_ns, found.lap
 
@@ -260,7 +265,7 @@ class RecordedSlave:
         values = (response.numbers() or ())[: len(access.reads)]
         if response.problem is not None or len(values) < len(access.reads):
             return answer
-        # A matcher by the clock may find an answer recorded later than the player's time.
+        # A matcher by the clock may find an answer recorded later than the clock's time.
         place = min(self._place(), Place(self._lap, recorded.at_ns))
         shown = self._writes.in_answer(unit, access.table, access.reads.start, values, place)
         return answer if shown == list(values) else response_to(request, pdu, shown)
@@ -339,13 +344,17 @@ class RecordedSlave:
                 )
 
     def _value(self, unit: int, table: Table, address: int) -> int | None:
-        """The value to show for an address at the player's time; None if never recorded."""
+        """The value of a register or bit at the present time of the recording, or as the live
+        master has since written it; None if it was never recorded.
+        """
         recorded = self._recorded(unit, table, address)
         if recorded is None:
             return None
         return self._writes.shown(unit, table, address, recorded, self._place())
 
     def _recorded(self, unit: int, table: Table, address: int) -> int | None:
-        """The recorded value of an address at the player's time; None if never recorded."""
+        """The value of a register or bit at the present time of the recording; None if never
+        recorded.
+        """
         known = self._recording.timeline(unit, table).at(address, self._time_ns)
         return None if known is None else known[0]

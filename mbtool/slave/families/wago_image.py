@@ -69,7 +69,7 @@ class ProcessImage:
         return values
 
     def standing(self, table: Table, span: range) -> list[int]:
-        """Return the values that a range of outputs has before a master writes to it."""
+        """Return the values that would be replaced if a master wrote to these addresses."""
         span = stored_range(table, span)
         values = self._image.get(table, span.start, len(span))
         return values if table.is_bits else self.read(span, values)
