@@ -1,7 +1,8 @@
-"""Runs a function for many tasks: on processes of this machine, or on those of a Dask cluster."""
+"""Runs tasks in several processes: on this machine, or on the workers of a Dask cluster."""
 
-# Both give the results as they come, and a task whose process was killed again to another one, at
-# most RETRIES times. A task and a result are bytes: nothing else passes between processes.
+# Results are given in the order in which they come. If a process is killed, its task is given to
+# another process, at most RETRIES times. A task and a result are bytes; nothing else passes between
+# processes.
 
 from __future__ import annotations
 
@@ -24,20 +25,26 @@ CONNECT_S = 20
 
 
 class Executor(Protocol):
-    """Runs tasks on some processes."""
+    """Runs tasks in several processes."""
 
     processes: int
-    """How many tasks run at once."""
+    """The number of tasks that run at the same time."""
 
     def run(self, tasks: Sequence[bytes]) -> Iterator[tuple[bytes, bytes | str]]:
-        """Yield each task with its result, or with a text that says why there is none."""
+        """Yield pairs of a task and its result, in the order in which the tasks end.
+
+        The result is a text with the reason if the task failed.
+        """
 
 
 class LocalProcesses:
-    """Processes of this machine, each of which reads tasks from its standard input."""
+    """Runs tasks in processes of this machine, which read them from their standard input."""
 
     def __init__(self, start: Callable[[], subprocess.Popen[bytes]], processes: int) -> None:
-        """`start` starts a process that answers each line of hexadecimal digits with another."""
+        """`start` starts a process that reads tasks and writes results.
+
+        Each task and each result is a line of hexadecimal digits.
+        """
         self.processes = processes
         self._start = start
         self._lock = threading.Lock()
@@ -47,7 +54,7 @@ class LocalProcesses:
 
     @property
     def pids(self) -> list[int]:
-        """The process ids of the processes that were started."""
+        """The ids of all processes that were started so far, also of those that have ended."""
         with self._lock:
             return [one.pid for one in self._all]
 
@@ -97,10 +104,13 @@ class LocalProcesses:
 
 
 class DaskCluster:
-    """The workers of a Dask scheduler; mbtool[cluster] must be installed on each."""
+    """Runs tasks on the workers of a Dask scheduler. Each must have mbtool[cluster] installed."""
 
     def __init__(self, address: str, work: Work) -> None:
-        """Connect. Raises UsageError if dask is not installed, LinkError if nothing answers."""
+        """Connect to the scheduler at `address`; the workers call `work` for each task.
+
+        Raises UsageError if dask is not installed, and LinkError if no scheduler answers.
+        """
         try:
             from distributed import Client
         except ImportError:

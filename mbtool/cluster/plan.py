@@ -1,21 +1,22 @@
-"""Plans which files of many captures are decoded together, and names what is made of them."""
+"""Plans which files of many captures are decoded together, and gives their results names."""
 
-# A file is the unit of the result: its Parquet file has the transactions that begin in it. They may
-# end in the next file of a rotated capture, whose connections may have begun in the one before. So
-# files are decoded in runs, by one decoder:
+# Each capture file gives one Parquet file, with the transactions that begin in the capture file. A
+# rotated capture is one capture in several files. There, a transaction may end in the next file,
+# and a connection may have begun in the file before. So one decoder decodes several files one after
+# the other; such files are a "run":
 #
-#     files of one folder whose names differ only in digits, and whose folders differ only in dates,
-#     are taken as one rotated capture, in the order of these numbers
-#     a run has at most MAX_FILES of them
-#     around a run, the file before it and the beginning of the next one are read, too (of small
-#     files several), and their transactions left out
+#     files are taken as one rotated capture if their names differ only in digits, and their folders
+#     only in dates; these numbers give their order
+#     a run has at most MAX_FILES files of one rotated capture
+#     the file before a run and the beginning of the file after it are read, too (several, if they
+#     are small), but their transactions are left out
 #
-# Two captures that are taken as one do no harm: the times of their packets tell them apart
+# It does no harm if two captures are taken for one: the times of their packets tell them apart
 # (workflows/shared/capture_parts.py).
 #
-# A file is done if there is a record with the name that `record_name` gives. It tells the file's
-# path, size and time, and those of the files around it. So a result does not depend on which other
-# files were done when.
+# A file is done if the output has a record with the name that `record_name` gives. The name is a
+# hash of the path, size and time of the file and of the files around it. So a result does not
+# depend on which other files were decoded before.
 
 from __future__ import annotations
 
@@ -29,36 +30,40 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
 MIN_FILES, MAX_FILES = 4, 16
-"""Files of a run. With fewer than MIN_FILES too much would be read twice; more than MAX_FILES would
-be lost if its process is killed."""
+"""The least and the greatest number of files that one decoder decodes in a row. With fewer, too
+many files would be read twice. With more, too much work would be lost if the process is killed."""
 MAX_RUN_BYTES = 512 * 1024 * 1024
-"""A run ends behind the file with which it has so many bytes: it may be copied to a disk."""
+"""A run (files that one decoder decodes in a row) ends after the file with which it reaches so many
+bytes. This bounds the disk space for copies of files from an object store."""
 NEAR_BYTES, MAX_NEAR = 1024 * 1024, 4
-"""On each side of a run, files are read that have so many bytes together, but not more files than
-that. Of those behind it, only so many bytes are read: more is not needed to end what is open."""
+"""Before and after the files of a run, further files are read until they have NEAR_BYTES bytes
+together, at most MAX_NEAR files. Of each file after the run, only the first NEAR_BYTES are read:
+that is enough for the responses to the last requests."""
 RUNS_EACH = 4
-"""Runs for each process, so that all of them end at about the same time."""
+"""Number of runs for each process. With several, all processes end at about the same time."""
 
 _VERSION = "1"
-"""Changes when the same input gives another result."""
+"""Part of the names of records. A new version of mbtool that gives another result for the same file
+must change it, so that the file is decoded again."""
 _DATE = re.compile(r"(?<!\d)20\d\d([-_./]?[01]\d([-_./]?[0-3]\d)?)?(?!\d)")
 _DIGITS = re.compile(r"(\d+)")
 
 
 @dataclass(frozen=True, slots=True)
 class InputFile:
-    """A capture that is to be decoded."""
+    """A capture file that is to be decoded."""
 
     path: str
-    """Its path, or its address in an object store."""
+    """The path of the file, or its address in an object store."""
     size: int
+    """The size of the file in bytes."""
     changed_ns: int
-    """When it was last written, in UTC ns."""
+    """The time at which the file was last written, in UTC ns."""
 
 
 @dataclass(frozen=True, slots=True)
 class Around:
-    """The files of a rotated capture around one of its files, in order."""
+    """The files before and after one file of a rotated capture, in the order of the capture."""
 
     before: tuple[InputFile, ...]
     after: tuple[InputFile, ...]
@@ -66,15 +71,19 @@ class Around:
 
 @dataclass(frozen=True, slots=True)
 class FileRun:
-    """Files that are decoded one after the other, by one decoder."""
+    """Consecutive files of a rotated capture that one decoder decodes."""
 
     files: tuple[InputFile, ...]
     around: tuple[Around, ...]
-    """For each file, those that are read with it if it is the first or the last."""
+    """For each file, the files before and after it. Those before the first file of the run and
+    after the last one are read, too."""
 
 
 def plan(files: Iterable[InputFile], most: int = MAX_FILES) -> list[FileRun]:
-    """Put files into runs of at most `most`; equal paths count once."""
+    """Divide files into runs of at most `most` consecutive files of one rotated capture.
+
+    A path that occurs several times counts once.
+    """
     unique = {one.path: one for one in files}.values()
     ordered = sorted(unique, key=lambda one: (_group(one.path), _natural(one.path)))
     runs: list[FileRun] = []
@@ -84,12 +93,12 @@ def plan(files: Iterable[InputFile], most: int = MAX_FILES) -> list[FileRun]:
 
 
 def files_each(files: int, processes: int) -> int:
-    """How many files a run should have for some processes to be busy."""
+    """The number of files per run that keeps `processes` processes busy with `files` files."""
     return min(max(-(-files // (processes * RUNS_EACH)), MIN_FILES), MAX_FILES)
 
 
 def remaining(run: FileRun, is_done: Callable[[InputFile, Around], bool]) -> list[FileRun]:
-    """The parts of a run whose files are not done."""
+    """Divide a run into its parts of consecutive files that are not decoded yet."""
     found = []
     pairs = zip(run.files, run.around, strict=True)
     for done, some in groupby(pairs, key=lambda pair: is_done(*pair)):
@@ -100,14 +109,18 @@ def remaining(run: FileRun, is_done: Callable[[InputFile, Around], bool]) -> lis
 
 
 def share_of(run: FileRun, shares: int) -> int:
-    """Which of some shares (counted from 0) a run belongs to; the same wherever it is asked."""
+    """The number, 0 to `shares` - 1, of the share of a job that a run belongs to.
+
+    It depends only on the path of the run's first file, so all machines of a job agree on it.
+    """
     return int(_hash(run.files[0].path)[:8], 16) % shares
 
 
 def record_name(file: InputFile, around: Around, options: str) -> str:
-    """The name of the record that a file was decoded; `options` are those that change the result.
+    """The name of the record that says that a file was decoded.
 
-    The part before the dash is the same for all records of one path.
+    It changes with the size and time of the file and of those around it, and with `options`, the
+    options that change the result. The part before the dash depends on the file's path alone.
     """
     before, after = ("\n\n".join(map(_state, some)) for some in (around.before, around.after))
     state = _hash(_VERSION, options, _state(file), before, after)
@@ -115,12 +128,16 @@ def record_name(file: InputFile, around: Around, options: str) -> str:
 
 
 def path_name(path: str) -> str:
-    """A name for a path, without any character that is special in paths."""
+    """A hash of a path as hexadecimal digits, for use in a file name."""
     return _hash(path)
 
 
 def parquet_name(path: str, digest: str) -> str:
-    """The name of the Parquet file of an input, from its name and the hash of its bytes."""
+    """The name of the Parquet file of a capture file, without its ending.
+
+    It is a hash of the capture file's name (without folders) and of `digest`, the hash of its
+    bytes.
+    """
     return _hash(path.rpartition("/")[2], digest)
 
 
@@ -141,7 +158,7 @@ def _runs(group: Sequence[InputFile], most: int) -> Iterator[FileRun]:
 
 
 def _near(files: Sequence[InputFile]) -> tuple[InputFile, ...]:
-    """The first files that have NEAR_BYTES together."""
+    """The first of `files`, as many as are needed for NEAR_BYTES bytes together."""
     size = 0
     for count, file in enumerate(files, 1):
         size += file.size
@@ -151,7 +168,10 @@ def _near(files: Sequence[InputFile]) -> tuple[InputFile, ...]:
 
 
 def _group(path: str) -> tuple[str, str]:
-    """The same for all files of a rotated capture."""
+    """The folder and name of a path, with # in place of dates and numbers.
+
+    They are the same for all files of one rotated capture.
+    """
     folder, _, name = path.rpartition("/")
     return _DATE.sub("#", folder), _DIGITS.sub("#", name)
 

@@ -1,8 +1,9 @@
-"""Captures and results on this machine and in object stores (pyarrow.fs)."""
+"""Reads captures and writes results, on this machine or in object stores (pyarrow.fs)."""
 
-# An address is a path, or s3://bucket/key and what else pyarrow knows. The credentials are those of
-# the environment (AWS_PROFILE, AWS_ENDPOINT_URL and the like). A file that is written appears under
-# its name as a whole: in an object store by the store itself, on a disk by renaming.
+# An address in an object store is s3://bucket/key, or any other form that pyarrow knows. The
+# credentials come from the environment (AWS_PROFILE, AWS_ENDPOINT_URL and the like). A reader never
+# sees a file that is only partly written: an object store shows only whole files, and on a disk a
+# file gets its name when it is complete.
 
 from __future__ import annotations
 
@@ -27,18 +28,18 @@ if TYPE_CHECKING:
 _PIECE = 4 * 1024 * 1024
 _ADDRESS = re.compile(r"([a-zA-Z][a-zA-Z0-9+.-]+)://([^/]*)/*(.*)", re.DOTALL)
 _DEFAULT_REGION = "us-east-1"
-"""The region of a store of one's own, whose address is in AWS_ENDPOINT_URL."""
+"""The region to use for a store that is not Amazon's (AWS_ENDPOINT_URL), if none is set."""
 
 
 def is_address(path: str) -> bool:
-    """True for a path in an object store."""
+    """True if a path is an address in an object store, such as s3://bucket/key."""
     return _ADDRESS.fullmatch(path) is not None
 
 
 def list_inputs(pattern: str) -> list[InputFile]:
-    """The files of a path, an address, or a pattern with *, in the order of their names.
+    """List the files that a path, an address or a pattern with * names, sorted by name.
 
-    Raises InputError if there is none, UsageError for an address of an unknown kind.
+    Raises InputError if there is none, and UsageError for an address of an unknown kind.
     """
     if os.path.isdir(pattern):
         raise InputError(f"{pattern}: a directory; name captures in it: '{pattern}/*.pcap'")
@@ -49,10 +50,10 @@ def list_inputs(pattern: str) -> list[InputFile]:
 
 
 def fetch(file: InputFile, copy: Path, most: int | None = None) -> tuple[str, str]:
-    """The path at which a file can be read, and the SHA-256 of its bytes.
+    """Return the path at which a file can be read, and the SHA-256 of its bytes.
 
-    A file of an object store is copied to `copy`; of any file only the beginning, if it has more
-    bytes than `most`. Raises InputError.
+    A file of an object store is copied to the path `copy`. If a file has more than `most` bytes,
+    only its first `most` bytes are copied. Raises InputError if it cannot be read.
     """
     is_cut = most is not None and file.size > most
     try:
@@ -71,7 +72,7 @@ def fetch(file: InputFile, copy: Path, most: int | None = None) -> tuple[str, st
 
 
 def _stream(path: str) -> Any:
-    """Open a file for reading, here or in an object store."""
+    """Open a file for reading, on this machine or in an object store."""
     if not is_address(path):
         return open(path, "rb")
     store, place = _opened(path)
@@ -79,7 +80,10 @@ def _stream(path: str) -> Any:
 
 
 class OutputStore:
-    """The folder or prefix that results are written to. Its methods raise OutputError."""
+    """The folder, or the prefix in an object store, that results are written to.
+
+    Its methods raise OutputError if the folder cannot be used.
+    """
 
     def __init__(self, address: str) -> None:
         """Raises UsageError for an address of an unknown kind."""
@@ -97,7 +101,7 @@ class OutputStore:
             return [one.base_name for one in self._fs.get_file_info(chosen) if one.is_file]
 
     def read(self, name: str) -> bytes:
-        """The bytes of a file; none if it is not there."""
+        """The content of a file; empty if there is no such file."""
         with (
             self._guarded(),
             suppress(FileNotFoundError),
@@ -108,10 +112,14 @@ class OutputStore:
         return b""
 
     def put(self, name: str, data: bytes | Path) -> None:
-        """Write a file: bytes, or what is in a file of this machine."""
+        """Write a file with the name `name`.
+
+        `data` is its content, or the path of a file on this machine that has the content.
+        """
         path = f"{self._root}/{name}"
         folder, _, base = path.rpartition("/")
-        # If this process is killed, the part stays; readers of Parquet leave out such names.
+        # If this process is killed, the unfinished file stays. Readers of Parquet ignore files
+        # whose name begins with a dot.
         begun = f"{folder}/.{base}.{os.getpid()}.part" if self._is_local else path
         with self._guarded():
             if self._is_local:
@@ -121,7 +129,7 @@ class OutputStore:
                 os.replace(begun, path)
 
     def delete(self, name: str) -> None:
-        """Delete a file, if it is there."""
+        """Delete a file; do nothing if it does not exist."""
         with self._guarded(), suppress(FileNotFoundError):
             self._fs.delete_file(f"{self._root}/{name}")
 
@@ -144,7 +152,7 @@ class OutputStore:
 
 def _local_files(pattern: str) -> list[InputFile]:
     try:
-        # A name may have a star of its own.
+        # If a file has exactly this name, a * in it is part of the name, not a wildcard.
         names = [pattern] if os.path.lexists(pattern) else sorted(glob.glob(pattern))
         states = [(os.path.abspath(name), os.stat(name)) for name in names]
     except (OSError, ValueError) as error:
@@ -157,7 +165,11 @@ def _local_files(pattern: str) -> list[InputFile]:
 
 
 def _remote_files(pattern: str) -> list[InputFile]:
-    """Look into one level of folders after the other, so that no other folder is listed."""
+    """List the files of an object store that match a pattern with *.
+
+    This lists the folders level by level, and only those that match, because a store may have very
+    many others.
+    """
     store, path = _opened(pattern)
     folders, *parts = path.split("/")
     begin = pattern.partition("://")[0]
@@ -179,7 +191,10 @@ def _remote_files(pattern: str) -> list[InputFile]:
 
 
 def _opened(address: str) -> tuple[Any, str]:
-    """The object store of an address, and the path in it."""
+    """Connect to the object store of an address; return the store, and the path in it.
+
+    Raises UsageError for an address of an unknown kind.
+    """
     match = _ADDRESS.fullmatch(address)
     assert match is not None
     scheme, bucket, path = match.groups()
@@ -191,7 +206,9 @@ def _opened(address: str) -> tuple[Any, str]:
 
 
 def _options(scheme: str) -> str:
-    """What pyarrow does not take from the environment itself: a store that is not Amazon's."""
+    """The options to append to the address of a store: the server and region of a store that is not
+    Amazon's, which pyarrow does not take from the environment itself.
+    """
     endpoint = os.environ.get("AWS_ENDPOINT_URL_S3") or os.environ.get("AWS_ENDPOINT_URL")
     if scheme != "s3":
         return ""
@@ -207,5 +224,5 @@ def _options(scheme: str) -> str:
 
 
 def _reason(error: OSError | ValueError) -> str:
-    """What a library says, in one line."""
+    """The message of a library's error, in one line."""
     return " ".join(str(error).split())

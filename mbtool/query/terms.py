@@ -1,10 +1,10 @@
 """Defines the names of the --where language, and rejects comparisons that are never true."""
 
-# Each name has a kind (number, text, list, moment), and some names a fixed set of texts or a range
-# of numbers. A comparison of different kinds, or with a text or number that the name never has,
-# would silently select nothing; so it is an error when the expression is parsed. A text may be
-# searched in a text (`"HR4" in reference`); there any part will do. A text that is compared with a
-# moment is read as ISO 8601.
+# Each name has a kind (number, text, list, moment). Some names can only have certain texts, or
+# numbers in a range. A comparison of different kinds, or with a text or number that the name never
+# has, would silently select nothing. So it is reported as an error when the expression is parsed.
+# `"HR4" in reference` searches any part of a text. A text that is compared with a moment (a point
+# in time) is read as ISO 8601.
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _WITH_PORT = re.compile(r"[^:]+:[0-9]+|\[.*\]:[0-9]+")
 
 
 class ValueKind(StrEnum):
-    """The kind of a term; only terms of one kind can be compared."""
+    """The kind of one side of a comparison; only terms of the same kind can be compared."""
 
     NUMBER = "a number"
     TEXT = "a text"
@@ -32,27 +32,28 @@ class ValueKind(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Term:
-    """One side of a comparison."""
+    """One side of a comparison in a --where expression: a name, a number, a text or a list."""
 
     text: str
-    """The term as error messages write it."""
+    """The term as text, for error messages."""
     value: Callable[[NamedTransaction], Any]
     """Returns the term's value in a transaction; None if the transaction has no such value."""
     kind: ValueKind
     choices: tuple[str, ...] = ()
-    """All texts that a name can have; empty if it can be any text."""
+    """If the term is a name: all texts that it can have; empty if it can be any text."""
     allowed: range | None = None
-    """The numbers that a name can have; None if it can be any number."""
+    """If the term is a name: the numbers that it can have; None if it can be any number."""
     number: float | None = None
-    """The number itself, if the term is a number; else None."""
+    """The number, if the term is a number in the expression; otherwise None."""
     is_endpoint: bool = False
-    """True for an address with a port; a text without a port equals it if the addresses do."""
+    """True if the value is an address with a port (HOST:PORT). A text without a port equals it if
+    the hosts are equal."""
     is_host: bool = False
-    """True for an address without a port."""
+    """True if the value is an address without a port."""
     constant: str | None = None
-    """The text itself, if the term is a text in quotes; else None."""
+    """The text, if the term is a text in quotes; otherwise None."""
     items: tuple[Term, ...] = ()
-    """The members of a list; for a name, one term that stands for all members."""
+    """If the term is a list: its members. If a name stands for a list: one term for any member."""
 
     @property
     def described(self) -> str:
@@ -62,9 +63,9 @@ class Term:
 
 
 def why_never_true(left: Term, right: Term, *, membership: bool) -> str | None:
-    """The reason why a comparison can never be true, and what to write instead; else None.
+    """Say why a comparison can never be true, and what to write instead; None if it can be true.
 
-    `membership` is True for `left in right`.
+    `membership` is True for `left in right` and `left not in right`, False for other operators.
     """
     if not membership:
         return _why_never_equal(left, right)
@@ -76,9 +77,10 @@ def why_never_true(left: Term, right: Term, *, membership: bool) -> str | None:
 
 
 def why_out_of_range(left: Term, right: Term, compare: str) -> str | None:
-    """The reason why a comparison of a name with a number out of its range is useless; else None.
+    """Say why a comparison of a name with a number is useless; None if it is not.
 
-    `compare` is the operator: `==`, `!=`, `in`, `not in`, `<`, `<=`, `>` or `>=`.
+    It is useless if the name can never have this number (for `<` and the like: no number that is
+    less, and so on). `compare` is the operator: `==`, `!=`, `in`, `not in`, `<`, `<=`, `>` or `>=`.
     """
     if compare in ("in", "not in"):
         return _first(why_out_of_range(left, item, "==") for item in right.items)
@@ -130,7 +132,7 @@ def _either(choices: tuple[str, ...]) -> str:
 
 
 def host_of(endpoint: str | None) -> str | None:
-    """The address of `10.0.0.9:502` or `[fe80::1]:502`; None for None."""
+    """The host in a text such as `10.0.0.9:502` or `[fe80::1]:502`; None for None."""
     if endpoint is None:
         return None
     if endpoint.startswith("["):
@@ -139,7 +141,7 @@ def host_of(endpoint: str | None) -> str | None:
 
 
 def is_at(endpoint: str, text: str) -> bool:
-    """True if an endpoint, or its address without the port, equals a text."""
+    """True if `text` equals an endpoint (HOST:PORT), or its host without the port."""
     return endpoint == text or host_of(endpoint) == text.strip("[]")
 
 
@@ -175,7 +177,10 @@ def _list(
 
 
 def _written(one: NamedTransaction, *, bits: bool) -> list[int] | None:
-    """The addresses of registers or bits that the request writes, accepted or not."""
+    """The addresses of registers (or bits) that a request writes, also if the slave refuses it.
+
+    None if the request writes none.
+    """
     function = FUNCTIONS.get(one.function)
     if function is None or function.table is None or function.table.is_bits is not bits:
         return None
@@ -226,4 +231,4 @@ _TERMS = (
 )
 
 NAMES = {term.text: term for term in _TERMS}
-"""The names that an expression can use. docs/filters.md lists them."""
+"""The names that a --where expression can use, such as `unit`. docs/filters.md lists them."""

@@ -1,6 +1,6 @@
-"""Compiles a --where expression into a test of transactions."""
+"""Compiles a --where expression into a function that tests a transaction."""
 
-# An expression has Python's comparisons of the names in NAMES, combined with and, or, not:
+# An expression compares the names in NAMES (terms.py) as Python does, combined with and, or, not:
 #
 #     unit == 5 and function in (3, 16)
 #     outcome == "exception" or latency_ms > 50
@@ -8,17 +8,17 @@
 #     reference like "HR4*" or points matches "CH[1-4] "
 #     source == "10.0.0.66" and time >= "2026-11-22T09:14"
 #
-# Two operators are added to those of Python. `like` compares a whole text with wildcards: * for any
-# characters, ? for one. `matches` looks for a regular expression of Python anywhere in a text. In a
-# list, one member must fit. An address with a port equals a text without a port if the addresses
-# are equal.
+# There are two operators that Python lacks. `like` compares a whole text with wildcards: * for any
+# characters, ? for one. `matches` looks for a regular expression of Python anywhere in a text. If
+# the name stands for a list, one member must fit. An address with a port equals a text without a
+# port if the hosts are equal.
 #
 # A comparison is false if one of its names does not apply to the transaction. The expression is
 # parsed, never evaluated as Python. Everything that is not a comparison is an error, and so is a
 # comparison that can never be true, such as a number with a text (terms.py).
 #
-# Limits: MAX_LENGTH characters, and MAX_DEPTH levels of not, and, or and parentheses. How long a
-# regular expression takes is up to the user who writes it.
+# Limits: MAX_LENGTH characters, and MAX_DEPTH levels of not, and, or and parentheses. There is no
+# limit for the time that a user's regular expression takes.
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ _ENDPOINT_COMPARISONS: dict[type[ast.cmpop], _Compare] = {
     ast.In: lambda one, texts: any(text is not None and is_at(one, text) for text in texts),
     ast.NotIn: lambda one, texts: not any(text is not None and is_at(one, text) for text in texts),
 }
-"""The comparisons of an address that has a port with texts that need not have one."""
+"""The comparisons of an address with a port (HOST:PORT) and texts that may lack the port."""
 _SIGNS: dict[type[ast.cmpop], str] = {
     ast.Eq: "==",
     ast.NotEq: "!=",
@@ -89,7 +89,7 @@ _SHOWN = 60
 
 
 def parse_where(text: str) -> Where:
-    """Compile an expression into a function that tells whether a transaction passes.
+    """Compile an expression into a function that returns True for a transaction that it selects.
 
     Raises UsageError if the expression is wrong, is too long or has too many levels, or if one of
     its comparisons can never be true.
@@ -108,10 +108,10 @@ def parse_where(text: str) -> Where:
 
 
 class _Compiler:
-    """Turns the nodes of one expression's syntax tree into functions."""
+    """Turns the nodes of an expression's syntax tree into functions that test a transaction."""
 
     def __init__(self, text: str, source: str) -> None:
-        """`text` is as the user wrote it, `source` as Python reads it."""
+        """`text` is the expression of the user; `source` is the same as valid Python."""
         self._text = text
         self._parsed = source
 
@@ -140,7 +140,7 @@ class _Compiler:
     def _chain(
         self, left: ast.expr, operators: Sequence[ast.cmpop], rights: Sequence[ast.expr]
     ) -> Where:
-        """Compile a chain of comparisons, as in `40 <= address < 50`."""
+        """Compile one or several comparisons in a row, as in `40 <= address < 50`."""
         terms = [self._term(node) for node in (left, *rights)]
         compares = []
         for at, one_operator in enumerate(operators):
@@ -165,12 +165,15 @@ class _Compiler:
                     compare(values[at], values[at + 1]) for at, compare in enumerate(compares)
                 )
             except TypeError:
-                return False  # A value inside a list is missing, and None cannot be ordered.
+                return False  # A member of a list is None, which cannot be less or greater.
 
         return holds
 
     def _read_moments(self, terms: list[Term], at: int) -> None:
-        """Read a text that is compared with a moment."""
+        """Replace a text that is compared with a moment by the moment that it names.
+
+        `terms[at]` and `terms[at + 1]` are the two sides of the comparison.
+        """
         for one, other in ((at, at + 1), (at + 1, at)):
             text = terms[other].constant
             if terms[one].kind is not ValueKind.MOMENT or text is None:
@@ -263,7 +266,8 @@ class _Compiler:
                 )
 
     def _number(self, node: ast.expr, number: float) -> Term:
-        # As the user wrote it: Python would write 1e999 as 1e309, and 1e5 as 100000.0.
+        # Show the number as the user wrote it, because Python would write 1e999 as 1e309, and 1e5
+        # as 100000.0.
         text = _short(ast.get_source_segment(self._parsed, node) or self._source(node))
         return Term(text=text, value=lambda _: number, kind=ValueKind.NUMBER, number=number)
 
@@ -278,25 +282,31 @@ class _Compiler:
 
 
 def _as_call(match: re.Match[str]) -> str:
-    """Turn `like "..."` into `in like("...")`, which Python can read; leave other texts alone."""
+    """Replace `like "..."` by `in like("...")`, which is valid Python; the same for `matches`.
+
+    A match that is only a text in quotes stays as it is.
+    """
     word, pattern = match["word"], match["pattern"]
     if word is None:
         return match[0]
-    # A backslash in a regular expression is for the expression, not for Python.
+    # Make the text a raw string, because a backslash in it belongs to the regular expression.
     raw = "r" if word == "matches" and not pattern.startswith("r") else ""
     return f"in {word}({raw}{pattern})"
 
 
 def _wildcards(pattern: str) -> str:
-    """The regular expression of a pattern in which * stands for any text and ? for a character."""
+    """Turn a pattern with wildcards (* for any text, ? for one character) into a regular
+    expression.
+    """
     signs = {"*": ".*", "?": "."}
     return "".join(signs.get(one) or re.escape(one) for one in pattern)
 
 
 def _of_endpoints(left: Term, right: Term, sign: ast.cmpop) -> _Compare | None:
-    """The comparison for an address with a port and texts that may lack one; None for others.
+    """Return the function that compares an address with a port and texts that may lack the port.
 
-    `"10.0" in source` is not such a comparison: there the text may be any part of the address.
+    None for other comparisons. `"10.0" in source` is another one: its text may be any part of the
+    address.
     """
     is_equality = isinstance(sign, ast.Eq | ast.NotEq)
     if right.is_endpoint and left.constant is not None and is_equality:

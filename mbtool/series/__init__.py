@@ -1,1 +1,1 @@
-"""What happened when: counts and values over time in bounded memory; no I/O, no clock."""
+"""Collects counts and values over time in bounded memory; does no I/O and reads no clock."""

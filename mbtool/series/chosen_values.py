@@ -1,10 +1,12 @@
-"""Follows the values of points and registers that a user has named."""
+"""Collects the values over time of the points and registers that a user names."""
 
-# What a text names depends on the slave: its profile says what a reference or a name stands for. So
-# the texts are looked up once for each slave. A point is followed by its value; a reference where
-# no point is, by its register or bit.
+# The user names a point or a register by a text, such as `Speed` or `HR400001`. The profile of a
+# slave says what the text means there, so each text is looked up once for each slave. If it names a
+# point, the point's value is collected; if it names addresses without a point, the numbers in their
+# registers or bits.
 #
-# Memory: MAX_CHOSEN series of MAX_SAMPLES samples, thinned out so that no extreme is lost.
+# Memory: MAX_CHOSEN series of MAX_SAMPLES samples. If there are more samples, some are dropped, but
+# no extreme value (value_series.py).
 
 from __future__ import annotations
 
@@ -27,21 +29,21 @@ _MASK_WRITE = 0x16
 
 
 class NamedAddresses(NamedTuple):
-    """What a text names at a slave."""
+    """The addresses that a user's text names at a slave."""
 
     table: Table
     addresses: range
 
 
 class _PointMatch(NamedTuple):
-    """The texts that name a point, and the addresses of its registers, as far as they are known."""
+    """The user's texts that name a point, and the addresses of the point (empty if not known)."""
 
     texts: set[str]
     addresses: range
 
 
 class ChosenValues:
-    """The values over time of what some texts name."""
+    """Collects the values over time of the points and registers that some texts name."""
 
     def __init__(
         self,
@@ -49,16 +51,21 @@ class ChosenValues:
         find: Callable[[str, Profile | None], NamedAddresses | None],
         profile_for: Callable[[NamedTransaction], Profile | None],
     ) -> None:
-        """`find` gives the addresses that a text names in a profile; None if it names none."""
+        """`find` returns the addresses that a text names in a profile; None if it names none.
+
+        `profile_for` returns the profile of a transaction's slave; None if it has none.
+        """
         self._texts = {text: text.strip().casefold() for text in texts}
         self._find, self._profile_for = find, profile_for
         self._places: dict[tuple[str, int], list[tuple[str, NamedAddresses]]] = {}
         self._matches: dict[SeriesKey, _PointMatch | None] = {}
-        """By point; as many as the profiles of the slaves have."""
+        """For each point seen so far, the texts that name it; None if none does. There are at most
+        as many entries as the profiles of all slaves have points."""
         self.series: dict[SeriesKey, ValueSeries] = {}
         self.found: set[str] = set()
-        """The texts of which there is at least one value."""
+        """The texts for which at least one value was collected."""
         self.left_out: set[SeriesKey] = set()
+        """The named points and registers without a series, because there are MAX_CHOSEN others."""
 
     def add(self, one: NamedTransaction) -> None:
         function = FUNCTIONS.get(one.function)
@@ -78,7 +85,10 @@ class ChosenValues:
                     self._note(text, self._register(one, function.table, address), at_ns, value)
 
     def _add_points(self, one: NamedTransaction, at_ns: int) -> set[int]:
-        """Add the points that are named; return the addresses at which they begin."""
+        """Add the values of a transaction's points that the user names.
+
+        Returns the addresses of these points, whose registers must not be added once more.
+        """
         covered: set[int] = set()
         for point in one.points:
             match = self._match(one, point)
@@ -91,7 +101,11 @@ class ChosenValues:
         return covered
 
     def _match(self, one: NamedTransaction, point: PointValue) -> _PointMatch | None:
-        """The texts that name a point: by its name or the beginning of it, or by where it is."""
+        """Find the texts that name a point; None if no text does.
+
+        A text names a point by its name, by the first words of it, by its reference, or by a range
+        in which the point begins.
+        """
         key = SeriesKey(one.link, one.unit, point.name)
         if key not in self._matches:
             name, reference = point.name.casefold(), point.reference.casefold()

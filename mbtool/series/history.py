@@ -1,7 +1,7 @@
-"""Counts over time what the units and the links of a capture did."""
+"""Counts over time the transactions, bytes and errors of each unit and each link of a capture."""
 
-# Memory: MAX_ROWS units and links with MAX_BINS bins (time_bins.py) each; units beyond are counted
-# for their link only.
+# Memory: MAX_ROWS units and links together, with MAX_BINS spans of time (time_bins.py) each. A unit
+# beyond that is only counted for its link.
 
 from __future__ import annotations
 
@@ -23,38 +23,42 @@ _LACKING = frozenset((EventKind.GAP, EventKind.DISCARDED, EventKind.CUT))
 
 
 class UnitSum(IntEnum):
-    """What is counted of a unit, by the place in its bins."""
+    """What is counted for a unit in each span of time. The number is the index in the list of
+    sums.
+    """
 
     TRANSACTIONS = 0
     OK = 1
     EXCEPTION = 2
     NO_ANSWER = 3
     OTHER = 4
-    """Every other outcome: not captured, unsolicited, broadcast, malformed."""
+    """Transactions with any other outcome: not captured, unsolicited, broadcast, malformed."""
     RETRIES = 5
     BAD_CHECK = 6
-    """Answers with a wrong CRC or LRC."""
+    """Requests whose response came with a wrong CRC or LRC."""
     LATENCIES = 7
-    """The number of latencies."""
+    """Number of transactions whose latency is known."""
     LATENCY_NS = 8
-    """The sum of the latencies, in ns."""
+    """Sum of all known latencies, in ns."""
 
 
 class LinkSum(IntEnum):
-    """What is counted of a link, by the place in its bins."""
+    """What is counted for a link in each span of time. The number is the index in the list of
+    sums.
+    """
 
     TRANSACTIONS = 0
     BYTES = 1
-    """Bytes on the line, also those that are in no frame."""
+    """Number of bytes of all ADUs, and of bytes that belong to no ADU."""
     BAD_CHECK = 2
     NO_FRAME = 3
-    """Events about bytes that are in no frame."""
+    """Number of events about bytes that belong to no ADU."""
     LACKING = 4
-    """Events about data that the capture lacks."""
+    """Number of events about bytes that the capture lacks."""
 
 
 class UnitRow(NamedTuple):
-    """The key of a unit's bins."""
+    """Identifies a unit of a link, as the key of its counts."""
 
     link: str
     unit: int
@@ -68,11 +72,11 @@ _PLACES = {
 
 
 class History:
-    """Counts records by time; its attributes can be read at any time."""
+    """Counts transactions and events over time. `bins` can be read at any time."""
 
     def __init__(self) -> None:
         self.bins = TimeBins(max(len(UnitSum), len(LinkSum)))
-        """Rows of units have a UnitRow as key, and rows of links the link's name."""
+        """The counts. The key of a unit's counts is a UnitRow, that of a link's is its name."""
         self._damaged = DamagedAnswers()
 
     def add(self, record: NamedTransaction | WireEvent) -> None:

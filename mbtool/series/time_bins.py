@@ -1,10 +1,11 @@
-"""Adds up counts by time, in bins that become wider as the time grows."""
+"""Adds up counts in spans of time (bins), which become wider as the capture becomes longer."""
 
-# All rows share their bins, so that charts of several rows have one time axis. A bin begins at a
-# multiple of its width in UTC. Each width of _WIDTHS_NS is a multiple of the one before it, so a
-# wider bin is made of whole narrower ones.
+# A row is one thing that is counted, such as a unit. All rows have bins with the same bounds, so
+# that charts of several rows have one time axis. A bin begins at a multiple of its width in UTC.
+# Each width of _WIDTHS_NS is a multiple of the one before it, so a wider bin consists of whole
+# narrower ones.
 #
-# Memory: `limit` bins for each row; the caller limits the rows.
+# Memory: `limit` bins for each row; the caller limits the number of rows.
 
 from __future__ import annotations
 
@@ -23,25 +24,30 @@ _WIDTHS_NS = (
 )  # fmt: skip
 
 Bin = list[int]
-"""Sums of one bin; the last two are the least and the greatest value, or 0 and 0 if none came."""
+"""The sums in one span of time. The last two items are the least and the greatest value in it; both
+are 0 if it has no value."""
 LEAST, GREATEST = -2, -1
 
 
 class TimeBins:
-    """Sums by row and time."""
+    """Sums for each row (such as a unit) and each span of time (bin)."""
 
     def __init__(self, sums: int, limit: int = MAX_BINS) -> None:
-        """`sums` is the number of sums in each bin."""
+        """`sums` is the number of sums in each bin, `limit` the greatest number of bins per row."""
         self._empty = [0] * (sums + 2)
         self._limit = limit
         self._rows: dict[Hashable, dict[int, Bin]] = {}
         self._first = self._last = 0
-        """The numbers of the first and the last bin, counted from 1970."""
+        """The numbers of the first and the last bin. A bin's number is its time since 1970 divided
+        by the width of a bin."""
         self._step = 0
         self.width_ns = _WIDTHS_NS[0]
 
     def bin(self, row: Hashable, at_ns: int) -> Bin:
-        """The bin of a row for a time, to add to; valid until the next call."""
+        """Return the sums of a row for a time, so that the caller can add to them.
+
+        The list is valid until the next call, which may merge bins into wider ones.
+        """
         number = at_ns // self.width_ns
         if not self._rows:
             self._first = self._last = number
@@ -73,23 +79,31 @@ class TimeBins:
 
     @property
     def count(self) -> int:
-        """The number of bins from the first to the last one."""
+        """The number of bins from the first to the last one, including empty ones."""
         return self._last - self._first + 1 if self._rows else 0
 
     def column(self, row: Hashable, place: int) -> list[int]:
-        """One sum of a row for each bin; 0 where nothing came."""
+        """One sum of a row over time: its value in each bin, 0 where the row has none.
+
+        `place` is the index of the sum in a bin.
+        """
         bins = self._rows.get(row, {})
         numbers = range(self._first, self._last + 1)
         return [bins[one][place] if one in bins else 0 for one in numbers]
 
     def _reach(self, number: int, at_ns: int) -> int:
-        """Make room for a bin beyond the first or the last; return its number."""
+        """Extend the bins to a time before the first or after the last; return the bin's number.
+
+        If there would be too many bins, they become wider.
+        """
         first, last = min(self._first, number), max(self._last, number)
         while last - first >= self._limit and self._step + 1 < len(_WIDTHS_NS):
             self._widen()
             number = at_ns // self.width_ns
             first, last = min(self._first, number), max(self._last, number)
-        if last - first >= self._limit:  # Times that no capture has: put them into the last bin.
+        # Bins of one day are the widest. A time that needs more of them is in no real capture; it
+        # is counted in the first or the last bin.
+        if last - first >= self._limit:
             return min(max(number, self._first), self._last)
         self._first, self._last = first, last
         return number
@@ -112,7 +126,7 @@ class TimeBins:
 
 
 def note_value(one: Bin, value: int) -> None:
-    """Take a value (above 0) for the least and the greatest of a bin."""
+    """Update the least and the greatest value of a bin with a value above 0."""
     if value > one[GREATEST]:
         one[GREATEST] = value
     if value < one[LEAST] or not one[LEAST]:

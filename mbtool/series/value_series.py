@@ -1,7 +1,8 @@
-"""The values of one register or point over time, thinned out so that no extreme is lost."""
+"""Collects the values of one register or point over time, in bounded memory."""
 
-# Only changes are kept: between two of them the value stays. If there are more than `limit`, the
-# time is cut into pieces, and of each piece the first, least, greatest and last value stay.
+# Only changes of the value are stored. If there are more than `limit`, the time is divided into
+# equal parts. Of each part, only the first, least, greatest and last value are kept, so that no
+# extreme is lost.
 
 from __future__ import annotations
 
@@ -13,14 +14,14 @@ MAX_TEXTS = 32
 
 
 class SeriesSample(NamedTuple):
-    """A value, and the time (UTC ns) from which on it was seen."""
+    """A value, and the time (UTC ns) at which it was first seen after another value."""
 
     ts_ns: int
     value: float
 
 
 class ValueSeries:
-    """One value over time."""
+    """Collects the value of one register or point over time."""
 
     __slots__ = (
         "_limit", "bit", "changes", "last_text", "name", "reference", "samples", "texts", "unit",
@@ -38,21 +39,21 @@ class ValueSeries:
         self.name = name
         self.reference = reference
         self.unit = unit
-        """The unit of measure."""
+        """The unit of measure, such as `bar`; empty if none is known."""
         self.bit = bit
-        """True for a coil or a discrete input."""
+        """True if the values are those of a coil or a discrete input."""
         self.samples: list[SeriesSample] = []
         self.changes = 0
-        """The number of changes, also of those that were thinned out."""
+        """The number of changes, including those that are no longer in `samples`."""
         self.texts: dict[float, str] = {}
-        """What the manual says of a value; of at most MAX_TEXTS values."""
+        """The text for a number, in the words of the device's manual; at most MAX_TEXTS texts."""
         self.last_text = ""
         self._limit = limit
 
     def add(self, ts_ns: int, value: float | None, text: str | None = None) -> None:
-        """Take what was seen at a time; nothing happens if it is the value that was seen last.
+        """Add a value seen at a time (UTC ns), unless it equals the last one.
 
-        `value` is None for what is no number, such as a string.
+        `value` is None if the value is no number, such as a string. `text` is the value in words.
         """
         if text is not None:
             self.changes += value is None and bool(self.last_text) and text != self.last_text
@@ -68,7 +69,10 @@ class ValueSeries:
 
 
 def thinned(samples: list[SeriesSample], most: int) -> list[SeriesSample]:
-    """At most `most` (at least 4) of the samples, in order of time, with all extremes."""
+    """Return at most `most` of the samples (`most` is 4 or more), in order of time.
+
+    The time is divided into equal parts. Each part keeps its first, least, greatest and last value.
+    """
     in_order = sorted(samples, key=lambda one: one.ts_ns)
     if len(in_order) <= most:
         return in_order

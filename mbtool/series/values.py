@@ -1,11 +1,12 @@
-"""Follows the values of points and registers that transactions read and write."""
+"""Collects the values over time of all points and registers that transactions read and write."""
 
-# A transaction whose values are those of the last one of its poll is passed over at once. Of a
-# slave with a profile the points of the manual are followed, else registers and bits.
+# If the slave has a profile, the values of its points are collected; otherwise the numbers in
+# registers and bits. A poll is a series of equal requests. A transaction with the same values as
+# the last one of its poll changes nothing, and is left out at once.
 #
-# Memory: MAX_SERIES points and registers (value_series.py); MAX_OF_POLL registers of one poll;
-# MAX_POLLS polls, of which the last values are kept. Beyond that, `left_out` counts the registers
-# and points that are not followed.
+# Memory: MAX_SERIES points and registers (value_series.py); at most MAX_OF_POLL registers of one
+# poll; the last values of MAX_POLLS polls. `left_out` counts the points and registers beyond these
+# limits.
 
 from __future__ import annotations
 
@@ -28,16 +29,18 @@ _MASK_WRITE = 0x16
 
 
 class SeriesKey(NamedTuple):
-    """What identifies a series: the slave, and its point or register."""
+    """Identifies the series of one value: the slave (link and unit), and its point or register."""
 
     link: str
     unit: int
     name: str
-    """The name of a point; of a register `holding 12`."""
+    """The name of the point; for a register, its reference, such as `holding 12`."""
 
 
 class _FollowedPoll:
-    """The last values of a poll, and the series of its registers or points."""
+    """The last values of a poll (a series of equal requests), and the series of values that its
+    registers or points are added to.
+    """
 
     __slots__ = ("names", "series", "values")
 
@@ -48,7 +51,7 @@ class _FollowedPoll:
 
 
 class Values:
-    """The values of points and registers over time."""
+    """Collects the values over time of all points and registers, at most `most` of them."""
 
     def __init__(self, most: int = MAX_SERIES) -> None:
         self._most = most
@@ -58,7 +61,7 @@ class Values:
 
     @property
     def left_out(self) -> int:
-        """The number of points and registers that were seen and are not followed."""
+        """Number of points and registers whose values are not collected, because of `most`."""
         return len(self._left_out)
 
     def add(self, one: NamedTransaction) -> None:
@@ -99,7 +102,10 @@ class Values:
     def _registers(
         self, one: NamedTransaction, table: Table, count: int
     ) -> list[ValueSeries | None]:
-        """The series of the registers or bits of a poll; None for those that are not followed."""
+        """The series for the registers or bits of a poll, in the order of their addresses.
+
+        None stands for a register whose values are not collected. `count` is their number.
+        """
         first = one.address or 0
         addresses = range(first, first + min(count, MAX_OF_POLL))
         names = (write_reference(None, table, address) for address in addresses)
@@ -120,7 +126,10 @@ class Values:
 def _add_changes(
     followed: Sequence[ValueSeries | None], values: Sequence[int], before: Sequence[int], at_ns: int
 ) -> None:
-    """Add the values that are not those of `before`; all if `before` has another length."""
+    """Add the values that differ from `before`, the last values of the same registers or bits.
+
+    If `before` has another length than `values`, add all values.
+    """
     if len(before) != len(values):
         before = [-1] * len(values)
     for series, value, last in zip(followed, values, before, strict=False):
