@@ -1,4 +1,4 @@
-"""Classes and errors that every room uses. Imports the standard library only."""
+"""Classes and errors that all packages of mbtool use. Imports the standard library only."""
 
 from mbtool.core.errors import (
     CutError,

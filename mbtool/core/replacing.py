@@ -40,8 +40,8 @@ def replacing(path: str | Path) -> Iterator[Path]:
             raise OutputError(str(error)) from error
     except OutputError as error:
         refusal = _refusal(error)
-        # The error may name the second file, or say that what was written so far can be read. Both
-        # would mislead the user.
+        # The error may name the file with the new content, or say that what was written so far can
+        # be read. Both would mislead the user.
         why = error if refusal is None else f"{path}: cannot be written: {reason_of(refusal)}"
         raise OutputError(f"{why}; {path} stays as it was") from error
     finally:
@@ -50,7 +50,7 @@ def replacing(path: str | Path) -> Iterator[Path]:
 
 
 def _create(beside: Path, path: str | Path) -> None:
-    """Create the second file, empty, in place of one that a killed process may have left."""
+    """Create the empty file for the new content, in place of one that a killed process left."""
     try:
         beside.unlink(missing_ok=True)
         os.close(os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600))

@@ -1,4 +1,4 @@
-"""Writes and reads logs (MCAP files of evidence and its decoding), and exports jsonl and CSV."""
+"""Writes and reads logs, MCAP files of captured bytes and decoded data; exports jsonl and CSV."""
 
 from mbtool.logs.exports import (
     CSV_COLUMNS,

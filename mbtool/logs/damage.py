@@ -76,7 +76,10 @@ class Damage:
         return DamageError(f"{self._name}: {self._summary()}{rest}; {_MENDED}")
 
     def added_to(self, end: InputError) -> InputError:
-        """Return an error like `end`, which ended the reading, with the damage in its text."""
+        """Return a copy of the error `end` that also tells of the damage.
+
+        `end` is the error that ended the reading of the log before its end.
+        """
         return type(end)(f"{end}; before that, {self._summary()}")
 
     def _summary(self) -> str:

@@ -181,7 +181,7 @@ class SoundRecords:
         return self._attachment_crc(0, length) is not False
 
     def _healed(self, record: McapRecord | None) -> McapRecord | None:
-        """Return the record at the position with its opcode or length corrected.
+        """Return the record at the current position with its opcode or length corrected.
 
         Returns None if that does not make the record intact.
         """
@@ -200,7 +200,7 @@ class SoundRecords:
         return None
 
     def _passed_over(self, record: McapRecord | None) -> Hole | None:
-        """Skip the damaged record at the position, and return it as a hole.
+        """Skip the damaged record at the current position, and return it as a hole.
 
         Returns None if no record may begin behind it.
         """
@@ -235,7 +235,7 @@ class SoundRecords:
         return Hole(start, end, self._records.damaged(start, self._why))
 
     def _is_target(self, ahead: int) -> bool:
-        """True if a record that can be verified begins `ahead` bytes after the position."""
+        """True if a record that can be verified begins `ahead` bytes after the current position."""
         opcode, length = RECORD_HEAD.unpack(self._records.look(_HEAD, ahead))
         if self._length_by_fields(opcode, ahead) != length:
             return False
@@ -244,10 +244,10 @@ class SoundRecords:
         return self._proven(opcode, ahead, length) is not None
 
     def _proven(self, opcode: int, ahead: int, length: int | None) -> bytes | None:
-        """Return the content of the record `ahead` bytes after the position; None if not verified.
+        """Return the content of the record that begins `ahead` bytes after the current position.
 
         `opcode` and `length` (bytes) are those that the record should have. The content of a chunk
-        is returned unpacked.
+        is returned unpacked. Returns None if the record cannot be verified.
         """
         if length is None or length > MAX_RECORD or not self._unpacker.spend(length):
             return None
@@ -301,7 +301,10 @@ class SoundRecords:
         return bool(crc == zlib.crc32(content[: -_CRC.size])) if crc else None
 
     def _may_begin(self, ahead: int) -> bool:
-        """True if a record may begin, or the file is cut off, `ahead` bytes after the position."""
+        """True if a record may begin `ahead` bytes after the current position.
+
+        Also True if the file is cut off before the end of that record's head.
+        """
         head = self._records.look(_HEAD, ahead)
         if len(head) < _HEAD and self._records.ends_as_a_file():
             return False

@@ -1,4 +1,4 @@
-"""Reads from a log the settings that are needed to decode its evidence again."""
+"""Reads from a log the settings that are needed to decode its captured bytes again."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def all_assignments(log: LinkMetadata, given: Assignments) -> Assignments:
 
 
 def serial_lines(log: LinkMetadata) -> dict[str, SerialLink]:
-    """The serial links by name. Raises UsageError for a link spec that cannot be parsed."""
+    """Return the serial links by name. Raises UsageError if the text of a link cannot be parsed."""
     links = ((name, parse_link(one[SPEC])) for name, one in log.links.items() if SPEC in one)
     return {name: link for name, link in links if isinstance(link, SerialLink)}
 

@@ -1,4 +1,4 @@
-"""Decodes the messages of a log's chunks into items, many at once."""
+"""Decodes the messages of a log's chunks into items (packets, transactions ...), many at once."""
 
 # One walk over the records of a chunk collects the bytes of the wanted messages by their schema,
 # and the order of the schemas. The messages of a JSON schema are then decoded by one call, as one
@@ -116,7 +116,8 @@ class MessageDecoder:
 
         Returns the next offset.
         """
-        # Half of the time of reading a log is spent in this loop.
+        # Half of the time of reading a log is spent in this loop, so it calls methods by local
+        # names.
         end = len(data)
         padded = data + bytes(_MESSAGE.size)  # So that the last head can be unpacked whole.
         unpack, schema_of = _MESSAGE.unpack_from, self._channels.get
@@ -234,7 +235,7 @@ class MessageDecoder:
             self._damage.add_hole(error, offset, len(content))
 
     def _unknown(self, channel: int, offset: int, data: bytes) -> str:
-        """Find by a message the schema of a channel whose definition was in a damaged chunk."""
+        """Find the schema of a channel with a lost definition by decoding one of its messages."""
         if not self._damage:
             what = f"a message of an unknown channel ({channel})"
             self._damage.add(self._records.damaged(offset, what))

@@ -1,4 +1,4 @@
-"""Creates the log of a run and records the run's links, devices and profiles in it."""
+"""Creates the log of a capture and records the links, devices and profiles in it."""
 
 from __future__ import annotations
 

@@ -18,7 +18,10 @@ MAX_POINTS = 65536
 
 
 class PointChanges:
-    """Finds changed points in transactions. The first value of a point counts as a change."""
+    """Finds changed points (named values) in transactions.
+
+    A point's first value counts as a change.
+    """
 
     def __init__(self, limit: int = MAX_POINTS) -> None:
         self._limit = limit

@@ -59,14 +59,15 @@ class LogReader(ClosesOnExit):
     """Reads a log once. A context manager whose exit closes the stream."""
 
     capture: dict[str, str]
-    """The run's metadata: version, host, command, clock, drop counts."""
+    """Metadata of the capture: version, host, command, clock, numbers of dropped bytes and
+    packets."""
     links: dict[str, dict[str, str]]
-    """The settings of each link, by the link's name."""
+    """The settings of each link (its LINK as text, its TCP ports), by the link's name."""
     devices: dict[str, str]
     """The name of each device's profile. A key names a device in the form of the option
     `--device`."""
     profiles: dict[str, bytes]
-    """The profiles in use, by name, as JSON."""
+    """The device profiles in use, by name, as JSON."""
     closed: bool
     """True if the recorder closed the log; False until the log was read to its end."""
 

@@ -170,7 +170,10 @@ class Recovery:
         return record.opcode == Opcode.CHUNK and b'"mbtool.' in record.content
 
     def _next(self) -> McapRecord | Hole:
-        """Return the next record or hole; last a DataEnd, or a hole up to the end of the file."""
+        """Return the next record, or a hole for damaged bytes that were skipped.
+
+        The last one is a DataEnd record, or a hole up to the end of the file.
+        """
         start = self._records.position
         try:
             record = self._sound.read()

@@ -144,7 +144,7 @@ class RotatingLog(ClosesOnExit):
         self._add_to_each(lambda writer: writer.add_profile(name, profile_json))
 
     def give_points_topics(self) -> None:
-        """From now on, write each point that changes to a topic of its own, too."""
+        """From now on, write each point (a named value) that changes to a topic of its own, too."""
         self._add_to_each(lambda writer: writer.give_points_topics())
 
     def add_status(self, values: Mapping[str, str]) -> None:

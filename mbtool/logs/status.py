@@ -39,7 +39,7 @@ class LogStatus:
     """True if a recorder has the log open; None if the system cannot tell."""
     capture: dict[str, str] = field(default_factory=dict)
     links: dict[str, str] = field(default_factory=dict)
-    """The spec of each link, by its name."""
+    """The LINK of each link as text, by the link's name."""
     heartbeat: dict[str, str] = field(default_factory=dict)
     """The values of the last heartbeat that `sniff --service` wrote; empty if there is none."""
     is_closed: bool = False

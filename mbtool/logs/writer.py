@@ -95,7 +95,7 @@ class LogWriter(ClosesOnExit):
     ) -> None:
         """Create the file. `capture` is metadata of the run: host, command, clock.
 
-        `make_room` is called when the disk is full; it returns True if it has removed something.
+        `make_room` is called when the disk is full; it returns True if it has removed another file.
 
         Raises UsageError if the file exists (unless `replace`) or cannot be created, OutputError if
         another recorder has it open, or if the disk has no room for its beginning; then no new file
@@ -124,9 +124,10 @@ class LogWriter(ClosesOnExit):
         """The reads of serial lines since the last flush, by link name. They are not yet joined."""
         self._read_count = self._read_bytes = 0
         self._evidence: list[_Waiting] = []
-        """Other captured chunks and packets, which will follow these reads in the file."""
+        """Other captured chunks and packets, which will follow the joined reads in the file."""
         self._decoded: list[_Waiting] = []
-        """All other messages, which will follow the reads and the captured data in the file."""
+        """All other messages, which will follow the joined reads and the captured data in the
+        file."""
         self._topics: dict[tuple[str, str], Topic] = {}
         self._links: set[str] = set()
         self._encode = msgspec.json.Encoder().encode
@@ -210,7 +211,7 @@ class LogWriter(ClosesOnExit):
         self._container.add_metadata(DEVICE, _clean({"who": who, "profile": profile}))
 
     def give_points_topics(self) -> None:
-        """From now on, write each point that changes to a topic of its own, too."""
+        """From now on, write each point (a named value) that changes to a topic of its own, too."""
         self._point_topics = PointTopics()
 
     def add_status(self, values: Mapping[str, str]) -> None:
@@ -339,7 +340,10 @@ class LogWriter(ClosesOnExit):
 
 
 def topic_name(link: str, kind: str) -> str:
-    """The name of a topic; "" is the link of the topics that all links share."""
+    """The name of a topic, such as "/bus/events".
+
+    Link "" stands for a topic that all links share.
+    """
     return f"/{link.replace('/', '_')}/{kind}" if link else f"/{kind}"
 
 

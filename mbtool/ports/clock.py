@@ -77,9 +77,9 @@ def now_ns() -> int:
 
 @contextmanager
 def begun_run() -> Iterator[None]:
-    """A context for one run.
+    """A context for one run of a capture or slave.
 
-    If no other run is open, entering it sets `now_ns` to the system's clock.
+    If no other such context is open, entering it sets `now_ns` to the system's clock.
     """
     with _RunClock.lock:
         if not _RunClock.runs:
@@ -105,7 +105,7 @@ class ClockWatch:
         """How far the system's clock was ahead of `now_ns` at the last comparison, in ns, except
         for changes below SLEW_NS."""
         self._before_ns = 0
-        """How far it was ahead before its last step, in ns."""
+        """How far the system's clock was ahead of `now_ns` before its last step, in ns."""
         self.look()
         self._before_ns = self._told_ns = self.ahead_ns
 

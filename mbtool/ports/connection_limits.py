@@ -1,4 +1,4 @@
-"""How many masters may be connected at once, how fast they may connect, how long they may idle."""
+"""Limits for a listener: masters connected at once, new connections per second, idle time."""
 
 # A connection that comes faster than the rate allows is reset. The rate is a bucket of tokens: a
 # burst of as many connections as may come in one second is accepted at once, then one for each

@@ -186,7 +186,7 @@ def _permission(path: Path, name: str) -> list[Trouble]:
             Trouble(f"the kernel has it, but there is no /dev/{name} here; is this a container?")
         ]
     except OSError:
-        pass  # Then the user counts as having no access.
+        pass  # Without these facts the user counts as having no access.
     if os.access(path, os.R_OK | os.W_OK, effective_ids=os.access in os.supports_effective_ids):
         return []
     why = who_may(str(path))

@@ -107,8 +107,8 @@ class CaptureFile:
         its end mark, and OSError if the system cannot read the file.
         """
         self.head: CaptureHead | None = None
-        """What the file says of its links. It is known once the first packet is read; None if the
-        file says nothing."""
+        """The settings of links and devices that a pcapng file itself contains. They are known once
+        the first packet is read; None if the file contains none."""
         self._file = file
         self._size = _size(file)
 

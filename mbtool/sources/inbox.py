@@ -23,9 +23,9 @@
 # Inbox, made with `behind`, waits for the same sources.
 #
 # StreamOpened and StreamClosed, with the gaps before it, are accepted up to twice the limit, so
-# that the consumer knows which connections are open; Ended is always accepted. A new Quiet replaces
-# a Quiet of the same link that is last in the queue. A Quiet that does not fit is dropped and not
-# counted as lost.
+# that the consumer knows which connections are open; Ended is always accepted. A Quiet item says
+# that all bytes up to its time were delivered. A new one replaces a Quiet of the same link that is
+# last in the queue; one that does not fit is dropped and not counted as lost.
 
 from __future__ import annotations
 

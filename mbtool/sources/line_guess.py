@@ -125,7 +125,10 @@ class _Listener:
 
 
 def _how_sure(heard_as: SerialFormat, listener: _Listener) -> str:
-    """Say how certain the settings are. Without marks of damaged bytes, the parity stays open."""
+    """Say how certain the settings are.
+
+    If the driver marks no damaged bytes, parity is uncertain.
+    """
     if heard_as.parity == "N" or listener.marked:
         return "sure"
     hearing = listener.listen(other_parity(heard_as))

@@ -356,14 +356,14 @@ class _RelaySide(asyncio.Protocol):
         if self.peer.has_ended or onward is None:
             return False
         if onward.can_write_eof():
-            with suppress(OSError):  # The peer was reset; connection_lost tells.
+            with suppress(OSError):  # The peer was reset; connection_lost reports it.
                 onward.write_eof()
         else:
             self.peer.close()
         return self.transport is not None and self.transport.can_write_eof()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        if self.is_lost:  # After a failed TLS handshake the relay knows.
+        if self.is_lost:  # A failed TLS handshake has called this already.
             return
         self.is_lost = True
         # asyncio reports an error if the peer does not answer our closing of TLS. This counts as a

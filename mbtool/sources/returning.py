@@ -29,7 +29,8 @@ if TYPE_CHECKING:
     from mbtool.sources.inbox import Inbox, Item
 
     MakeSource = Callable[[Any, Mapping[str, str]], LiveSource[Any]]
-    """Makes a source that puts its items into a sink; the mapping says where named ports are."""
+    """A function that creates a source. Its arguments are the sink for the source's items, and the
+    present paths of ports, by the paths in the link."""
 
 FIRST_LOOK_S = 0.25
 ABSENT_LOOK_S = 1.0

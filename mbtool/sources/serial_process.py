@@ -34,7 +34,7 @@ def run_process(read: Callable[[RecordWriter, Event], None]) -> None:
     if hasattr(signal, "SIGTSTP"):  # Ctrl-Z goes to all processes of the terminal.
         signal.signal(signal.SIGTSTP, signal.SIG_IGN)
     run_promptly()
-    gc.disable()  # A collection would delay a time stamp, and there are no reference cycles.
+    gc.disable()  # A garbage collection would delay a time stamp; there are no cycles.
     told_to_end = Event()
     Thread(target=_await_end, args=(told_to_end,), daemon=True).start()
     records = RecordWriter(sys.stdout.fileno())

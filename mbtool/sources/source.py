@@ -17,7 +17,7 @@ HeardLink = TypeVar("HeardLink", bound=SerialLink | InterfaceLink | TapLink)
 
 
 class LiveSource(ABC, Generic[HeardLink]):
-    """Puts captured chunks or packets into an inbox while its context is open; at last an Ended.
+    """Puts captured chunks or packets into an inbox while its context is open; Ended comes last.
 
     Entering the context raises LinkError if the link cannot be opened. Leaving it waits until
     everything captured is in the inbox.

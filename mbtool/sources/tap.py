@@ -52,7 +52,8 @@ if TYPE_CHECKING:
 MAX_CONNECTIONS = 64
 IDLE_S = 3600.0
 _TICK_S = 0.1
-"""The period in seconds at which the tap puts a Quiet and closes idle connections."""
+"""The period in seconds at which the tap puts a Quiet item (all bytes up to now are delivered) and
+closes idle connections."""
 
 
 class TapSource(LiveSource[TapLink]):

@@ -75,7 +75,7 @@ class UartChannel:
             if start + bits * self._bit > end:
                 break
             levels, after = self._levels(at, bits)
-            if levels[0]:  # A disturbance, not a start bit.
+            if levels[0]:  # High in its middle: a disturbance, not a start bit.
                 at += 1
                 continue
             at = after
