@@ -82,7 +82,7 @@ def _for_journal(text: str, *, is_error: bool) -> str:
 
 
 def escaped(text: str) -> str:
-    r"""The text with \x1b and the like in place of characters that cannot be shown."""
+    r"""Return the text with escapes such as \x1b in place of characters that cannot be shown."""
     if text.isprintable():
         return text
     return "".join(
