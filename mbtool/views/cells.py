@@ -26,8 +26,8 @@ MANY_BITS = 8
 """If a response has more bits than this, a cell shows them in groups of GROUP bits."""
 GROUP = 8
 FOLDED = 4
-"""A cell shows equal values that follow each other once, with their number (`0 x24`), if there are
-at least this many."""
+"""At least this many equal values that follow each other are shown once, with their number: `0
+x24`."""
 
 MAX_RAW = 16
 """A cell shows at most this many of the bytes that belong to an event, such as skipped bytes."""
@@ -54,8 +54,7 @@ _VERBS = {
     for code, one in FUNCTIONS.items()
     if one.table is not None
 } | {_MASK_WRITE: "mask write", _READ_WRITE: "read"}
-"""The word that a cell shows between function code and reference, such as `read`; by function
-code."""
+"""By function code: the word that a cell shows before the reference, such as `read`."""
 
 
 def transaction_text(
@@ -94,7 +93,10 @@ def short_transaction_text(
 
 
 def _fresh_text(points: PointsRead) -> str:
-    """List the points whose values changed and count the others: `CH1 1200; 6 others as before`."""
+    """List the points (named values) that changed: `CH1 12000, CH3 5; 6 others as before`.
+
+    Unchanged points are only counted.
+    """
     if not points.fresh:
         return "as before"
     names = [point.name.partition(" ") for point in points.every]
@@ -140,7 +142,8 @@ def function_text(transaction: NamedTransaction) -> str:
 def what_text(transaction: NamedTransaction, *, in_hex: bool = False) -> str:
     """Return the reference of a request and the values that it writes: `HR400001 := 5`.
 
-    Notes behind them say that the request is a retry or that its pairing is ambiguous.
+    If the request is a retry, or its pairing with the response is ambiguous, the text says so at
+    its end.
     """
     function = FUNCTIONS.get(transaction.function)
     writes = function is not None and function.writes
@@ -159,7 +162,10 @@ def what_text(transaction: NamedTransaction, *, in_hex: bool = False) -> str:
 
 
 def finding_texts(transaction: NamedTransaction, profile: Profile | None = None) -> list[str]:
-    """Return code and text of each finding; with a profile, the text has the device's figures."""
+    """Return code and text of each finding (broken rule) of a transaction.
+
+    With a profile, the text has the figures of the device's manual.
+    """
     return [f"{code} {finding_text(code, profile)}" for code in transaction.findings]
 
 
@@ -207,7 +213,7 @@ def result_text(
 
 
 def _lacking_response(transaction: NamedTransaction) -> str | None:
-    """Return a text that says what part of the response the capture lacks; None if it has all."""
+    """Return what part of the response the capture lacks, as text; None if it lacks nothing."""
     is_cut = Verdict.CUT in transaction.verdicts
     if Verdict.CAPTURE_END in transaction.verdicts:
         return "capture ends before an answer"

@@ -35,8 +35,8 @@ class ChangedPoints:
         unseen: list[PointValue] = []
         kept: list[PointValue] = []
         unchanged: list[PointValue] = []
-        """Points read for the first time and points with their last value, in the order of the
-        response."""
+        """Points read for the first time, and points whose value did not change, in the response's
+        order."""
         for point in points:
             key = transaction.link, transaction.unit, point.reference, point.name
             last = self._texts.get(key)

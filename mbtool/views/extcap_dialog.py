@@ -1,4 +1,4 @@
-"""Writes the answers that Wireshark asks of its interface for serial lines, and its dialog."""
+"""Answers Wireshark's questions about mbtool's interface for serial lines, as text."""
 
 # Wireshark calls each program in its extcap folder and asks which interfaces it has, their link
 # types, and what the user can set. Each answer is a line of text, `word {key=value}...` (Wireshark,

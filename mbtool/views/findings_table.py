@@ -42,7 +42,7 @@ _STYLES = {Severity.ERROR: "red", Severity.WARNING: "yellow", Severity.NOTE: "cy
 
 @dataclass(slots=True)
 class PlaceSummary:
-    """Counts the findings with one code at one place, and keeps the first and the last of them.
+    """Counts the findings (broken rules) with one code at one place; keeps the first and last one.
 
     A place is link, unit and device, and also the file if several files are checked.
     """
@@ -61,13 +61,13 @@ class PlaceSummary:
 
 
 class CodeSummary:
-    """Counts the findings with one code: at each of MAX_PLACES places, and elsewhere together."""
+    """Counts the findings (broken rules) with one code, for each of MAX_PLACES places."""
 
     def __init__(self, severity: Severity) -> None:
         self.severity = severity
         self._places: dict[tuple[str, str], PlaceSummary] = {}
         self.number_elsewhere = 0
-        """Number of findings at all other places, which have no entry of their own."""
+        """Number of findings at further places, which have no entry of their own."""
 
     def add(self, finding: Finding, file: str) -> None:
         place = _place(finding, file)
@@ -88,7 +88,7 @@ class CodeSummary:
 
 
 class Summaries:
-    """Counts findings by code and place, and keeps the first and last of each place."""
+    """Counts findings (broken rules) by code and place; keeps the first and last of each place."""
 
     def __init__(self) -> None:
         self._by_code: dict[str, CodeSummary] = {}

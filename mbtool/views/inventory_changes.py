@@ -1,5 +1,7 @@
 """Prints how an inventory (who talks to whom, and which ranges) differs from an older one."""
 
+# A line has the kind of change, the host with its unit, and a text:
+#
 #     new host          10.0.0.66 unit 1    asked by 10.0.0.5
 #     wider range       10.0.0.7 unit 1     03 read holding reads 100..119 by 10.0.0.5
 

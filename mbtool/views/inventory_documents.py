@@ -149,10 +149,10 @@ def _master_cells(row: MasterRow) -> dict[str, object]:
 
 
 def _uses(row: SlaveRow, *, writes: bool = False, refused: bool = False) -> str:
-    """List the functions that masters use on a unit, with their address ranges.
+    """List functions that masters use on a unit, with their address ranges; equal texts only once.
 
-    `writes` selects functions that write or that read; `refused` selects ranges that the unit
-    refused instead. Equal texts of several masters come only once.
+    With `refused`, these are the ranges that the unit refused. Otherwise they are the ranges of
+    functions that write (`writes`) or that only read.
     """
     texts = []
     for use in row.uses:

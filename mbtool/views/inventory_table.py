@@ -49,7 +49,7 @@ _MASTER_HEADINGS = ("master", "asks", "writes to", "requests", "seen")
 _NUMBERS = frozenset(("unit", "asks", "writes to", "requests"))
 
 _Entry = tuple[tuple[str, ...], str, "list[str]"]
-"""A table row: its cells, its rich style, and the lines of details under it."""
+"""A table row: its cells, its style for the library rich, and the lines of details under it."""
 
 
 def print_inventory(
@@ -131,7 +131,7 @@ def _slave_entry(row: SlaveRow, most: int) -> _Entry:
 
 
 def _folded(rows: Sequence[SlaveRow], entries: Sequence[_Entry]) -> Iterator[_Entry]:
-    """Yield one entry for all units that differ only in host, MAC, maker and times."""
+    """Join the entries of units that differ only in host, MAC, maker and times into one each."""
     alike: dict[tuple[object, ...], list[int]] = {}
     for index, (row, (cells, _, lines)) in enumerate(zip(rows, entries, strict=True)):
         told = [line for line in lines[1:] if line not in _mac_lines(row)]
@@ -240,7 +240,7 @@ def _masters(word: str, uses: Iterable[FunctionUse]) -> str:
 
 
 def _codes(codes: Iterable[int]) -> str:
-    """Function codes in hexadecimal; consecutive ones as a range: `02..04, 07`."""
+    """Write function codes in hexadecimal; consecutive codes become a range: `02..04, 07`."""
     return ", ".join(
         f"{first:02X}" if first == last else f"{first:02X}..{last:02X}"
         for first, last in AddressRanges((code, code) for code in codes).pairs

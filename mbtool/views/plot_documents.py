@@ -21,9 +21,10 @@ _BARS = 16
 
 
 def values_table(series: Mapping[SeriesKey, ValueSeries], *, unicode: bool) -> Table:
-    """Return a table with a row for each value; those that change most often come first.
+    """Return a table with a row for each register, bit or point (named value).
 
-    `unicode` adds a column that draws the last changes as bars.
+    Those that change most often come first. `unicode` adds a column that draws the last changes as
+    bars.
     """
     several = len({key.link for key in series}) > 1
     table = plain_table(
@@ -44,7 +45,10 @@ def values_table(series: Mapping[SeriesKey, ValueSeries], *, unicode: bool) -> T
 
 
 def values_json(series: Mapping[SeriesKey, ValueSeries], sources: Sequence[str]) -> str:
-    """Return each value with its changes as JSON; times are in ns since 1970."""
+    """Return each register, bit or point (named value) with its changes as JSON.
+
+    Times are in ns since 1970.
+    """
     rows: list[dict[str, Any]] = [
         {
             "link": key.link,

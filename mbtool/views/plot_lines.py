@@ -23,7 +23,8 @@ LEAST_ROWS, MOST_ROWS = 3, 12
 _MOST_LABEL = 16
 _SECOND_NS, _DAY_NS = 10**9, 86_400 * 10**9
 _BANDS = {True: ("▁", "█", "▄"), False: ("_", "#", "+")}
-"""The characters of a bit that is 0, is 1, or is both within a column; by Unicode or ASCII."""
+"""The characters for a bit that is 0, is 1, or is both within a column; the key is True for
+Unicode."""
 _DOTS = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))
 """The bits of a Braille pattern that stand for its dots; a pair for each of the four rows."""
 

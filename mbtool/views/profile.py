@@ -1,4 +1,4 @@
-"""Prints device profiles: files that say what a device's manual says."""
+"""Prints device profiles: files with the contents of a device's manual."""
 
 # Anyone can write a profile, so it may contain markup or control characters; plain() makes them
 # harmless.

@@ -37,7 +37,7 @@ _STEP = (
     StatisticsColumn("miss", 6),
 )
 _LISTS_WITH_STEPS = 5
-"""A section of N rows shows the single polls of N / 5 lists."""
+"""A section with N rows of lists shows the polls (repeated requests) of N / 5 lists one by one."""
 
 Found = tuple["LinkReport", "MasterReport", "PollList[PollStatistics]"]
 
@@ -125,7 +125,7 @@ def _repeated_line(one: PollList[PollStatistics], width: int | None) -> list[Sty
 
 
 def _between_lines(links: Sequence[LinkReport], width: int | None, top: int) -> list[StyledLine]:
-    """Return lines about polls that are in no list of their master, and the master's timeout."""
+    """Return lines about polls (repeated requests) in no list of their master, and on timeouts."""
     lines = []
     for link in links:
         for master in link.masters:

@@ -44,7 +44,7 @@ FEWEST = 3
 """Each section keeps this many rows, however small the terminal is."""
 USUAL = 10
 MOST_IMPORTANT = 3
-"""The first sections, this many, are shown even on the smallest terminal."""
+"""This many sections, the most important ones, are shown even on the smallest terminal."""
 _ALIKE = 0.7
 _BAR = 30
 _EATERS = 3
@@ -258,7 +258,7 @@ def _load(links: Sequence[LinkReport], width: int | None) -> list[StyledLine]:
 
 
 def _longest_polls(link: LinkReport, width: int | None) -> list[StyledLine]:
-    """Return a line that names the polls that occupy the serial line longest."""
+    """Return a line on the polls (repeated requests) that occupy the serial line longest."""
     load = link.load
     if load is None or len(link.polls) < 2:
         return []

@@ -62,7 +62,7 @@ _MIN_TEXT = 24
 _INDENT = 12
 """The indent, in characters, of a line that continues the text of a row."""
 FEW_COLUMNS = 100
-"""A terminal with fewer columns than this shows addresses shortened."""
+"""On a terminal narrower than this, in characters, IP addresses are shown by their last number."""
 
 _WIDTHS = {
     TableColumn.NUMBER: 5,
@@ -101,7 +101,7 @@ _USUAL = (TableColumn.NUMBER, TableColumn.TIME, TableColumn.LATENCY)
 
 
 class _TableRow(NamedTuple):
-    """A record (transaction or event) with what its row needs beside it."""
+    """A record (transaction or event) with the other data for its row."""
 
     number: int | None
     """The number of the transaction in the capture, from 1; None for an event."""
@@ -142,7 +142,7 @@ class TransactionTable:
         """The columns that the last line of titles names."""
 
     def add(self, number: int, record: Record, profile: Profile | None = None) -> None:
-        """Add a transaction, the `number`th of the capture, or a wire event.
+        """Add a transaction, which is number `number` of the capture, or a wire event.
 
         With a profile, the texts of findings contain the figures of the device.
         """
@@ -323,7 +323,7 @@ def _lines(text: str, width: int) -> list[str]:
 
 
 def _packets(record: Record) -> str:
-    """Return the packet numbers of request and response, from 1: `12/13`; one if they are equal."""
+    """Return the packet numbers of request and response, from 1: `12/13`, or `12` if equal."""
     if isinstance(record, WireEvent):
         return ""
     first, last = record.request_packet, record.response_packet

@@ -38,7 +38,8 @@ class DrawContext:
     formats: dict[Hashable, ValueFormat] = field(default_factory=dict)
     """The format of values that the user chose for a row, by the row's key."""
     marked: Collection[int] = ()
-    """The `order` numbers of the transactions that the user marked."""
+    """The `order` numbers (place among all records, from 1) of the transactions that the user
+    marked."""
     is_over: bool = False
     """True if the capture has ended, so that the age of a row means nothing."""
 

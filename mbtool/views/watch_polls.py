@@ -32,7 +32,7 @@ def _poll_request(row: PollRow, _: DrawContext) -> Spans:
 
 
 def poll_values(row: PollRow, context: DrawContext) -> Spans:
-    """Return the last result of a poll: an error in red, or its values.
+    """Return the last result of a poll (repeated request): an error in red, or its values.
 
     Values that changed lately are highlighted.
     """
@@ -40,7 +40,7 @@ def poll_values(row: PollRow, context: DrawContext) -> Spans:
     if isinstance(one, WireEvent):
         return []
     if one.outcome not in (Outcome.OK, Outcome.BROADCAST):
-        # Where there is little room, the code and its name show that it is an exception.
+        # The word `exception` is left out to save room, as the code and its name are enough.
         result = result_text(one).removeprefix("exception ")
         text = "wrong CRC" if row.is_damaged else result
         return [(text, "bold red"), *_separated(_values(row, one, context))]

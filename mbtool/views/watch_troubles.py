@@ -67,7 +67,7 @@ def trouble_line(rows: Sequence[WatchedSlaveRow], width: int) -> str:
 def _line(
     sick: Sequence[WatchedSlaveRow], network: str | None, width: int, *, is_short: bool
 ) -> str:
-    """Return the troubles that fit `width` characters; the first one is always there.
+    """Return slaves and their troubles, as many as fit `width` characters; always the first one.
 
     `network` is the prefix to leave out of the names of links; None leaves out the links.
     """

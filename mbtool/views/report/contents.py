@@ -1,8 +1,9 @@
 """Collects what the report page shows into one JSON document for the script of the page."""
 
-# The key `stats` has the same document as `stats --json`, without the histograms of single polls,
-# and of very many polls only those that were sent most often. The script makes tables and charts
-# from it, so the figures of both are the same. The functions below describe the other keys.
+# In the document, the key `stats` has the output of `stats --json`, without the histograms of
+# single polls, and of very many polls only those that were sent most often. The script makes tables
+# and charts from it, so the figures of both are the same. The functions below describe the other
+# keys.
 #
 # Bounds: MAX_UNITS units in charts over time, MAX_SAMPLES values in all charts of registers,
 # MAX_POLLS polls for each link, MAX_ROWS rows in every other table.
@@ -208,10 +209,10 @@ def _link_columns(contents: ReportContents, link: LinkReport) -> dict[str, Any]:
 
 
 def _values(values: Values, begin_ns: int) -> dict[str, Any]:
-    """Return the values that changed, and those that never did; samples have times in ms.
+    """Return the values that changed as series, and the last value of those that never changed.
 
-    The times are since the first bin. If there are many series, each is thinned out to fewer
-    samples.
+    A sample is the time in ms since the first bin, and the value. If there are many series, each is
+    thinned out to fewer samples.
     """
     moving = {key: one for key, one in values.series.items() if one.changes and one.samples}
     most = min(max(MAX_SAMPLES // max(len(moving), 1), LEAST_SAMPLES), MOST_SAMPLES)

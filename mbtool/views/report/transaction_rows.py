@@ -60,9 +60,9 @@ class TransactionRows:
         self.kept_with_trouble = 0
 
     def add(self, one: NamedTransaction, codes: Iterable[str]) -> None:
-        """Count a transaction, and keep a row for it if it is wanted.
+        """Count a transaction, and keep a row for it if it is among the first ones or failed.
 
-        `codes` are further findings.
+        `codes` are findings (broken rules) about it, beside its own.
         """
         self.transactions += 1
         codes = dict.fromkeys((*one.findings, *codes))

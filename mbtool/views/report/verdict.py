@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from mbtool.views.findings_table import Summaries
 
 IN_SENTENCE = 3
-"""The first sentence names at most this many troubles; the page lists all of them below it."""
+"""The first sentence of a report names at most this many troubles; the page lists all below it."""
 FEW = 0.01
 """If a smaller share of requests than this (0.01 is 1 %) failed, the text gives the number, and the
 trouble is minor."""
@@ -44,17 +44,17 @@ _MANY_REFUSING = 4
 """If at least this many units, and half of all, refuse requests, they are reported as one
 trouble."""
 _THROUGHOUT = 0.1
-"""A trouble that shows in this first share of a unit's time is taken to be there from the
+"""A trouble that shows in this first share (0.1 is 10 %) of a unit's time was there from the
 beginning."""
 _ENDED = 0.25
-"""A trouble that does not show in this last share of a unit's time has ended."""
+"""A trouble that does not show in this last share (0.25 is 25 %) of a unit's time has ended."""
 _ENOUGH = 3
 """Fewer failures than this are minor; a trouble in fewer bins than this gets no time."""
 _DAY_NS = 86_400_000_000_000
 
 
 class Rank(IntEnum):
-    """How bad a trouble is; the worst first."""
+    """How bad a trouble is; the lowest number is the worst."""
 
     UNREADABLE = 0
     DEAD = 1
@@ -107,7 +107,7 @@ class ReportVerdict:
     sentence: str
     troubles: list[VerdictTrouble] = field(default_factory=list)
     told: int = 0
-    """The sentence names the first troubles of the list, this many."""
+    """The sentence names this many of the troubles, the first ones of the list."""
 
     @property
     def level(self) -> str:
@@ -265,7 +265,7 @@ def _line_troubles(links: Sequence[LinkReport], history: History) -> list[Verdic
 
 
 def _rank(grave: Rank, share: float, count: int) -> Rank:
-    """Return `grave` if a failure happened often enough, else MINOR; `share` is of the requests."""
+    """Return `grave` if a failure is frequent, else MINOR; `share` is its share of the requests."""
     return grave if share >= FEW and count >= _ENOUGH else Rank.MINOR
 
 
@@ -416,7 +416,7 @@ def _moment(ns: int, *, is_long: bool, width_ns: int) -> str:
 
 
 def _finding_troubles(findings: Summaries) -> list[VerdictTrouble]:
-    """Return the broken rules, except those that the counts of units show already."""
+    """Return the broken rules as troubles, except those that the counts of units show already."""
     troubles = []
     for code, summary in findings:
         places = summary.places()
@@ -439,5 +439,5 @@ def _finding_troubles(findings: Summaries) -> list[VerdictTrouble]:
 
 
 def _is_of_a_manual(code: str, severity: Severity) -> bool:
-    """True for a warning about a device's manual; warnings of the standard show in the counts."""
+    """True for a warning about a rule of a device's manual; the counts show other warnings."""
     return severity is Severity.WARNING and not code.startswith(("MB-", "RTU-", "TCP-"))
