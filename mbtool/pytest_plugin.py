@@ -142,7 +142,8 @@ def _started(
 ) -> _Shell:
     """Start a slave, and remember it for the report and for the end of the test.
 
-    An error of mbtool is one line, so it is raised without the calls inside mbtool.
+    An error of mbtool is one clear line, so it is raised without the traceback of mbtool's own
+    calls.
     """
     __tracebackhide__ = True
     from mbtool.core.errors import MbtoolError
@@ -182,8 +183,8 @@ def _kept(item: pytest.Item, number: int, slave: mbtool.ObservedShell) -> str:
 def log_name(test: str, number: int) -> str:
     """Return the file name of a log, unique for each test: `test_a.py-test_b-x-1-5b1f03d2-1.mcap`.
 
-    Characters that do not belong into a file name are replaced, which may make the names of two
-    tests equal. So the name gets eight hexadecimal digits of a hash of the test's full name.
+    Characters that do not belong in a file name are replaced, which may make the names of two tests
+    equal. So the name gets eight hexadecimal digits of a hash of the test's full name.
     """
     from hashlib import sha256
 

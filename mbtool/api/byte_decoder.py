@@ -94,9 +94,9 @@ class ByteDecoder:
         return self._decoder.feed(Quiet(ts_ns, _LINE))
 
     def close(self) -> list[Record]:
-        """End decoding, and return the records that are still incomplete.
+        """End decoding, and return the records that were still pending.
 
-        For example, these are a frame at the end, and a request without its response.
+        These are for example the last frame, and a request without its response.
         """
         return self._decoder.close()
 

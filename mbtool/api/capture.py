@@ -94,8 +94,9 @@ class Capture:
     def table(self) -> Table:
         """Return all transactions as a `pyarrow.Table`; docs/log-format.md lists its columns.
 
-        An uncompressed capture file is decoded several times as fast in this way as one by one.
-        Raises UsageError if numpy or pyarrow are not installed.
+        A file of packets that is opened without `devices`, `where`, `line` and `any_port` is
+        decoded several times as fast in this way as one by one. Raises UsageError if numpy or
+        pyarrow are not installed.
         """
         if any(find_spec(name) is None for name in ("numpy", "pyarrow")):
             from mbtool.core.extras import missing_extra
@@ -141,9 +142,9 @@ class Capture:
             self._finish(reading)
 
     def _finish(self, reading: Reading, error: CutError | DamageError | None = None) -> None:
-        """Store the remarks after the files were read, and raise the error that ended it.
+        """Store the remarks about the files, and raise the error that ended the reading.
 
-        With `incomplete=True`, the error becomes a remark.
+        With `incomplete=True`, the error becomes a remark instead.
         """
         self.remarks = [*reading.remarks]
         if error is not None:

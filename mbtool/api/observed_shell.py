@@ -34,9 +34,10 @@ if TYPE_CHECKING:
     from mbtool.slave.shells import Shell
 
 MAX_KEPT = 100_000
-"""The most requests that are kept; a test that polls for an hour at 20 a second makes 72,000."""
+"""At most this many requests are kept; a test that polls for an hour at 20 a second makes
+72,000."""
 _SHOWN = 20
-"""The most requests that the message of a failed assertion shows."""
+"""The message of a failed assertion shows at most this many requests."""
 _READ_WRITE = 0x17
 
 
@@ -112,7 +113,8 @@ class ObservedShell:
     def records(self) -> list[Record]:
         """All requests with their responses, and an event for each fault, in order.
 
-        At most the last 100,000. A response that a fault distorted has the bytes that were sent.
+        These are at most the last 100,000. A response that a fault distorted has the bytes that
+        were sent.
         """
         self._records.extend(self._monitor.records())
         return list(self._records)

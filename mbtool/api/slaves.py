@@ -84,9 +84,10 @@ class Slave(ObservedShell):
             self._add_faults(faults)
 
     def __getitem__(self, what: str) -> int | list[int]:
-        """Return the register or bit at a reference, or all registers of a named point, as a list.
+        """Return the value of a register or bit, or a list with all registers of a named point.
 
-        A point of one register gives its number alone. Raises UsageError for an unknown reference.
+        `what` is a reference or a name; a point in one register gives its value alone. Raises
+        UsageError for an unknown reference.
         """
         target = self._targets.find(what)
         image = self._behaviour.image
@@ -186,7 +187,7 @@ class Replay(ObservedShell):
         )
         self._shell = played.shell
         self.units = sorted(run.recording.units)
-        """The units that answer."""
+        """The units (slave addresses) that answer."""
         if faults is not None:
             self._add_faults(faults)
 

@@ -129,7 +129,7 @@ class AskedSlave:
         is_summed: bool = True,
         if_interrupted: str = "interrupted",
     ) -> Iterator[tuple[Asker, RecordOutput]]:
-        """Open the link and standard output, and yield the asker and the output.
+        """Open the link and standard output; yield the asker, which sends requests, and the output.
 
         If Ctrl-C ends the context, `if_interrupted` is printed. Raises LinkError if the slave
         cannot be reached.

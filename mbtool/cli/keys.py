@@ -132,7 +132,10 @@ def keyboard() -> Iterator[Keyboard | None]:
 
 @contextmanager
 def controlled() -> Iterator[tuple[Keyboard | None, Callable[[], bool]]]:
-    """Yield the keyboard, and a function that is True once the user has pressed Ctrl-C or q."""
+    """Yield the keyboard, or None without a terminal, and a function.
+
+    The function returns True once the user has pressed Ctrl-C or q.
+    """
     with interruptible() as interrupt, keyboard() as keys:
         yield keys, lambda: interrupt.asked or (keys is not None and keys.has_quit)
 

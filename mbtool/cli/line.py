@@ -1,4 +1,4 @@
-"""mbtool line: lay a virtual serial line."""
+"""mbtool line: make a virtual serial line with several ends."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Makes the sniffer for the commands that listen on links."""
+"""Makes the Sniffer, which records and decodes, for the commands that listen on links."""
 
 from __future__ import annotations
 

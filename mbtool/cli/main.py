@@ -185,8 +185,8 @@ _ELSEWHERE = {
     "--baudrate": _SETTINGS,
     "--parity": _SETTINGS,
 }
-"""Advice on options that other programs have. The key is such an option; the value maps an option
-of the called command to the advice to use it, and "" to advice that needs no option."""
+"""Advice for options that other programs have. For each of them: the option of the called command
+that does the same ("" if no option does), and the advice."""
 
 
 def _elsewhere(option: str | None, context: typer.Context | None) -> str | None:

@@ -25,7 +25,7 @@ class LineChoice(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class ModemOptions(OptionGroup):
-    """The states that DTR and RTS get when a serial port is opened to listen."""
+    """The options --dtr and --rts: the state of each when a serial port is opened to listen."""
 
     dtr: Annotated[
         LineChoice | None,

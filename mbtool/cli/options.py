@@ -44,7 +44,7 @@ class SortKey(StrEnum):
 
 
 class EventChoice(StrEnum):
-    """Which wire events are printed: none, those about failures, or connections too."""
+    """The wire events that are printed: none, those about failures, or connections too."""
 
     NONE = "none"
     TROUBLE = "trouble"
@@ -146,7 +146,7 @@ class TcpPorts(NamedTuple):
 
     @property
     def expected(self) -> frozenset[int] | None:
-        """With `any_port`, the ports on which Modbus is no surprise; otherwise None."""
+        """The ports on which Modbus is expected, if mbtool looks for it on all ports; else None."""
         from mbtool.core.link_spec import MODBUS_PORT
 
         if not self.any_port:

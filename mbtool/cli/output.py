@@ -171,7 +171,7 @@ class RecordOutput:
     def told_as_lost(self) -> AbstractContextManager[None]:
         """Turn an OSError in the context into an OutputError that names this output.
 
-        BrokenPipeError stays.
+        A BrokenPipeError passes unchanged.
         """
         return told_as_lost(self._name)
 
@@ -400,7 +400,7 @@ def _is_same(file: str, output: str) -> bool:
 
 @contextmanager
 def told_as_lost(name: str) -> Iterator[None]:
-    """Turn an OSError, such as a full disk, into an OutputError; BrokenPipeError stays."""
+    """Turn an OSError, such as a full disk, into an OutputError; let BrokenPipeError pass."""
     try:
         yield
     except BrokenPipeError:

@@ -21,8 +21,8 @@ T = TypeVar("T")
 
 _APPEARS_S = 1.0
 _LOOK_EVERY = 100
-"""The time is read only once for this many records, as that takes time; and for each block of
-several rows."""
+"""The clock is read once for this many records, as reading it is slow, and after each block of
+rows."""
 _PAUSE_S = 0.1
 """The bar is updated at most this often, in s."""
 

@@ -24,7 +24,7 @@ SORTED: dict[SortKey, Callable[[tuple[Record, int]], Any]] = {
 
 
 def _latency_ns(record: Record) -> float:
-    """Return the negative latency in ns: sorting puts the slowest first, records without last."""
+    """Return the negative latency in ns, or infinity if there is none: the slowest sorts first."""
     latency_ns = _field_of(record, "latency_ns")
     return inf if latency_ns is None else -latency_ns
 

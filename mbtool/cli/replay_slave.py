@@ -65,7 +65,8 @@ class Exchanges:
 
     def __init__(self) -> None:
         self._monitors: dict[str, SlaveMonitor] = {}
-        """The monitors by the name of the slave, which the printed rows show as their link."""
+        """The monitors, which collect requests and responses, by the slave's name; printed rows
+        show this name as their link."""
 
     def of(self, player: SitePlayer) -> OnExchange:
         from mbtool.workflows.shared.slave_monitor import SlaveMonitor

@@ -129,7 +129,10 @@ class Interrupt:
         return self.asked or self._woken.acquire(timeout=timeout_s)
 
     def ask(self, number: int, _frame: FrameType | None) -> None:
-        """Signal handler: note the first signal; on the second one, end the program at once."""
+        """Handle a signal: note the first one, and raise KeyboardInterrupt at the second one.
+
+        It is also raised at the first one while `breakable` waits for an item.
+        """
         if number == signal.SIGINT and not self.asked:
             _end_line_of_echo()
         if self.asked or self._at_once:
@@ -168,7 +171,7 @@ class Interrupted(KeyboardInterrupt):
 
 @contextmanager
 def interruption_told(text: str = NOTHING_WRITTEN) -> Iterator[None]:
-    """If Ctrl-C ends the context, print `text`, which says what was kept."""
+    """Print `text`, which says what was kept, if Ctrl-C ends the context."""
     try:
         yield
     except Interrupted:

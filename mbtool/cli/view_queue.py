@@ -24,10 +24,11 @@ if TYPE_CHECKING:
 MAX_WAITING = 2**20
 """The queue is full at this many bytes of text: about 10,000 rows."""
 STUCK_S = 0.5
-"""When the user has asked for the end, a reader that takes nothing for this many seconds is given
-up."""
+"""When the user has asked for the end, a reader that takes nothing for this many seconds is no
+longer waited for."""
 HURRY_S = 1.0
-"""When the user has asked for the end, the longest wait in seconds for the reader."""
+"""When the user has asked for the end, the command waits at most this many seconds for the
+reader."""
 _LOOK_S = 0.05
 _PIECE = 2**12
 """Bytes in one write: a pipe that has any room takes this many at once."""

@@ -1,1 +1,1 @@
-"""What the live views show: records come in one by one, rows go out; no I/O and no clock."""
+"""Turns records into the rows of live views; does no I/O and reads no clock."""

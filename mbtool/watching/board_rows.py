@@ -1,4 +1,4 @@
-"""Makes table rows from a board: copies that do not change while the board counts on."""
+"""Makes table rows from a board (the figures of live views): copies, which do not change later."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class PollRow(NamedTuple):
-    """A repeated request. Times are in ns since 1970, durations in ns."""
+    """A row for a repeated request. Times are in ns since 1970, durations in ns."""
 
     key: Hashable
     kept: KeptRecord
@@ -45,7 +45,7 @@ class PollRow(NamedTuple):
 
 
 class WatchedPointRow(NamedTuple):
-    """A point (a value that the slave's profile names), or a register or bit without a name."""
+    """A row for a point (a value named by the slave's profile), or an unnamed register or bit."""
 
     key: Hashable
     kept: KeptRecord
@@ -70,14 +70,14 @@ class WatchedPointRow(NamedTuple):
 
 
 class RecordRow(NamedTuple):
-    """A transaction or an event."""
+    """A row for a transaction or an event."""
 
     key: Hashable
     kept: KeptRecord
 
 
 class WatchedSlaveRow(NamedTuple):
-    """A unit of a link. Times are in ns since 1970, durations in ns."""
+    """A row for one unit of a link. Times are in ns since 1970, durations in ns."""
 
     key: Hashable
     kept: None
@@ -103,7 +103,7 @@ class WatchedSlaveRow(NamedTuple):
 
 
 class TroubleRow(NamedTuple):
-    """All findings of one code, or events of one kind, about one unit of a link."""
+    """A row for all findings of one code, or events of one kind, about one unit of a link."""
 
     key: Hashable
     kept: KeptRecord

@@ -21,7 +21,7 @@ Record = NamedTransaction | WireEvent
 HISTORY = 32
 """The number of latencies or values that are kept for a sparkline."""
 NEVER_NS = 0
-"""The time of a change that never happened."""
+"""Stands for the time of a change if there was none."""
 
 _FAULTS = (Outcome.EXCEPTION, Outcome.NO_ANSWER, Outcome.MALFORMED)
 """Outcomes that count as errors of a request. A response that the capture lacks is no error."""

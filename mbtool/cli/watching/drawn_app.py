@@ -87,8 +87,8 @@ class DrawnApp(App[int]):
 
         `is_asked_to_end` is called before each drawing; it returns True after a signal.
         """
-        # With NO_COLOR, textual would turn its own colours into greys; with ansi_color it uses the
-        # terminal's colours, and does not.
+        # With NO_COLOR set, textual turns its own colours into greys. It does not do so with the
+        # terminal's colours, which ansi_color selects.
         super().__init__(ansi_color=True if is_plain() else None)
         self.feed = feed
         self.place, self.recording = place, recording

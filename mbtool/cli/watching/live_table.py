@@ -51,7 +51,7 @@ class LiveTable(Widget, can_focus=True):
     DEFAULT_CSS = "LiveTable { height: 1fr; }"
 
     class Moved(Message):
-        """The user has moved the cursor."""
+        """Sent when the user has moved the cursor."""
 
     def __init__(self) -> None:
         super().__init__()

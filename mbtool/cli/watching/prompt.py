@@ -42,7 +42,7 @@ class PromptLine(Input):
     ]
 
     class Left(Message):
-        """The user left the line with Escape."""
+        """Sent when the user leaves the line with Escape."""
 
     def __init__(self) -> None:
         super().__init__(compact=True)
@@ -91,7 +91,7 @@ def why_wrong(text: str, error: UsageError) -> tuple[int, str]:
         reason = str(error)
     cause = error.__cause__
     if isinstance(cause, SyntaxError):
-        # If a text ends too early, Python gives no place, or the first one.
+        # If an expression ends too early, Python reports no offset, or the first one.
         offset = (cause.offset or 0) - 1
         is_short = offset < 1 or offset >= len(text)
         if is_short:
