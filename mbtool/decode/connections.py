@@ -85,10 +85,10 @@ class Bus:
         return self._paired(events) if events else []
 
     def advance(self, now_ns: int) -> list[Decoded]:
-        """Note that the line was silent from the last byte until `now_ns`; return what ends."""
+        """Note silence from the last byte until `now_ns`; return the results that it completes."""
         decoded = self._paired(self._splitter.advance(now_ns))
-        # While the splitter holds bytes of an incomplete frame, that may be the awaited response.
-        # So no request times out.
+        # Bytes of an incomplete frame in the splitter may be the awaited response. So no request
+        # times out while it has some.
         return [*decoded, *self._pairing.advance(now_ns)] if self._splitter.is_idle else decoded
 
     def close(self, end_ns: int | None = None) -> list[Decoded]:
@@ -153,8 +153,8 @@ class ConnectionDecoder:
     def is_at_rest(self, request_position: int, response_position: int, now_ns: int) -> bool:
         """True if no request is pending, no byte is buffered, and no byte so far is missing.
 
-        The positions are the stream positions of the next byte of each direction; `now_ns` is the
-        time of the next segment.
+        The array decoder (columns/) may then decode what follows. The positions are the stream
+        positions of the next byte of each direction; `now_ns` is the time of the next segment.
         """
         return (
             all(splitter.is_idle for splitter in self._splitters.values())
@@ -164,7 +164,7 @@ class ConnectionDecoder:
         )
 
     def pass_plain(self, stretch: PlainStretch, place: RestPlace) -> None:
-        """Note transactions that were decoded from arrays of packets instead of being fed here.
+        """Note transactions of this connection that the array decoder (columns/) has decoded.
 
         `place` gives the stream positions at which they began.
         """
@@ -285,7 +285,10 @@ def _paired(
     link: str,
     endpoints: tuple[str, str],
 ) -> list[Decoded]:
-    """Pass ADUs through the pairing; `endpoints` are the sender and receiver of skipped bytes."""
+    """Pair the ADUs among a splitter's events; return ADUs, transactions and other events.
+
+    `endpoints` are the sender and receiver of skipped bytes.
+    """
     decoded: list[Decoded] = []
     for event in events:
         if isinstance(event, Adu):

@@ -88,7 +88,7 @@ class RestingConnection(NamedTuple):
     place: RestPlace
 
     def pass_plain(self, stretch: PlainStretch) -> None:
-        """Note transactions that were decoded from arrays, as if their packets had been fed."""
+        """Note transactions that the array decoder (columns/) decoded, as if they had been fed."""
         self.connection.pass_plain(stretch.requests, stretch.responses)
         self.decoder.pass_plain(stretch, self.place)
 
@@ -171,7 +171,7 @@ class Decoder:
         return [] if bus is None else self._to_records(bus.close(self._last_ns))
 
     def break_lines(self) -> list[Record]:
-        """End all serial links, as bytes may be missing; TCP connections show that themselves."""
+        """End all serial links, as bytes may be missing; sequence numbers show this in TCP."""
         return [record for link in [*self._buses] for record in self.end_line(link)]
 
     @property
@@ -180,7 +180,7 @@ class Decoder:
         return self._reassembler
 
     def at_rest(self, ends: FlowEnds, now_ns: int) -> RestingConnection | None:
-        """Return a connection whose next transactions may be read from arrays instead of being fed.
+        """Return a connection whose next transactions the array decoder (columns/) may decode.
 
         None if the connection is unknown, or has a pending request, buffered bytes or anything
         undecided.
@@ -205,16 +205,16 @@ class Decoder:
     def pass_times(
         self, times: Sequence[int], start: int, end: int
     ) -> list[tuple[int, list[Record]]]:
-        """Let the times of packets that were decoded from arrays pass for other connections.
+        """Let the times of packets that the array decoder (columns/) took pass for all others.
 
-        `times[start:end]` are their times in ns, ascending. Returns the records that become due,
-        each list with the index of its time in `times`.
+        `times[start:end]` are these times in ns, ascending. Returns the records of other
+        connections that become due, each list with the index of its time in `times`.
         """
         delivered = self._reassembler.pass_times(times, start, end)
         return [(at, self._dispatch(items)) for at, items in delivered]
 
     def note_time(self, ts_ns: int) -> None:
-        """Note the time (ns) of the latest packet that was decoded from arrays."""
+        """Note the time (ns) of the latest packet that the array decoder (columns/) took."""
         self._last_ns = max(self._last_ns, ts_ns)
 
     def close(self) -> list[Record]:
@@ -298,7 +298,7 @@ class Decoder:
         if state is not ProtocolState.MODBUS and not self._is_expected(item.connection):
             return records
         discarded = item.reason is CloseReason.DISCARDED
-        # A foreign connection is not decoded any more, so dropping it loses nothing.
+        # A connection that is not Modbus is not decoded any more, so dropping it loses nothing.
         is_loss = discarded and state is not ProtocolState.FOREIGN
         kind = EventKind.DISCARDED if is_loss else EventKind.CLOSED
         probes = f", {item.keep_alives} keep-alive probes" if item.keep_alives else ""
@@ -386,7 +386,7 @@ class Decoder:
         return self._to_records(self._foreign_once(detector, detector.close(end_ns)))
 
     def _foreign_once(self, detector: ProtocolDetector, decoded: list[Decoded]) -> list[Decoded]:
-        """Drop a second FOREIGN event of an endpoint, unless Modbus is expected there."""
+        """Drop a repeated report that an endpoint is not Modbus, unless it is expected to be."""
         if not decoded or detector.state is not ProtocolState.FOREIGN:
             return decoded
         if self._is_expected(detector.connection):

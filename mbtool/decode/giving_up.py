@@ -60,8 +60,8 @@ def give_up_repeated(readings: Sequence[PairReading], request: Adu) -> None:
 def give_up_lost(readings: Sequence[PairReading], *, is_sequential: bool) -> None:
     """Judge the requests that the capture lacks when the master sends its next request.
 
-    A master that never pipelines (`is_sequential`) has given them up. Those whose existence is not
-    proved are marked `may_not_exist` instead.
+    A master that never pipelines (`is_sequential`) has given them up. Those that the lost bytes do
+    not prove are marked `may_not_exist` instead.
     """
     for reading in readings:
         lost = [one for one in reading.waiting if one.adu is None and reading.awaits(one)]

@@ -22,8 +22,8 @@ FIRST_LATE_NS = 100_000_000
 """The result (ns) of `late_ns` and `silence_ns` before the first response: no master times out
 sooner by default."""
 FORGET = 20
-"""Each response lowers the longest latency by 1/FORGET of itself: TCP may have retransmitted the
-segment of the slowest response."""
+"""Each response lowers the longest latency by 1/FORGET of itself. So an outlier fades, such as a
+response whose segment TCP retransmitted."""
 FORGOTTEN = 1024
 """After this many further responses, even a latency of 2^64 ns no longer counts (see FORGET)."""
 ENOUGH_OVERLAPS = 3
@@ -54,8 +54,8 @@ class MasterHabits:
         self._slowest_ns: dict[int | None, int] = {}
         """By function code, the longest latency in ns; each response lowers it by 1/FORGET."""
         self._usual_ns: dict[int | None, int] = {}
-        """By function code, the mean latency of the last responses, in ns. A slow response counts
-        as twice the mean."""
+        """By function code, the mean latency of the last responses, in ns. A latency above twice
+        the mean counts as twice the mean."""
         self._fastest_ns: dict[int | None, int] = {}
         """By function code, the shortest latency, in ns."""
         self.longest_ns = 0
@@ -151,8 +151,8 @@ class MasterHabits:
         slowest_ns = self._slowest_ns.get(function, 0)
         older = latencies[:-FORGOTTEN]
         if older:
-            # FORGOTTEN steps shrink an older latency to less than FORGET ns. There the integer
-            # division yields 0, so that it shrinks no further.
+            # FORGOTTEN further responses shrink an older latency below FORGET ns. Then the integer
+            # division by FORGET yields 0, and it shrinks no further.
             slowest_ns = min(max(slowest_ns, max(older)), FORGET - 1)
         for latency_ns in latencies[-FORGOTTEN:]:
             slowest_ns = max(slowest_ns - slowest_ns // FORGET, latency_ns)

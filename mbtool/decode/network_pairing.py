@@ -22,7 +22,7 @@
 # the responses are held back until an ADU or a silence of the connection decides, at most MAX_HELD
 # responses or for HOLD_NS. Then the cheapest reading is taken, and its transactions are ambiguous.
 #
-# A slave may respond with another id than the request's. Such a response belongs to the only open
+# A slave may respond with another id than the request's. It then answers the only pending
 # request if it fits, and if either no bytes are missing and this slave never repeated an id
 # correctly, or acknowledgements show that nothing came between the two.
 #
@@ -126,7 +126,7 @@ class NetworkPairing:
         return not (is_open or remembers) and self._habits.last_response_ns <= now_ns
 
     def pass_plain(self, stretch: PlainStretch) -> None:
-        """Note transactions that were paired elsewhere, while no request is pending here."""
+        """Note transactions paired by the array decoder (columns/); no request is pending here."""
         self._requests += len(stretch.transaction_ids)
         last_ns = stretch.responses.last_ns
         self._habits.note_plain(stretch.transaction_ids, self._requests, last_ns)
@@ -273,7 +273,7 @@ class NetworkPairing:
         is_only_one = len(self._readings) == 1
         since_ns = self._habits.last_response_ns
         if is_only_one and first.is_only_answered_by(response, place):
-            # The usual case. Without this shortcut, pairing takes 13 instead of 8 us for each ADU.
+            # Usually one request waits. Without this shortcut, an ADU takes 13 instead of 8 us.
             one = first.waiting.pop()
             self._habits.last_response_ns = response.end_ns
             if self._is_shifted:
@@ -361,7 +361,7 @@ class NetworkPairing:
             self._decide(done)
 
     def _decide(self, done: list[Transaction]) -> None:
-        """Keep the cheapest way to pair; what ways of like cost pair differently is ambiguous."""
+        """Keep the cheapest way to pair; mark pairs that others of like cost lack as ambiguous."""
         best, *others = sorted(self._readings, key=likely_cost)
         steps = best.steps
         for other in others:

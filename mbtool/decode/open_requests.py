@@ -38,10 +38,10 @@ class OpenRequest(msgspec.Struct, gc=False, eq=False, kw_only=True):
     may_not_exist: bool = False
     """True if the capture lacks this request and it is doubtful that it was ever sent."""
     may_be_lost: bool = False
-    """True if the capture lacks bytes that may have been its response."""
+    """True if the capture lacks bytes that may have been the response to this request."""
     repeats_lost_id: bool = False
-    """True if the transaction ids leave no id for a lost request before this one, so that it may
-    have had the same id."""
+    """True if a request before this one is lost and the ids leave no id for it, so that it may have
+    had the id of this one."""
     counts: bool = True
     """False if a later equal request has already counted this one in its `retries`, or if the
     capture lacks bytes of this request."""
@@ -55,7 +55,7 @@ class OpenRequest(msgspec.Struct, gc=False, eq=False, kw_only=True):
         return None if self.adu is None else self.adu.pdu[0]
 
     def can_get(self, response: Adu, place: AduPlace | None) -> bool:
-        """False if unit, function or acknowledgements prove that the response is not its own."""
+        """False if unit, function or acknowledgements rule out that the response is its own."""
         request = self.adu
         if request is not None and not (
             request.unit == response.unit and is_response_code(request.pdu[0], response.pdu[0])

@@ -37,10 +37,10 @@ request was given up and the next one has no response in time either, the next r
 belong to the first."""
 UNLIKELY = 0.25
 """Extra cost (in units of LATE) of a response to a given-up request. Only used to choose between
-readings that cost about the same."""
+ways to pair that cost about the same."""
 MARGIN = 0.9
-"""A reading is dropped if it costs this much more (in units of LATE) than the cheapest. Less than
-LATE, so that the responses to pipelined requests are not held back."""
+"""A way to pair (a reading) is dropped if it costs this much more (in units of LATE) than the
+cheapest. Less than LATE, so that the responses to pipelined requests are not held back."""
 MISFIT = 2.0
 """The cost (in units of LATE) of a response whose form does not fit its request."""
 OUT_OF_ORDER = 2.0
@@ -64,7 +64,7 @@ was no such request. Above MARGIN, so that a captured request gets the response 
 
 MAX_LATE = 4
 """At most this many given-up requests, the newest ones, may get a late response. Together with the
-request that waits they allow fewer than MAX_READINGS readings, so that none of equal cost is
+request that waits they allow fewer than MAX_READINGS ways to pair, so that none of equal cost is
 dropped."""
 MAX_READINGS = 8
 MAX_PASSED = 64
@@ -74,7 +74,7 @@ lengths."""
 
 
 class PairStep(NamedTuple):
-    """One step of a reading: the requests that one response, or lost response bytes, answer."""
+    """One step of a way to pair: a response, or lost response bytes, and the requests answered."""
 
     at_ns: int
     response: Adu | None
@@ -89,7 +89,7 @@ class PairStep(NamedTuple):
 
 
 class PairOption(NamedTuple):
-    """A request that a response may answer, with the cost; no request if none asked for it."""
+    """A request that a response may answer (None if nobody asked for it), and what that costs."""
 
     cost: float
     request: OpenRequest | None
@@ -208,9 +208,10 @@ class PairReading:
                 one.may_not_exist = one.may_not_exist or not one.exists
 
     def pass_all(self, habits: MasterHabits) -> None:
-        """Move the waiting requests to `passed`, as their responses may be lost.
+        """Expect no response in time to the waiting requests, as their responses may be lost.
 
-        Requests whose id no lost request can have go on waiting.
+        They move to `passed`, where a late response still finds them. Requests whose id no lost
+        request can have go on waiting.
         """
         kept = [one for one in self.waiting if habits.has_own_id(one, self.waiting)]
         self.passed += [one for one in self.waiting if one.adu is not None and one not in kept]
@@ -238,7 +239,7 @@ def is_before(one: OpenRequest, other: OpenRequest, habits: MasterHabits) -> boo
 def options(
     reading: PairReading, response: Adu, place: AduPlace | None, habits: MasterHabits
 ) -> Iterator[PairOption]:
-    """Yield the requests that a response may answer in one reading, each with its cost."""
+    """Yield the requests that a response may answer in one way to pair, each with its cost."""
     too_late = _too_late(reading, response, place)
     skipped: list[OpenRequest] = []
     best = UNASKED
@@ -383,7 +384,7 @@ def likely_cost(reading: PairReading) -> float:
 
 
 def _mark_differences(kept: PairReading, other: PairReading) -> None:
-    """Mark as unsure the steps in which two readings (ways to pair) differ."""
+    """Mark as unsure the steps in which two ways to pair differ."""
     steps = []
     for one, two in zip(kept.steps, other.steps, strict=True):
         if one.requests == two.requests:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class PlainStretch(NamedTuple):
-    """Transactions in a row that were read from arrays: first request to last response."""
+    """Transactions in a row that were read from arrays, from first request to last response."""
 
     requests: PlainBytes
     responses: PlainBytes

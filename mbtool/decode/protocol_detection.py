@@ -171,7 +171,7 @@ class ProtocolDetector:
         kind: EventKind = EventKind.GAP,
         acknowledged_ns: int | None = None,
     ) -> list[Decoded]:
-        """Note `missing` bytes of one direction. See ConnectionDecoder.gap for the arguments."""
+        """Note that the capture lacks `missing` bytes of one direction; 0 if unknown how many."""
         if self.state is ProtocolState.MODBUS:
             (one,) = self._candidates
             return one.decoder.gap(one.roles[direction], missing, ts_ns, kind, acknowledged_ns)
@@ -320,7 +320,7 @@ class _ProtocolCandidate:
             connection = replace(connection, master=connection.slave, slave=connection.master)
         self.decoder = ConnectionDecoder(connection, rtu=rtu)
         self.decoded: list[Decoded] = []
-        """The results held until this candidate is accepted."""
+        """The decoded results, kept until this candidate is accepted."""
         self.is_confirmed = False
         """True once the evidence is enough to accept this candidate; then it is never ruled out."""
         self.is_ruled_out = False
@@ -350,7 +350,7 @@ class _ProtocolCandidate:
     def feed_undecided(
         self, direction: Direction, data: bytes, ts_ns: int, place: StreamPlace | None
     ) -> None:
-        """Feed bytes and hold the results; rule out RTU after MAX_NOISE bytes without a frame."""
+        """Decode bytes and keep the results; rule out RTU after MAX_NOISE bytes without a frame."""
         noise = self._noise.get(direction)
         room = len(data) if noise is None else MAX_NOISE - noise
         role = self.roles[direction]
@@ -391,7 +391,7 @@ class _ProtocolCandidate:
         return (LONG_HEADER if len(head) >= _MBAP_SIZE else _MBAP_PREFIX).match(head) is not None
 
     def add(self, decoded: list[Decoded]) -> None:
-        """Hold results, and count the evidence in them for or against this candidate."""
+        """Keep results, and count the evidence in them for or against this candidate."""
         self.decoded += decoded
         for one in decoded:
             if isinstance(one, Adu):

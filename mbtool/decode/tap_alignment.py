@@ -3,8 +3,8 @@
 # Each of the two adapters delivers bytes with its own delay, so a response can seem to begin before
 # its request has ended. These rules hold on every line:
 #
-#     1  a response follows its request         it may seem to begin up to SKEW_NS too early
-#     2  the next request follows the response  it may seem to begin up to SKEW_NS too early
+#     1  a response follows its request         the response may seem up to SKEW_NS too early
+#     2  the next request follows the response  the request may seem up to SKEW_NS too early
 #     3  a request has at most one response, and responses come in the order of the requests
 #     4  a master waits for a response before it sends the next request
 #

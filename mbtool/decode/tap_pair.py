@@ -263,7 +263,7 @@ class _TapSide:
         self._add(self._splitter.close())
 
     def adus(self, until_ns: int) -> Iterator[Adu]:
-        """Yield the first MAX_ALIGNED + 1 ADUs that wait here, if they began by `until_ns`."""
+        """Yield the ADUs that wait here and began by `until_ns`, at most MAX_ALIGNED + 1."""
         began = takewhile(lambda event: _start_ns(event) <= until_ns, self.events)
         return islice((event for event in began if isinstance(event, Adu)), MAX_ALIGNED + 1)
 

@@ -24,8 +24,8 @@
 #   a segment. An ADU of a known function must begin with a segment, or end like the ADUs accepted
 #   in step. If its PDU has not the form of its function, it must be one whole segment.
 # - While such an ADU is incomplete, a whole ADU behind its header that begins and ends with a
-#   segment shows that it is no header. If the header's function is known, whose PDU has another
-#   length, any whole ADU that ends with a segment shows it.
+#   segment shows that it is no header. If the header's function is known and its PDU has another
+#   length, any whole ADU behind it that ends with a segment shows that.
 #
 # Without `by_segments`, which bytes are dropped depends on the bytes only, never on the ends of
 # chunks.

@@ -80,7 +80,7 @@ class Layout:
         return self._size + tail if tail else tail
 
     def parse(self, pdu: bytes) -> tuple[Fields, str | None]:
-        """The fields of a PDU, and a text if its form is wrong, else None."""
+        """Return the fields of a PDU by name, and a text if its form is wrong, else None."""
         if len(pdu) < self._size:
             return self._parse_short(pdu), self._wrong_size(pdu)
         fields: Fields = {}
@@ -91,7 +91,10 @@ class Layout:
         return fields, self._wrong_size(pdu) if len(pdu) > self._size else None
 
     def encode(self, fields: Mapping[str, Value]) -> bytes:
-        """The bytes after the function code. Raises ValueError if a field is missing or wrong."""
+        """Return the bytes after the function code.
+
+        Raises ValueError if a field is missing or wrong.
+        """
         values = [_field(fields, name) for name in self._names]
         try:
             fixed = self._fixed.pack(*values)
@@ -300,7 +303,7 @@ def counted_length(pdu: bytes, at: int, width: int) -> int | None:
 
 
 def counted_data(pdu: bytes, at: int, width: int) -> tuple[bytes, str | None]:
-    """The data after a byte count, as far as the PDU has them, and a text if they are wrong.
+    """Return the data after a byte count, and a text if the PDU has more or fewer bytes, else None.
 
     The byte count begins at offset `at` of `pdu` and has `width` bytes.
     """

@@ -11,7 +11,8 @@ from __future__ import annotations
 from math import inf
 
 MAX_GLUED = 2**-0.8
-"""If at most this share of the frames (57 %) is glued, the silences between frames are trusted."""
+"""If at most this share of the frames (57 %) follows no silence (is glued), silences are taken as
+evidence of who speaks."""
 ENOUGH_BURSTS = 3
 """After this many bursts (bytes between two silences) that were no full buffer, the shortest
 silence counts as known."""

@@ -102,10 +102,10 @@ class BusState(msgspec.Struct, frozen=True, gc=False):
         return (pending.unit, expected.code, expected.size) == (unit, code, size)
 
     def settles_silence(self, role: Direction, start_ns: int, inside_ns: int) -> bool:
-        """True if a frame sets `unexplained_silence_ns` anew.
+        """True if a frame changes `unexplained_silence_ns`, the last silence without a known cause.
 
-        It does if there is a silence before the frame, or inside it (the longest is `inside_ns`).
-        A request after an unanswered request does not: the missing response explains the silence.
+        It does if there is a silence before the frame, or inside it (the longest is `inside_ns`). A
+        request after an unanswered request does not: the missing response explains the silence.
         """
         if not self.unexplained_silence_ns or (role is Direction.REQUEST and self.answered is None):
             return False

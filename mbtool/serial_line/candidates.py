@@ -1,10 +1,11 @@
 """Finds the whole, damaged and incomplete RTU frames that may begin at each undecided byte."""
 
 # A window is the bytes that one search explains. Each candidate has a cost in bits (costs.py).
-# Candidates are: frames of a known form with a correct CRC; frames of unknown form, whose end only
-# the CRC or the silences tell; damaged frames; an incomplete frame at the end of the window.
-# Candidates whose cost does not depend on the bus state are computed once for each offset. The work
-# for one offset is bounded by the 256 bytes that a frame can have.
+# Candidates are: frames with a correct CRC whose function tells their size (frames of a known
+# form); others whose end only the CRC or the silences tell (of unknown form); damaged frames; an
+# incomplete frame at the end of the window. Candidates whose cost does not depend on the bus state
+# are computed once for each offset. The work for one offset is bounded by the 256 bytes that a
+# frame can have.
 
 from __future__ import annotations
 
@@ -171,7 +172,7 @@ class Candidates:
     def _begins_after_silence(self, offset: int) -> bool:
         """True if a silence precedes the byte at `offset` and a frame begins there.
 
-        The frame has a known form, or it has a correct CRC and extends to the next silence.
+        Its CRC is correct, and its function tells its size or it ends at the next silence.
         """
         if not self._window.silences[offset]:
             return False
@@ -376,7 +377,7 @@ class Candidates:
         )
 
     def _ends_in_frame(self, offset: int, size: int) -> bool:
-        """True if bytes between two silences end with a frame of known form that begins later.
+        """True if bytes between two silences end with a whole frame, but do not begin with it.
 
         That frame is not register contents of a longer frame: the CRC of the longer frame would
         follow.

@@ -76,13 +76,14 @@ REQUEST_EQUALS_RESPONSE = 12.0
 again."""
 UNLIKE_FIRST_RESPONSE = 6.0
 """Extra cost, in bits, of a second response to the same request, if it differs in length from the
-first, or if only one of the two is an echo."""
+first, or if only one of the two equals the request."""
 ECHO_OF_UNKNOWN_FUNCTION = 4.0
 """The cost, in bits, of a response that equals its request, if mbtool does not know whether slaves
 echo that function."""
 ECHO_IN_TIME = -1.0
-"""Bits taken off the cost of an echo of an unknown function that arrives within this line's longest
-response time: masters wait longer before a retry, so the frame is no retry."""
+"""Bits taken off the cost of a response that equals its request, if mbtool does not know the
+function and the response comes within this line's longest response time: masters wait longer before
+a retry, so the frame is no retry."""
 MALFORMED = 6.0
 """The cost, in bits, of a frame whose CRC is correct but whose PDU breaks the rules of its
 function: a test tool or an odd device sent it."""
@@ -96,8 +97,8 @@ EARLY_REQUEST = 4.0
 """Extra cost, in bits, of a request when another one has been pending for less than this line's
 longest response time: masters wait longer."""
 SLOW_DOUBLINGS = 3.0
-"""An echo of a function that was not heard before may take up to 8 times (3 doublings) as long as
-the longest response of this line: writes to an EEPROM do."""
+"""An echo (a response that equals its request) of a function that was not heard before may take up
+to 8 times (3 doublings) as long as the longest response of this line: writes to an EEPROM do."""
 SHORT_PAUSE = 5.0
 """Extra cost, in bits, of a request that equals the one just answered and comes sooner than this
 master ever sends its next request after a response: the frame is probably the response to a
@@ -114,43 +115,46 @@ time."""
 MAX_LATENESS = 8.0
 """The most bits that the lateness of a response costs: even later ones are no less likely."""
 MAX_ECHO_LATENESS = 14.0
-"""The most bits that lateness costs for an echo. It is higher than for other responses, since a
-late echo may be a retry instead: some masters wait very long before a retry."""
+"""The most bits that lateness costs for an echo (a response that equals its request). It is higher
+than for other responses, since a late echo may be a retry instead: some masters wait very long
+before a retry."""
 SHORT_TIMEOUT = 4.0
-"""Extra cost, in bits, of a retry for each halving of the usual least timeout of masters, 200 ms,
-if this master's timeout is not known."""
+"""Extra cost, in bits, of a retry that comes sooner than 200 ms, the usual least timeout of
+masters: so many bits for each halving of that time. Used if this master's timeout is not known."""
 LATE_BEFORE_TIMEOUT = 3.0
-"""The most bits that lateness costs for an echo if the master is known to wait that long."""
+"""The most bits that lateness costs for an echo (a response that equals its request) if the master
+is known to wait that long."""
 LATE_AS_OTHERS = 2.0
-"""The most bits that lateness costs for an echo if other units or functions of this line have taken
-as long for an echo."""
+"""The most bits that lateness costs for an echo (a response that equals its request) if other units
+or functions of this line have taken as long for an echo."""
 NEAR_TIMEOUT = 1.5
-"""An echo costs this many bits more than a retry if it comes when the master's timeout is certainly
-over, and this many bits less if it comes when the timeout may just be over. So a frame near the
-timeout is ambiguous."""
+"""An echo (a response that equals its request) costs this many bits more than a retry if it comes
+when the master's timeout is certainly over, and this many bits less if it comes when the timeout
+may just be over. So a frame near the timeout is ambiguous."""
 NEAR_DOUBLINGS = 0.8
 """A frame that equals its request and comes at the master's timeout is surely a retry only if the
 timeout is this many doublings (1.7 times) longer than the longest response time of this line."""
 SOONER = 0.8
-"""An echo was a response, not a retry, if the master sends its next request in less than this share
-(0 to 1) of the time that the echo took: after a retry it would have waited as long again."""
+"""An echo (a response that equals its request) was no retry if the master sends its next request in
+less than this share (0 to 1) of the time that the echo took: after a retry it would have waited as
+long again."""
 SILENT_UNIT = 3.5
-"""The cost, in bits, of an echo from a unit that has never sent any other response, on a line where
-other units have: the unit may be absent, and the echo may be a retry of the master."""
+"""The cost, in bits, of a response that equals its request, from a unit that has never sent any
+other response, on a line where other units have: the unit may be absent, and the frame a retry."""
 MIN_UNANSWERED = 1.0
 """The least extra cost, in bits, of one more request without a response, to a unit that is probably
 absent."""
 REVERSED_PAIR = 6.0
-"""Extra cost, in bits, of an echo when the silence before it is more than twice the silence before
-its request, and no frame so far had a certain direction: the two frames are probably a response and
-the next request."""
+"""Extra cost, in bits, of an echo (a response that equals its request) when the silence before it
+is more than twice the silence before its request, and no frame so far had a certain direction: the
+two frames are probably a response and the next request."""
 
 # The costs below tell where frames begin and end: they are the costs of the segments of a path
 # (frames, damaged frames and skipped bytes).
 
 SKIP = 8.0
 """The cost, in bits, of the first of several skipped bytes in a row (bytes that are in no frame):
-such runs are rare on a good line. A start value, which the line statistics replace."""
+they are rare on a good line. A start value, which the line statistics replace."""
 SKIP_LIMITS = (3.0, 10.0)
 """The least and the most, in bits, that the learned cost of the first skipped byte can become."""
 NOISE = 7.0
@@ -159,16 +163,16 @@ hear such bytes when the bus changes direction. A start value, which the line st
 NOISE_LIMITS = (2.0, 9.0)
 """The least and the most, in bits, that the learned cost of noise after a frame can become."""
 MIN_NOISE_IN_WINDOW = 4.0
-"""The least cost, in bits, of noise after a frame. Each time that bytes are skipped makes the next
-time in the same window 1 bit cheaper, but not cheaper than this."""
+"""The least cost, in bits, of noise after a frame. Each group of skipped bytes makes the next group
+in the same search 1 bit cheaper, but not cheaper than this."""
 SKIP_PER_BYTE = 0.25
 """The cost, in bits, of each skipped byte after the first, and of each byte of a damaged frame."""
 MAX_DAMAGED_LENGTH = 12.0
 """The most bits that the length of a damaged frame costs if silences bound the frame and frames are
 never glued on this line: its length is then certain."""
 CRC_COINCIDENCE = 16.0
-"""The cost, in bits, of taking bytes for no frame although they have a known form and a correct
-CRC: chance makes such a CRC once in 65,536 times."""
+"""The cost, in bits, of taking bytes for no frame although they have a correct CRC at the size that
+their function tells: chance makes such a CRC once in 65,536 times."""
 UNKNOWN_CRC_COINCIDENCE = 8.0
 """The cost, in bits, of taking bytes for no frame although they have a correct CRC at some length
 that their function does not tell: about 256 lengths were tried, so chance makes one of them fit
@@ -221,8 +225,9 @@ GLUED = 2.0
 """The cost, in bits, of a frame that begins without a silence before it. A start value, which the
 line statistics replace."""
 BEHIND_NOISE = 4.0
-"""The most bits that a frame costs because skipped bytes hide the silence before it, if a silence
-follows it: then it is not part of the registers of a longer frame, whose CRC would follow."""
+"""The most bits that a missing silence before a frame costs, if skipped bytes precede the frame and
+a silence follows it. That silence shows that the frame is not part of the registers of a longer
+frame, whose CRC would follow."""
 GLUED_LIMITS = (0.2, 8.0)
 """The least and the most, in bits, that the learned cost of a frame without a silence before it can
 become."""
@@ -238,22 +243,23 @@ SPLIT_MORE = 0.25
 """The cost, in bits, of each further silence inside the same frame: an adapter that splits a frame
 in two often splits it into more pieces."""
 UNKNOWN_FORM_BURST = 2.0
-"""The cost, in bits, of a frame of no known form that has a correct CRC and extends from one
-silence to the next."""
+"""The cost, in bits, of a frame whose function does not tell its size, if its CRC is correct and it
+extends from one silence to the next."""
 UNKNOWN_FORM = 6.0
-"""The cost, in bits, of a frame of no known form that has a correct CRC but no silences at both
-ends. Any of 253 lengths might have had a correct CRC by chance, which is 8 bits less evidence."""
+"""The cost, in bits, of a frame whose function does not tell its size, if its CRC is correct but
+silences do not bound it. Any of 253 lengths might have had a correct CRC by chance, which is 8 bits
+less evidence."""
 UNKNOWN_FORM_DUE = 2.0
-"""The cost, in bits, of a frame of no known form and without silences at both ends, if it begins
-with the unit and function of a request that is pending, overdue or just answered: these two bytes
+"""The cost, in bits, of a frame whose size neither its function nor silences tell, if it begins
+with the unit and function of a request that is pending, given up or just answered: these two bytes
 are 16 bits of evidence."""
 ENDS_IN_ZERO = 5.0
-"""Extra cost, in bits, of a frame of no known form that ends in 00: its CRC is correct without that
-byte too. One frame in 256 ends in 00, and one stray byte in four is 00, so the frequency of stray
-bytes on this line decides."""
+"""Extra cost, in bits, of a frame that ends in 00, if its function does not tell its size: its CRC
+is correct without that byte too. One frame in 256 ends in 00, and one stray byte in four is 00, so
+it depends on how frequent stray bytes are on this line."""
 ENDS_IN_ZERO_MORE = 6.0
-"""Extra cost, in bits, of each further 00 at the end of a frame of no known form: one byte in 256
-of a CRC is 00 (8 bits), but one stray byte in four (2 bits)."""
+"""Extra cost, in bits, of each further 00 at the end of a frame whose function does not tell its
+size: one byte in 256 of a CRC is 00 (8 bits), but one stray byte in four (2 bits)."""
 ZERO_BEFORE_SILENCE = 1.5
 """Bits taken off ENDS_IN_ZERO if a silence follows the 00 at the end of the frame: a stray byte
 usually has a silence before it as well."""
@@ -265,8 +271,8 @@ BEAM_MARGIN = 12.0
 """A path (an explanation of the bytes up to an offset) is dropped if it costs this many bits more
 than the best path of at least its length."""
 INCOMPLETE_DOUBT = 3.0
-"""A path that ends in an incomplete frame is not kept if it costs this many bits more than the best
-such path."""
+"""A path (an explanation of the bytes) that ends in an incomplete frame is not kept if it costs
+this many bits more than the best such path."""
 INCOMPLETE_MARGIN = 24.0
-"""A path is dropped if it costs INCOMPLETE_DOUBT plus this many bits more than the best path that
-ends in an incomplete frame."""
+"""A path (an explanation of the bytes) is dropped if it costs INCOMPLETE_DOUBT plus this many bits
+more than the best path that ends in an incomplete frame."""

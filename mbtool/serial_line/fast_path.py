@@ -22,16 +22,16 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 _REQUEST_CONFIDENCE = 0.98
-"""On a line whose silences tell nothing, a frame that could be a request or a response is taken for
-a request only with at least this confidence (0.5 to 1). A mistake would reverse the directions of
-all frames after it."""
+"""On a line whose silences do not tell who speaks, a frame that could be a request or a response is
+taken for a request only with at least this confidence (0.5 to 1). A mistake would reverse the
+directions of all frames after it."""
 _RESPONSE_CONFIDENCE = 0.95
-"""On a line whose silences tell nothing, a frame that could be a request or a response is taken for
-a response only with at least this confidence (0.5 to 1). It is less than for a request, since the
-response's request came just before."""
+"""On a line whose silences do not tell who speaks, a frame that could be a request or a response is
+taken for a response only with at least this confidence (0.5 to 1). It is less than for a request,
+since the response's request came just before."""
 _REQUEST_ONLY = [Direction.REQUEST]
 _FAR_LESS_LIKELY = 10.0
-"""If two frames begin at the same byte, one that costs this many bits more is ignored."""
+"""If two frames begin at the same byte, the one that costs this many bits more is ignored."""
 _MAX_COST = costs.REQUEST + costs.NEW_REQUEST
 """The cost, in bits, of a request never heard before. A frame that costs more needs a search."""
 
@@ -45,7 +45,7 @@ class FastPath:
         `max_size` is the number of bytes at which the search decides without waiting for a silence.
         """
         self.needed = MIN_FRAME
-        """The number of undecided bytes from which on anything can be decided."""
+        """The least number of undecided bytes with which anything can be decided."""
         self._model = bus_model
         self._speaker = speaker
         self._max_size = max_size
@@ -128,7 +128,7 @@ class FastPath:
         return not any(self._is_frame(data[offset:]) for offset in silences_at)
 
     def _is_frame(self, data: bytes) -> bool:
-        """True if the bytes begin with a whole frame of known form and a correct CRC."""
+        """True if the bytes begin with a whole frame that has a correct CRC."""
         sizes = [frame_size(data, role) or self._max_size for role in self._roles]
         return any(size <= len(data) and crc(data[:size]) == 0 for size in sizes)
 

@@ -91,7 +91,7 @@ def _request_cost(
 
 
 def _short_pause_cost(history: LineHistory, state: BusState, at_ns: int) -> float:
-    """Return the cost, in bits, of repeating the request just answered sooner than usual here."""
+    """Return the cost, in bits, of repeating an answered request after an unusually short pause."""
     if history.pauses < ENOUGH_PAUSES or state.last_ns is None:
         return 0.0
     is_short = at_ns - state.last_ns < history.shortest_pause_ns * costs.SHORT_PAUSE_SHARE
@@ -225,8 +225,8 @@ def _lateness_cost(
         return 0.0
     if history.all_echo_latencies.has_heard(silence_ns):
         most = min(most, costs.LATE_AS_OTHERS)
-    # An echo that is later than any response may be a retry, so it has a margin only if it comes
-    # sooner than any retry.
+    # An echo (a response that equals its request) later than any response may be a retry. So it has
+    # a margin only if it comes sooner than any retry.
     doublings = latency.doublings_late(silence_ns, LatencyStatistics.MIN_WRITE_NS)
     is_soon = silence_ns < LatencyStatistics.MIN_RETRY_NS
     if doublings <= (LatencyStatistics.MARGIN_DOUBLINGS if is_soon else 0.0):

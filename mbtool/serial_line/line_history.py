@@ -47,11 +47,12 @@ class LineHistory:
         """The units that sent a response that cannot have been a
         retry."""
         self.shortest_pause_ns = 0.0
-        """The shortest silence lately, in ns, from a response to the next request."""
+        """The shortest recent silence, in ns, from a response to the next request."""
         self.pauses = 0
         """The number of silences from a response to the next request that were heard."""
         self.unexplained_silences = LatencyStatistics()
-        """The silences between merged frames in which no response was missing."""
+        """The lengths, in ns, of silences before merged frames if no response was missing in
+        them."""
         self.repeat = LearnedCost(costs.REPEAT_AFTER_RESPONSE, costs.REPEAT_AFTER_RESPONSE_LIMITS)
         self.retry = LearnedCost(costs.RETRY, costs.RETRY_LIMITS)
         self.requests: dict[tuple[int, bytes], None] = {}

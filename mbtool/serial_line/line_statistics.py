@@ -10,8 +10,8 @@ _LEARNING_RATE = 1 / 32
 """Weight of one frame when the frequency of an event is learned: a few dozen frames outweigh the
 start value."""
 _SLOW_LEARNING_RATE = 1 / 96
-"""Weight of one frame in the frequency of a rare event, reached after many frames: for what happens
-once in 20 frames, a few dozen frames are too few."""
+"""Weight of one frame in the frequency of a rare event, once many frames were heard: if an event
+occurs once in 20 frames, a few dozen frames are too few."""
 _RATE_DECAY = 31 / 32
 """For a rare event, the factor by which each frame lowers the weight of the next, until that is
 _SLOW_LEARNING_RATE."""
@@ -33,7 +33,7 @@ class LearnedCost:
         self._rate = _LEARNING_RATE
         self._final_rate = _SLOW_LEARNING_RATE if is_slow else _LEARNING_RATE
         self._bits: float | None = bits
-        """The value of `bits`; None if `frequency` has changed since it was computed."""
+        """The cached value of the property `bits`; None if `frequency` has changed since."""
 
     def learn(self, seen: bool) -> None:
         """Count one more frame; `seen` is True if the event with this cost occurred at it."""

@@ -206,7 +206,7 @@ class RtuSplitter:
         self._decided_size = len(self._data)
 
     def _emit_certain_frames(self, events: list[Adu | Skipped], burst_over: bool = False) -> None:
-        """Emit the next frames as long as they are beyond doubt without the search."""
+        """Append the next frames to `events` as long as they are certain without a search."""
         while len(self._data) >= MIN_FRAME:
             last = self._echo.last
             if last and self._data.startswith(last) and self._take_copy(events):
@@ -226,7 +226,7 @@ class RtuSplitter:
             self._emit_frame(*frame, events)
 
     def _may_be_copied(self, size: int) -> bool:
-        """True if a silence precedes the next frame, and none of t3.5 follows it so far."""
+        """True if a silence of t3.5 precedes the next `size` bytes and none follows them so far."""
         last = self._last_end
         if last is None or self._times[0] - last[0] < self._silent_ns:
             return False
@@ -239,8 +239,8 @@ class RtuSplitter:
         if not last or self._last_end is None or not self._data.startswith(last):
             return False
         size, first_ns = len(last), self._times[0]
-        # An adapter that merges frames may glue a retry to its request too. But then it also glues
-        # the frame before the request to it, so the request follows no silence.
+        # An adapter that merges frames may merge a request with its retry too. But then it also
+        # merges the request with the frame before it, so that no silence precedes the request.
         is_heard = self._model.history.trusts_silences and self._follows_silence
         is_glued = is_heard and first_ns - self._last_end[0] < self._silent_ns
         # If no silence follows, a longer frame may begin with the same bytes.
@@ -260,7 +260,7 @@ class RtuSplitter:
         must_decide: bool = False,
         keep: int = 0,
     ) -> None:
-        """Explain all buffered bytes by the search; return them except an incomplete frame.
+        """Explain the buffered bytes by a search; append all but an incomplete frame to `events`.
 
         `keep` is the number of bytes at the end that stay undecided.
         """
@@ -288,7 +288,7 @@ class RtuSplitter:
             if segment.kind is SegmentKind.FRAME:
                 self._emit_frame(size, self._classified(segment), events)
                 if self._take_copy(events):
-                    # The search took the copy for a frame, so its later segments are wrong.
+                    # The search took the echoed copy for a frame: its later results are wrong.
                     if self._data:
                         self._search(
                             events, may_continue=may_continue, must_decide=must_decide, keep=keep

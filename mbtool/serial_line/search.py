@@ -246,7 +246,7 @@ class PathSearch:
         least = before + costs.INCOMPLETE + costs.EXPECTED_CONTENT + costs.INCOMPLETE_IN_PLACE
         if least >= self._incomplete_limit:
             return
-        # Noise does not end the wait for a response: it is due after the noise as well.
+        # Noise does not end the wait for a response, so the bus state before the noise counts here.
         found = self._candidates.incomplete(offset, path.state)
         if found is None:
             return
