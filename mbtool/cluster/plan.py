@@ -36,11 +36,12 @@ MAX_RUN_BYTES = 512 * 1024 * 1024
 """A run (files that one decoder decodes in a row) ends after the file with which it reaches so many
 bytes. This bounds the disk space for copies of files from an object store."""
 NEAR_BYTES, MAX_NEAR = 1024 * 1024, 4
-"""Before and after the files of a run, further files are read until they have NEAR_BYTES bytes
-together, at most MAX_NEAR files. Of each file after the run, only the first NEAR_BYTES are read:
-that is enough for the responses to the last requests."""
+"""Before and after a run (the files that one decoder decodes), further files are read until they
+have NEAR_BYTES bytes together, at most MAX_NEAR files. Of each file after the run, only the first
+NEAR_BYTES are read: that is enough for the responses to the last requests."""
 RUNS_EACH = 4
-"""Number of runs for each process. With several, all processes end at about the same time."""
+"""Number of runs (files that one decoder decodes in a row) for each process. With several runs, all
+processes end at about the same time."""
 
 _VERSION = "1"
 """Part of the names of records. A new version of mbtool that gives another result for the same file
@@ -93,12 +94,15 @@ def plan(files: Iterable[InputFile], most: int = MAX_FILES) -> list[FileRun]:
 
 
 def files_each(files: int, processes: int) -> int:
-    """The number of files per run that keeps `processes` processes busy with `files` files."""
+    """The number of files that one decoder should decode in a row, so that all processes are busy.
+
+    `files` is the number of all files.
+    """
     return min(max(-(-files // (processes * RUNS_EACH)), MIN_FILES), MAX_FILES)
 
 
 def remaining(run: FileRun, is_done: Callable[[InputFile, Around], bool]) -> list[FileRun]:
-    """Divide a run into its parts of consecutive files that are not decoded yet."""
+    """Return the parts of a run that are not decoded yet, each with consecutive files."""
     found = []
     pairs = zip(run.files, run.around, strict=True)
     for done, some in groupby(pairs, key=lambda pair: is_done(*pair)):
@@ -109,7 +113,7 @@ def remaining(run: FileRun, is_done: Callable[[InputFile, Around], bool]) -> lis
 
 
 def share_of(run: FileRun, shares: int) -> int:
-    """The number, 0 to `shares` - 1, of the share of a job that a run belongs to.
+    """The number of the share of a job, 0 to `shares` - 1, in which a run of files is decoded.
 
     It depends only on the path of the run's first file, so all machines of a job agree on it.
     """
@@ -117,10 +121,10 @@ def share_of(run: FileRun, shares: int) -> int:
 
 
 def record_name(file: InputFile, around: Around, options: str) -> str:
-    """The name of the record that says that a file was decoded.
+    """The name of the record, a small file in the output that says that a capture was decoded.
 
-    It changes with the size and time of the file and of those around it, and with `options`, the
-    options that change the result. The part before the dash depends on the file's path alone.
+    It changes with the size and time of the capture and of the files around it, and with `options`,
+    the options that change the result. The part before the dash depends on the path alone.
     """
     before, after = ("\n\n".join(map(_state, some)) for some in (around.before, around.after))
     state = _hash(_VERSION, options, _state(file), before, after)

@@ -86,7 +86,10 @@ class OutputStore:
     """
 
     def __init__(self, address: str) -> None:
-        """Raises UsageError for an address of an unknown kind."""
+        """`address` is a folder, or a prefix in an object store such as s3://bucket/prefix.
+
+        Raises UsageError for an address of an unknown kind.
+        """
         self.address = address.rstrip("/") or "/"
         self._is_local = not is_address(address)
         if self._is_local:

@@ -138,7 +138,7 @@ class Assignments:
         """
         self.applied = set() if applied is None else applied
         """The patterns (WHO) that have matched at least one slave so far."""
-        # The first assignment that matches a slave must be the most specific one.
+        # Put the most specific assignment first: the first one that matches a slave applies.
         self._assignments = sorted(assignments, key=lambda each: -each.who.specificity)
         self._cache: dict[tuple[str | None, int, Transport], Profile | None] = {}
         # Make each profile for ASCII mode once, because Namer, which names transactions, caches

@@ -1,4 +1,4 @@
-"""The identity that a device reports: by functions 2B/0E and 11H, or by a vendor's function."""
+"""Reads the identity that a device reports, with function 2B/0E or 11H or a vendor's function."""
 
 from __future__ import annotations
 

@@ -154,7 +154,7 @@ class Area(_Part, frozen=True, kw_only=True):
 class AnswerWord(_Part, frozen=True, kw_only=True):
     """The only data in the response to a vendor's own function: a 16-bit word.
 
-    Its manual gives the word a name, and perhaps its values meanings.
+    The manual gives the word a name, and may give a meaning to each of its values.
     """
 
     name: Annotated[str, _about("The name of the word.")]
@@ -377,7 +377,7 @@ class Profile(_Part, frozen=True, kw_only=True):
         return rule.documented
 
     def in_mode(self, transport: Transport) -> Profile:
-        """The profile with the limits for a transport, as quantities may be less in ASCII mode."""
+        """The profile with the limits for a transport; ASCII mode may have other limits."""
         ascii_rules = {
             code: msgspec.structs.replace(rule, limit=rule.ascii_limit)
             for code, rule in self.functions.items()

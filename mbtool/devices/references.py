@@ -5,11 +5,11 @@
 # `holding 107` 40108; the word prevents confusion with a vendor's reference.
 #
 # An address outside all areas is written in the notation of the nearest area below it, or, if there
-# is none, of the nearest area above: behind an area that ends with M1277 comes M1280. An area is
-# not used if the result would be the reference of another address: if coils are 1 to 9999 and
-# discrete inputs 10001 to 19999, the coil at address 10000 must not be written 10001. If no area is
-# left, the neutral notation is used. The two ends of a range may be in two areas with different
-# notations.
+# is none, of the nearest area above: if the last digit is octal there, the address after M1277 is
+# M1280. An area is not used if the result would be the reference of another address: if coils are 1
+# to 9999 and discrete inputs 10001 to 19999, the coil at address 10000 must not be written 10001.
+# If no area is left, the neutral notation is used. The two ends of a range may be in two areas with
+# different notations.
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def is_neutral(reference: str) -> bool:
 
 
 def parse_reference(profile: Profile, text: str) -> tuple[Table, int]:
-    """Return the table and address of a reference in the vendor's notation, in any case.
+    """Return the table and address of a reference, in upper or lower case: HR400001, x1f.
 
     Raises UsageError if no area of the profile has the reference.
     """

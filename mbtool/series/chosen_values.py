@@ -63,9 +63,10 @@ class ChosenValues:
         as many entries as the profiles of all slaves have points."""
         self.series: dict[SeriesKey, ValueSeries] = {}
         self.found: set[str] = set()
-        """The texts for which at least one value was collected."""
+        """The user's texts for which at least one value was collected."""
         self.left_out: set[SeriesKey] = set()
-        """The named points and registers without a series, because there are MAX_CHOSEN others."""
+        """Points and registers that the user names, but whose values are not collected, because
+        there are MAX_CHOSEN others."""
 
     def add(self, one: NamedTransaction) -> None:
         function = FUNCTIONS.get(one.function)

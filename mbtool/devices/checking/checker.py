@@ -57,7 +57,7 @@ class Checker:
         transactions. The list is complete after `close`."""
 
     def feed(self, record: NamedTransaction | WireEvent) -> Iterator[Finding]:
-        """Check the next record, and give the findings that are certain now.
+        """Check the next transaction or event. Yields each finding as soon as it is certain.
 
         The finding codes in a transaction are used as they are, so `Namer.name` of this version of
         mbtool must have set them.

@@ -64,7 +64,7 @@ class ConnectionRules:
         self._last_ns = 0
 
     def transaction(self, transaction: NamedTransaction) -> Iterator[Finding]:
-        """Check the next transaction, and give the findings that are certain now."""
+        """Check the next transaction. Yields each finding as soon as it is certain."""
         yield from self._advance(transaction.response_ns or transaction.start_ns)
         connection = self._connections[transaction.link, transaction.source]
         if transaction.request_raw is not None and transaction.response_raw is not None:
@@ -93,7 +93,7 @@ class ConnectionRules:
         return bool(self._pending)
 
     def takes(self, run: QuietRun) -> bool:
-        """True if `run` may check these transactions together.
+        """True if the method `run` may check these transactions together, not one by one.
 
         That is so if all earlier requests on their connections were answered before their first
         request, so that no two requests were pending at the same time.
@@ -116,7 +116,7 @@ class ConnectionRules:
             connection.recent.extend(one.recent)
 
     def event(self, event: WireEvent) -> Iterator[Finding]:
-        """Check the next event of a network, and give the findings that are certain now."""
+        """Check the next event of a network. Yields each finding as soon as it is certain."""
         yield from self._advance(event.ts_ns)
         match event.kind:
             case EventKind.FOREIGN:

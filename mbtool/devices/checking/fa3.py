@@ -94,7 +94,7 @@ class Fa3Rules:
         self._modules: LruDict[str, _Module] = LruDict(_Module)
 
     def transaction(self, transaction: NamedTransaction, profile: Profile) -> Iterator[Finding]:
-        """Check the next transaction of a module, and give the findings that are certain now."""
+        """Check the next transaction of a module. Yields each finding as soon as it is certain."""
         module = self._modules[transaction.destination or transaction.link]
         source, at_ns = transaction.source or "", transaction.start_ns
         if source in module.connections:
@@ -114,7 +114,7 @@ class Fa3Rules:
         yield from _unapplied(module, transaction, profile)
 
     def event(self, event: WireEvent) -> Iterator[Finding]:
-        """Check the next event of an FA3 module, and give the findings that are certain now."""
+        """Check the next event of an FA3 module. Yields each finding as soon as it is certain."""
         module = self._modules[event.destination or event.link]
         match event.kind:
             case EventKind.FOREIGN if is_foreign_message(event.raw):

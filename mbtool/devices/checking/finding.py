@@ -70,5 +70,5 @@ def event_finding(code: str, event: WireEvent, message: str | None = None) -> Fi
 
 
 def is_joined(event: WireEvent) -> bool:
-    """True if a connection was already open when the capture began."""
+    """True if the event says that its connection was already open when the capture began."""
     return event.message == CONNECTION_JOINED

@@ -85,7 +85,7 @@ class LineRules:
     def transaction(
         self, transaction: NamedTransaction, profile: Profile | None, format_: SerialFormat | None
     ) -> Iterator[Finding]:
-        """Check the next transaction, and give the findings that are certain now.
+        """Check the next transaction. Yields each finding as soon as it is certain.
 
         `format_` are the settings of the line. None means that the times of its bytes are unknown;
         then no request is found to come too soon.
@@ -115,7 +115,7 @@ class LineRules:
         line.broadcast = transaction if is_broadcast else None
 
     def event(self, event: WireEvent) -> Iterator[Finding]:
-        """Check the next event of a line, and give the findings that are certain now."""
+        """Check the next event of a line. Yields each finding as soon as it is certain."""
         line = self._lines[event.link]
         match event.kind:
             case EventKind.BAD_CHECK:

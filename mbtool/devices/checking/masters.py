@@ -81,7 +81,7 @@ class MasterRules:
         """Counts the reads of an identification by each host that is not in `_known`."""
 
     def heard(self, host: str, at_ns: int) -> None:
-        """Note that a host sent something or opened a connection."""
+        """Note that a host sent something, or opened a connection, at the time `at_ns`."""
         if self._began_ns is None:
             self._began_ns = at_ns
         if at_ns - self._began_ns <= self._first_time_ns and len(self._known) < MAX_HOSTS:
@@ -104,7 +104,7 @@ class MasterRules:
             self._note_identification(transaction, host, slave)
 
     def takes(self, run: QuietRun) -> bool:
-        """True if `run` may take these transactions together.
+        """True if the method `run` may count these transactions together, not one by one.
 
         That is so if each host has already sent requests to each of its slaves.
         """

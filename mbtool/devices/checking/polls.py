@@ -124,7 +124,10 @@ class PollRules:
             poll.note(at_ns)
 
     def takes(self, run: QuietRun) -> bool:
-        """True if `run` may take these transactions, because it needs to drop no other poll."""
+        """True if the method `run` may add these transactions together, not one by one.
+
+        That is so if there is room for all their polls, so that none must be dropped.
+        """
         return self._polls.has_room(map(_key, run.polls))
 
     def run(self, run: QuietRun) -> None:

@@ -76,7 +76,7 @@ class QuietRun:
 
 
 class QuietRows(Protocol):
-    """Consecutive answered reads (rows) that break no rule, up to the next other record."""
+    """Consecutive answered reads (rows) that break no rule, with no other record between them."""
 
     def __len__(self) -> int: ...
 

@@ -98,7 +98,7 @@ class ResponseRules:
     def transaction(
         self, transaction: NamedTransaction, profile: Profile | None
     ) -> Iterator[Finding]:
-        """Check the next transaction, and give the findings that are certain now."""
+        """Check the next transaction. Yields each finding as soon as it is certain."""
         connection = (transaction.link, transaction.source)
         state = self._states[connection]
         at_ns = transaction.start_ns
@@ -142,7 +142,7 @@ class ResponseRules:
         return bool(self._pending)
 
     def takes(self, run: QuietRun) -> bool:
-        """True if `run` may take these transactions together.
+        """True if the method `run` may check these transactions together, not one by one.
 
         That is so if none of them may be the answered retry of a pending request.
         """
@@ -166,7 +166,7 @@ class ResponseRules:
             self._has_responded[poll.link, poll.unit][0] = True
 
     def event(self, event: WireEvent) -> Iterator[Finding]:
-        """Note lost or damaged bytes, and give the findings that are certain now."""
+        """Note lost or damaged bytes. Yields MB-401 for requests that have waited too long."""
         yield from self._advance(event.ts_ns)
         if event.kind in _LOST and not event.link:  # Part of a log is missing.
             self._pending.clear()

@@ -50,7 +50,7 @@ class SecurityRules:
         self._scans.transaction(transaction, source, slave, profile)
 
     def takes(self, run: QuietRun) -> bool:
-        """True if `run` may take these transactions together."""
+        """True if the method `run` may count these transactions together, not one by one."""
         return self._masters.takes(run) and self._scans.takes(run)
 
     def run(self, run: QuietRun) -> None:

@@ -51,7 +51,7 @@ class _SourceCases:
 
 
 class SecurityCases:
-    """The cases of all rules about attacks and scans."""
+    """Collects the cases of all rules about attacks and scans."""
 
     def __init__(self) -> None:
         self._cases: dict[tuple[str, str], _SourceCases] = {}

@@ -105,7 +105,7 @@ class Unpolled:
         self._cases = cases
         self._attempts: OrderedDict[_Thing, _Attempts] = OrderedDict()
         self._polled: dict[_Thing, None] = {}
-        """The things that are known to be polled, the oldest first."""
+        """The things (IP addresses, units ...) that are known to be polled, the oldest first."""
         self._scans: LruDict[_Scope, _UnpolledThings] = LruDict(lambda: _UnpolledThings(limit))
 
     def is_polled(self, scope: _Scope, item: Hashable) -> bool:
@@ -148,7 +148,10 @@ class Unpolled:
         return False
 
     def close(self) -> None:
-        """Count all things that no master polled. Call it at the end of the capture."""
+        """Count all IP addresses, units, functions or registers that no master polled.
+
+        Call it at the end of the capture.
+        """
         left, self._attempts = self._attempts, OrderedDict()
         for thing, attempts in sorted(left.items(), key=lambda one: one[1].finding.ts_ns):
             self._settle(thing, attempts)

@@ -64,8 +64,8 @@ class BodyReader:
         self._section: TableCell | None = None
         self._rows: list[ListRow] = []
         self._follows_row = False
-        """True if the row above the next one was added to `_rows`, or added bits or texts to the
-        last row there."""
+        """True if the last row that was read has a value, or adds bits or texts to a value. Then
+        the next row may add to that value."""
 
     def read(self) -> list[ListRow]:
         """Return the rows that have an address.

@@ -202,7 +202,7 @@ def _limits(row: ListRow, kind: PointType, words: int) -> tuple[dict[str, float]
 
 
 def _is_default(row: ListRow) -> bool:
-    """True if the row's default can be one of a point.
+    """True if a point can have the default value of the row.
 
     It must be a whole number from 0 to 7FFFH, and within the row's range.
     """
