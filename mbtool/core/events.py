@@ -43,8 +43,7 @@ class EventKind(StrEnum):
     SPOILT = "spoilt"
     """This program, playing the slave, distorted a response on purpose, as the user asked."""
     CLOCK_STEP = "clock-step"
-    """Somebody set the system's clock during the recording. The times in the log go on without a
-    step."""
+    """Somebody set the system's clock during the recording. The times in the log do not jump."""
     CUT = "cut"
     """The file ends in the middle of a record, or the capture kept only part of a packet."""
 

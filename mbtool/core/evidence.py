@@ -84,8 +84,7 @@ class Origin(NamedTuple):
     addresses: LinkAddresses | None = None
     """The addresses of the packet on the link layer, if it has any."""
     offset: int | None = None
-    """In a file of serial bytes, the number of bytes of the file's line before these; None for a
-    packet."""
+    """How many bytes of a serial line precede these bytes in their file; None for a packet."""
 
 
 class StreamPlace(NamedTuple):

@@ -52,8 +52,8 @@ _OWN_ADDRESSES = {
     "127.0.0.1": ("localhost",),
     "localhost": ("127.0.0.1",),
 }
-"""Other addresses and names that reach a tap, by the address at which it listens. They show that a
-tap would connect to itself."""
+"""Other addresses and names that also reach a tap that listens at the address in the key. A tap
+must not connect to one of them, as it would connect to itself."""
 
 
 @dataclass(frozen=True, slots=True)

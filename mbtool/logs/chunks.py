@@ -39,7 +39,10 @@ PLAIN_DATA_AT = CHUNK_HEAD.size + DATA_LENGTH.size
 
 
 class Unpacker:
-    """Unpacks the chunks of one log, up to the limits on unpacked bytes."""
+    """Decompresses the chunks of one log.
+
+    A limit on the unpacked bytes protects against decompression bombs.
+    """
 
     def __init__(self) -> None:
         self._zstd = zstandard.ZstdDecompressor()
@@ -47,7 +50,7 @@ class Unpacker:
         """The number of bytes that may still be unpacked before the limit is reached."""
 
     def allow(self, size: int) -> None:
-        """Raise the limit on unpacked bytes, as `size` further bytes of the log file were read."""
+        """Raise the limit on unpacked bytes, as `size` more bytes of the log file were read."""
         self._left += MAX_RATIO * size
 
     def spend(self, size: int) -> bool:

@@ -116,9 +116,9 @@ class CompleteFile:
         """
         length = DATA_END_SIZE + len(summary(0)[0])
         if not _fits(self.position + length, FOOTER_SIZE):
-            # If the tail, or the footer behind the summary, would cross a sector boundary, a filler
-            # record moves both. Few offsets lead to a crossing, so some size of the filler suits
-            # both.
+            # If the tail (DataEnd and Footer), or the footer behind the summary, would cross the
+            # boundary of a 512-byte sector, a filler record moves both. Few offsets lead to a
+            # crossing, so some size of the filler suits both.
             size = next(
                 size
                 for size in range(TAIL_SIZE, TAIL_SIZE + SECTOR)
@@ -201,5 +201,5 @@ def _padding(end: int, tail: int, minimum: int) -> bytes:
 
 
 def _fits(start: int, size: int) -> bool:
-    """True if the `size` bytes that begin at an offset are all in one sector."""
+    """True if the `size` bytes from file offset `start` on are inside one 512-byte sector."""
     return start % SECTOR + size <= SECTOR

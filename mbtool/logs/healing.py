@@ -13,8 +13,8 @@
 #      goes on there.
 #   3. Otherwise the next record that proves to be sound is searched for, byte by byte.
 #
-# The bytes that are skipped in 2 and 3 are returned as a Hole. If nothing is found up to the end of
-# the file, the error says whether the file was cut off.
+# Skipped bytes are returned as a Hole. If nothing is found up to the end of the file, the error
+# says whether the file was cut off.
 #
 # Memory: one record, the records of one chunk, and SEARCH_BYTES. Time: bytes that are checked as
 # possible records count against the limit on unpacked bytes in chunks.py, which grows with the

@@ -44,8 +44,8 @@ if TYPE_CHECKING:
 
 BATCH = 4096
 _COUNTED = 16
-"""This many bytes of joined serial reads count as one message in the limit BATCH; one read takes 2
-bytes or more."""
+"""For the limit of BATCH messages, this many bytes of joined serial reads count as one message; one
+read takes 2 bytes or more."""
 
 _TYPES: dict[str, Any] = {
     schemas.CHUNK: ChunkMessage,

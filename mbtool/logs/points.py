@@ -30,7 +30,7 @@ class PointChanges:
     def changes(self, transaction: NamedTransaction, ts_ns: int) -> Iterator[PointMessage]:
         """Yield the points of a transaction that changed; none if it had no effect on the device.
 
-        `ts_ns` is the time for the yielded points, UTC ns.
+        `ts_ns`, UTC ns, becomes the time of the yielded points.
         """
         if not transaction.points or not transaction.took_effect:
             return

@@ -1,4 +1,4 @@
-"""Makes the schema of each topic from the type of its messages."""
+"""Makes the MCAP schema of each topic from the type of its messages."""
 
 # All messages are JSON except EVIDENCE, which is protobuf (evidence_blocks.py).
 #

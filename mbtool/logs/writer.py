@@ -71,9 +71,11 @@ FLUSH_AFTER_NS = 500_000_000
 FLUSH_LARGE_AFTER_NS = 150_000_000
 LARGE = 32 * 1024
 MAX_WAITING = 2000
-"""The most messages that are kept back until the serial reads before them are joined."""
+"""The most messages other than serial reads that are kept in memory until the serial reads before
+them are joined into one message and written."""
 MAX_READ_BYTES = 64 * 1024
-"""The most bytes of serial reads that are kept until they are joined into messages."""
+"""The most bytes of serial reads that are kept in memory until they are joined into one message and
+written."""
 MAX_LINKS = 10_000
 OTHER_LINKS = "others"
 
@@ -121,13 +123,14 @@ class LogWriter(ClosesOnExit):
         self._file = CompleteFile(file, str(self._path), MAGIC + packed(header), make_room)
         self._container = Container(self._file)
         self._reads: dict[str, list[Chunk]] = {}
-        """The reads of serial lines since the last flush, by link name. They are not yet joined."""
+        """The reads of serial lines since the last flush, by link name. They are not yet joined
+        into messages."""
         self._read_count = self._read_bytes = 0
         self._evidence: list[_Waiting] = []
-        """Other captured chunks and packets, which will follow the joined reads in the file."""
+        """Captured chunks and packets that are not serial reads. They are written after the reads
+        in `_reads`."""
         self._decoded: list[_Waiting] = []
-        """All other messages, which will follow the joined reads and the captured data in the
-        file."""
+        """Decoded messages. They are written after all captured data that are kept in memory."""
         self._topics: dict[tuple[str, str], Topic] = {}
         self._links: set[str] = set()
         self._encode = msgspec.json.Encoder().encode

@@ -24,8 +24,7 @@ MOST_LATE_NS = 10_000_000_000
 class SerialArrivals:
     """Estimates when the bytes of a serial port arrived, even if the process read them late.
 
-    So a process that was kept from running between two reads sees no silence that was not on the
-    line.
+    So a process that was kept from running does not take its own delay for a silence on the line.
     """
 
     def __init__(self, character_ns: int) -> None:

@@ -170,7 +170,7 @@ def _product(usb: Path) -> str:
 def _low_latency(
     timer: int | None, flags: int | None, driver: str | None
 ) -> tuple[bool | None, bool | None]:
-    """Return two bools: low latency is on; it can be switched on. None means unknown."""
+    """Return True if low latency is on, and True if it can be switched on; None means unknown."""
     if timer is not None:
         return timer <= 1, True
     if flags is not None:
@@ -186,7 +186,7 @@ def _permission(path: Path, name: str) -> list[Trouble]:
             Trouble(f"the kernel has it, but there is no /dev/{name} here; is this a container?")
         ]
     except OSError:
-        pass  # Without these facts the user counts as having no access.
+        pass  # os.access then says that there is no access.
     if os.access(path, os.R_OK | os.W_OK, effective_ids=os.access in os.supports_effective_ids):
         return []
     why = who_may(str(path))

@@ -29,7 +29,7 @@ _AT_ONCE = "1"
 
 
 class LowLatency:
-    """Sets the low-latency settings of one port, and restores the old ones."""
+    """Makes the driver of one port deliver bytes at once, and restores its old settings."""
 
     def __init__(self, fd: int, port: str, root: Path = Path("/")) -> None:
         """Change the settings that may be changed; `root` is the folder that contains /sys."""

@@ -196,7 +196,7 @@ def place_of(path: str) -> tuple[object, bool]:
         return path, True
     try:
         status = os.stat(path)
-    except (OSError, ValueError):  # Opening the file will raise the error for the user.
+    except (OSError, ValueError):  # Opening the file later will report the error.
         return path, False
     return (status.st_dev, status.st_ino), stat.S_ISFIFO(status.st_mode)
 

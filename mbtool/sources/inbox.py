@@ -89,7 +89,8 @@ class Inbox:
         self._losses: dict[str, _Loss] = {}
         self._changed = Condition()
         self._first = 0
-        """The number of sources that are inside the context `first`, so that the consumer waits."""
+        """The number of sources that are inside a context of `first`, so that the consumer
+        waits."""
         self._calm = Event()
         self._calm.set()
 

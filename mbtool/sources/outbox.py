@@ -48,7 +48,7 @@ class Outbox:
             self._timer = self._loop.call_later(HOLD_S, self.flush)
 
     def flush(self) -> None:
-        """Hand all collected items to the other sink now."""
+        """Hand all collected items to the inbox now, without waiting for the delay to pass."""
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None

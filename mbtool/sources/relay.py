@@ -1,10 +1,10 @@
 """One connection through the tap: two transports that pass bytes to each other."""
 
-# The relay behaves like a direct connection. If one side closes its direction, the relay closes it
-# towards the other side, and the other direction goes on. It passes on a reset. It passes on
-# back-pressure: if one side does not read, the relay stops reading the other side. asyncio's
-# transport buffers 64 KiB for each side before it asks to stop, and may exceed this by one read of
-# at most 256 KiB.
+# The relay behaves like a direct connection. If one side closes its sending direction (half-close),
+# the relay closes that direction towards the other side, and the other direction goes on. It passes
+# on a reset. It passes on back-pressure: if one side does not read, the relay stops reading the
+# other side. asyncio's transport buffers 64 KiB for each side before it asks to stop, and may
+# exceed this by one read of at most 256 KiB.
 #
 # Each side may have TLS (ports/tls.py); the decrypted bytes are recorded. The relay connects to the
 # target once the master's handshake is complete. Bytes that the master sends right after the

@@ -90,7 +90,7 @@ class ReturningSource(LiveSource[SerialLink | InterfaceLink]):
         with self._lock:
             is_lost = item.error is not None and not self._is_closing
             if not is_lost:
-                return  # `close` puts one Ended for the whole source.
+                return  # `close` puts the only Ended item of this source.
         self._lost_ns = monotonic_ns()
         self.is_lost = True
         self._tell(f"{item.error} It is opened again when it is back")

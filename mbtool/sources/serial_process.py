@@ -31,7 +31,7 @@ def run_process(read: Callable[[RecordWriter, Event], None]) -> None:
     raises LinkError, the error's text becomes the last record.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    if hasattr(signal, "SIGTSTP"):  # Ctrl-Z goes to all processes of the terminal.
+    if hasattr(signal, "SIGTSTP"):  # Ctrl-Z sends it to all processes of the terminal.
         signal.signal(signal.SIGTSTP, signal.SIG_IGN)
     run_promptly()
     gc.disable()  # A garbage collection would delay a time stamp; there are no cycles.

@@ -122,7 +122,7 @@ class _Head:
 
     @property
     def level(self) -> int:
-        """The level of the first sample, 0 or 1, inverted if the channel is inverted."""
+        """The level of the first sample, 0 or 1, corrected if the channel was recorded inverted."""
         return self.first ^ self.is_inverted
 
     def characters(self, line: SerialFormat, rate: int) -> list[Character]:
@@ -133,7 +133,7 @@ class _Channel(NamedTuple):
     number: int
     """The number of the channel, counted from 0."""
     level: int
-    """The level of the first sample, 0 or 1, inverted if the channel is inverted."""
+    """The level of the first sample, 0 or 1, corrected if the channel was recorded inverted."""
 
 
 @dataclass(slots=True)

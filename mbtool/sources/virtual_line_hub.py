@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 
 MAX_PENDING = 4096
 GRAIN_NS = 250_000
-"""The shortest time between two deliveries, in ns."""
+"""The shortest time between two deliveries of characters to the ends, in ns."""
 
 
 class Sender:
