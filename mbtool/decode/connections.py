@@ -70,8 +70,8 @@ class Bus:
             self._splitter = RtuSplitter(line, model, timed=timed)
             self._pairing = Pairing(self._ends, model.history.master_still_waits)
         self._origins: SerialOrigins | None = None
-        """Finds where each frame stands in the capture file; None until bytes come with their place
-        in a file."""
+        """Finds where each frame stands in the capture file; None until bytes come whose place in a
+        file is known."""
 
     def feed(self, data: bytes, ts_ns: int, place: StreamPlace | None = None) -> list[Decoded]:
         """Take the bytes of one read; return what they complete.

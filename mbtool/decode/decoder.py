@@ -205,9 +205,9 @@ class Decoder:
     def pass_times(
         self, times: Sequence[int], start: int, end: int
     ) -> list[tuple[int, list[Record]]]:
-        """Let the times of packets that the array decoder (columns/) took pass for all others.
+        """Advance the time of other connections by packets that the array decoder (columns/) took.
 
-        `times[start:end]` are these times in ns, ascending. Returns the records of other
+        `times[start:end]` are the packets' times in ns, ascending. Returns the records of other
         connections that become due, each list with the index of its time in `times`.
         """
         delivered = self._reassembler.pass_times(times, start, end)

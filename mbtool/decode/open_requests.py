@@ -55,7 +55,7 @@ class OpenRequest(msgspec.Struct, gc=False, eq=False, kw_only=True):
         return None if self.adu is None else self.adu.pdu[0]
 
     def can_get(self, response: Adu, place: AduPlace | None) -> bool:
-        """False if unit, function or acknowledgements rule out that the response is its own."""
+        """False if unit, function or acknowledgements prove that it got another response."""
         request = self.adu
         if request is not None and not (
             request.unit == response.unit and is_response_code(request.pdu[0], response.pdu[0])

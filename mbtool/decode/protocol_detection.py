@@ -75,7 +75,7 @@ _PROTOCOL_ID = re.compile(rb"(?s)..\x00\x00|.{0,2}\x00?\Z")
 
 
 class ProtocolState(Enum):
-    """The state of the search for a connection's protocol."""
+    """The result of the detection so far: none yet, Modbus, or another protocol."""
 
     UNDECIDED = auto()
     MODBUS = auto()

@@ -40,8 +40,8 @@ class StreamProgress:
 
     def __init__(self) -> None:
         self.captured: int | None = None
-        """The position behind the last byte captured; None before the first one, and if positions
-        are unknown."""
+        """The stream position behind the last captured byte; None before the first byte, and if the
+        source gives no positions."""
         self.unread = 0
         """The number of bytes since the last ADU or skipped bytes that the splitter still holds."""
         self.received: int | None = None

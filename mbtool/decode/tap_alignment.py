@@ -41,16 +41,16 @@ adapter's latency timer holds bytes back (16 ms)."""
 MAX_ALIGNED = 8
 
 _MISMATCH_NS = 4 * SKEW_NS
-"""Cost of aligning a request and a response of the same unit and function that differ in, for
+"""Cost (ns) of aligning a request and a response of the same unit and function that differ in, for
 instance, the quantity: that is rarer than a lost response."""
 _IMPATIENCE = 8
-"""Cost for each ns by which a master waited less than SKEW_NS for a response before its next
+"""Cost (ns) for each ns by which a master waited less than SKEW_NS for a response before its next
 request: masters wait longer."""
 _UNSOLICITED_NS = MAX_ALIGNED * SKEW_NS
-"""Cost of a response without a request: slaves do not send on their own."""
+"""Cost (ns) of a response without a request: slaves do not send on their own."""
 _FIRST_UNSOLICITED_NS = SKEW_NS
-"""Cost of a response without a request if it is the first of a capture: its request may have been
-sent before the capture."""
+"""Cost (ns) of a response without a request if it is the first of a capture: its request may have
+been sent before the capture."""
 _IMPOSSIBLE_NS = sys.maxsize
 
 

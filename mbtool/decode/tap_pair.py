@@ -85,13 +85,14 @@ class TapPair:
         """The time, in ns, by which responses seem early (negative: late), learned from earlier
         ones."""
         self._misplaced = 0
-        """The number of frames so far that only the other side can have sent; -1 once it is known
-        whether the ports are exchanged."""
+        """The number of frames so far whose form fits only the other tap's direction; -1 once it is
+        known whether the ports are exchanged."""
 
     def feed(self, direction: Direction, data: bytes, ts_ns: int) -> list[Decoded]:
         """Take the bytes of one read; `ts_ns` is the time of the last one.
 
-        Direction.RESPONSE marks the slaves' side, every other direction the master's.
+        Direction.RESPONSE means the tap that hears the slaves, every other direction the tap that
+        hears the master.
         """
         speaker = Direction.RESPONSE if direction is Direction.RESPONSE else Direction.REQUEST
         decoded = self._restart_if_set_back(ts_ns, self._sides[speaker].until_ns)
@@ -141,7 +142,7 @@ class TapPair:
         return decoded
 
     def _take_known(self) -> list[Decoded]:
-        """Give the pairing the events before which no event of either side can still arrive."""
+        """Give the pairing the events before which no event of either tap can still arrive."""
         known_ns = min(side.known_ns for side in self._sides.values())
         decoded: list[Decoded] = []
         while self._held and (self._first_ns + LOOKAHEAD_NS <= known_ns or self._held > MAX_HELD):
@@ -181,7 +182,7 @@ class TapPair:
         self._pending = TapRequest.of(request) if request.unit != 0 else None
 
     def _next_side(self) -> _TapSide:
-        """Return the side whose first event was sent before the other side's."""
+        """Return the tap whose first waiting event was sent before the other tap's."""
         if not self._slaves.events:
             return self._master
         if not self._master.events:
@@ -206,7 +207,7 @@ class TapPair:
     def _check_ports(
         self, event: Adu | Skipped, speaker: Direction, decoded: list[Decoded]
     ) -> None:
-        """Report exchanged ports once enough frames fit only the other side."""
+        """Report exchanged ports once enough frames fit only the other tap's direction."""
         if self._misplaced < 0:
             return
         fitting = _only_speaker(event)
@@ -242,7 +243,7 @@ class _TapSide:
 
     @property
     def known_ns(self) -> int:
-        """The time (ns) before which no further event of this side can begin."""
+        """The time (ns) before which no further event of this tap can begin."""
         return self._held[0].start_ns if self._held else self.until_ns
 
     @property

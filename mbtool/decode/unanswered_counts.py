@@ -29,5 +29,5 @@ class UnansweredCounts(dict[tuple[int, bytes], int]):
         return before
 
     def take(self, request: Adu) -> int:
-        """Return the number of unanswered requests equal to this one, and forget it."""
+        """Return the number of unanswered requests equal to this one, and forget them."""
         return self.pop(request_key(request), 0)

@@ -123,7 +123,7 @@ class MbapSplitter:
         return events
 
     def close(self) -> list[Adu | Skipped]:
-        """End the stream: return the buffered bytes, as skipped."""
+        """End the stream: return the buffered bytes as `Skipped`."""
         events: list[Adu | Skipped] = []
         self._skips.end(events)
         if self._buffer:

@@ -104,7 +104,7 @@ class Transaction(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True,
 
     @property
     def written_quantity(self) -> int:
-        """The number of registers that function 17H writes; without the field, of its values."""
+        """The number of registers that function 17H writes: its quantity field, else its values."""
         if self.write_quantity is not None:
             return self.write_quantity
         return len(self.request_values or ())

@@ -55,7 +55,7 @@ class AsciiSplitter:
         speaker: Direction | None = None,
         timed: bool = True,
     ) -> None:
-        """`speaker` is the direction of all frames if only one side is heard; None if both are.
+        """`speaker` is the direction of all frames if only one direction is heard; else None.
 
         `timed` is False if the times are not known; then no silence ends a frame.
         """

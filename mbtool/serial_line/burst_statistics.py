@@ -22,7 +22,7 @@ long that it merges a request and its retry."""
 BUFFER_SIZES = 32, 62
 """A full buffer of an adapter holds a multiple of 32 or of 62 bytes."""
 SILENCE_GROWTH = 1.01
-"""Each burst makes the shortest silence on record 1 % longer, so that it is forgotten in time."""
+"""Each burst makes the shortest silence on record 1 % longer, so that an old one is forgotten."""
 
 
 class BurstStatistics:

@@ -161,7 +161,7 @@ class BusModel:
         return self.expects(state, head[0], head[1], size and size - RTU_EXTRA_BYTES, role)
 
     def silence_cost(self, state: BusState, *, is_last: bool = False) -> float:
-        """Return the cost, in bits, of supposing that no response was missing in the last silence.
+        """Return the cost, in bits, of supposing that no response is missing in the last silence.
 
         `is_last` is True if no frame after that silence is known yet.
         """

@@ -1,4 +1,4 @@
-"""The bus state of a serial line: which request is pending or overdue, and what came last."""
+"""The bus state of a serial line: the pending request, an overdue one, and what came last."""
 
 # A bus state is an immutable value, so that the search can suppose one for each of its paths
 # (explanations of the bytes), and compare them. bus_model.py computes the state that follows a
@@ -35,8 +35,8 @@ class PendingRequest(msgspec.Struct, frozen=True, gc=False):
     pdu: bytes
     expected: ExpectedResponse
     awaited_from_ns: int
-    """When the wait for the response began, in ns: at the end of this request, or, if it is
-    overdue, at the end of the request sent after it."""
+    """When the wait for the response began, in ns: at the end of this request or, if the master has
+    given it up, at the end of the request sent after it."""
     silence_before_ns: int | None
     """The silence before this request, in ns; None for the first frame of a capture."""
 
@@ -90,7 +90,7 @@ class BusState(msgspec.Struct, frozen=True, gc=False):
         return pending
 
     def has_recent_request(self, unit: int, code: int) -> bool:
-        """True if the request just answered, or the overdue one, has this unit and function."""
+        """True if the request just answered, or one given up, has this unit and function."""
         return any(one.is_named_by(unit, code) for one in (self.answered, self.overdue) if one)
 
     def awaits_exactly(self, unit: int, code: int, size: int) -> bool:

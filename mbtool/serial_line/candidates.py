@@ -128,9 +128,9 @@ class Candidates:
         self._statistics = statistics
         self._roles = roles
         self._frames: dict[int, list[FrameCandidate]] = {}
-        """The frames at each offset examined so far."""
+        """By offset examined so far, the frames with a correct CRC that begin there."""
         self._stateless: dict[int, list[DamagedCandidate]] = {}
-        """Damaged frames at each offset examined so far whose cost is the same in every bus
+        """By offset examined so far, the damaged frames whose cost is the same in every bus
         state."""
         self._all_frames = _RangeCount(lambda offset: bool(self.frames(offset)))
         self._frames_after_silence = _RangeCount(self._begins_after_silence)
@@ -299,8 +299,8 @@ class Candidates:
     def _damaged_burst(self, offset: int) -> Iterator[DamagedCandidate]:
         """Yield all bytes up to the next silence as one frame whose first bytes are damaged.
 
-        Those bytes would tell its size. Used only if frames are never glued on this line: else the
-        bytes may be several frames.
+        Those bytes would tell its size. Used only if silences separate all frames on this line:
+        else the bytes may be several frames.
         """
         burst = self._burst_size(offset) if self._window.silences[offset] else 0
         if (

@@ -168,8 +168,8 @@ in the same search 1 bit cheaper, but not cheaper than this."""
 SKIP_PER_BYTE = 0.25
 """The cost, in bits, of each skipped byte after the first, and of each byte of a damaged frame."""
 MAX_DAMAGED_LENGTH = 12.0
-"""The most bits that the length of a damaged frame costs if silences bound the frame and frames are
-never glued on this line: its length is then certain."""
+"""The most bits that the length of a damaged frame costs if silences bound the frame and separate
+all frames on this line: its length is then certain."""
 CRC_COINCIDENCE = 16.0
 """The cost, in bits, of taking bytes for no frame although they have a correct CRC at the size that
 their function tells: chance makes such a CRC once in 65,536 times."""
@@ -259,7 +259,8 @@ is correct without that byte too. One frame in 256 ends in 00, and one stray byt
 it depends on how frequent stray bytes are on this line."""
 ENDS_IN_ZERO_MORE = 6.0
 """Extra cost, in bits, of each further 00 at the end of a frame whose function does not tell its
-size: one byte in 256 of a CRC is 00 (8 bits), but one stray byte in four (2 bits)."""
+size: one byte in 256 of a CRC is 00 (8 bits), but one stray byte in four (2 bits). So the 00 is 6
+bits more likely to be a stray byte."""
 ZERO_BEFORE_SILENCE = 1.5
 """Bits taken off ENDS_IN_ZERO if a silence follows the 00 at the end of the frame: a stray byte
 usually has a silence before it as well."""

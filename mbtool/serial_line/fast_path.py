@@ -40,7 +40,7 @@ class FastPath:
     """Tells if the next bytes of a line are certainly a frame, or certainly part of one."""
 
     def __init__(self, bus_model: BusModel, speaker: Direction | None, max_size: int) -> None:
-        """`speaker` is the direction of all frames if only one side is heard; None if both are.
+        """`speaker` is the direction of all frames if only one direction is heard; else None.
 
         `max_size` is the number of bytes at which the search decides without waiting for a silence.
         """
@@ -165,9 +165,9 @@ class FastPath:
             return classified.confidence >= SURE
         if classified.direction is Direction.REQUEST:
             return classified.confidence >= _REQUEST_CONFIDENCE
-        # Without silences, two equal frames may be a request and its echo, or a request and its
-        # retry. The frame after them can tell, if it has the same unit and function; and so can the
-        # length of the last silence.
+        # If silences do not tell who speaks, two equal frames may be a request and its echo, or a
+        # request and its retry. The frame after them can tell, if it has the same unit and
+        # function; and so can the length of the last silence.
         return (
             classified.confidence >= _RESPONSE_CONFIDENCE
             and not head.startswith(head[size : size + 2])

@@ -1,4 +1,4 @@
-"""Line statistics: learned costs of noise, glued and split frames; the longest response time."""
+"""Line statistics: learned costs of noise, merged and split frames; the longest response time."""
 
 from __future__ import annotations
 
@@ -52,10 +52,10 @@ class LearnedCost:
 
 
 class LineStatistics:
-    """The learned costs of skipped bytes, noise, glued frames, split frames and wrong bits."""
+    """The learned costs of skipped bytes, noise, merged and split frames, and wrong bits."""
 
     def __init__(self, *, timed: bool = True) -> None:
-        """`timed` is False if the bytes' times are not known: then all frames look glued."""
+        """`timed` is False if the bytes' times are not known: then no silence separates frames."""
         self.skip = LearnedCost(costs.SKIP, costs.SKIP_LIMITS)
         self.noise = LearnedCost(costs.NOISE, costs.NOISE_LIMITS, is_slow=True)
         self.glue = LearnedCost(costs.GLUED if timed else 0.0, costs.GLUED_LIMITS)

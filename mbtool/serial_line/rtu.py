@@ -72,7 +72,7 @@ class RtuSplitter:
     ) -> None:
         """`timed` is False if the bytes' times are made up, as for a file of bytes alone.
 
-        `speaker` is the direction of all frames if only one side is heard; None if both are.
+        `speaker` is the direction of all frames if only one direction is heard; else None.
         """
         self._character_ns = line.character_ns
         self._t1_5_ns = line.t1_5_ns
@@ -239,8 +239,8 @@ class RtuSplitter:
         if not last or self._last_end is None or not self._data.startswith(last):
             return False
         size, first_ns = len(last), self._times[0]
-        # An adapter that merges frames may merge a request with its retry too. But then it also
-        # merges the request with the frame before it, so that no silence precedes the request.
+        # If the adapter merges frames, this may be a retry. But it then merges the request with the
+        # frame before it, too. So a silence before the request shows that this is a copy.
         is_heard = self._model.history.trusts_silences and self._follows_silence
         is_glued = is_heard and first_ns - self._last_end[0] < self._silent_ns
         # If no silence follows, a longer frame may begin with the same bytes.

@@ -310,8 +310,8 @@ class PathSearch:
     def _add_skipped(self, offset: int, path: Path, is_frame: bool, is_unknown: bool) -> None:
         """Extend a path by one byte that belongs to no frame.
 
-        A frame with a correct CRC may begin there: one of known form if `is_frame` is True, one of
-        unknown form if `is_unknown` is True.
+        A frame with a correct CRC may begin there: if `is_frame` is True, one whose function tells
+        its size; if `is_unknown` is True, one whose function does not.
         """
         is_noise = self._data[offset] in NOISE and (path.ends_frame or path.is_noise)
         continues = path.skipped and is_noise is path.is_noise
