@@ -110,7 +110,7 @@ class SoundRecords:
         """The CRC of all bytes of the file before the record that was returned last."""
 
     def read(self) -> McapRecord | Hole:
-        """Return the next intact record, with a chunk unpacked, or the hole before it.
+        """Return the next intact record (a chunk unpacked), or a hole for skipped bytes.
 
         Raises CutError where the file ends without a DataEnd record, DamageError where no further
         record can be found. Both name the file offset.

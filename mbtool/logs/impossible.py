@@ -1,4 +1,4 @@
-"""Counts the messages of a log that are left out because a number in them is impossible."""
+"""Counts the messages of a log that are left out because a number in them is out of range."""
 
 # The types of the fields give the range of each number (modbus/transaction.py), such as 0 to 255
 # for a unit. The recorder writes no number outside it, so such a message was made by another

@@ -93,7 +93,7 @@ class MessageDecoder:
         self.end_ns = 0
         """The log time (ns) of the last item that was decoded; 0 before the first."""
         self.impossible = ImpossibleItems()
-        """Counts the messages that were left out because a number in them is impossible."""
+        """Counts the messages that were left out because a number in them is out of range."""
 
     def batches(self, record: McapRecord, wanted: frozenset[str]) -> Iterator[list[LogItem]]:
         """Yield the items of the wanted schemas in a chunk, or in a record outside of chunks.

@@ -300,7 +300,7 @@ class LogWriter(ClosesOnExit):
             self._add(findings, known_ns, item.start_ns, _finding(code, item, known_ns))
 
     def _own_topic(self, point: PointMessage) -> Topic | None:
-        """The topic of a single point; None if there are too many, or if none was asked for."""
+        """Return the topic for one point alone; None if there are too many, or none is wanted."""
         name = None if self._point_topics is None else self._point_topics.name_of(point)
         if name is None:
             return None
