@@ -74,7 +74,7 @@ class Capture:
         return (one for one in self.records() if not isinstance(one, WireEvent))
 
     def events(self) -> Iterator[WireEvent]:
-        """Yield all other events: gaps, skipped bytes, connections that opened or closed."""
+        """Yield the events, which are no transactions: gaps, skipped bytes, and connections."""
         return (one for one in self.records() if isinstance(one, WireEvent))
 
     def records(self) -> Iterator[Record]:

@@ -38,7 +38,7 @@ class PointRow(NamedTuple):
     name: str
     """The name of the point; the reference, if the profile names no point there."""
     value: int | float | None
-    """The value in the point's unit of measure; None for a text."""
+    """The value in the point's unit of measure; None if the value is a text."""
     text: str
     unit_of_measure: str | None
     written: bool

@@ -90,7 +90,10 @@ def _ask_all(
     options: TableOptions,
     if_interrupted: str = "interrupted",
 ) -> None:
-    """Send the requests and print their transactions. Exits with 1 if one got no valid answer."""
+    """Send the requests, print their transactions, and exit with 1 if one failed.
+
+    A request fails if it gets an exception, a malformed response or none.
+    """
     from mbtool.cli.ask_options import print_asked
     from mbtool.workflows.ask import ANSWERED_OUTCOMES
 

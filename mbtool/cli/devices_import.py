@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 class AddressesChoice(StrEnum):
-    """How a register list writes addresses: from 0, from 1, as references or hexadecimal."""
+    """The form of the addresses in a register list: from 0, from 1, references or hexadecimal."""
 
     ZERO_BASED = "zero-based"
     ONE_BASED = "one-based"
@@ -33,14 +33,14 @@ class AddressesChoice(StrEnum):
 
 
 class ScalingChoice(StrEnum):
-    """How the factors in a register list are used: registers are multiplied or divided by them."""
+    """The use of the factors in a register list: registers are multiplied or divided by them."""
 
     MULTIPLY = "multiply"
     DIVIDE = "divide"
 
 
 class WordOrderChoice(StrEnum):
-    """Which word of a value in several registers comes first: the high or the low one."""
+    """The word that comes first in a value of several registers: the high or the low one."""
 
     HIGH_FIRST = "high-first"
     LOW_FIRST = "low-first"

@@ -68,7 +68,7 @@ def _open_for(path: str, place: Path) -> Iterator[TextIO]:
 def _left_if_begun(path: str) -> Iterator[None]:
     """If an error ends the context, delete a new file that is empty.
 
-    If the file has content, the error message says that it ends early.
+    If the file has content, the message of an OutputError says that it ends early.
     """
     is_new = not os.path.lexists(path)
     try:

@@ -142,7 +142,7 @@ class ParquetPrinter(Printer):
             self._rows.write(record)
 
     def print_table(self, table: Table) -> None:
-        """Print a table (columns of many transactions)."""
+        """Print transactions that are given as a table of columns."""
         self._rows.write_table(table)
 
     def flush(self) -> None:

@@ -109,7 +109,7 @@ def is_link(text: str) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class _Shown:
-    """The sources, and the options for showing their statistics."""
+    """The files or links, and the options for showing their statistics."""
 
     sources: Sequence[str]
     where: str | None

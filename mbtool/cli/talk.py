@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 PATIENCE_S = 0.5
-"""A recording waits at most this many seconds for standard error to take a message, and only
-once."""
+"""A recording waits at most this many seconds for standard error to take a message; once it has
+waited in vain, it no longer waits."""
 
 _wipes: list[Callable[[], None]] = []
 """Functions that erase lines that are redrawn in place, such as the progress line."""

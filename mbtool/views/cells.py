@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from mbtool.views.changed_points import PointsRead
 
 MANY_BITS = 8
-"""If a response has more bits than this, a cell shows them in groups of GROUP bits."""
+"""If a request or response has more bits than this, a cell shows them in groups of GROUP bits."""
 GROUP = 8
 FOLDED = 4
 """At least this many equal values that follow each other are shown once, with their number: `0

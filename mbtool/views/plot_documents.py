@@ -23,7 +23,7 @@ _BARS = 16
 def values_table(series: Mapping[SeriesKey, ValueSeries], *, unicode: bool) -> Table:
     """Return a table with a row for each register, bit or point (named value).
 
-    Those that change most often come first. `unicode` adds a column that draws the last changes as
+    Those that change most often come first. `unicode` adds a column that draws the last values as
     bars.
     """
     several = len({key.link for key in series}) > 1

@@ -29,7 +29,7 @@ _DOTS = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))
 """The bits of a Braille pattern that stand for its dots; a pair for each of the four rows."""
 
 Extent = tuple[float, float] | None
-"""The least and the greatest value within one column; None before the first value."""
+"""The least and the greatest value within one column of a chart; None before the first value."""
 
 
 class PlotSize(NamedTuple):

@@ -1,4 +1,4 @@
-"""Prints statistics in sections: the verdict first, then links, polls, functions and others."""
+"""Prints statistics in sections: a summary first, then links, polls, functions and others."""
 
 # An empty section is left out. A section lists at most `top` rows; its last line says how many more
 # there are. On a terminal, sections get fewer rows, and then the last sections are left out, until
@@ -86,9 +86,10 @@ def statistics_lines(
     height: int | None = None,
     top: int | None = None,
 ) -> list[StyledLine]:
-    """Return all lines. `width` and `height` are the terminal's in characters, None on a pipe.
+    """Return all lines of the statistics, for a terminal or a pipe.
 
-    Without `top`, a section has as many rows as fit the height, FEWEST to USUAL.
+    `width` and `height` are the terminal's in characters, None on a pipe. Without `top`, a section
+    has as many rows as fit the height, FEWEST to USUAL.
     """
     if top is not None or height is None:
         return _joined(_sections(links, width, top or USUAL), (), width)

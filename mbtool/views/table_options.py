@@ -47,7 +47,7 @@ class TableOptions:
     """The columns that the user chose; empty for the default columns. The text of a row is always
     shown."""
     in_hex: bool = False
-    """True to show values as 1234H, without the names of points."""
+    """True to show values as 1234H, without the names of points (named values)."""
     wide: bool = False
     """True to print each row on one line, even if the terminal is narrower."""
     full: bool = False

@@ -31,7 +31,7 @@ out."""
 
 @dataclass(slots=True)
 class DrawContext:
-    """What the cells of a live table depend on, apart from the rows themselves."""
+    """The state that the cells of a live table depend on, apart from the rows themselves."""
 
     now_ns: int = 0
     """The time for which the view is drawn, in ns since 1970."""

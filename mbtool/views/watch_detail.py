@@ -26,7 +26,7 @@ WHY = {
     DirectionBy.FORM: "only one direction can have this form",
     DirectionBy.TIMING: "the silence before it decided, as its form fits both",
 }
-"""How the decoder decided whether a frame is a request or a response, in words."""
+"""The evidence by which the decoder took a frame for a request or a response, in words."""
 VERDICTS = {
     Verdict.GLUED: "no silence separates it from the frame beside it",
     Verdict.SPLIT: "a silence of t3.5 or longer inside",

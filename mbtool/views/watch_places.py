@@ -18,7 +18,7 @@ _WIDEST = 15
 
 
 class PlaceColumn(NamedTuple):
-    """How the column of links or masters is shown."""
+    """The width and the prefix of the column of links or masters in a live table."""
 
     width: int
     """In characters."""

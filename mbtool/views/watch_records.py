@@ -167,7 +167,7 @@ TROUBLE_COLUMNS = (
 
 
 def slave_state(row: WatchedSlaveRow, _: DrawContext) -> Spans:
-    """Return in words how a slave answers; if something is wrong, only that."""
+    """Return in words how a slave answers, or what is wrong with it."""
     trouble = slave_trouble(row)
     if not trouble:
         return [("answers", "green") if row.answered else ("", "")]

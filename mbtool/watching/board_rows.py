@@ -89,7 +89,7 @@ class WatchedSlaveRow(NamedTuple):
     exceptions: int
     missing: int
     damaged: int
-    """How many of the missing responses came, but with a wrong CRC or LRC."""
+    """The number of missing responses that came, but with a wrong CRC or LRC."""
     malformed: int
     retries: int
     median_ns: int

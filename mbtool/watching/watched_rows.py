@@ -94,7 +94,7 @@ class WatchedPoint:
     is_written: bool = False
     """True if a master wrote the last value, False if it was read."""
     history: deque[float] = field(default_factory=lambda: deque(maxlen=HISTORY))
-    """The last values that differed from the one before, in their order."""
+    """The last values of the point, each different from the one before."""
 
     def set(
         self, value: int | float | None, text: str, at_ns: int, *, written: bool = False

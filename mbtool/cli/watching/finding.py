@@ -19,7 +19,7 @@ _HEX = re.compile(r"(?:0x)?((?:[0-9a-f]{2}[ :]?)+)", re.IGNORECASE)
 def find_row(
     rows: Sequence[Any], columns: Sequence[WatchColumn], text: str, start: int, step: int
 ) -> int | None:
-    """Return the index of the next row that has a text, or has bytes written in hexadecimal.
+    """Return the index of the next row that has `text`, or the bytes that it gives in hexadecimal.
 
     The search begins beside row `start`, goes down (`step` 1) or up (-1), and wraps around at the
     end. Returns None if no row matches.

@@ -49,7 +49,7 @@ _NUMBER_BEGINS = "+-.0123456789"
 
 @dataclass(frozen=True, slots=True)
 class FileOrigin:
-    """What a capture file says of how it was recorded; empty for most captures of other tools."""
+    """The description of a recording in its capture file; empty for most files of other tools."""
 
     file: str
     capture: Mapping[str, str] = field(default_factory=dict)
