@@ -91,8 +91,9 @@ class Assignment:
 def parse_assignment(text: str) -> Assignment:
     """Read WHO=PROFILE and load the profile.
 
-    Raises UsageError if the text has another form or no profile has that name. If PROFILE is a
-    file, raises the errors of load_profile().
+    PROFILE is the name of a built-in profile or the path of a file. Raises UsageError if the text
+    has another form or no profile has that name, InputError if the file cannot be read, and
+    ProfileError for a mistake in it.
     """
     who, equals, profile = text.partition("=")
     if not equals or not who or not profile:

@@ -26,16 +26,18 @@ def _respects_blocks(profile: Profile, table: Table, span: range) -> bool:
     from_start = [point for point in in_blocks if point.block == span.start]
     if from_start:
         return span.stop <= 1 + max(max(point.all_addresses) for point in from_start)
-    # A read that begins at no block returns only registers outside all blocks. So each address of
-    # the range that belongs to a block must also have a readable point outside all blocks.
+    # A device returns the registers of a block only to a read from the block's first address on.
+    # Any other read returns registers outside all blocks. So each address of the range that belongs
+    # to a block must also have a readable point outside all blocks.
     return _addresses(in_blocks, span) <= _addresses(readable, span)
 
 
 def _touched_points(profile: Profile, table: Table, span: range) -> tuple[list[Point], list[Point]]:
     """Return two lists of points that a range of addresses touches.
 
-    The first has the points of blocks, the second the readable points outside all blocks. Both are
-    empty if the device has no blocks.
+    The first has the points in blocks (registers that a device returns only to a read from the
+    block's first address on). The second has the readable points outside all blocks. Both are empty
+    if the device has no blocks.
     """
     if all(point.block is None for point in profile.points):
         return [], []

@@ -175,8 +175,8 @@ def _merge(extended: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
             merged[key] = extended[key] | own[key]
     for key in ("areas", "points"):
         if key in extended and key in own:
-            # Replace the part of the same name once only. If `own` has two parts of one name, keep
-            # both, so that validation reports the mistake.
+            # Replace the area or point of the same name once only. If `own` has two of one name,
+            # keep both, so that validation reports the mistake.
             indices = {part.name: index for index, part in enumerate(extended[key])}
             merged[key] = list(extended[key])
             for part in own[key]:

@@ -314,7 +314,7 @@ def _answer_point(answer: AnswerWord, function: int) -> PointInstance:
         name=answer.name,
         table=Table.HOLDING_REGISTERS,  # Any table: the word has no address.
         address=0,
-        type=PointType.HEX16 if answer.texts else PointType.UINT16,  # 0099H if it has no text
+        type=PointType.HEX16 if answer.texts else PointType.UINT16,  # without a text: 0099H
         texts=answer.texts,
     )
     return PointInstance(point, 0, f"{function:02X}H")

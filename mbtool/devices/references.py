@@ -81,7 +81,7 @@ def parse_reference(profile: Profile, text: str) -> tuple[Table, int]:
 
 
 def _notation(profile: Profile, table: Table, address: int, *, writing: bool) -> Area | None:
-    """The area in whose notation an address is to be written; None for the neutral notation.
+    """The area in whose notation to write an address; None if `holding 107` is to be written.
 
     It is the area that contains the address. If none does, it is the nearest area whose notation
     can be extended to the address.

@@ -59,7 +59,8 @@ class SunSpecMap:
         self.base = base
         self.models: list[FoundModel] = []
         self.is_complete = False
-        """True if no further model follows: the end was read, or what follows is no model."""
+        """True if no further model can be added: the end of the map was read, or what follows
+        cannot be a model."""
         self._at = base + 2
         self._known: dict[int, int] = {}
         """Registers that were read, by address: the number and length of the next model, and the

@@ -387,7 +387,7 @@ def _digits(point: Point, number: float) -> str:
     if scaled is None:
         return f"{number} x 10^{point.scale_from}" if point.scale_from else str(number)
     if point.decimals is not None:
-        return f"{scaled:z.{point.decimals}f}"  # z: 0.00 instead of -0.00.
+        return f"{scaled:z.{point.decimals}f}"  # `z` writes 0.00, not -0.00.
     if isinstance(scaled, int):
         return str(scaled)
     return f"{scaled:.{_FLOAT32_DIGITS if point.type is PointType.FLOAT32 else _DIGITS}g}"

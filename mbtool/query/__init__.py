@@ -1,1 +1,1 @@
-"""The --where language: filters over transactions."""
+"""Implements the --where language, in which a user writes filters for transactions."""

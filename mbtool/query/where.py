@@ -170,9 +170,10 @@ class _Compiler:
         return holds
 
     def _read_moments(self, terms: list[Term], at: int) -> None:
-        """Replace a text that is compared with a moment by the moment that it names.
+        """If a text is compared with a time, replace the text by the time that it names.
 
-        `terms[at]` and `terms[at + 1]` are the two sides of the comparison.
+        `terms[at]` and `terms[at + 1]` are the two sides of the comparison. Raises UsageError if
+        the text is no time in ISO 8601.
         """
         for one, other in ((at, at + 1), (at + 1, at)):
             text = terms[other].constant

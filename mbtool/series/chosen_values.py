@@ -88,7 +88,8 @@ class ChosenValues:
     def _add_points(self, one: NamedTransaction, at_ns: int) -> set[int]:
         """Add the values of a transaction's points that the user names.
 
-        Returns the addresses of these points, whose registers must not be added once more.
+        Returns the addresses of these points, so that the numbers in their registers are not added
+        as well.
         """
         covered: set[int] = set()
         for point in one.points:

@@ -152,7 +152,7 @@ class ConnectionRules:
             yield event_finding("TCP-202", self._pending.popleft())
 
     def _is_complete(self, event: WireEvent) -> bool:
-        """True if the capture has all bytes of the event's connection since the last transaction.
+        """True if the capture has all bytes since the connection's opening or last transaction.
 
         Then an ADU should come next, and unreadable bytes are a finding.
         """

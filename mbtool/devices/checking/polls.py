@@ -112,7 +112,7 @@ class PollRules:
     def transaction(self, transaction: NamedTransaction) -> None:
         """Add the next transaction to its poll, the series of requests equal to its own.
 
-        The times of transactions must be known.
+        The caller must leave out transactions whose times are not known exactly.
         """
         at_ns = transaction.request_ns
         if at_ns is None:

@@ -35,7 +35,7 @@ _REQUEST_FORM = frozenset(("MB-101", "MB-102", "MB-103"))
 _RESPONSE_FORM = frozenset(("MB-201", "MB-202", "MB-203"))
 _PADDING = frozenset(("MB-105", "MB-204"))
 _READS_OR_WRITES = TABLE_FUNCTIONS - {0x16, 0x17}
-"""Functions that only read or only write values."""
+"""Functions that either read or write values: all except 16H (mask write) and 17H (does both)."""
 
 
 class TransactionRules:

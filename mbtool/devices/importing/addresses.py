@@ -89,8 +89,8 @@ def read_addresses(
 ) -> list[AddressCell | None]:
     """Read the cells of the address column; the result has None for a cell without an address.
 
-    `heading` is the column's heading in lower case (columns.fold()). `style` says how the user
-    wants the numbers to be counted; None if the user does not say it.
+    `heading` is the column's heading in lower case (columns.fold()). `style` is how the
+    numbers are counted, if the user says it; otherwise None.
     """
     is_hex = style is AddressStyle.HEXADECIMAL or (style is None and _is_bare_hex(cells, heading))
     in_front = any(re.match(r"\s*[134][xX]", cell) for cell in cells)

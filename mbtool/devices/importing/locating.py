@@ -78,7 +78,7 @@ def locate_rows(
 def _style(
     rows: Sequence[ListRow], column: Column, options: ImportOptions, report: ImportReport
 ) -> AddressStyle:
-    """Return how the decimal addresses are counted: from 0, from 1, or as references."""
+    """Return how the decimal addresses are counted: from 0, from 1, or as references (40001)."""
     decimal = [
         (row.address, _said_table(row, options.table))
         for row in rows

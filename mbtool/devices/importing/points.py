@@ -51,8 +51,8 @@ def make_points(
 ) -> list[RowPoint]:
     """Make the points of the rows, sorted by table and address.
 
-    `word_order` applies to values for which the list names none. A row that cannot be a point is
-    left out, and becomes a problem in the report.
+    `word_order` applies to values for which the register list names none. A row that cannot be a
+    point is left out, and becomes a problem in the report.
     """
     made: list[RowPoint] = []
     is_named = False
