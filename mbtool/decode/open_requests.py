@@ -40,8 +40,8 @@ class OpenRequest(msgspec.Struct, gc=False, eq=False, kw_only=True):
     may_be_lost: bool = False
     """True if the capture lacks bytes that may have been the response to this request."""
     repeats_lost_id: bool = False
-    """True if a request before this one is lost and the ids leave no id for it, so that it may have
-    had the id of this one."""
+    """True if ids count up, the capture lacks a request before this one, and no id is missing for
+    it. The lost request may then have had the id of this one."""
     counts: bool = True
     """False if a later equal request has already counted this one in its `retries`, or if the
     capture lacks bytes of this request."""

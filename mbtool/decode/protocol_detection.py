@@ -221,7 +221,7 @@ class ProtocolDetector:
         return self._reject()
 
     def plain_decoder(self) -> ConnectionDecoder | None:
-        """The decoder of a connection that is Modbus/TCP in the expected roles; else None."""
+        """The decoder of a connection that is Modbus/TCP with the expected master; else None."""
         return self._candidates[0].plain_decoder if self.state is ProtocolState.MODBUS else None
 
     def in_detected_roles(self, event: WireEvent) -> WireEvent:

@@ -83,7 +83,7 @@ class BusModel:
 
     @property
     def state(self) -> BusState:
-        """The most likely bus state."""
+        """The most likely bus state: which request is pending, and what came last."""
         return self.states[0][1]
 
     def classify(

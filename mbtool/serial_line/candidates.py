@@ -226,7 +226,10 @@ class Candidates:
             yield FrameCandidate(burst, role, self._roles, cost)
 
     def _ended_by_crc(self, offset: int, head: bytes, burst: int) -> Iterator[FrameCandidate]:
-        """Yield frames of unknown size that end where the CRC is correct and no silence follows."""
+        """Yield frames of unknown size that end where the CRC is correct.
+
+        The frame that fills the whole burst (`burst` bytes between two silences) is left out.
+        """
         is_query = head[1:4] == _QUERY_DATA
         roles = [
             role for role in self._roles if is_query or (head[1] and frame_size(head, role) == 0)
@@ -392,7 +395,7 @@ class Candidates:
     def _expectation(
         self, head: bytes, size: int, role: Direction, state: BusState
     ) -> tuple[bool, float]:
-        """Return True if the frame is expected next, and the cost of its contents in bits."""
+        """Return True if the bus state expects the frame, and the cost of its contents in bits."""
         pdu_size = size - RTU_EXTRA_BYTES if size else 0
         unit, pdu = head[0], head[1 : 1 + pdu_size]
         if role is Direction.REQUEST:

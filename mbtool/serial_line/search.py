@@ -71,16 +71,19 @@ class PathSearch:
         self._statistics = statistics
         self._is_speaker_known = len(roles) == 1
         self._paths: list[list[Path]] = [[] for _ in range(self._end + 1)]
-        """For each offset in the window, the paths kept that end there."""
+        """For each offset in the window, the paths (explanations of the bytes) kept that end
+        there."""
         self._lowest_costs = [float("inf")] * len(self._paths)
-        """For each offset in the window, the cost in bits of the cheapest path that ends there."""
+        """For each offset in the window, the cost in bits of the cheapest path (explanation of the
+        bytes) that ends there."""
         self._incomplete: Path | None = None
-        """The cheapest path that ends in an incomplete frame at the end of the window."""
+        """The cheapest path (explanation of the bytes) that ends in an incomplete frame at the end
+        of the window."""
         self._incomplete_limit = float("inf")
         """Another path that ends in an incomplete frame is kept only if it costs fewer bits than
         this."""
         self._limit = float("inf")
-        """Paths that cost more bits than this are dropped."""
+        """Paths (explanations of the bytes so far) that cost more bits than this are dropped."""
         self._candidates = Candidates(window, bus_model, statistics, roles)
 
     def segments(self) -> list[Segment]:
@@ -145,7 +148,11 @@ class PathSearch:
         return segment.kind is SegmentKind.SKIPPED and not is_noise and is_beside
 
     def _keep(self, offset: int, path: Path) -> None:
-        """Keep a path to an offset, unless a cheaper one leads to the same bus state."""
+        """Keep a path (an explanation of the first bytes) unless a cheaper one is equivalent.
+
+        Two paths are equivalent if they end at the same offset in the same bus state, and both or
+        neither end with skipped bytes.
+        """
         if path.cost > self._limit:
             return
         paths = self._paths[offset]
