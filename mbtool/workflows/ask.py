@@ -1,4 +1,4 @@
-"""Asks a slave as its master: the work of `read`, `write` and `poll`."""
+"""Sends requests to a slave as its master, for the commands `read`, `write` and `poll`."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ ANSWERED_OUTCOMES = (Outcome.OK, Outcome.BROADCAST)
 
 
 def transport_of(link: LinkSpec) -> Transport:
-    """The transport of a master's link."""
+    """The transport (RTU, ASCII, TCP or RTU over TCP) on a master's link."""
     if isinstance(link, TcpLink):
         return Transport.RTU_TCP if link.rtu else Transport.TCP
     is_ascii = isinstance(link, SerialLink) and link.ascii
@@ -37,7 +37,7 @@ def transport_of(link: LinkSpec) -> Transport:
 
 
 class Asker:
-    """Sends requests to one unit, and gives what came of each as a named transaction."""
+    """Sends requests to one unit, and returns each with its response as a named transaction."""
 
     def __init__(self, master: MasterLink, link: LinkSpec, unit: int, profile: Profile | None):
         self._master = master
@@ -47,7 +47,8 @@ class Asker:
         self._assignments = Assignments(own)
         self._namer = Namer(self._assignments)
         self._ahead_ns = steady_clock()() - time.monotonic_ns()
-        """UTC minus the monotonic clock, in ns; kept, so that times never step back."""
+        """The difference (ns) between UTC and the monotonic clock, measured once, so that the times
+        of transactions never go back if the system's clock is set."""
 
     def profile_for(self, transaction: NamedTransaction) -> Profile | None:
         return self._assignments.profile_for(transaction)
@@ -55,8 +56,8 @@ class Asker:
     def ask(self, pdu: bytes) -> tuple[NamedTransaction, list[WireEvent]]:
         """Send one request and wait for its response.
 
-        The events are about bytes that came and are no response. Raises LinkError if a serial port
-        is lost.
+        Returns the transaction, and events about received bytes that are no response. Raises
+        LinkError if a serial port is lost.
         """
         exchange = self._master.exchange(self._unit, pdu)
         request = self._in_utc(exchange.request)
@@ -81,7 +82,7 @@ class Asker:
 
 @dataclass(slots=True)
 class PollTally:
-    """Counts what became of requests."""
+    """Counts requests by outcome, and collects the latencies of their responses."""
 
     outcomes: Counter[Outcome] = field(default_factory=Counter)
     latencies: Distribution = field(default_factory=Distribution)
@@ -93,13 +94,13 @@ class PollTally:
 
     @property
     def failed(self) -> int:
-        """The number of requests that got an exception, or no useful response."""
+        """The number of requests that got an exception response, or no usable response."""
         return sum(
             count for outcome, count in self.outcomes.items() if outcome not in ANSWERED_OUTCOMES
         )
 
     def sentence(self) -> str:
-        """Sum up: `asked 12, answered 10, failed 2 (1 exception, 1 no-answer); latency ...`."""
+        """A summary: `asked 12, answered 10, failed 2 (1 exception, 1 no-answer); latency ...`."""
         asked, failed = self.outcomes.total(), self.failed
         text = f"asked {asked:,}, answered {asked - failed:,}, failed {failed:,}"
         if failed:
@@ -115,7 +116,7 @@ class PollTally:
 
 
 class Changes:
-    """Remembers the last result of each request, and tells what has changed since."""
+    """Remembers the last result of each polled request, and finds changes in the next one."""
 
     # Memory: one transaction for each request, at most as many as a command line can name.
 
@@ -124,10 +125,11 @@ class Changes:
         self._last: dict[bytes, NamedTransaction] = {}
 
     def since_last(self, pdu: bytes, now: NamedTransaction) -> NamedTransaction | None:
-        """The transaction if its result differs from that of the last equal request; else None.
+        """Return the transaction if its result differs from that of the last equal request; else
+        None.
 
-        If both have values, its points are those that changed, each with its value before as part
-        of its text: they are for a table.
+        If both requests were answered with values, the points of the returned transaction are those
+        that changed, with texts for a table: `27.5 (was 27.3)`.
         """
         before = self._last.get(pdu)
         self._last[pdu] = now
@@ -148,9 +150,10 @@ class Changes:
         ]
 
     def _points(self, transaction: NamedTransaction) -> list[PointValue]:
-        """The points read; without any, one for each register or bit, named by its reference.
+        """Return the points (named values) of a transaction; if the profile names none, make one
+        for each register or bit, named by its reference.
 
-        Its `reference` stays empty, so that the table writes the name in full.
+        The `reference` of such a point is empty, so that the table does not write it twice.
         """
         if transaction.points:
             return transaction.points

@@ -1,12 +1,12 @@
-"""Checks captures and logs against the rules: files in, findings out."""
+"""Checks captures and logs against the rules of the standard and of manuals."""
 
-# A log is not decoded again: its transactions and events hold facts about connections and damage
-# that only the live sources knew. But its transactions get their names again, from the profiles of
-# the user and of the log, so that the rules of today's profiles apply. Each capture is checked
+# A log is not decoded again: its transactions and events contain facts about connections and damage
+# that only the live sources knew. But its transactions are named again, with the profiles of the
+# user and of the log, so that the rules in the present profiles apply. Each capture is checked
 # separately; the files of a rotated capture are checked as one.
 #
-# Of a part of the files (a window of time), the transactions and events in it are checked as if
-# there were no others, but for the connections that were opened before.
+# With --start and --end, only the transactions and events in that time are checked. Of what came
+# before, the rules only get to know which connections were opened and closed.
 
 from __future__ import annotations
 
@@ -44,16 +44,16 @@ if TYPE_CHECKING:
     WatchRows = Callable[[Reading, Iterator[Record | QuietRows]], Iterator[Record | QuietRows]]
 
 LARGE = 1_000_000
-"""A capture file of at least so many bytes is read as arrays, if it can be; for a smaller one their
-library would take longer to load."""
+"""The least size (bytes) of a capture file that is read as numpy arrays. For a smaller file,
+importing numpy would take longer than arrays save."""
 _CONNECTIONS = frozenset((EventKind.OPENED, EventKind.CLOSED))
 
 
 @dataclass(frozen=True, slots=True)
 class CodeFilter:
-    """Chooses finding codes that begin with a text of `select`, but not with one of `ignore`.
+    """Chooses findings: the codes that begin with a text in `select`, but not with one in `ignore`.
 
-    If a code begins with a text of each, the longer text decides. If both are equally long, the
+    If a code begins with a text of both, the longer text decides. If both are equally long, the
     code is ignored.
     """
 
@@ -63,7 +63,7 @@ class CodeFilter:
 
     @classmethod
     def parse(cls, select: Sequence[str], ignore: Sequence[str]) -> CodeFilter:
-        """Read the texts of the two options, such as `RTU-1,MB`, in upper or lower case."""
+        """Parse the values of --select and --ignore, such as `RTU-1,MB`, in any case."""
         return cls(_codes(select), _codes(ignore))
 
     def takes(self, code: str) -> bool:
@@ -75,8 +75,8 @@ class CodeFilter:
         prefixes = {f"{finding_prefix(profile)}-" for profile in profiles}
         letters = [rule.code for rule in RULES.values() if rule.is_of_devices]
         codes = [rule.code for rule in RULES.values() if not rule.is_of_devices]
-        # Not all codes of devices can be listed: behind the prefix of the profile and the letter of
-        # the kind of rule is, for example, a function code.
+        # The codes of rules in profiles cannot all be listed: behind the prefix of the profile and
+        # the letter of the kind of rule, they have for example a function code.
         of_devices = tuple(f"{prefix}{letter}" for prefix in prefixes for letter in letters)
         for text in (*self.select, *self.ignore):
             is_known = any(each.startswith(text) for each in (*codes, *prefixes))
@@ -91,20 +91,20 @@ class CodeFilter:
 
 @dataclass(frozen=True, slots=True)
 class FileFinding:
-    """A finding, and the file that it was found in."""
+    """A finding, and the name of the file in which it was found."""
 
     finding: Finding
     file: str
 
 
 class CheckedRecord(NamedTuple):
-    """A record, and what was found when it was checked."""
+    """A transaction or event, and the findings that the rules reported when they got it."""
 
     record: Record | None
-    """As it was read; None at the end of a capture, which has findings of its own, and for a
-    record outside of the window."""
+    """The record as it was read. None at the end of a capture, for findings about the whole
+    capture, and for a record outside of the time that is checked."""
     named: Record | None
-    """The same with the names of today's profiles."""
+    """The same record; a transaction of a log with names from the present profiles."""
     findings: list[FileFinding]
 
 
@@ -112,7 +112,7 @@ NOTHING = CheckedRecord(None, None, [])
 
 
 class CheckRun:
-    """One pass over some files: checks them and counts the findings."""
+    """Reads files once, checks them and counts the findings."""
 
     def __init__(
         self,
@@ -134,26 +134,26 @@ class CheckRun:
         if options.any_port:
             self._ports = frozenset((*options.ports, *options.rtu_ports, MODBUS_PORT))
         self._checker: Checker | None = None
-        """Checks the rules in the capture that is being read."""
+        """The rules, with their state in the current capture; None before and after a capture."""
         self._lines: UnreadableLines | None = None
-        """Finds the serial lines in this capture that cannot be read."""
+        """Finds the serial lines in the current capture that cannot be read."""
         self._namer: Namer | None = None
-        """Names the transactions of a log by today's profiles; None while no log is read."""
+        """Names the transactions of a log with the present profiles; None if no log is read."""
         self._formats: dict[str, SerialFormat] = {}
-        """The settings of serial lines in the capture that is being read."""
+        """The settings of the serial lines in the current capture, by link name."""
         self._captures = 0
         self._file = ""
         self._remarks: list[str] = []
         self._hints = ModelHints(self.reading.profile_for)
         self.transactions = 0
         self.counts: Counter[str] = Counter()
-        """Number of findings of each chosen code."""
+        """The number of findings for each code that the filter chooses."""
 
     def demand_codes(self) -> None:
-        """Raise UsageError if no code begins with a text of the filter.
+        """Raise UsageError if there is a text in the filter with which no code begins.
 
-        Codes are those of the standard's rules, of built-in profiles, of profiles that the user
-        gives, and of profiles in the logs.
+        The codes are those of the standard's rules, of built-in profiles, of the user's profiles,
+        and of profiles in the logs.
         """
         known = [*map(load_profile, builtin_profiles()), *self.reading.assignments.profiles]
         try:
@@ -163,21 +163,21 @@ class CheckRun:
 
     @property
     def remarks(self) -> list[str]:
-        """Lines for the user about the files, beside the findings."""
+        """Lines for the user about the files, such as cut packets; findings are not among them."""
         outside = self._window.why_empty
         remarks = [*self.reading.remarks, *self._remarks, *self._hints.remarks]
         return remarks if outside is None else [*remarks, outside]
 
     @property
     def is_outside(self) -> bool:
-        """True if the files have transactions, but none in the window."""
+        """True if the files have transactions, but none in the time between --start and --end."""
         return self._window.why_empty is not None
 
     def findings(self, watch: WatchRows = unwatched) -> Iterator[FileFinding]:
-        """Yield the findings with chosen codes, capture by capture.
+        """Yield the findings whose codes the filter chooses, capture by capture.
 
-        `watch` may show how much has been read. Raises InputError for a file that cannot be read;
-        for a file that is cut or damaged, after all findings.
+        `watch` may show the progress. Raises InputError for a file that cannot be read; for a file
+        that is cut or damaged, after all findings.
         """
         columns = self._columns if self._window.is_whole else None
         parts = self.reading.records() if columns is None else columns.quiet_parts()
@@ -185,7 +185,7 @@ class CheckRun:
             yield from found
 
     def checked(self) -> Iterator[CheckedRecord]:
-        """Yield each record with its findings, and then those of the whole capture.
+        """Yield each record with its findings, and at the end of a capture those about the whole.
 
         Raises InputError as `findings` does.
         """
@@ -206,7 +206,7 @@ class CheckRun:
         yield CheckedRecord(None, None, list(self._end_capture()))
 
     def _find_first_request(self) -> None:
-        """Read the beginning of the files if the window counts from their first request."""
+        """If --start or --end count from the first request, read the files until it is known."""
         if not self._window.is_relative:
             return
         if STANDARD_INPUT in self._paths:
@@ -264,9 +264,9 @@ class CheckRun:
         return CheckedRecord(record, named, list(self._chosen(self._checker.feed(named))))
 
     def _format_of(self, link: str) -> SerialFormat | None:
-        """The settings of a line in this capture, kept since they are asked for each transaction.
+        """Return the settings of a line in the current capture; None if they are not known yet.
 
-        A line that is not known yet may be known later.
+        Known settings are cached, as the rules need them for each transaction.
         """
         format_ = self._formats.get(link)
         if format_ is None:
@@ -287,5 +287,5 @@ def _codes(texts: Sequence[str]) -> tuple[str, ...]:
 
 
 def _longest(code: str, beginnings: Sequence[str]) -> int | None:
-    """The length of the longest text in `beginnings` that the code begins with; None if none."""
+    """The length of the longest of `beginnings` with which `code` begins; None if none does."""
     return max((len(each) for each in beginnings if code.startswith(each)), default=None)

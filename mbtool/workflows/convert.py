@@ -1,12 +1,13 @@
 """Converts captures and logs into each other: MCAP, pcapng and pcap."""
 
-# Each capture among the inputs is read twice (workflows/shared/evidence_reading.py). All captures
-# become one in the order of their times; within one capture the order stays. Packets are written as
-# they were captured. Frames of serial lines and taps become packets (packets/line_packets.py), in
-# pcapng only; in a log reads stay reads.
+# Each input capture is read twice (workflows/shared/evidence_reading.py). All captures are merged
+# into one in the order of time; items of the same capture keep their order. Packets are written as
+# they were captured. In pcapng, frames of serial lines and taps become packets
+# (packets/line_packets.py). In a log, the reads of ports stay as they are.
 #
-# With --start, --end or --where, what remains is the packets and frames of the transactions that
-# are taken, and without --where also the packets and bytes in that time that belong to none.
+# With --start, --end or --where, only the packets and frames of the chosen transactions are
+# written. Without --where, the packets and bytes in that time that belong to no transaction are
+# written, too.
 
 from __future__ import annotations
 
@@ -60,12 +61,12 @@ T = TypeVar("T")
 
 CAPTURE_SUFFIXES = frozenset((".pcap", ".pcapng", ".mcap"))
 _REORDER_NS = 2_000_000_000
-"""How long pieces of a line with two taps are held, so that a request comes before its response
-although the other tap's reads were recorded first."""
+"""For a line with two taps, frames are held back for this time (ns) to sort them: the response of
+one tap may be recorded before the request of the other."""
 
 
 class Conversion:
-    """Reads files, cuts them, and writes them as one."""
+    """Reads captures and logs, selects a part of them, and writes it as one file."""
 
     def __init__(
         self,
@@ -75,11 +76,11 @@ class Conversion:
         where: Callable[[NamedTransaction], bool] | None = None,
         watch: Watch = unwatched,
     ) -> None:
-        """Look at the files; `where` is None to take all transactions.
+        """Open the files and group them by capture.
 
-        `watch` may show how much of a capture has been decoded.
-
-        Raises InputError for a file that cannot be read, UsageError for one that is not converted.
+        `where` returns True for the transactions to write; None to write all. `watch` may show the
+        progress. Raises InputError for a file that cannot be read, UsageError for a file of a kind
+        that cannot be converted.
         """
         self._options = options
         self._window = window
@@ -89,7 +90,7 @@ class Conversion:
 
     @property
     def remarks(self) -> list[str]:
-        """Lines for the user about the files, once they were read."""
+        """Lines for the user about the files; empty until they have been read."""
         return [text for group in self._groups for text in group.remarks]
 
     def demand_whole(self) -> None:
@@ -99,7 +100,7 @@ class Conversion:
                 raise group.broken
 
     def records(self) -> Iterator[Record]:
-        """Give the transactions and events that are wanted, in the order of time."""
+        """Yield the chosen transactions and events of all files, in the order of time."""
         for record in self._window.begun(self._all_records()):
             if isinstance(record, WireEvent):
                 if record in self._window:
@@ -110,10 +111,11 @@ class Conversion:
     def write(
         self, out: str, *, overwrite: bool = False, topic_per_point: bool = False
     ) -> Converted:
-        """Write a capture or a log; with `topic_per_point`, a log in which each point has a topic.
+        """Write the file `out`, a capture or a log, as its suffix says.
 
-        Raises UsageError if it cannot be created or cannot hold what was read, OutputError if
-        writing fails.
+        With `topic_per_point`, each named value (point) gets a topic of its own in the log. Raises
+        UsageError if the file cannot be created, or if its format cannot hold the input;
+        OutputError if writing fails.
         """
         check_path(Path(out), replace=overwrite)
         self._read_marks()
@@ -127,7 +129,7 @@ class Conversion:
         return done
 
     def _write_new(self, out: str, place: Path, *, topic_per_point: bool) -> Converted:
-        """Write a new file; one that cannot hold what was read is deleted again."""
+        """Write a file that does not exist yet; delete it if its format cannot hold the input."""
         try:
             return self._write_to(out, place, topic_per_point=topic_per_point)
         except UsageError:
@@ -136,10 +138,10 @@ class Conversion:
             raise
 
     def _write_to(self, out: str, place: Path, *, topic_per_point: bool) -> Converted:
-        """Write to `place`; messages call it `out`, whose suffix says the format."""
+        """Write to the path `place`. `out` is the path in messages; its suffix gives the format."""
         suffix = PurePath(out).suffix.lower()
         if suffix == ".mcap":
-            is_begun = place != Path(out)  # By `replacing`.
+            is_begun = place != Path(out)  # `replacing` has created a temporary file.
             return self._write_log(place, replace=is_begun, topic_per_point=topic_per_point)
         try:
             with place.open("wb") as stream:
@@ -162,7 +164,7 @@ class Conversion:
 
     def _read_marks(self) -> None:
         if not self._window.is_whole:
-            # This finds the first request, from which relative times count.
+            # Read on until the window knows the first request, from which relative times count.
             next(self._window.begun(self._all_records()), None)
         first = 1
         heard: dict[str, tuple[int, InputGroup]] = {}
@@ -179,7 +181,7 @@ class Conversion:
                 heard[link] = end_ns, group
 
     def _shown(self) -> Iterator[Shown]:
-        """The packets and pieces that are wanted, of all captures."""
+        """The chosen packets, frames and bytes between frames of all captures, in order of time."""
         return _merged([self._pieces(group) for group in self._groups], lambda one: one.ts_ns)
 
     def _pieces(self, group: InputGroup) -> Iterator[Shown]:
@@ -255,7 +257,9 @@ class Conversion:
         return done
 
     def _log_items(self) -> Iterator[LogItem]:
-        """The evidence and the records in the order of a log: evidence first."""
+        """The packets and reads, and the transactions and events, in the order for a log: a record
+        comes after the evidence from which it was decoded.
+        """
         evidence: Iterator[LogItem] = _reads(self._shown())
         records: Iterator[LogItem] = self.records()
         keyed = _keyed(evidence, _known_ns, 0), _keyed(records, _known_ns, 1)
@@ -265,11 +269,11 @@ class Conversion:
 class _Cut(NamedTuple):
     item: Shown
     number: int
-    """The number of a packet among those of its capture; 0 for a piece."""
+    """The number of the packet in its capture, from 1; 0 for a frame or other bytes."""
 
 
 def _cut(group: InputGroup) -> Iterator[_Cut]:
-    """The packets of a capture with their comments, and its reads cut into frames."""
+    """Yield the packets of a capture with their comments, and its serial reads cut into frames."""
     marks = group.marks
     streams: dict[StreamKey, WireStream] = {}
     number = 0
@@ -289,7 +293,7 @@ def _cut(group: InputGroup) -> Iterator[_Cut]:
 
 
 def _in_time_order(pieces: Iterable[_Cut]) -> Iterator[Shown]:
-    """The items in the order of their times, as far as _REORDER_NS brings them into it."""
+    """Sort items by time; an item may come up to _REORDER_NS (ns) after a later one."""
     held: list[tuple[int, int, Shown]] = []
     for number, one in enumerate(pieces):
         heapq.heappush(held, (one.item.ts_ns, number, one.item))
@@ -300,7 +304,7 @@ def _in_time_order(pieces: Iterable[_Cut]) -> Iterator[Shown]:
 
 
 def _reads(shown: Iterable[Shown]) -> Iterator[Packet | Chunk]:
-    """The packets, and the reads that brought the pieces."""
+    """Yield the packets unchanged, and the reads of ports from which the frames were cut."""
     open_reads = OpenReads()
     for one in shown:
         if isinstance(one, NumberedPacket):
@@ -311,7 +315,7 @@ def _reads(shown: Iterable[Shown]) -> Iterator[Packet | Chunk]:
 
 
 def _merged(parts: Sequence[Iterator[T]], time_of: Callable[[T], int]) -> Iterator[T]:
-    """All items by time; items of one part stay in their order."""
+    """Merge several iterators by time; the items of each one keep their order."""
     if len(parts) == 1:
         return parts[0]
     keyed = [_keyed(part, time_of, index) for index, part in enumerate(parts)]
@@ -321,7 +325,7 @@ def _merged(parts: Sequence[Iterator[T]], time_of: Callable[[T], int]) -> Iterat
 def _keyed(
     items: Iterable[T], time_of: Callable[[T], int], index: int
 ) -> Iterator[tuple[int, int, T]]:
-    """The items with the latest time so far, and an index for equal times."""
+    """Yield a sort key with each item: the latest time (ns) so far, and `index` for equal times."""
     latest_ns = 0
     for item in items:
         latest_ns = max(latest_ns, time_of(item))
@@ -333,14 +337,16 @@ def _record_ns(record: Record) -> int:
 
 
 def _known_ns(item: LogItem) -> int:
-    """When an item is complete: a log has it after the bytes that it was decoded from."""
+    """The time (UTC ns) at which an item was complete; a transaction with its response."""
     if isinstance(item, WireEvent | Packet | Chunk):
         return item.ts_ns
     return item.start_ns if item.response_ns is None else item.response_ns
 
 
 def _joined_heads(groups: Sequence[InputGroup], options: ReadingOptions) -> CaptureHead:
-    """What is known of the links of all captures, with what the user has said."""
+    """Return one description of the links, devices and profiles of all captures; the user's options
+    have priority.
+    """
     links: dict[str, dict[str, str]] = {}
     devices = {str(one.who): one.profile.name for one in options.assignments}
     profiles = {one.name: profile_to_json(one) for one in options.assignments.profiles}
@@ -366,7 +372,7 @@ def _joined_heads(groups: Sequence[InputGroup], options: ReadingOptions) -> Capt
 
 
 def _spec(group: InputGroup, link: str) -> str:
-    """The link spec of a serial line that no log describes."""
+    """Make the LINK text, as `rtu:COM3@9600-8N1`, of a serial line that no log describes."""
     line = group.line_of(link)
     if line is None:
         return f"rtu:{link}@19200-8E1"

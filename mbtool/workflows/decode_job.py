@@ -1,8 +1,9 @@
-"""Decodes many captures into a Parquet file for each, on the processes of an executor."""
+"""Decodes many captures in parallel processes, with a Parquet file as the result for each."""
 
-# The job lists the captures and the records of those that are done, plans runs of the others
-# (cluster/plan.py), and lets the executor decode them (decode_run.py). It keeps nothing: if it is
-# ended in the middle, the next one finds the records of the files that are done.
+# The job lists the captures, and the records in the output that say which are decoded already. It
+# divides the others into runs (cluster/plan.py), consecutive files for one decoder, and lets the
+# processes of an executor decode these (decode_run.py). If the job is killed, the next job finds
+# the records of the files that were decoded, and goes on with the others.
 
 from __future__ import annotations
 
@@ -39,37 +40,40 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JobOptions:
-    """What to decode."""
+    """The TCP ports to decode, and which of the captures to decode."""
 
     ports: Sequence[int] = ()
     rtu_ports: Sequence[int] = ()
     any_port: bool = False
     is_anew: bool = False
-    """True to decode also what is done."""
+    """True to decode again also the captures that an earlier job has decoded."""
     share: tuple[int, int] | None = None
-    """Which part of the runs to decode, counted from 0, and the number of parts; None for all."""
+    """To divide a job among machines: the index (from 0) of the part to decode here, and the number
+    of parts; None to decode all."""
 
     @property
     def text(self) -> str:
-        """The options that change the result."""
+        """A text of the options that change the result. It becomes part of the names of records, so
+        that other options decode again.
+        """
         return f"{sorted(self.ports)} {sorted(self.rtu_ports)} {self.any_port}"
 
 
 @dataclass(slots=True)
 class DecodeJob:
-    """Captures that are decoded into a folder or prefix."""
+    """Decodes the captures that match patterns into a folder, or a prefix of an object store."""
 
     patterns: Sequence[str]
     output: str
     options: JobOptions
     files: int = 0
-    """The number of captures found, or of those in this share."""
+    """The number of captures found; with a share, of those in it."""
     done_before: int = 0
     failed_before: list[FileOutcome] = field(default_factory=list)
-    """Those of them that could not be read to their ends."""
+    """The captures that an earlier job decoded, but could not read to their ends."""
 
     def run(self, executor: Executor) -> Iterator[FileOutcome]:
-        """Decode what is not done, and yield what became of each file.
+        """Decode the captures that are not decoded yet, and yield the outcome of each.
 
         Raises InputError if there are no captures, OutputError if the output cannot be used.
         """
@@ -90,7 +94,8 @@ class DecodeJob:
     def _tasks(self, processes: int) -> list[DecodeTask]:
         files = {one.path: one for pattern in self.patterns for one in list_inputs(pattern)}
         share = self.options.share
-        # The parts of a job may see different files at their starts, and must cut them alike.
+        # Several machines that share a job may start at different times and find different files,
+        # but must divide them into the same runs. So the size of a run may not depend on the count.
         most = files_each(len(files), processes) if share is None else MAX_FILES
         runs = plan(files.values(), most)
         if share is not None:
@@ -106,7 +111,9 @@ class DecodeJob:
         return tasks
 
     def _records(self) -> dict[str, list[str]]:
-        """The names of the records in the output, by the part that stands for a path."""
+        """The names of all records in the output, by the beginning of the name, which stands for
+        the path of a capture.
+        """
         records: dict[str, list[str]] = {}
         for name in OutputStore(self.output).names(RECORDS):
             if name.endswith(DONE):
@@ -141,23 +148,28 @@ class DecodeJob:
         )
 
     def _folder(self, file: InputFile) -> str:
-        """The folder of a file's Parquet in the output: as in the input, below what all share."""
+        """The folder of a capture's Parquet file in the output: the folders of the capture's path
+        without those that all patterns have in common.
+        """
         base = _shared(self.patterns)
         return "/".join(file.path.split("/")[len(base) : -1])
 
 
 def local_processes(processes: int) -> LocalProcesses:
-    """Processes of this machine that decode."""
+    """An executor with `processes` processes of this machine."""
     return LocalProcesses(lambda: start_child("mbtool.workflows.decode_run"), processes)
 
 
 def dask_cluster(address: str) -> DaskCluster:
-    """The workers of a Dask scheduler. Raises UsageError or LinkError if there are none."""
+    """An executor with the workers of the Dask scheduler at `address`.
+
+    Raises UsageError or LinkError if there are none.
+    """
     return DaskCluster(address, decode_run)
 
 
 def _shared(patterns: Sequence[str]) -> list[str]:
-    """The folders that all files of some patterns have in common."""
+    """The names of the folders, from the root on, that all patterns share and that have no `*`."""
     folders = []
     for pattern in patterns:
         parts = (pattern if is_address(pattern) else abspath(pattern)).split("/")[:-1]

@@ -1,17 +1,21 @@
-"""Decodes a run of files of a rotated capture into a Parquet file for each: a task of decode.
+"""Decodes several files of a rotated capture, with a Parquet file as the result for each.
 
-Run as a program, it answers tasks on standard input: a line of hexadecimal digits for each.
+Run as a program, it reads a task (a DecodeTask in hexadecimal digits) from each line of standard
+input, and writes the outcomes to a line of standard output.
 """
 
-# The files around the run are read, too, so that the decoder knows the connections that are open at
-# its beginning, and the responses to what is open at its end. A transaction is taken if its first
-# packet is in a file of the run. So each is taken once, by whichever runs the files are decoded.
+# A job (decode_job.py) divides its files into runs: consecutive files that one process decodes. The
+# files just before and after a run are read, too, so that the decoder knows the connections that
+# are open at the beginning of the run, and finds the responses to its last requests. A transaction
+# belongs to the file that has its first packet. So each transaction is in exactly one result,
+# however the files are divided into runs.
 #
-# The Parquet files and records are written when the run is done, and replace older ones. So a run
-# that is begun again, here or elsewhere, writes the same files.
+# For each file, a record (a FileOutcome as JSON) in the output says that the file was decoded. The
+# Parquet files and records are written when the whole run is decoded, and replace older ones. So a
+# run that is repeated writes the same files.
 #
 # Memory: a block of packets, as for a single file. Files of an object store are copied to the disk
-# for as long as the run lasts.
+# until the run ends.
 
 from __future__ import annotations
 
@@ -43,30 +47,30 @@ if TYPE_CHECKING:
     from mbtool.devices import NamedTransaction
 
 RECORDS = "_mbtool"
-"""The folder of the records, in the output."""
+"""The folder in the output for the records that say which files were decoded."""
 DONE, FAILED = ".json", ".failed.json"
-"""The ends of the names of records; FAILED for a file that was not read, or not to its end."""
+"""The suffixes of records; FAILED for a file that was not read, or not to its end."""
 
 
 class DecodeTask(msgspec.Struct, frozen=True, kw_only=True):
-    """A run of files, and what to make of it."""
+    """Consecutive files that one process decodes, and where it writes the results."""
 
     run: FileRun
     output: str
-    """The folder or prefix for all results."""
+    """The folder, or the prefix in an object store, for all results."""
     folders: list[str]
-    """For each file, its folder in the output."""
+    """For each file, the folder of its Parquet file, below `output`."""
     records: list[str]
-    """For each file, the name of its record, without the ending."""
+    """For each file, the name of the record that says it was decoded, without the suffix."""
     older: list[list[str]]
-    """For each file, the names of older records of the same path."""
+    """For each file, the names of the records that earlier jobs wrote for the same path."""
     ports: list[int] = []
     rtu_ports: list[int] = []
     any_port: bool = False
 
 
 class FileOutcome(msgspec.Struct, kw_only=True, omit_defaults=True):
-    """What became of a file; also its record."""
+    """The result of decoding one file; written as JSON, it is the record of the file."""
 
     path: str
     size: int
@@ -76,11 +80,11 @@ class FileOutcome(msgspec.Struct, kw_only=True, omit_defaults=True):
     """The name of its Parquet file in the output; empty if there is none."""
     transactions: int = 0
     error: str = ""
-    """Why it was not read, or not to its end; empty if it was."""
+    """Why the file was not read, or not to its end; empty if it was read."""
 
 
 def decode_run(task: bytes) -> bytes:
-    """Decode a run: a DecodeTask as JSON; returns a list of FileOutcome as JSON."""
+    """Decode the files of `task`, a DecodeTask as JSON. Returns a list of FileOutcome as JSON."""
     decoded = msgspec.json.decode(task, type=DecodeTask)
     with TemporaryDirectory(prefix="mbtool-") as folder:
         work = _RunWork(decoded, Path(folder))
@@ -93,13 +97,13 @@ def decode_run(task: bytes) -> bytes:
 
 @dataclass(slots=True)
 class _Input:
-    """A file that can be read."""
+    """An input file of the run that can be read."""
 
     file: InputFile
     number: int | None
-    """Its index in the run; None for a file around it."""
+    """The index of the file in the run; None for a file before or after the run."""
     path: str
-    """Where it is read."""
+    """The path at which the file is read: its own, or that of a copy."""
     digest: str
 
 
@@ -135,14 +139,17 @@ class _RunWork:
                 self._write(one, tables[one.number].transactions)
 
     def fail(self, why: str) -> None:
-        """Say of the files that are not done why they are not."""
+        """Set the error of all files that are not finished to `why`."""
         for number, outcome in enumerate(self.outcomes):
             if number not in self._done:
                 outcome.error = outcome.error or why
                 outcome.parquet, outcome.transactions = "", 0
 
     def _inputs(self) -> list[_Input]:
-        """The files that can be read; of the others, note why not."""
+        """Return the files that can be read, those before and after the run included.
+
+        For the other files of the run, note the error.
+        """
         run = self._task.run
         inputs = []
         for place, file in enumerate((*run.around[0].before, *run.files, *run.around[-1].after)):
@@ -153,7 +160,7 @@ class _RunWork:
             copy.parent.mkdir()
             try:
                 path, digest = fetch(file, copy, NEAR_BYTES if is_after else None)
-            except InputError as error:  # It may be there the next time, so there is no record.
+            except InputError as error:  # Without a record, the next job tries the file again.
                 if is_own:
                     self.outcomes[number].error = str(error)
                 continue
@@ -169,7 +176,10 @@ class _RunWork:
         return inputs
 
     def _decode(self, inputs: list[_Input], tables: dict[int, _FileTable]) -> list[_Input]:
-        """Decode files by one decoder; return those behind one that cannot be read further."""
+        """Decode files with one decoder, and add their transactions to `tables`.
+
+        If a file cannot be read, decoding stops there; return the files behind it.
+        """
         task = self._task
         options = ReadingOptions(ports=task.ports, rtu_ports=task.rtu_ports, any_port=task.any_port)
         paths = [one.path for one in inputs]
@@ -182,7 +192,7 @@ class _RunWork:
                     if name in own:
                         tables[own[name]].add(with_file_names(some, _names(inputs)))
         except (CutError, DamageError):
-            pass  # The results of the files have it.
+            pass  # `reading.results` has the error.
         except InputError as error:
             stop = error
         read = reading.results.files_read
@@ -193,7 +203,7 @@ class _RunWork:
         return inputs[read + 1 :]
 
     def _write(self, one: _Input, transactions: int) -> None:
-        """Put the Parquet of a file into the output, and a record."""
+        """Copy the finished Parquet file of an input file to the output, and write its record."""
         assert one.number is not None
         outcome, folder = self.outcomes[one.number], self._task.folders[one.number]
         outcome.sha256, outcome.transactions = one.digest, transactions
@@ -203,7 +213,7 @@ class _RunWork:
         self._record(one.number)
 
     def _record(self, number: int) -> None:
-        """Write the record of a file, and delete what older ones tell of."""
+        """Write the record of a file; delete its older records and their Parquet files."""
         outcome = self.outcomes[number]
         name = f"{self._task.records[number]}{FAILED if outcome.error else DONE}"
         self._output.put(f"{RECORDS}/{name}", msgspec.json.encode(outcome))
@@ -213,7 +223,7 @@ class _RunWork:
         self._done.add(number)
 
     def _forget(self, record: str, kept: str) -> None:
-        """Delete an older record, and its Parquet if that is another one."""
+        """Delete an older record, and the Parquet file that it names, unless that is `kept`."""
         with suppress(msgspec.DecodeError):
             data = self._output.read(f"{RECORDS}/{record}")
             parquet = msgspec.json.decode(data, type=FileOutcome).parquet
@@ -222,12 +232,12 @@ class _RunWork:
         self._output.delete(f"{RECORDS}/{record}")
 
     def _parquet(self, number: int) -> Path:
-        """Where the Parquet of a file is written first."""
+        """The temporary path at which the Parquet file of an input file is written."""
         return self._folder / f"{number}.parquet"
 
 
 class _FileTable:
-    """The Parquet of a file, as it is written."""
+    """Writes the Parquet file of one input file, and counts its transactions."""
 
     def __init__(self, file: BinaryIO) -> None:
         self.rows = ParquetRows(file)
@@ -239,7 +249,7 @@ class _FileTable:
 
 
 def _tables(reading: PartReading) -> Iterator[Table]:
-    """The transactions of files, as tables. Raises as `PartReading.records` does."""
+    """Yield the transactions of files as tables. Raises the errors of `PartReading.records`."""
     if isinstance(reading, ColumnReading):
         for batch in reading.batches():
             yield batch.table
@@ -259,7 +269,7 @@ def _tables(reading: PartReading) -> Iterator[Table]:
 
 
 def _names(inputs: Sequence[_Input]) -> dict[str, str]:
-    """The name of each file as the user gave it, by the name it is read by."""
+    """For the name at which each file is read, the name that the user gave: a copy has another."""
     return {shown_name(one.path): shown_name(one.file.path) for one in inputs}
 
 
@@ -270,7 +280,7 @@ def _renamed(text: str, inputs: Sequence[_Input]) -> str:
 
 
 def main() -> None:
-    """Answer tasks until standard input ends."""
+    """Read tasks from standard input and write their outcomes, until standard input ends."""
     for line in sys.stdin.buffer:
         sys.stdout.buffer.write(decode_run(bytes.fromhex(line.decode())).hex().encode() + b"\n")
         sys.stdout.buffer.flush()

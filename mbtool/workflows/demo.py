@@ -1,8 +1,9 @@
-"""The demo: record the traffic of two slaves, play it as the slaves, compare the responses."""
+"""The demo: records the traffic of two slaves, replays these slaves, and compares the responses."""
 
-# An FT1A Touch answers a master on a virtual serial line, where the sniffer listens. An FA3-AT1M8X
-# answers another master through a TCP tap of the sniffer. Both are recorded in one log. Then the
-# log plays both slaves on loopback, and the same requests must get the same responses.
+# A simulated FT1A Touch answers a master on a virtual serial line, where the sniffer listens. A
+# simulated FA3-AT1M8X answers another master through a TCP tap of the sniffer. Both are recorded in
+# one log. Then both slaves are replayed from the log on loopback, and the same requests must get
+# the same responses.
 
 from __future__ import annotations
 
@@ -55,24 +56,24 @@ Exchange = tuple[int, bytes, bytes | None]
 
 _ANY = Endpoint("127.0.0.1", 0)
 _QUIET_NS = 300_000_000
-"""When the masters have ended, the sniffer listens for so many ns longer, for the last bytes."""
+"""The time (ns) for which the sniffer listens after the masters have ended, for the last bytes."""
 
 _TIMEOUT_NS = 5_000_000_000
-"""The longest wait for a response, in ns. The demo's slaves always respond, but a busy machine may
-be slow."""
+"""The response timeout of the demo's masters, in ns. It is long because a busy machine may be slow;
+the demo's slaves always respond."""
 
 
 @dataclass(frozen=True, slots=True)
 class Agreement:
-    """The comparison of the responses played from the log with those of the devices."""
+    """The result of comparing the responses replayed from the log with the recorded ones."""
 
     asked: int
     differences: tuple[Exchange, ...]
-    """The requests that were answered differently, each with the response from the log."""
+    """The requests that got another response than recorded, each with the replayed response."""
 
 
 class Demo:
-    """One run of the demo. `assignments` says which profile each device has."""
+    """One run of the demo: `record`, then `replay`. `assignments` has the devices' profiles."""
 
     def __init__(self, log_path: str, *, overwrite: bool = False) -> None:
         self._log_path = log_path
@@ -116,7 +117,7 @@ class Demo:
             raise self._failure
 
     def replay(self) -> Agreement:
-        """Play the log as the slaves, send all requests again, and compare the responses."""
+        """Replay the slaves from the log, send all requests again, and compare the responses."""
         records = Reading([self._log_path], ReadingOptions()).records()
         recording = Recording.of(one for one in records if not isinstance(one, WireEvent))
         slave = TcpSlave(TcpLink(_ANY), RecordedSlave(recording, rate=None))
@@ -149,15 +150,17 @@ class Demo:
 
 
 def _answer(master: MasterLink, unit: int, pdu: bytes) -> bytes | None:
-    """Ask until there is a response, three times at most, as masters do.
+    """Send a request, at most three times, until there is a response; None if there is none.
 
-    On a busy machine the virtual line may be so late that a response comes in parts.
+    On a busy machine the virtual line may deliver a response in parts, so that it is not accepted.
     """
     return next((one for _ in range(3) if (one := master.ask(unit, pdu)) is not None), None)
 
 
 def touch_requests() -> list[bytes]:
-    """Requests to the FT1A Touch: each of its tables, and one write that is too long for it."""
+    """The PDUs of requests to the FT1A Touch: reads and writes of its tables, and one write that is
+    too long for it.
+    """
     read = [
         _request(0x03, address=0, quantity=4),
         _request(0x04, address=0, quantity=2),
@@ -174,7 +177,9 @@ def touch_requests() -> list[bytes]:
 
 
 def module_requests() -> list[bytes]:
-    """Requests that set up an FA3-AT1M8X (manual, 10.5), and a read of undefined registers."""
+    """The PDUs of requests that set up an FA3-AT1M8X (manual, 10.5), and one that reads undefined
+    registers.
+    """
     averaging = (0x0000, 0x2010, 0, 0, 0, 0, 0, 5000, 0, 100)
     return [
         b"\x42\x00",

@@ -1,4 +1,4 @@
-"""Compares two captures or logs by meaning."""
+"""Compares two captures or logs by their requests, responses, values and latencies."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DiffOptions:
-    """How two captures are read, and which parts of them are compared."""
+    """How two captures are read, and which transactions and values of them are compared."""
 
     reading: ReadingOptions
     wanted: Callable[[NamedTransaction], bool] = lambda _: True
@@ -30,14 +30,15 @@ class DiffOptions:
 
 
 class Comparison(msgspec.Struct, frozen=True, kw_only=True):
-    """Two captures, the number of their transactions, and how they differ."""
+    """The result of comparing two captures: their names, numbers of transactions, differences."""
 
     a: str
     b: str
     a_transactions: int
     b_transactions: int
     is_whole: bool
-    """False if some traffic was not compared, as it exceeded the limits of replay/traffic.py."""
+    """False if some transactions were not compared, as they exceeded the memory limits of
+    replay/traffic.py."""
     differences: list[Difference]
 
 
@@ -52,7 +53,7 @@ def compare(
 
     A file that is cut or damaged is compared as far as it can be read. `on_remark` gets lines for
     the user about the files. Raises InputError for a file that cannot be read or has no
-    transaction, UsageError for a range that no device has.
+    transaction, UsageError for a range in `options.ignore` that no device has.
     """
     traffic, profiles = [], dict[str, "Profile"]()
     for path in (a, b):

@@ -1,11 +1,11 @@
-"""Looks at what mbtool needs on this machine, and names the command for what is missing."""
+"""Checks if this machine has everything that mbtool needs, and names commands that repair it."""
 
 # Nothing is opened, started or changed, except for a packet socket that is closed at once. A check
-# has one of three states:
+# ends with one of three states:
 #
-#     OK        it is there, or nothing needs it
-#     MISSING   a part of mbtool does without it: an extra, a permission, a setting
-#     BROKEN    mbtool, or what is connected here, does not work well before it is mended
+#     OK        the checked thing is there, or nothing needs it
+#     MISSING   an extra, a permission or a setting is missing; the rest of mbtool works without it
+#     BROKEN    mbtool, or a device connected to this machine, does not work until it is repaired
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 OLDEST_PYTHON = (3, 11)
 SMALLEST_TERMINAL = (80, 24)
-"""Columns and rows for which tables and `watch` are made."""
+"""The least number of columns and rows for which tables and `watch` are made."""
 _NEEDED = ("fastcrc", "mcap", "msgspec", "serial", "rich", "scapy", "typer", "zstandard")
 EXTRAS: Mapping[str, tuple[str, ...]] = {
     "watch": ("textual",),
@@ -40,7 +40,7 @@ EXTRAS: Mapping[str, tuple[str, ...]] = {
     "tls": ("cryptography",),
     "yaml": ("yaml",),
 }
-"""Each extra of the package, with the modules that it brings."""
+"""For each extra of the package, the modules that it installs."""
 _FOR = {
     "watch": "mbtool watch",
     "columns": "Parquet, Arrow and large captures",
@@ -62,14 +62,14 @@ class CheckState(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class MachineCheck:
-    """One thing that was looked at."""
+    """The result of checking one thing that mbtool needs."""
 
     name: str
     state: CheckState
     found: str
-    """What is there, in one line."""
+    """The finding, as one line for the user."""
     remedy: str = ""
-    """A command that mends it; this program never runs it itself."""
+    """A command that repairs it; mbtool never runs it itself. Empty if there is none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,10 +125,10 @@ def _is_there(module: str) -> bool:
 
 
 def port_checks(ports: list[LocalSerialPort]) -> Iterator[MachineCheck]:
-    """Yield a check for each obstacle to a port; `mbtool links` has the rest.
+    """Yield a check for each problem of a serial port; `mbtool links` shows further details.
 
-    A USB adapter is there to be used, so its obstacles count as broken. A port of the machine
-    itself is often not connected to anything.
+    A problem of a USB adapter counts as BROKEN, since an adapter is there to be used. One of a
+    built-in port counts as MISSING, since such a port is often not connected to anything.
     """
     if not ports:
         found = "none here; mbtool line lays a virtual line"
@@ -143,7 +143,7 @@ def port_checks(ports: list[LocalSerialPort]) -> Iterator[MachineCheck]:
 
 
 def _port_group() -> Iterator[MachineCheck]:
-    """Check that this user is in the group that serial ports of Debian and others have."""
+    """Check that the user is in the group dialout, which may open serial ports on Debian."""
     if sys.platform != "linux":
         return
     import grp
@@ -161,7 +161,7 @@ def _port_group() -> Iterator[MachineCheck]:
 
 
 def _priority() -> MachineCheck:
-    """Check the right to a real-time priority, which makes times of a busy machine exact."""
+    """Check the permission for a real-time priority, which keeps byte times exact under load."""
     name = "real-time priority"
     if sys.platform != "linux":
         return MachineCheck(name, CheckState.OK, "only used on Linux")
@@ -185,7 +185,7 @@ def capture_check(trouble: Trouble | None) -> MachineCheck:
 
 
 def wireshark_check(environment: Mapping[str, str]) -> MachineCheck:
-    """Check that an installed Wireshark finds serial lines."""
+    """Check that Wireshark, if it is installed, offers serial lines: that the scripts are there."""
     name = "Wireshark"
     program = shutil.which("wireshark") or shutil.which("tshark")
     if program is None:
@@ -201,7 +201,7 @@ def wireshark_check(environment: Mapping[str, str]) -> MachineCheck:
 
 
 def terminal_check(screen: Screen) -> MachineCheck:
-    """Check the size and the characters of the terminal."""
+    """Check the size of the terminal, and that it can show UTF-8."""
     name = "terminal"
     if not screen.is_terminal:
         return MachineCheck(name, CheckState.OK, "output goes to a pipe or file")

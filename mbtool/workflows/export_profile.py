@@ -1,4 +1,4 @@
-"""Writes a profile in the form that the user has chosen: for this program or for others."""
+"""Converts a device profile to a format of the user's choice, for mbtool or other programs."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class ExportForm(StrEnum):
-    """A form of a profile, by the option that chooses it."""
+    """A format in which a device profile can be exported; the values are those of the option."""
 
     TOML = "toml"
     JSON = "json"
@@ -30,7 +30,7 @@ class ExportForm(StrEnum):
 
     @property
     def suffixes(self) -> tuple[str, ...]:
-        """The suffixes that a file of this form may have."""
+        """The suffixes that a file of this format may have."""
         match self:
             case ExportForm.TOML:
                 return (".toml",)
@@ -45,9 +45,9 @@ class ExportForm(StrEnum):
 
 
 def exported(profile: Profile, form: ExportForm, unit: int = 1) -> ExportedMap:
-    """The profile in a form; `unit` is the unit that the other program is to ask.
+    """Return the profile in a format; `unit` is the unit that the other program shall poll.
 
-    Raises UsageError if the profile is no SunSpec model and is to be one.
+    Raises UsageError if the format is SUNSPEC and the profile is no SunSpec model.
     """
     match form:
         case ExportForm.TOML:

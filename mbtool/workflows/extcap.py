@@ -1,13 +1,14 @@
-"""Listens to a serial line and writes its frames as packets, for Wireshark while it captures."""
+"""Writes the frames of a serial line as packets, for a live capture with Wireshark."""
 
 # Wireshark starts `mbtool extcap` and reads pcapng from a named pipe. Each frame becomes a packet
-# as with `convert` (packets/line_packets.py), when its transaction has ended: with its response, or
-# when no response has come. Bytes that are no frame are packets of the second interface. The output
-# is flushed after each record.
+# as with `convert` (packets/line_packets.py). It is written when its transaction has ended: with
+# the response, or when no response has come. Bytes that are no frame become packets of the second
+# interface. The output is flushed after each record.
 #
-# In the option for mbtool each frame is one read that ends with the frame's last byte, as the reads
-# themselves are not known any more when the frame is. So `decode` reads what Wireshark has saved,
-# without the silences inside of frames.
+# An option of each packet tells mbtool by which reads of the port the bytes came. The real reads
+# are not known when the frame is written. So the option claims one read that ends with the last
+# byte of the frame. `decode` can read the file that Wireshark saves, but it lacks the silences
+# inside frames.
 
 from __future__ import annotations
 
@@ -34,10 +35,10 @@ if TYPE_CHECKING:
 
 
 class LivePackets:
-    """Writes what is heard of one line as pcapng."""
+    """Writes the frames of one serial line, and the bytes between them, as pcapng."""
 
     def __init__(self, stream: BinaryIO, link: SerialLink, assignments: Assignments) -> None:
-        """Write the beginning: links, devices, profiles, and both interfaces."""
+        """Write the head of the file: the link, devices, profiles, and both interfaces."""
         self._stream = stream
         self._assignments = assignments
         self._transactions = 0
@@ -50,7 +51,7 @@ class LivePackets:
         stream.flush()
 
     def write(self, record: Record) -> None:
-        """Write a transaction, or bytes that are no frame. Raises OSError if nobody reads."""
+        """Write a transaction, or bytes that are no frame. Raises OSError if the pipe is closed."""
         if not isinstance(record, WireEvent):
             self._write_transaction(record)
         elif record.raw:

@@ -1,13 +1,14 @@
-"""Makes Wireshark find `mbtool extcap`, and ends that again."""
+"""Installs the scripts by which Wireshark finds `mbtool extcap`, and removes them."""
 
 # Wireshark starts each program in its folders for extcap. Up to version 4.0 the folder of a user is
-# among its settings, from 4.2 on it is beside the user's own plugins, so there is a script in both:
+# among the settings of Wireshark, from 4.2 on it is beside the user's plugins. So a script is
+# installed in both:
 #
 #     Linux, macOS   ~/.config/wireshark/extcap (XDG_CONFIG_HOME), ~/.local/lib/wireshark/extcap
 #     Windows        %APPDATA%\Wireshark\extcap
 #
-# The script starts this program with the Python that runs now. It says that mbtool made it, and
-# only files that say so are replaced or removed.
+# The script starts mbtool with the Python that runs now. It contains a comment that mbtool made it;
+# only files with this comment are replaced or removed.
 
 from __future__ import annotations
 
@@ -28,7 +29,7 @@ _MAX_SCRIPT_BYTES = 4096
 
 
 def scripts(environment: Mapping[str, str], platform: str = sys.platform) -> list[Path]:
-    """The paths of the scripts. Raises UsageError if the user has no home."""
+    """Return the paths of the scripts. Raises UsageError if the user's home folder is unknown."""
     if platform == "win32":
         if not environment.get("APPDATA"):
             raise UsageError("APPDATA is not set, so the folder of Wireshark is not known")
@@ -44,7 +45,9 @@ def scripts(environment: Mapping[str, str], platform: str = sys.platform) -> lis
 
 
 def install(paths: list[Path], python: str = sys.executable) -> None:
-    """Write the scripts. Raises UsageError if one cannot be written or is another program's."""
+    """Write the scripts. Raises UsageError if one cannot be written, or if mbtool did not make the
+    file that is there.
+    """
     for path in paths:
         _demand_own(path)
     for path in paths:
@@ -57,9 +60,9 @@ def install(paths: list[Path], python: str = sys.executable) -> None:
 
 
 def uninstall(paths: list[Path]) -> list[Path]:
-    """Remove the scripts, and return those that were there.
+    """Remove the scripts, and return the paths of those that existed.
 
-    Raises UsageError if one is another program's or cannot be removed.
+    Raises UsageError if one cannot be removed, or was not made by mbtool.
     """
     there = [path for path in paths if path.exists()]
     for path in there:
@@ -73,7 +76,7 @@ def uninstall(paths: list[Path]) -> list[Path]:
 
 
 def _demand_own(path: Path) -> None:
-    """Raise UsageError if there is a file that this program has not made."""
+    """Raise UsageError if there is a file at `path` that mbtool did not make."""
     if not path.exists():
         return
     try:

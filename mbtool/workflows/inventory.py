@@ -1,4 +1,4 @@
-"""Reads captures and logs into an inventory, and compares it with an older one."""
+"""Makes the inventory (the slaves and masters) of captures, and compares it with an older one."""
 
 from __future__ import annotations
 
@@ -28,23 +28,24 @@ if TYPE_CHECKING:
     from mbtool.overview.baseline import InventoryChange
 
 WatchParts = Callable[[Reading, Iterator[Record | AnsweredRun]], Iterator[Record | AnsweredRun]]
-"""A function that passes on what is read; it may show how much of the files has been read."""
+"""A function that yields the items of a reading unchanged; it may show a progress bar."""
 _DOCUMENT_BEGINS = b"{"
 MAX_DOCUMENT_BYTES = 256 << 20
-"""The most bytes of a stored inventory; one of 65,536 units has some tens of megabytes."""
+"""The largest size (bytes) of a stored inventory that is read. One with 65,536 units, the most
+possible, has some tens of megabytes."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InventoryOptions:
-    """How the files of an inventory are read, and a filter for transactions."""
+    """The options for reading the files of an inventory, and a filter for transactions."""
 
     reading: ReadingOptions
     wanted: Callable[[NamedTransaction], bool] | None = None
-    """None if every transaction passes."""
+    """Returns True for the transactions to use; None to use all."""
 
 
 class InventoryRun:
-    """Reads files once, to make their inventory."""
+    """Reads files once, and makes their inventory."""
 
     def __init__(self, files: Sequence[str], options: InventoryOptions) -> None:
         self._files = files
@@ -59,8 +60,8 @@ class InventoryRun:
     ) -> InventoryDocument:
         """Read the files as far as they can be read.
 
-        `on_remark` gets lines for the user about the files. Raises InputError if an error made it
-        impossible to read any transaction.
+        `on_remark` gets lines for the user about the files. Raises InputError if an error occurred
+        before the first transaction was read.
         """
         inventory = Inventory()
         wanted = self._options.wanted
@@ -91,7 +92,7 @@ def changes_since(
     options: InventoryOptions,
     on_remark: Callable[[str], None] = lambda _: None,
 ) -> list[InventoryChange]:
-    """The changes in an inventory since a baseline: an older inventory in JSON, or captures.
+    """Return the changes of an inventory from a baseline: an older inventory in JSON, or captures.
 
     Raises InputError if the baseline cannot be read or has no transaction.
     """
@@ -109,7 +110,7 @@ def changes_since(
 
 
 def _is_stored(path: str) -> bool:
-    """True if a file looks like an inventory in JSON; captures never begin so."""
+    """True if a file begins with `{`, as an inventory in JSON does and captures never do."""
     try:
         with Path(path).open("rb") as file:
             return file.read(64).lstrip().startswith(_DOCUMENT_BEGINS)

@@ -21,17 +21,17 @@ if TYPE_CHECKING:
 
 
 class PlottedValues(NamedTuple):
-    """Values over time, and the time that the plot shows."""
+    """Values over time, and the times (UTC ns) at which the plot begins and ends."""
 
     series: dict[SeriesKey, ValueSeries]
     begin_ns: int
     end_ns: int
     left_out: int
-    """The number of values that were seen, but are too many to be followed."""
+    """The number of values that were left out, because there were too many different ones."""
 
 
 class PlotRun:
-    """Reads files once."""
+    """Reads files once, and collects the values of points and registers over time."""
 
     def __init__(
         self,
@@ -41,7 +41,10 @@ class PlotRun:
         window: TimeWindow,
         wanted: Callable[[NamedTransaction], bool],
     ) -> None:
-        """`texts` name points and registers; without any, all are followed."""
+        """`texts` name the points and registers to collect; if it is empty, all are collected.
+
+        `wanted` returns True for the transactions to use.
+        """
         self.reading = Reading(files, options)
         self._texts, self._window, self._wanted = texts, window, wanted
         self.error: InputError | None = None
@@ -50,8 +53,8 @@ class PlotRun:
     def take(self, watch: Watch = unwatched) -> PlottedValues:
         """Read the files as far as they can be read.
 
-        Raises UsageError for a text that names nothing in them, InputError if an error made it
-        impossible to read any transaction.
+        Raises UsageError for a text that names no value in them, InputError if an error occurred
+        before the first transaction was read.
         """
         chosen = ChosenValues(self._texts, _named, self.reading.profile_for)
         values = chosen if self._texts else Values()

@@ -20,7 +20,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 _SIGN = b"mbtool.capture"
-"""The name of the first metadata record of each log; a file with it is a log of mbtool."""
+"""The name of the metadata record at the beginning of each log. A file that contains it is a log,
+even if its first bytes are damaged."""
 _SIGN_WITHIN = 64 * 1024
 
 
@@ -29,9 +30,8 @@ def recover(
 ) -> Recovered:
     """Copy the undamaged parts of the log `broken` to the new log `good`.
 
-    `report` is called for each part that is lost. Raises UsageError if the new log cannot be
-    created there, InputError if the file is no log or cannot be read, OutputError if the new log
-    cannot be written.
+    `report` is called for each part that is lost. Raises UsageError if `good` cannot be created,
+    InputError if `broken` is no log or cannot be read, OutputError if writing fails.
     """
     check_log_path(good, overwrite=replace)
     with suppress(OSError, ValueError):
@@ -49,7 +49,9 @@ def recover(
 
 
 def loss_text(loss: LogLoss) -> str:
-    """A loss in one line: its position in the file, its bytes and times, and the damage."""
+    """Describe a lost part of a log in one line: its position in the file, its bytes, its times,
+    and the damage.
+    """
     size = loss.end - loss.offset
     return f"lost: bytes {loss.offset} to {loss.end} ({size:,} bytes), {_times(loss)}: {loss.what}"
 

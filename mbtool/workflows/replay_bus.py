@@ -1,4 +1,4 @@
-"""Plays a recording onto a serial line: the bytes of the master and of the slaves."""
+"""Replays a recording on a serial line: sends the bytes of the master and of the slaves."""
 
 from __future__ import annotations
 
@@ -22,29 +22,29 @@ if TYPE_CHECKING:
 
 _NS = 1_000_000_000
 _LOOP_GAP_NS = _NS
-"""With --loop, the pause between the end and the next beginning, in ns of recorded time."""
+"""With --loop, the pause between two rounds of the recording, in ns of recorded time."""
 _LOOK_NS = 30_000_000
-"""The user's keys, and the wish to end, are checked at least once in so many ns."""
+"""The longest interval (ns) between two checks of the user's keys and of `stops`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BusOptions(PlayOptions):
-    """How a recording is played as master and slaves of a serial line."""
+    """The options for replaying a recording as master and slaves of a serial line."""
 
     is_loop: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BusReport:
-    """The number of pieces and bytes that a run has sent, and how late."""
+    """The result of a replay: how many pieces (bytes written at once) were sent, and how late."""
 
     pieces: int
     bytes: int
     held: int
-    """Number of pieces sent late because the line was still busy."""
+    """The number of pieces that were sent late because the line was still busy."""
     lateness_p99_ns: int | None
-    """The 99th percentile, in ns, of the delays of pieces that the line did not delay. None if
-    there are none, or if the user did not want recorded times."""
+    """The 99th percentile (ns) of the delays of those pieces that did not have to wait for the
+    line. None if there are none, or if the recording was played as fast as possible."""
 
 
 def line_link(link: LinkSpec) -> SerialLink:
@@ -58,7 +58,7 @@ def line_link(link: LinkSpec) -> SerialLink:
 
 
 class BusRun:
-    """A recording, read and ready to be played on a serial line."""
+    """Reads a recording, then sends its bytes on a serial line."""
 
     def __init__(
         self,
@@ -68,7 +68,7 @@ class BusRun:
         on_remark: Callable[[str], None] = lambda _: None,
         watch: Watch = unwatched,
     ) -> None:
-        """Read the recording, and frame it for the link.
+        """Read the recording and make the bytes to send. PDUs from a network get a serial frame.
 
         Raises InputError if the file cannot be read or has nothing to play, UsageError if it has
         several lines, or a line of another mode (RTU or ASCII) than the link.
@@ -79,7 +79,9 @@ class BusRun:
 
     @property
     def length_ns(self) -> int:
-        """The duration of the part to be played, in ns; if it has no end, up to the last piece."""
+        """The duration of the part to be played, in ns of recorded time; without --end, up to the
+        last bytes.
+        """
         window = self._options.window
         if window.end_ns is not None:
             return window.end_ns - window.start_ns
@@ -88,7 +90,7 @@ class BusRun:
     def play(
         self, *, stops: Callable[[], bool] = lambda: False, controls: PlayerControls | None = None
     ) -> BusReport:
-        """Send every byte; end early when `stops` returns True.
+        """Send all bytes; end early when `stops` returns True.
 
         `controls` returns the user's keys: pause, step, faster, slower. Raises LinkError if the
         port cannot be opened or is lost.
@@ -122,7 +124,7 @@ class BusRun:
 
 
 def _let_pass(player: BusPlayer) -> None:
-    """Wait until the last byte has left the port; closing it earlier could discard bytes."""
+    """Wait until the last byte has left the port, as closing the port earlier could discard it."""
     if player.passed_ns is not None:
         time.sleep(max(player.passed_ns - time.monotonic_ns(), 0) / _NS)
 

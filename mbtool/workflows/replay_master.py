@@ -1,4 +1,6 @@
-"""Plays a recording as the master, and compares the responses with the recorded ones."""
+"""Replays the requests of a recording as the master, and compares the slave's responses with the
+recorded ones.
+"""
 
 from __future__ import annotations
 
@@ -41,53 +43,55 @@ if TYPE_CHECKING:
 
 _NS = 1_000_000_000
 _AT_ONCE_NS = 200_000
-"""A request that was sent within so many ns counts as sent at the beginning of that time."""
+"""If sending a request takes less than this (ns), the time before the call counts as the time at
+which it was sent; else the time after the call."""
 _LOOK_NS = 200_000_000
-"""The user's wish to end is checked at least once in so many ns."""
+"""The longest interval (ns) between two calls of `stops`, which tells if the user wants to end."""
 _STEERED_NS = 30_000_000
-"""If the user can press keys, they are checked once in so many ns: a key should act at once."""
+"""The longest interval (ns) between two checks of the user's keys, if there are `controls`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MasterOptions(PlayOptions):
-    """How a recording is played as the master."""
+    """The options for replaying a recording as the master."""
 
     is_loop: bool = False
     timeout_ns: int = _NS
     ignore: Sequence[str] = ()
-    """Ranges of registers and bits whose values may differ."""
+    """Ranges of registers and bits whose values may differ from the recording."""
     learns: bool = False
-    """True to report registers with other values as `learned` instead of as differences."""
+    """True to report registers whose values differ in `Report.learned`, not as differences."""
     tolerance: Tolerance | None = None
 
 
 class Report(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """The result of a run; also the content of the JSON report."""
+    """The result of replaying a recording as the master; also the content of the JSON report."""
 
     recording: str
     link: str
     requests: int
-    """Requests that were sent."""
+    """The number of requests that were sent."""
     different: int
-    """Responses that were not as recorded."""
+    """The number of responses that were not as recorded."""
     unsolicited: int
-    """Responses that belong to no pending request."""
+    """The number of responses that belong to no pending request."""
     lateness_p99_ns: int | None
-    """The 99th percentile, in ns, of the delays of requests that did not have to wait for a
-    response. None if there are none, or if the user did not want recorded times."""
+    """The 99th percentile (ns) of the delays with which requests were sent later than planned.
+    Requests that had to wait for a response are left out. None if there are no others, or if the
+    recording was played as fast as possible."""
     asked: list[RequestReport]
     differences: list[Difference]
     learned: list[str] = field(default_factory=list)
-    """Ranges of registers that differed, in the form that --ignore takes; empty without --learn."""
+    """Ranges of registers whose values differed, as texts for --ignore; empty without --learn."""
     uncompared_latencies: int = 0
-    """Requests with too few responses for their latencies to be compared."""
+    """The number of requests with too few responses for their latencies to be compared."""
     problem: str | None = None
-    """The reason why not all requests could be sent: the slave cannot be reached, or the port was
-    lost. None if the link worked."""
+    """The error that kept some requests from being sent: the slave cannot be reached, or the port
+    was lost. None if the link worked."""
 
 
 class MasterRun:
-    """A recording, read and ready to be played on a link."""
+    """Reads a recording, then sends its requests on a link."""
 
     def __init__(
         self,
@@ -96,10 +100,10 @@ class MasterRun:
         on_remark: Callable[[str], None] = lambda _: None,
         watch: Watch = unwatched,
     ) -> None:
-        """Read the recording; if it is cut or damaged, the part that can be read.
+        """Read the recording; if it is cut or damaged, only the part that can be read.
 
         Raises InputError if the file cannot be read or has no request to send, UsageError if a unit
-        is on several links or a range of `ignore` is not understood.
+        is on several links or a text in `options.ignore` is no range of registers.
         """
         self._path = path
         self._on_remark = on_remark
@@ -125,11 +129,12 @@ class MasterRun:
     ) -> Report:
         """Send all recorded requests, and compare the responses with the recorded ones.
 
-        Ends early when `stops` returns True. `on_answer` is called for each step with its response,
-        None if there was none, and True if this is as recorded. `controls` returns the user's keys:
-        pause, step, faster, slower. If the link cannot be opened or its serial port is lost, the
-        report has the `problem` and the results so far. Raises UsageError if a master cannot use
-        the link.
+        Ends early when `stops` returns True. `on_answer` is called for each recorded request with
+        three arguments: the request, its response PDU (None if there was none), and True if that is
+        as recorded. `controls` returns the user's keys: pause, step, faster, slower.
+
+        If the link cannot be opened or its serial port is lost, the report has the error in
+        `problem` and the results so far. Raises UsageError if a master cannot use the link.
         """
         options = self._options
         judge = Judge(
@@ -164,7 +169,9 @@ class MasterRun:
         on_answer: Callable[[Step, bytes | None, bool], None],
         longest_wait_ns: int,
     ) -> None:
-        """Send the request that is due, if there is one; otherwise wait for responses."""
+        """Send the next request if its time has come; otherwise wait for responses, for at most
+        `longest_wait_ns` (ns).
+        """
         now_ns = time.monotonic_ns()
         for number in master.lost():
             for gone, is_right in conductor.give_up(number, now_ns):
@@ -174,7 +181,8 @@ class MasterRun:
             begin_ns = time.monotonic_ns()
             master.send(step.number, step.unit, step.pdu)
             end_ns = time.monotonic_ns()
-            # A slave on this machine may have responded before the clock was read again.
+            # A slave on this machine may respond before `end_ns` is read, which would make the
+            # latency negative.
             conductor.note_sent(step, begin_ns if end_ns - begin_ns < _AT_ONCE_NS else end_ns)
             return
         wake_ns = conductor.wake_ns(now_ns)
@@ -185,15 +193,15 @@ class MasterRun:
             if agrees is not None:
                 on_answer(self.script.steps[answer.number], answer.pdu, agrees)
         if not answers:
-            # A response that came in time may be read late if this process did not run for a while.
-            # So requests only expire by the time before the wait, and when nothing was there.
+            # A response that came in time may be read late if this process was suspended. So a
+            # request times out only by the time before the wait, and only if no response was there.
             for late, is_right in conductor.expire(now_ns):
                 on_answer(late, None, is_right)
 
     def _report(
         self, link: LinkSpec, judge: Judge, conductor: Conductor | None, problem: str | None
     ) -> Report:
-        """The report of a run; `conductor` is None if the link could not be opened."""
+        """Make the report; `conductor` is None if the link could not be opened."""
         options = self._options
         return Report(
             recording=self._path,
@@ -211,10 +219,11 @@ class MasterRun:
 
 
 def junit(report: Report) -> str:
-    """The report as JUnit XML: a case for each request, and one for each register that differs.
+    """Return the report as JUnit XML: a case for each request, and one for each register that
+    differs.
 
-    A request's case fails if one of the responses was not as recorded, or if the latencies are too
-    long. If the link did not work, a case with an error says why.
+    A request's case fails if one of its responses was not as recorded, or if its latencies are too
+    long. If the link failed, a case with an error says why.
     """
     cases = [
         Case(
@@ -236,7 +245,7 @@ def junit(report: Report) -> str:
 
 
 def _case_name(request: RequestReport) -> str:
-    """Function and addresses, such as `03 read holding 0..1`; the table is named once."""
+    """The name of a request's case, such as `03 read holding 0..1`: function and addresses."""
     action, _, table = request.what.rpartition(" ")
     is_named_twice = request.reference.startswith(f"{table} ")
     return f"{action if is_named_twice else request.what} {request.reference}"
@@ -256,5 +265,5 @@ def _told(difference: Difference) -> str:
 
 
 def _written(span: Span) -> str:
-    """A range in the notation for any device, such as `holding 9..19`."""
+    """Write a range of registers in the notation that works without a profile: `holding 9..19`."""
     return write_reference(None, span.table, span.first, span.last - span.first + 1)

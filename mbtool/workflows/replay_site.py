@@ -1,18 +1,18 @@
-"""Plays several slaves of a recording at once, each on a link of its own."""
+"""Replays several slaves of a recording at once, each on a link of its own."""
 
-# The user says which slaves answer where, once or several times:
+# With the option --on, given once or several times, the user says which slaves answer where:
 #
 #     LINK                           all slaves of the recording, on one link
 #     192.168.1.101=tcp:...:1502     the slaves of an address; WHO is as for --device: an address,
 #                                    a port, a unit. Or it is the name of a serial line
 #     all=tcp:127.0.0.0/24:1502      each slave that no other WHO names, on an address of its own
 #
-# In a network, a slave gets the address with its own last number (192.168.1.101 is 127.0.0.101) if
-# that is free, else the lowest free one. Slaves on one serial line share a link: they had one.
+# If the link is a network (/24), a slave gets the address that ends with the same numbers as its
+# own (127.0.0.101 for 192.168.1.101) if that is free, else the lowest free one. The slaves of one
+# recorded serial line share a link, as they did when they were recorded.
 #
-# Each slave is played by its own RecordedSlave in a thread of its own. Their clocks start together,
-# with the first request to any of them, and --start and --end count from the first request of the
-# whole recording.
+# Each link has its own RecordedSlave and thread. The clocks of all start together, with the first
+# request to any of them, and --start and --end count from the first request of the whole recording.
 #
 # Limits: MAX_LINKS links, as each takes a thread and a socket.
 
@@ -55,21 +55,21 @@ Address = ipaddress.IPv4Address | ipaddress.IPv6Address
 
 @dataclass(frozen=True, slots=True)
 class SiteRule:
-    """One --on: which slaves answer on which link."""
+    """The value of one option --on, `WHO=LINK` or `LINK`: which slaves answer on which link."""
 
     who: str | None
-    """The text of WHO; None if the user has given a link only."""
+    """The text of WHO; None if the user gave only a link."""
     link_text: str
     link: LinkSpec | None
-    """None for a network, in which each slave gets an address of its own."""
+    """The link; None if it is a network, in which each slave gets an address of its own."""
     network: Network | None = None
     port: int = MODBUS_PORT
     rtu: bool = False
 
     @classmethod
     def parse(cls, text: str) -> SiteRule:
-        """Read the text of --on. Raises UsageError for another form, and for other links than a
-        slave can use.
+        """Parse the value of --on. Raises UsageError for another form, or for a link that a slave
+        cannot use.
         """
         who, equals, link_text = text.partition("=")
         if not equals or _SCHEME.match(text):
@@ -88,17 +88,17 @@ class SiteRule:
 
 
 class SitePlayer(NamedTuple):
-    """A slave of the recording, or all slaves of an address or line, ready to answer on a link."""
+    """Slaves of the recording that answer on one link: one, those of an address or line, or all."""
 
     name: str
-    """How the recording calls it: an address, or the name of a serial line; for all slaves of a
-    recording the name of the link on which they answer."""
+    """The slaves' address or the name of their serial line in the recording; if all slaves answer
+    on one link, the name of that link."""
     run: SlaveRun
     link: LinkSpec
 
 
 class SiteRun:
-    """A recording, read and divided into the slaves that answer on different links."""
+    """Reads a recording, and divides its slaves among the links on which they will answer."""
 
     def __init__(
         self,
@@ -108,10 +108,10 @@ class SiteRun:
         on_remark: Callable[[str], None] = lambda _: None,
         watch: Watch = unwatched,
     ) -> None:
-        """Read the recording.
+        """Read the recording; `on` has the values of the options --on.
 
         Raises UsageError for a wrong --on, for a WHO that is not in the recording, and for several
-        slaves with one unit on one link; and the errors of SlaveRun.
+        slaves with the same unit on one link. Raises the errors of SlaveRun, too.
         """
         rules = [SiteRule.parse(text) for text in on]
         _demand_who(on, rules)
@@ -129,7 +129,7 @@ class SiteRun:
             own = recorded._replace(transactions=chosen)
             try:
                 run = SlaveRun(path, options, recorded=own, origin_ns=origin_ns)
-            except InputError as error:  # No request to this slave is in the part to play.
+            except InputError as error:  # This slave gets no request between --start and --end.
                 if len(parts) == 1:
                     raise
                 on_remark(f"mbtool: {part.name}: not played: {error}")
@@ -148,7 +148,8 @@ class SiteRun:
     ) -> PlayedSite:
         """Return the slaves on their links, not yet started.
 
-        `on_exchange` gives what gets each request and response of a slave.
+        `on_exchange` returns for each player the function that is called with each request and its
+        response, or None.
         """
         return PlayedSite(
             [
@@ -159,7 +160,7 @@ class SiteRun:
 
 
 class PlayedSite:
-    """The slaves of a recording on their links, with one clock for all."""
+    """The slaves of a recording on their links; their clocks start at the same time."""
 
     def __init__(self, played: Sequence[tuple[SitePlayer, PlayedSlave]]) -> None:
         self.played = played
@@ -169,7 +170,7 @@ class PlayedSite:
             slave.before_request = self._begin
 
     def _begin(self) -> None:
-        """Start all clocks at the first request. Called in the threads of all shells."""
+        """Start the clocks of all slaves at the first request. Any link's thread may call this."""
         if not self._has_begun:
             self._has_begun = True
             for _, slave in self.played:
@@ -182,7 +183,8 @@ class _SitePart(NamedTuple):
     name: str
     link: LinkSpec
     slaves: frozenset[tuple[str, int]] | None
-    """The places and units of the slaves; None for all."""
+    """For each slave, its address (or the name of its serial line) in the recording, and its unit.
+    None for all slaves."""
 
     def holds(self, transaction: NamedTransaction) -> bool:
         key = _place(transaction), transaction.unit
@@ -190,17 +192,17 @@ class _SitePart(NamedTuple):
 
 
 def _place(transaction: NamedTransaction) -> str:
-    """Where a slave was: its address and port, or the name of its serial line."""
+    """Where a slave was in the recording: its address and port, or the name of its serial line."""
     return transaction.destination or transaction.link
 
 
 def _name(place: str) -> str:
-    """A place as a user would write it: without the usual port."""
+    """An address with port, or the name of a line, as a user writes it: without port 502."""
     return place.removesuffix(f":{MODBUS_PORT}").strip("[]") if ":" in place else place
 
 
 def _demand_who(on: Sequence[str], rules: Sequence[SiteRule]) -> None:
-    """Raise UsageError if one of several --on does not say which slaves it is for."""
+    """Raise UsageError if there are several --on and one of them lacks WHO."""
     if len(rules) > 1:
         for text, rule in zip(on, rules, strict=True):
             if rule.who is None:
@@ -221,7 +223,10 @@ def _divided(
     asked: Iterable[NamedTransaction],
     on_remark: Callable[[str], None],
 ) -> list[_SitePart]:
-    """The slaves of a recording, divided by the rules; the most specific WHO counts."""
+    """Divide the slaves of a recording among the links of the rules.
+
+    If several rules fit a slave, the one with the most specific WHO counts.
+    """
     slaves = dict.fromkeys((_place(one), one.unit, one.destination) for one in asked)
     lines = {place for place, _, destination in slaves if destination is None}
     patterns = [None if rule.who in lines else parse_who(rule.who or "") for rule in rules]
@@ -258,7 +263,9 @@ def _specificity(who: Who | None) -> int:
 def _parts(
     rule: SiteRule, slaves: Sequence[tuple[str, int]], taken: set[Address]
 ) -> list[_SitePart]:
-    """One part for a link; for a network, one for each place, on an address of its own."""
+    """Put the slaves of a rule on its link; if the link is a network, those of each address or
+    serial line on a free address of it. `taken` gets the addresses that are used.
+    """
     if rule.link is not None:
         return [_SitePart(rule.who or ALL, rule.link, frozenset(slaves))]
     assert rule.network is not None
@@ -286,7 +293,9 @@ def _address(name: str) -> Address | None:
 
 
 def _free_address(rule: SiteRule, name: str, taken: set[Address]) -> Address:
-    """The address of the network that ends as the slave's own does; if taken, the lowest free."""
+    """Return an address for a slave in the network of a rule: the one that ends with the same
+    numbers as the slave's recorded address, or, if that is taken, the lowest free one.
+    """
     network = rule.network
     assert network is not None
     own = _address(name)

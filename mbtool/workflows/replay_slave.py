@@ -1,4 +1,4 @@
-"""Plays the slaves of a recording."""
+"""Replays the slaves of a recording: answers requests with the recorded responses."""
 
 from __future__ import annotations
 
@@ -47,28 +47,28 @@ if TYPE_CHECKING:
 RECORDED, NONE, SAMPLED = "recorded", "none", "sampled"
 _DURATION = re.compile(r"(\d{1,6}(?:\.\d{1,6})?)(us|ms|s)", re.ASCII)
 MAX_LATENCY_NS = 1_000_000_000_000
-"""The longest --latency, 1000 s: no master waits that long."""
+"""The longest time (ns) that --latency accepts, 1000 s: no master waits that long."""
 _UNITS_NS = {"us": 1_000, "ms": 1_000_000, "s": 1_000_000_000}
 _SEED = 0
-"""The seed of random numbers for --latency sampled: each run draws the same latencies."""
+"""The seed of the random numbers for --latency sampled, so that each run has the same latencies."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SlaveOptions(PlayOptions):
-    """How a recording is played as the slave."""
+    """The options for replaying a recording as the slave."""
 
     match: MatchStrategy = MatchStrategy.AUTO
     on_miss: OnMiss = OnMiss.IMAGE
     on_end: OnEnd = OnEnd.LAST
     latency: str = RECORDED
-    """`recorded`, `none`, `sampled`, or a time such as `5ms`."""
+    """The latency of responses: `recorded`, `none`, `sampled`, or a time such as `5ms`."""
     with_damage: bool = False
-    """True to play damaged responses, too."""
+    """True to send the damaged responses of the recording, too."""
     fault_file: Path | None = None
 
 
 class SlaveRun:
-    """A recording, read and ready to answer on a link."""
+    """Reads a recording, then answers requests on a link with its responses."""
 
     def __init__(
         self,
@@ -82,8 +82,8 @@ class SlaveRun:
     ) -> None:
         """Read the recording. If it is cut or damaged, use the part that can be read.
 
-        `recorded` is what to play if the file was read before, and `origin_ns` the time in UTC ns
-        from which --start and --end are counted; without it, it is that of the first request.
+        `recorded` has the transactions if the caller has already read the file. `origin_ns` is the
+        time (UTC ns) from which --start and --end count; by default that of the first request.
         Raises InputError if the file cannot be read or has no request to answer, and UsageError if
         the options contradict each other or do not fit the recording.
         """
@@ -98,7 +98,7 @@ class SlaveRun:
             recorded = read_recorded(path, options, on_remark, watch)
         events = recorded.damage if options.with_damage else ()
         self.recording = Recording.of(recorded.transactions, options.window, events, origin_ns)
-        # Keep only the profiles: the transactions take several times the memory of the recording.
+        # Keep no reference to the transactions: they take several times the memory of `recording`.
         self._profiles = recorded.assignments.profiles
         self._profile_of = _profile_of_units(recorded)
         if not self.recording.answers:
@@ -121,10 +121,9 @@ class SlaveRun:
     ) -> PlayedSlave:
         """Return the recording's slaves on a link, not yet started.
 
-        `on_exchange` gets each request and response. `wrapped` returns the responder that is asked
-        in place of the recording's.
-        Raises UsageError if no slave can answer on the link, or if the file of faults is wrong;
-        InputError if the file of faults cannot be read.
+        `on_exchange` is called with each request and its response. `wrapped` may replace the
+        responder that answers. Raises UsageError if no slave can answer on the link, or if the
+        fault file is wrong; InputError if the fault file cannot be read.
         """
         where = slave_link(link)
         options = self._options
@@ -158,7 +157,9 @@ class SlaveRun:
 
 
 class PlayedSlave:
-    """The slaves of a recording on a link. The shell's thread answers; another thread controls."""
+    """The slaves of a recording on a link, which answer in the link's thread. Any other thread may
+    call `begin`, `counts`, `control` and `progress`.
+    """
 
     def __init__(
         self,
@@ -173,27 +174,27 @@ class PlayedSlave:
         self._responder = responder
         self._lock = threading.Lock()
         self.before_request: Callable[[], None] = lambda: None
-        """Called before each request is answered, in the shell's thread."""
+        """Called in the link's thread before each request is answered."""
         self.shell: Shell = open_shell(link, self, allowed=allowed, on_exchange=on_exchange)
 
     def respond(self, unit: int, pdu: bytes, now_ns: int) -> Response | None:
         self.before_request()
         with self._lock:
-            # Use the clock that is also used for the user's keys.
+            # `now_ns` is not used: all methods must use one clock, also those for the user's keys.
             return self._responder.respond(unit, pdu, time.monotonic_ns())
 
     def begin(self) -> None:
-        """Start the recording's clock, if it has not been started."""
+        """Start the clock of the replay, unless it is running already."""
         with self._lock:
             self._slave.begin(time.monotonic_ns())
 
     def counts(self) -> Counter[AnsweredFrom]:
-        """The number of requests so far, by the source of their answer."""
+        """The number of requests so far, by the source of their response, such as the recording."""
         with self._lock:
             return self._slave.answered_from.copy()
 
     def control(self, control: Control) -> None:
-        """Apply a key that the user has pressed: pause, step, faster or slower."""
+        """Carry out the command of a key that the user pressed: pause, step, faster or slower."""
         with self._lock:
             self._slave.control(control, time.monotonic_ns())
 
@@ -203,9 +204,11 @@ class PlayedSlave:
 
 
 class RecordedDevice:
-    """A simulated device, made from its profile, for requests that are not in the recording.
+    """A simulated device, made from its profile, that answers requests which are not in the
+    recording.
 
-    Before each request the player sets the registers in the request to their recorded values.
+    Before each request, the RecordedSlave sets the registers that the request addresses to their
+    recorded values.
     """
 
     def __init__(self, profile: Profile) -> None:
@@ -236,9 +239,9 @@ def _transport(link: SerialLink | TcpLink) -> Transport:
 
 
 def _fixed_latency_ns(text: str) -> int | None:
-    """The fixed latency in ns that --latency sets; None for `recorded` and `sampled`.
+    """Parse --latency: return the fixed latency in ns; None for `recorded` and `sampled`.
 
-    Raises UsageError for a text that is not understood, and for a time above MAX_LATENCY_NS.
+    Raises UsageError for any other text that is no time, and for a time above MAX_LATENCY_NS.
     """
     if text in (RECORDED, SAMPLED):
         return None

@@ -1,8 +1,8 @@
-"""Makes the page that tells all of some captures: one pass over the files, one page out."""
+"""Makes the HTML page of `mbtool report` from captures, which are read once."""
 
-# The figures are those of `stats`, the inventory that of `inventory`, the findings those of
-# `check`, and the comparison that of `diff`: the same classes count here, all fed from one reading.
-# The comparison reads both captures once more, as it needs all their traffic at once.
+# The page has the figures of `stats`, the rows of `inventory` and the findings of `check`. The same
+# classes compute them, and get each record from a single reading of the files. For the comparison
+# of `diff` both captures are read once more, as it needs all their traffic at once.
 
 from __future__ import annotations
 
@@ -49,11 +49,11 @@ if TYPE_CHECKING:
 
 _LACKING = frozenset((EventKind.GAP, EventKind.DISCARDED, EventKind.CUT, EventKind.UNREADABLE))
 MAX_LACKING = 200
-"""The page lists at most so many events about what the capture lacks."""
+"""The most events about missing or unreadable data that the page lists."""
 
 
 class ReportRun:
-    """Reads files once, and makes a page of them."""
+    """Reads files once, and makes the HTML page about them."""
 
     def __init__(
         self,
@@ -83,13 +83,13 @@ class ReportRun:
         """An error of a file that could not be read, or not to its end; None if there was none."""
 
     def demand_codes(self) -> None:
-        """Raise UsageError if no code begins with a text of the filter."""
+        """Raise UsageError if there is a text in the filter with which no code begins."""
         self._check.demand_codes()
 
     def read(self, watch: WatchChecked = unwatched) -> None:
         """Read the files as far as they can be read.
 
-        Raises InputError if an error made it impossible to read any transaction.
+        Raises InputError if an error occurred before the first transaction was read.
         """
         try:
             for one in watch(self.reading, self._check.checked()):
@@ -103,7 +103,7 @@ class ReportRun:
     def page(
         self, against: str | None = None, on_remark: Callable[[str], None] = lambda _: None
     ) -> str:
-        """The page, compared with the capture `against`.
+        """Return the page as HTML; with `against`, it has a comparison with that capture.
 
         `on_remark` gets lines for the user about the files that are compared. Raises InputError if
         the other capture cannot be read.
@@ -186,7 +186,10 @@ class ReportRun:
 
 
 def _codes_of(one: NamedTransaction, findings: list[Finding]) -> list[str]:
-    """The codes of the findings about a transaction; others are about an earlier one."""
+    """Return the codes of those findings that are about this transaction.
+
+    A rule may report a finding about an earlier transaction when it gets this one.
+    """
     return [
         finding.code
         for finding in findings

@@ -1,4 +1,4 @@
-"""Makes the slave of `mbtool slave`: one or several devices on one link."""
+"""Makes the simulated slaves of `mbtool slave`: one or several devices on one link."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ if TYPE_CHECKING:
 
 
 ValuesSource = Path | Mapping[str, Any]
-"""A TOML file of values, or the keys and values of one."""
+"""A TOML file with the values of registers, or the keys and values of such a file."""
 
 
 @dataclass(frozen=True, slots=True)
 class Station:
-    """A device on the link, and the values that it starts with."""
+    """A simulated device on the link: its profile, and the initial values of its registers."""
 
     profile: Profile
     image_file: ValuesSource | None = None
@@ -62,14 +62,15 @@ def device_slave(
     wrapped: Callable[[Responder], Responder] = lambda one: one,
     on_trouble: Callable[[str], None] = lambda _: None,
 ) -> Shell:
-    """Return a shell with a device on a link, and others by their units, not yet started.
+    """Return a shell (a TCP endpoint or serial line) with simulated devices, not yet started.
 
-    The first device's rules decide which TCP connections are accepted and when they are closed.
-    `monitor` gets each request and response. `wrapped` returns the responder that is asked in place
-    of the devices'. `on_trouble` gets a line for the user when a capture
-    is incomplete, and when the state file cannot be written while the slave runs. Raises UsageError
-    for a link, a unit or a file that does not fit the devices, InputError for a file that cannot be
-    read, and OutputError if the state file cannot be written at the start.
+    `profile` is that of `unit`, the first device; `others` has further devices by unit. The first
+    device's rules decide which TCP connections are accepted and when they are closed. `monitor`
+    gets each request and response. `wrapped` may replace the responder that answers. `on_trouble`
+    gets a line for the user when a capture with values is incomplete, and when the state file
+    cannot be written while the slave runs. Raises UsageError for a link, a unit or a file that does
+    not fit the devices, InputError for a file that cannot be read, and OutputError if the state
+    file cannot be written at the start.
     """
     stations = {unit: Station(profile, image_file), **(others or {})}
     where = _with_silences(slave_link(link), stations)
@@ -99,7 +100,7 @@ def device_slave(
 def _play(
     station: Station, where: SerialLink | TcpLink, on_trouble: Callable[[str], None]
 ) -> tuple[DeviceResponder, Responder]:
-    """Return the device of a station, and the responder that answers requests to it.
+    """Make the device of a station; return it, and the responder that answers requests to it.
 
     The responder is the device itself, or a DrivenDevice if values change over time.
     """
@@ -118,7 +119,9 @@ def _play(
 def _with_silences(
     where: SerialLink | TcpLink, stations: Mapping[int, Station]
 ) -> SerialLink | TcpLink:
-    """Give a serial line the silences (t1.5, t3.5) that its devices need."""
+    """Return the link; a serial line with the silences (t1.5, t3.5) that its devices' profiles
+    demand.
+    """
     if not isinstance(where, SerialLink):
         return where
     assigned = [Assignment(Who(unit=n), one.profile) for n, one in stations.items()]

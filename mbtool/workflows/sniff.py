@@ -1,14 +1,15 @@
 """Captures from links, decodes bytes and packets, and logs them with the decoded records."""
 
-# One loop serves all sources. With a log, a thread of its own (shared/recorder.py) writes each item
-# (bytes, a packet) to the log and only then gives it to the loop, which decodes it. So evidence is
-# logged however late the decoder and the caller are.
+# One loop in the main thread decodes the bytes and packets of all sources (ports, interfaces,
+# taps). With a log, a thread of its own (shared/recorder.py) first writes each item to the log and
+# then passes it to this loop. So everything heard is logged, however late the decoder and the
+# caller are.
 #
 # Order at the start: open all sources, begin the log, let taps accept connections. So a link that
 # cannot be opened leaves no log behind, and connections cannot use up the file descriptors that the
 # log needs. Order at the end: close the sources, log and decode what they had received, complete
-# the log. A caller who is in a hurry waits at most HURRY_NS for the decoding; reading the log
-# decodes the rest.
+# the log. A caller who is in a hurry waits at most HURRY_NS for this decoding; when the log is
+# read, it is decoded again as a whole.
 
 from __future__ import annotations
 
@@ -45,18 +46,21 @@ if TYPE_CHECKING:
     from mbtool.workflows.shared.recorder import Log
 
 HURRY_NS = 500_000_000
-"""The longest time in ns that a caller in a hurry waits for the decoding at the end."""
+"""The longest time (ns) for which decoding goes on at the end if the caller is in a hurry."""
 CLOCK_LOOK_NS = 100_000_000
-"""Time in ns between two looks at the system's clock."""
+"""The time (ns) between two checks whether somebody has set the system's clock."""
 POLL_S = 0.1
-"""The longest wait for an item, in seconds, before the loop reads the clock again."""
+"""The longest time (seconds) for which the loop waits for an item before it calls `stop` again."""
 MAX_REASONS = 64
-"""The most reasons for refusals that are told to the user for one link. There must be a limit, as
-part of the reason may be text from a master."""
+"""The most reasons for refusals that are reported to the user for one link. There must be a limit,
+as a master's own text may be part of the reason."""
 
 
 class Sniffer:
-    """Captures from sources until told to stop. A context manager; its exit completes the log."""
+    """Captures from links, decodes, and writes a log if wanted.
+
+    It is a context manager: entering it opens the links, leaving it completes the log.
+    """
 
     def __init__(
         self,
@@ -69,14 +73,13 @@ class Sniffer:
         reconnects: bool = False,
         on_remark: Callable[[str], None] = lambda _: None,
     ) -> None:
-        """With `reconnects`, a serial port or an interface that is lost is opened again when it is
-        back; without, it ends.
+        """With `reconnects`, a serial port or interface that is lost (unplugged) is opened again
+        when it is back; without, its link ends.
 
-        `on_remark` gets a line for the user in these cases. A link is lost while others remain
-        open, or comes back. A source has lost bytes or packets, so that the log
-        lacks them. A tap refuses a master (reported once for each reason, until a master is served
-        again). At the end: packets were cut, requests were dropped by a limit, or a part of what
-        was heard is not decoded.
+        `on_remark` gets a line for the user in these cases: a link is lost while others remain
+        open, or comes back; a source has lost bytes or packets, so that the log lacks them; a tap
+        refuses a master (reported once for each reason, until a master is served again). At the
+        end: packets were cut, requests were dropped by a limit, or items were not decoded.
         """
         self._links = links
         self._decoder = decoder
@@ -89,9 +92,9 @@ class Sniffer:
         self._refusals = Refusals()
         self._missing = MissingParts()
         self._inbox = Inbox()
-        """What the sources hear."""
+        """The bytes, packets and events from the sources, waiting for the recorder or decoder."""
         self._undecoded = self._inbox
-        """What is to be decoded; with a log, what has been recorded."""
+        """The items that wait to be decoded. With a log, only items that are in the log."""
         self._open_sources = ExitStack()
         self.sources: list[LiveSource[Any]] = []
         """One source for each link, in the same order; empty until the context is entered."""
@@ -99,16 +102,16 @@ class Sniffer:
         self._looked_ns = 0
         self._open = 0
         self._is_complete = False
-        """True once everything that was heard has been decoded or left."""
+        """True once, after the end, all items have been decoded or deliberately left undecoded."""
 
     @property
     def places(self) -> list[str]:
-        """The open links as text; a tap with port 0 shows the port that the system chose."""
+        """A text for each open link; for a tap with port 0, with the port that the system chose."""
         return [source.place for source in self.sources]
 
     @property
     def lost_links(self) -> list[str]:
-        """The names of the links that are lost at present, and looked for."""
+        """The names of the links that are lost at present and are opened again when possible."""
         return [source.link for source in self.sources if source.is_lost]
 
     def __enter__(self) -> Self:
@@ -139,7 +142,7 @@ class Sniffer:
         is_interrupted = error[:1] == (KeyboardInterrupt,)
         try:
             for _record in self._rest(lambda: is_interrupted):
-                pass  # Nobody reads the record, but _rest has written it to the log.
+                pass  # The caller does not want the record, but `_rest` has logged it.
         finally:
             if self._recorder is not None:
                 self._recorder.close()
@@ -149,9 +152,9 @@ class Sniffer:
     ) -> Iterator[Record]:
         """Yield records as they are decoded, until `stop` returns True or all links are lost.
 
-        `stop` is called with the time (ns) at least ten times a second. At the end everything that
-        was heard is decoded; once `is_hurried` returns True, for at most HURRY_NS. Raises LinkError
-        when the last link is lost, OutputError when the log cannot be written.
+        `stop` is called with the time (UTC ns) at least ten times a second. At the end, all items
+        that were heard are decoded; if `is_hurried` returns True, for at most HURRY_NS. Raises
+        LinkError when the last link is lost, OutputError when the log cannot be written.
         """
         lost: LinkError | None = None
         while self._open and not stop(now_ns()):
@@ -187,7 +190,7 @@ class Sniffer:
             )
 
     def _take(self, item: Evidence) -> list[Record]:
-        """Decode an item; return its records, which the log has or gets."""
+        """Decode an item; return its records, after passing them to the log."""
         self._missing.note_item(item)
         if isinstance(item, WireEvent):
             self._tell_event(item)
@@ -197,7 +200,7 @@ class Sniffer:
         return records
 
     def _tell_event(self, event: WireEvent) -> None:
-        """Tell the user that a source has lost bytes or packets, or its link, or found it again."""
+        """Tell the user if a source has lost bytes or packets, or has lost or regained its link."""
         is_loss = event.kind is EventKind.DISCARDED and (event.packets or event.missing)
         if is_loss:
             self._on_remark(f"{event.link}: {event.message}")
@@ -205,9 +208,9 @@ class Sniffer:
             self._on_remark(event.message)
 
     def _rest(self, is_hurried: Callable[[], bool]) -> Iterator[Record]:
-        """Close the sources, and yield the records of all bytes that they had received.
+        """Close the sources, decode all that they had received, and yield the records.
 
-        A second call yields nothing.
+        If `is_hurried` returns True, decoding ends after HURRY_NS. A second call yields nothing.
         """
         self._open_sources.close()
         if self._recorder is not None:
@@ -225,9 +228,9 @@ class Sniffer:
             self._tell_undecoded(self._recorder.dropped if self._recorder is not None else 0)
 
     def _leave(self, items: Sequence[Item]) -> None:
-        """Leave items undecoded. The log has the bytes and packets, and gets the events.
+        """Leave items undecoded, for lack of time. The log already has the bytes and packets.
 
-        The user is told of losses among them.
+        Events among the items are written to the log, and losses are reported to the user.
         """
         self._is_complete = True
         left = 0
@@ -259,7 +262,7 @@ class Sniffer:
 
 
 def serial_lines(links: Sequence[LinkSpec]) -> dict[str, SerialLink]:
-    """The serial links by the name that chunks have. Raises UsageError if two names are equal."""
+    """Return the serial links by name. Raises UsageError if two of the links have the same name."""
     names = [link.name for link in links]
     for name in names:
         if names.count(name) > 1:
@@ -268,10 +271,10 @@ def serial_lines(links: Sequence[LinkSpec]) -> dict[str, SerialLink]:
 
 
 def with_settings(links: Sequence[LinkSpec], on_remark: Callable[[str], None]) -> list[LinkSpec]:
-    """Return the links; for a serial link without settings, find them by listening.
+    """Return the links; for a serial link with @auto, find its settings by listening.
 
-    This takes up to minutes for each link. `on_remark` gets a line before and after each search.
-    Raises LinkError if no bytes come, or none that tell the settings.
+    This takes up to minutes for each link. `on_remark` gets a line for the user before and after
+    each search. Raises LinkError if no bytes come, or none from which the settings can be found.
     """
     return [_found(link, on_remark) if isinstance(link, AutoLink) else link for link in links]
 
@@ -284,14 +287,14 @@ def _found(link: AutoLink, on_remark: Callable[[str], None]) -> LinkSpec:
 
 
 class Refusals:
-    """Chooses the refusals of a tap to report: each reason once, until a master is served again.
+    """Chooses which refusals of a tap are reported: each reason once, until a master is served.
 
     A refused master usually tries again and again. A master counts as served when a connection
-    opened after the refusal carries a response. A response on an older connection does not count,
-    nor does opening a connection: with TLS 1.3 a slave may refuse it right after.
+    that was opened after the refusal carries a response. Opening a connection does not count: with
+    TLS 1.3 a slave may refuse it right after.
 
-    Memory: for each link since its last refusal, at most MAX_REASONS reasons, and the masters'
-    endpoints of the connections opened since then.
+    Memory: for each link with a refusal, at most MAX_REASONS reasons, and the masters' addresses
+    of the connections that were opened since and are still open.
     """
 
     def __init__(self) -> None:
@@ -299,7 +302,7 @@ class Refusals:
         self._open: dict[str, set[str]] = {}
 
     def is_news(self, record: Record) -> TypeGuard[WireEvent]:
-        """Look at the next record. True if it is a refusal for a reason not yet reported."""
+        """Look at the next record; return True if it is a refusal for a reason not yet reported."""
         link = record.link
         if not isinstance(record, WireEvent):
             is_answered = record.outcome in (Outcome.OK, Outcome.EXCEPTION)

@@ -1,7 +1,7 @@
 """Computes the statistics of captures and logs, or of live links."""
 
-# Files are read by the same reader as for `decode`, and links by the same sniffer as for `sniff`.
-# --where chooses transactions; events, which tell of connections, are always counted.
+# Files are read as for `decode`, and live links as for `sniff`. The option --where chooses
+# transactions. Events are always counted, as the counts of connections come from them.
 
 from __future__ import annotations
 
@@ -22,15 +22,19 @@ if TYPE_CHECKING:
     from mbtool.workflows.shared.part_reading import PartReading
 
 ORDERED_AFTER_NS = 5_000_000_000
-"""Live transactions are sorted by time after a delay of so many ns. After it no earlier transaction
-can follow, as a decoder waits no longer for a response."""
+"""Live transactions wait for this time (ns) until they are sorted by the time of their request.
+After it no transaction with an earlier request can follow, as a decoder waits no longer for a
+response."""
 
 
 class FileStatistics:
     """Reads files once, and computes the statistics of the transactions that pass the filter."""
 
     def __init__(self, reading: PartReading, wanted: Where) -> None:
-        """A filter needs a reading that gives no runs."""
+        """`wanted` is the filter for transactions.
+
+        Unless it accepts all of them, `reading` must not yield batches (AnsweredRun).
+        """
         self._reading = reading
         self._wanted = wanted
         self._captures = 0
@@ -40,7 +44,7 @@ class FileStatistics:
         self.statistics = Statistics(self._format_of)
 
     def run(self) -> Iterator[Record | AnsweredRun]:
-        """Count all records, and yield each of them; many answered requests may come as one run.
+        """Count all records, and yield each of them; many answered requests may come as one object.
 
         Raises InputError for a file that cannot be read. For a file that is cut or damaged,
         InputError is raised after all other records are counted.
@@ -68,7 +72,7 @@ class FileStatistics:
 
     @property
     def remarks(self) -> list[str]:
-        """Lines for the user about the files, beside the figures."""
+        """Lines for the user about the files, such as cut packets or wrong line settings."""
         doubts = [f"mbtool: {doubt}" for doubt in self._doubts]
         return [*self._reading.remarks, *doubts, *self._hints.remarks]
 
@@ -88,5 +92,7 @@ class LiveStatistics:
             self.statistics.add(record)
 
     def advance(self, now_ns: int) -> None:
-        """Count the transactions that have waited for ORDERED_AFTER_NS at the time `now_ns`."""
+        """Sort the transactions with requests older than ORDERED_AFTER_NS at `now_ns` (UTC ns), so
+        that periods, poll cycles and hours include them.
+        """
         self.statistics.settle(now_ns - ORDERED_AFTER_NS)

@@ -1,4 +1,4 @@
-"""Finds the log that a recording writes, and says how the recording is doing."""
+"""Finds out from a log if the recording that writes it is running well."""
 
 from __future__ import annotations
 
@@ -13,11 +13,12 @@ from mbtool.ports.clock import now_ns
 from mbtool.workflows.shared.heartbeat import HEARTBEAT_NS
 
 LATE_NS = 2 * HEARTBEAT_NS
-"""A recording whose last heartbeat is older than this, in ns, is not well."""
+"""If the last heartbeat in the log is older than this (ns), the recording has a problem. A
+heartbeat is a record that `sniff --service` writes every minute."""
 
 
 class RecordingState(StrEnum):
-    """How a recording is doing."""
+    """The state of a recording; the values are texts for the user."""
 
     RECORDING = "recording"
     LATE = "no heartbeat"
@@ -29,7 +30,7 @@ class RecordingState(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class RecordingStatus:
-    """A log and the state of its recording."""
+    """The status of a log, and the state of the recording that writes it or wrote it."""
 
     path: Path
     state: RecordingState
@@ -42,9 +43,9 @@ class RecordingStatus:
 
 
 def recording_of(path: str) -> RecordingStatus:
-    """The recording of a log; of a rotated one, that of its last part.
+    """Return the status of the log at `path`; if it is rotated, that of its last part.
 
-    Raises InputError if there is no log of that name, nor a part of it.
+    Raises InputError if there is no log of that name, and no part of one.
     """
     found = _newest(Path(path))
     log, at_ns = read_status(found), now_ns()
@@ -78,7 +79,7 @@ def _number(values: dict[str, str], key: str) -> int:
 
 
 def heartbeat_numbers(log: LogStatus) -> dict[str, int]:
-    """The counters of the last heartbeat; 0 for one that is no number."""
+    """Return the counters in the last heartbeat of a log; 0 for a value that is no number."""
     return {key: _number(log.heartbeat, key) for key in log.heartbeat if key not in _TEXTS}
 
 

@@ -1,13 +1,15 @@
-"""Feeds the live views, in a thread of its own: records of links, or of files that are played."""
+"""Reads the records for live views in a thread of its own: from links, or files played back."""
 
-# The thread decodes and, with a log, records, however long a view takes to draw. A view reads
-# `watched` while it holds `lock`; the thread takes the lock for at most BATCH records at a time.
+# The thread decodes and, with a log, records, however long a view takes to draw. A view reads the
+# collected data (`watched`) while it holds `lock`. The thread holds the lock for at most BATCH
+# records at a time.
 #
-# A file is first read to its end. Then it can be played: a jump back reads it again from the start.
-# The times of a file are those of its records; the view's time is the position in the file.
+# A file is first read to its end, and the view shows all of it. Then the user can play it back from
+# any position. A jump back starts again with its first record. While a file is played, the time in
+# the view is the recorded time at the present position.
 #
-# Memory: the records of a file, as far as they are no more than MAX_CACHED, so that a jump back
-# need not decode them again.
+# Memory: all records of the files, if they are at most MAX_CACHED, so that a jump back need not
+# decode the files again.
 
 from __future__ import annotations
 
@@ -38,7 +40,7 @@ MAX_CACHED = 200_000
 MAX_REMARKS = 100
 _SETTLE_NS = 200_000_000
 _PACE_S = 0.05
-"""How often a file that is played looks at the time, in s."""
+"""The interval (seconds) at which further records of a file that is played back are shown."""
 
 
 class WatchFeed(ABC):
@@ -49,13 +51,13 @@ class WatchFeed(ABC):
     def __init__(self, watched: Watched) -> None:
         self.watched = watched
         self.lock = threading.Lock()
-        """Hold it to read or change `watched`."""
+        """The lock that a thread must hold while it reads or changes `watched`."""
         self.remarks: deque[str] = deque(maxlen=MAX_REMARKS)
-        """Lines for the user, the last one last."""
+        """The last MAX_REMARKS lines for the user, the newest one last."""
         self.error: BaseException | None = None
-        """What ended the thread or the reading of a file; None while all is well."""
+        """The error that ended the thread, or the reading of a file; None if there was none."""
         self.is_over = False
-        """True once no further record comes by itself."""
+        """True once the thread has ended, so that no further records come."""
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._main, name="watch feed", daemon=True)
 
@@ -63,14 +65,14 @@ class WatchFeed(ABC):
         self._thread.start()
 
     def stop(self) -> None:
-        """End the thread, and wait until it has completed the log."""
+        """End the thread, and wait for it; with a log, until the log is complete."""
         self._stopping.set()
         if self._thread.is_alive():
             self._thread.join()
 
     @abstractmethod
     def now_ns(self) -> int:
-        """The time of the view: the clock's, or the position in a file, in UTC ns."""
+        """The time (UTC ns) that the view shows: the present, or the position in a file."""
 
     @abstractmethod
     def _run(self) -> None: ...
@@ -94,7 +96,7 @@ class WatchFeed(ABC):
 
 
 class LinkFeed(WatchFeed):
-    """Takes the records of live links from a sniffer that is already open."""
+    """Reads the records of live links, from a sniffer whose links are already open."""
 
     def __init__(
         self,
@@ -108,8 +110,9 @@ class LinkFeed(WatchFeed):
     ) -> None:
         """`opened` is the context of the sniffer; the thread leaves it, which completes the log.
 
-        `ends` is asked at least ten times a second, True ends the recording. Each of `notes` looks
-        at a record and may give a line for the user; `remarks` are those of the sniffer.
+        `ends` is called at least ten times a second and returns True to end the recording. Each
+        function in `notes` gets each record and may return a line for the user. The sniffer adds
+        its own lines to `remarks`.
         """
         super().__init__(watched)
         self._sniffer, self._opened = sniffer, opened
@@ -141,12 +144,12 @@ class LinkFeed(WatchFeed):
         return self._is_asked()
 
     def _is_asked(self) -> bool:
-        """True once the recording must end: what was heard is then decoded for a short time."""
+        """True once the recording must end; the rest is then decoded for a short time only."""
         return self._stopping.is_set() or self._ends()
 
 
 class FileFeed(WatchFeed):
-    """Reads files to their end; then plays them: at a speed, step by step, from any position."""
+    """Reads files to their end, then plays them back: at any speed, or single transactions."""
 
     is_live = False
 
@@ -157,7 +160,10 @@ class FileFeed(WatchFeed):
         *,
         plays: bool = False,
     ) -> None:
-        """`records` reads the files anew with each call; with `plays` they are played at once."""
+        """`records` reads the files from the start with each call.
+
+        With `plays`, playing begins as soon as they are read.
+        """
         super().__init__(watched)
         self._open = records
         self._plays = plays
@@ -167,9 +173,9 @@ class FileFeed(WatchFeed):
         self._steps = 0
         self._is_whole = False
         self.first_ns = self.last_ns = 0
-        """The times of the first and the last record, in UTC ns; known once the files are read."""
+        """The times of the first and the last record (UTC ns); final once `is_read` is True."""
         self.is_read = False
-        """True once the files were read to their end."""
+        """True once all files have been read to their end."""
 
     def now_ns(self) -> int:
         if not self.is_read or self._is_whole:
@@ -178,7 +184,7 @@ class FileFeed(WatchFeed):
 
     @property
     def position_ns(self) -> int:
-        """The position since the first record, in ns."""
+        """The present position: the recorded time since the first record, in ns."""
         return min(max(self._clock.position(now_ns()), 0), self._clock.length_ns)
 
     @property
@@ -190,7 +196,9 @@ class FileFeed(WatchFeed):
         return float(self._clock.rate or 1)
 
     def play(self) -> None:
-        """Play from the position, or from the beginning if all was played; or pause."""
+        """Pause if the files are playing; else play from the present position, or, at the end, from
+        the beginning.
+        """
         at_ns = now_ns()
         if self._clock.is_running:
             self._clock.pause(at_ns)
@@ -207,15 +215,15 @@ class FileFeed(WatchFeed):
         self._clock.slower(now_ns())
 
     def seek(self, by_ns: int) -> None:
-        """Jump by a time in ns; back if it is negative."""
+        """Jump forward by a recorded time in ns; a negative time jumps back."""
         self._jump(self.position_ns + by_ns)
 
     def seek_to(self, share: float) -> None:
-        """Jump to a share of the whole, 0 to 1."""
+        """Jump to a position, given as a share (0 to 1) of the length of the recording."""
         self._jump(round(share * self._clock.length_ns))
 
     def step(self) -> None:
-        """Pause, and show one transaction more."""
+        """Pause, and show the next transaction."""
         if self._is_whole:
             self._jump(0)
         self._clock.pause(now_ns())
@@ -238,7 +246,7 @@ class FileFeed(WatchFeed):
             self.play()
         records: Iterator[Record] = iter(())
         waiting: Record | None = None
-        shown_ns: int | None = None  # The position up to which records are shown.
+        shown_ns: int | None = None  # The position (ns) up to which records were added to the view.
         while not self._stopping.is_set():
             self._woken.wait(_PACE_S if self._clock.is_running else None)
             self._woken.clear()
@@ -258,7 +266,11 @@ class FileFeed(WatchFeed):
     def _show_until(
         self, records: Iterator[Record], waiting: Record | None, target_ns: int
     ) -> tuple[int, Record | None]:
-        """Add what came up to a position, and the steps; return it and the next record."""
+        """Add the records up to the position `target_ns` (ns) to the view, `waiting` first.
+
+        Add one more transaction for each single step that the user wants. Returns the position
+        reached (ns) and the next record, None at the end.
+        """
         while waiting is not None and not self._stopping.is_set():
             batch: list[Record] = []
             while waiting is not None and len(batch) < BATCH:
@@ -281,7 +293,7 @@ class FileFeed(WatchFeed):
         return target_ns, waiting
 
     def _read_all(self) -> None:
-        """Read the files to their end, and show all of them."""
+        """Read the files to their end, and add all their records to the view."""
         batch: list[Record] = []
         try:
             for record in self._open():
@@ -293,7 +305,7 @@ class FileFeed(WatchFeed):
                     if self._stopping.is_set():
                         return
         except MbtoolError as error:
-            self.error = error  # What was read before can be seen and played.
+            self.error = error  # The records before the error can be shown and played.
         self._add(batch)
         self._note(batch)
         self._settle(None)
@@ -319,7 +331,7 @@ def make_watched(
     format_of: Callable[[str], SerialFormat | None],
     profile_for: Callable[[NamedTransaction], Profile | None],
 ) -> Watched:
-    """The model for a view of links or files."""
+    """Create the data that a view shows, still empty."""
     return Watched(format_of, profile_for)
 
 

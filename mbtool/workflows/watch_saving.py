@@ -1,8 +1,8 @@
-"""Saves what the user of a live view marked or filtered, as a log or a capture."""
+"""Saves the transactions that the user of a live view marked or filtered, as a log or a capture."""
 
-# From files, and from a log that is being written, the evidence itself is saved (convert.py). With
-# neither, the frames of the transactions that are still kept become the evidence of a new log: each
-# frame with the time of its last byte. What lay between the frames is then not in it.
+# If the view shows files, or if a log is being written, the original packets and bytes are copied
+# from there (convert.py). Otherwise a log is made from the frames of the transactions that the view
+# still has in memory, each frame with the time of its last byte. It lacks the bytes between frames.
 
 from __future__ import annotations
 
@@ -30,20 +30,23 @@ _LOG_SUFFIX = ".mcap"
 
 
 class Saver(Protocol):
-    """Saves the marked transactions; without marks those that pass the filter; without, all."""
+    """Saves the transactions that the user marked. If none is marked, saves those that pass the
+    filter; without a filter, all.
+    """
 
     def what(self, watched: Watched, *, is_filtered: bool) -> str:
-        """What would be saved, for the user."""
+        """Return a text for the user that says which transactions would be saved."""
 
     def job(self, watched: Watched, *, is_filtered: bool, out: str) -> Job:
-        """The work of saving, to be done in another thread; it returns a line for the user.
+        """Return a function that saves to the file `out`, to be called in another thread.
 
-        The work raises UsageError if the file cannot be created, OutputError if writing fails.
+        The function returns a line for the user. It raises UsageError if the file cannot be
+        created, OutputError if writing fails.
         """
 
 
 class EvidenceSaver:
-    """Saves from files of evidence: those that are watched, or the log that is being written."""
+    """Saves original packets and bytes: from the files in the view, or the log being written."""
 
     def __init__(self, paths: Sequence[str], options: ReadingOptions | None = None) -> None:
         self._paths = paths
@@ -69,10 +72,10 @@ class EvidenceSaver:
 
 
 class FrameSaver:
-    """Saves the frames of the transactions that are still kept, where nothing is recorded."""
+    """Saves the frames of the transactions in the view's memory, if there is no log or file."""
 
     def __init__(self, begin_log: Callable[[str], LogWriter | RotatingLog]) -> None:
-        """`begin_log` creates a log at a path, with the links and devices of this run."""
+        """`begin_log` creates a log at a path, with the links and devices of the view."""
         self._begin_log = begin_log
 
     def what(self, watched: Watched, *, is_filtered: bool) -> str:
@@ -137,12 +140,12 @@ def _marked_text(watched: Watched) -> str:
 
 
 def _identity(one: NamedTransaction) -> tuple[object, ...]:
-    """What tells a transaction from all others of a capture, also if it is decoded again."""
+    """Return the fields that identify a transaction in a capture, even if it is decoded again."""
     return one.request_ns, one.response_ns, one.unit, one.function, one.request_raw
 
 
 def _chunks(one: NamedTransaction) -> Iterator[Chunk]:
-    """The frames of a transaction as evidence: each as if it had been read by itself."""
+    """Yield the request and the response of a transaction, each as a chunk (one read of a port)."""
     ends = _ends(one)
     for raw, ts_ns, direction in (
         (one.request_raw, one.request_ns, Direction.REQUEST),
