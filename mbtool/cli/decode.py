@@ -268,7 +268,7 @@ def _with_remarks(reading: Reading, hints: ModelHints, window: TimeWindow) -> It
 
 
 def _is_piped() -> bool:
-    """True if standard input is not a regular file, but for example a pipe."""
+    """True if standard input is a pipe or the like, and not a regular file."""
     try:
         return not stat.S_ISREG(os.fstat(0).st_mode)
     except OSError:  # Standard input is closed: opening it will raise the error.

@@ -26,8 +26,7 @@ MANY_BITS = 8
 """If a request or response has more bits than this, a cell shows them in groups of GROUP bits."""
 GROUP = 8
 FOLDED = 4
-"""At least this many equal values that follow each other are shown once, with their number: `0
-x24`."""
+"""If at least this many equal values follow each other, a cell shows one and a count: `0 x24`."""
 
 MAX_RAW = 16
 """A cell shows at most this many of the bytes that belong to an event, such as skipped bytes."""

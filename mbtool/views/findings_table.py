@@ -61,7 +61,7 @@ class PlaceSummary:
 
 
 class CodeSummary:
-    """Counts the findings (broken rules) with one code, for each of MAX_PLACES places."""
+    """Counts the findings (broken rules) with one code at each of at most MAX_PLACES places."""
 
     def __init__(self, severity: Severity) -> None:
         self.severity = severity

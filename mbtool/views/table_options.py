@@ -7,7 +7,7 @@ from enum import StrEnum
 
 
 class TimeStyle(StrEnum):
-    """The time that a row of the table shows."""
+    """The kind of time that each row of the table shows."""
 
     UTC = "utc"
     LOCAL = "local"

@@ -66,7 +66,8 @@ class WatchedPointRow(NamedTuple):
     is_written: bool
     history: Sequence[float]
     pair: tuple[int, int] | None
-    """The register and the one behind it, for a float; None if they were not read together."""
+    """The values of the register and the next one, for a float; None if they were not read
+    together."""
 
 
 class RecordRow(NamedTuple):

@@ -45,7 +45,7 @@ class Watched:
         self.filtered: Board | None = None
         """The board of the records that pass the filter; None without a filter."""
         self.marked: dict[int, KeptRecord] = {}
-        """The records that the user marked, by their order."""
+        """The records that the user marked, by their `order` (number among all records)."""
 
     def add(self, record: Record) -> None:
         """Take the next record: a transaction or an event."""

@@ -53,7 +53,8 @@ class WatchedPoll:
     """For each value the time of its last change, in ns since 1970; NEVER_NS if it never
     changed."""
     points_changed_ns: dict[str, int] = field(default_factory=dict)
-    """The time of the last change (ns since 1970) of each point that has changed, by its name."""
+    """The time of the last change (ns since 1970) of each point (named value) that has changed, by
+    its name."""
     latencies: deque[int | None] = field(default_factory=lambda: deque(maxlen=HISTORY))
     """The last latencies in ns; None for a request without response."""
     period_ns: int = 0

@@ -96,7 +96,7 @@ class DrawnApp(App[int]):
         self.filter_is_on = bool(where)
         self.view_at = 0
         self.frozen: list[Sequence[Any]] | None = None
-        """The rows of each view while the user freezes the view; else None."""
+        """The rows of each view while the screen is frozen; else None."""
         self.settings: WatchSettings = load_settings()
         self._saver = saver
         self._is_asked_to_end = is_asked_to_end

@@ -125,7 +125,7 @@ class LiveTable(Widget, can_focus=True):
         return self.can_follow and self._sorted_by[0] is None
 
     can_follow = False
-    """True for a view whose last row is the newest."""
+    """True for a view (table) whose last row is the newest."""
 
     @property
     def page(self) -> int:
