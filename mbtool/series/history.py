@@ -72,7 +72,7 @@ _PLACES = {
 
 
 class History:
-    """Counts transactions and events over time. `bins` can be read at any time."""
+    """Counts transactions and events over time, in `bins`."""
 
     def __init__(self) -> None:
         self.bins = TimeBins(max(len(UnitSum), len(LinkSum)))

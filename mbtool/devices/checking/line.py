@@ -138,7 +138,10 @@ class LineRules:
         return broadcast is not None and _responds_to(broadcast, transaction)
 
     def close(self) -> Iterator[Finding]:
-        """Give the findings that count cases, about silences and requests that come too soon."""
+        """Give the findings about wrong silences and about requests that come too soon.
+
+        Each has a number of cases. Call it at the end of the capture.
+        """
         for link, line in self._lines.items():
             silences = line.silences
             if line.format is not None and self._has_exact_times(link):

@@ -64,7 +64,7 @@ repeats."""
 @dataclass(slots=True)
 class _ConnectionState:
     since_ns: int | None = None
-    """The time of the connection's first record, in ns."""
+    """The time of the connection's first transaction or event, in ns."""
     is_complete: bool = False
     """True if the connection was opened during the capture, and no bytes were lost since."""
     has_request: bool = False
