@@ -12,7 +12,7 @@
 # endpoints if the roles are unknown), up to MAX_FOREIGN_REPORTED endpoints. Ports that the user
 # named, and 502, are expected to carry Modbus even then.
 #
-# A connection that two interfaces captured is decoded twice, unless `across` is set.
+# A connection that two interfaces captured is decoded twice, unless `across` treats them as one.
 
 from __future__ import annotations
 

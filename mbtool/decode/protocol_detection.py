@@ -313,7 +313,7 @@ class ProtocolDetector:
 
 
 class _ProtocolCandidate:
-    """One possible protocol and assignment of roles of a connection, and the evidence for it."""
+    """One possible protocol and choice of master and slave, with the evidence for them."""
 
     def __init__(self, connection: Connection, *, rtu: bool, swapped: bool, expected: bool) -> None:
         if swapped:

@@ -149,7 +149,7 @@ REVERSED_PAIR = 6.0
 is more than twice the silence before its request, and no frame so far had a certain direction: the
 two frames are probably a response and the next request."""
 
-# The costs below tell where frames begin and end: they are the costs of the segments of a path
+# The costs below tell where frames begin and end: they are the costs of the parts of an explanation
 # (frames, damaged frames and skipped bytes).
 
 SKIP = 8.0
