@@ -1,7 +1,7 @@
 """Splits the bytes of an ADU into named fields, so that they can be shown field by field."""
 
 # Offsets count the raw bytes as captured. An ASCII frame has two hexadecimal digits for each byte
-# of the PDU.
+# of unit, PDU and LRC.
 
 from __future__ import annotations
 

@@ -439,5 +439,8 @@ def _finding_troubles(findings: Summaries) -> list[VerdictTrouble]:
 
 
 def _is_of_a_manual(code: str, severity: Severity) -> bool:
-    """True for a warning about a rule of a device's manual; the counts show other warnings."""
+    """True for a warning about a rule of a device's manual.
+
+    The counts of units show the warnings about the standard's rules.
+    """
     return severity is Severity.WARNING and not code.startswith(("MB-", "RTU-", "TCP-"))
