@@ -44,8 +44,8 @@ RUNS_EACH = 4
 processes end at about the same time."""
 
 _VERSION = "1"
-"""Part of the names of records. A new version of mbtool that gives another result for the same file
-must change it, so that the file is decoded again."""
+"""Part of the names of the records that say that a file was decoded. A new version of mbtool that
+gives another result for the same file must change it, so that the file is decoded again."""
 _DATE = re.compile(r"(?<!\d)20\d\d([-_./]?[01]\d([-_./]?[0-3]\d)?)?(?!\d)")
 _DIGITS = re.compile(r"(\d+)")
 

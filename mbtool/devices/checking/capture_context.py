@@ -1,4 +1,4 @@
-"""Facts about a capture that rules need beside its decoded records: profiles, line settings."""
+"""Facts about a capture that rules need beside its transactions: profiles, line settings."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def _no_line(_: str) -> SerialFormat | None:
 
 @dataclass(frozen=True, slots=True)
 class CaptureContext:
-    """What the rules of `mbtool check` need beside the decoded records of a capture.
+    """What the rules of `mbtool check` need beside the transactions and events of a capture.
 
     It holds the user's options and the settings of serial lines.
     """

@@ -39,7 +39,7 @@ at once. Then the rules are asked again; after each refusal, twice as many rows 
 
 
 class Checker:
-    """Checks the records of one capture against all rules."""
+    """Checks the transactions and events of one capture against all rules."""
 
     def __init__(self, context: CaptureContext | None = None) -> None:
         self._context = context or CaptureContext()

@@ -61,7 +61,10 @@ _UMAS_NAMES = {
 
 
 class CommandRules:
-    """Finds cases of SEC-102 and SEC-103; reports them at the end of the capture."""
+    """Finds masters that write too often (SEC-102), and commands that stop a device (SEC-103).
+
+    Reports them at the end of the capture.
+    """
 
     def __init__(self, limits: SecurityLimits, cases: SecurityCases) -> None:
         self._cases = cases

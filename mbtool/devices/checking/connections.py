@@ -52,7 +52,10 @@ class _Connection:
 
 
 class ConnectionRules:
-    """Finds TCP-101 to TCP-203 and RTU-201 in the records of a network."""
+    """Finds wrong transaction and protocol ids, and bytes that are no ADU, on TCP connections.
+
+    The findings are TCP-101 to TCP-203, and RTU-201.
+    """
 
     def __init__(self, ports: frozenset[int] | None) -> None:
         """`ports` are the TCP ports that should carry Modbus; None for all ports."""

@@ -71,24 +71,29 @@ class _Module:
     """The master's HOST:PORT of each open connection, and the time of its last request (ns); at
     most MAX_CONNECTIONS."""
     recent: deque[tuple[int, Finding]] = field(default_factory=lambda: deque(maxlen=MAX_RECENT))
-    """The time (ns) of each recent request and connection attempt, and its finding FA3-X4. The
-    finding is reported if a reset less than RESET_NS earlier is decoded later."""
+    """The time (ns) of each recent request and connection attempt, and a finding that it came too
+    soon after a reset. The finding is reported if a reset less than RESET_NS earlier is decoded
+    later."""
     reset_by: str | None = None
     """HOST:PORT of the master that requested a remote reset; None once its connection is closed."""
     reset_ns: int | None = None
     reported: set[str | None] = field(default_factory=set)
-    """HOST:PORT of each master that got a finding FA3-X4 after the last reset; each gets only
-    one."""
+    """HOST:PORT of each master for which it was reported that it used the module too soon after the
+    last reset. This is reported once for each master."""
     is_requested: bool = False
     """True from the write that sets Y9, the request flag, to the write that clears it."""
     is_completed: bool = False
     """True if the master read X9, the completion flag, as 1 since Y9 was set."""
     has_new_settings: bool = False
-    """True from a write of settings until Y9 is set to apply them, or until FA3-X6 is reported."""
+    """True from a write of settings until Y9 is set to apply them, or until a finding says that
+    they were not applied."""
 
 
 class Fa3Rules:
-    """Finds FA3-X1 to FA3-X8 in the records of FA3 modules."""
+    """Checks how masters use FA3 modules: connections, remote resets, the handshake for settings.
+
+    The findings are FA3-X1 to FA3-X8.
+    """
 
     def __init__(self) -> None:
         self._modules: LruDict[str, _Module] = LruDict(_Module)
@@ -152,10 +157,10 @@ class Fa3Rules:
                 yield from self._attempt(module, attempt_ns, finding)
 
     def _attempt(self, module: _Module, at_ns: int, finding: Finding) -> Iterator[Finding]:
-        """Report FA3-X4, once for each master, if the module was reset less than RESET_NS before.
+        """Report a request or connection attempt at `at_ns` if it came too soon after a reset.
 
-        `finding` is about a request or connection attempt at `at_ns`. If no reset came before it,
-        remember it, because the transaction of the reset can be decoded later.
+        Too soon means less than RESET_NS. `finding` (FA3-X4) is reported once for each master. If
+        no reset came before, remember it, because the transaction of a reset can be decoded later.
         """
         since_ns = module.reset_ns
         if since_ns is not None and since_ns < at_ns < since_ns + RESET_NS:

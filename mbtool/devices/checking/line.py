@@ -57,7 +57,8 @@ class _Cases:
 class _Line:
     silences: LineSilences = field(default_factory=LineSilences)
     pace: dict[tuple[str, int], _Cases] = field(default_factory=dict)
-    """The requests that came too soon, by code (RTU-301, RTU-302) and unit; at most 256 units."""
+    """The requests that came too soon after the frame before. The key is the code of the finding
+    (RTU-301 or RTU-302) and the unit; there are at most 256 units."""
     stray: WireEvent | None = None
     """The unreadable bytes after the last frame; None if there are none. They are the finding
     RTU-202 if another frame follows."""

@@ -66,7 +66,10 @@ class _Master:
 
 
 class MasterRules:
-    """Finds cases of SEC-101 and SEC-205; reports them at the end of the capture."""
+    """Finds second masters that write (SEC-101), and new hosts that identify a slave (SEC-205).
+
+    Reports them at the end of the capture.
+    """
 
     def __init__(self, limits: SecurityLimits, cases: SecurityCases) -> None:
         self._cases = cases

@@ -56,7 +56,7 @@ class QuietConnection(NamedTuple):
 class QuietRun:
     """Figures about consecutive Modbus/TCP reads with the outcome OK.
 
-    None of the reads has a finding, a verdict or a retry.
+    None of the reads has a finding, a retry, or a verdict of the decoder such as `malformed`.
     """
 
     polls: list[QuietPoll]

@@ -82,7 +82,10 @@ class _Retry:
 
 
 class ResponseRules:
-    """Finds MB-401 to MB-403. Takes records in the order in which they are decoded."""
+    """Finds missing responses, retries, and responses without a request (MB-401 to MB-403).
+
+    The caller passes transactions and events in the order in which they are decoded.
+    """
 
     def __init__(self) -> None:
         self._states: LruDict[_Connection, _ConnectionState] = LruDict(_ConnectionState)
@@ -166,7 +169,7 @@ class ResponseRules:
             self._has_responded[poll.link, poll.unit][0] = True
 
     def event(self, event: WireEvent) -> Iterator[Finding]:
-        """Note lost or damaged bytes. Yields MB-401 for requests that have waited too long."""
+        """Note lost or damaged bytes. Yields findings about requests that waited too long."""
         yield from self._advance(event.ts_ns)
         if event.kind in _LOST and not event.link:  # Part of a log is missing.
             self._pending.clear()

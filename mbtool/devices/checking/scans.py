@@ -38,7 +38,10 @@ _REFUSED_ADDRESS = frozenset((ExceptionCode.ILLEGAL_DATA_ADDRESS, ExceptionCode.
 
 
 class ScanRules:
-    """Finds cases of SEC-201 to SEC-204; reports them at the end of the capture."""
+    """Finds masters that search for addresses, units, functions or registers (SEC-201 to SEC-204).
+
+    Reports them at the end of the capture.
+    """
 
     def __init__(self, limits: SecurityLimits, cases: SecurityCases) -> None:
         self._hosts = Unpolled(limits.host_scan, cases)

@@ -146,7 +146,7 @@ class LineSilences:
         )
 
     def findings(self, remarks: list[str], format_: SerialFormat | None) -> Iterator[Finding]:
-        """Give RTU-101 to RTU-103 for a line whose times come from an adapter, driver or packets.
+        """Give findings about wrong silences, for times from an adapter, a driver or packets.
 
         Wrong silences that are too few for a finding are told in a sentence, added to `remarks`.
         """
@@ -168,7 +168,7 @@ class LineSilences:
         ]
 
     def exact_findings(self, format_: SerialFormat) -> Iterator[Finding]:
-        """Give RTU-101 to RTU-103 for a line on which the time of every byte is exact."""
+        """Give findings about wrong silences, for a line with exact times of every byte."""
         for (sign, unit), cases in self.wrong.items():
             code, text = _SILENCES[sign]
             if sign is not Verdict.GLUED:

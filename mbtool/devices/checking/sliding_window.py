@@ -33,12 +33,13 @@ class SlidingWindow:
         self._counted_to_ns: int | None = None
         """The time of the last case that was counted, in ns."""
         self.first_ns: int | None = None
-        """The time (ns) of the first case in the first full window; None if none was full yet."""
+        """The time (ns) of the first case of those that first reached the limit; None if it was not
+        reached yet."""
 
     def add(self, at_ns: int) -> int:
         """Add a case at a time (ns), and return how many cases are counted for the first time now.
 
-        The number is 0 unless a full window contains the new case.
+        A case is counted if it is one of the limit's number of cases within the limit's time.
         """
         times, number = self._times, self._limit.number
         place = bisect_right(times, at_ns)
@@ -55,8 +56,10 @@ class SlidingWindow:
         return counted
 
     def _full_window(self, place: int) -> int | None:
-        """The index in `_times` of the first case of the earliest full window that contains the
-        case with the index `place`; None if no full window contains it.
+        """Find the limit's number of cases within the limit's time, among them the case `place`.
+
+        `place` is an index in `_times`. Returns the index of the first of these cases. Returns
+        None if there are not so many within this time.
         """
         times, number, window_ns = self._times, self._limit.number, self._limit.window_ns
         for begin in range(max(0, place - number + 1), min(place, len(times) - number) + 1):
@@ -65,9 +68,9 @@ class SlidingWindow:
         return None
 
     def _count(self, begin: int) -> int:
-        """Count the cases of the full window that begins at the index `begin` in `_times`.
+        """Count the limit's number of cases, from the index `begin` in `_times` on.
 
-        Returns the number of cases that were not counted before.
+        Returns how many of them were not counted before.
         """
         times, known_ns = self._times, self._counted_to_ns
         end = begin + self._limit.number
