@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from mbtool.core import Packet
 
-LINK_HEADERS = {0: 4, 1: 14, 101: 0, 113: 16, 276: 20}
-"""Sizes of the headers of loopback, Ethernet, raw IP and the two forms of Linux cooked."""
+LINK_HEADERS = {0: 4, 1: 14, 101: 0, 108: 4, 113: 16, 276: 20}
+"""Header sizes in bytes: loopback (0, 108), Ethernet, raw IP and Linux cooked (113, 276)."""
 VLAN_TYPES = (b"\x81\x00", b"\x88\xa8")
 ACK = 0x10
 
