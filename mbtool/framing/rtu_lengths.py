@@ -10,7 +10,7 @@ from mbtool.modbus.adu_bytes import RTU_EXTRA_BYTES, crc, crc_on
 from mbtool.modbus.pdu import LAYOUTS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
 
     from mbtool.core import Direction
 
@@ -63,6 +63,16 @@ def has_frame(data: bytes, directions: Iterable[Direction]) -> bool:
             if size and offset + size <= end and crc(data[offset : offset + size]) == 0:
                 return True
     return False
+
+
+def is_frame_between(data: bytes, cuts: Sequence[int]) -> bool:
+    """True if a frame of any function, with a correct CRC, lies between two silences.
+
+    `cuts` are the offsets, in order, at which silences divide `data`. There is also a silence
+    before `data` and one behind it.
+    """
+    bursts = zip((0, *cuts), (*cuts, len(data)), strict=True)
+    return any(b - a >= MIN_FRAME and crc(data[a:b]) == 0 for a, b in bursts)
 
 
 def crc_ends(start: bytes, most: int) -> list[int]:

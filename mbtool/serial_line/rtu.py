@@ -14,7 +14,6 @@
 # The time of a byte is the end of its last bit. The bytes of one read get their times from the time
 # of the last one, a character time apart. The output depends on these times only, not on how the
 # bytes were divided into reads. When the clock was set back, all buffered bytes are returned.
-#
 # Memory: less than WINDOW bytes.
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from typing import TYPE_CHECKING
 from msgspec.structs import replace
 
 from mbtool.core import Direction, EventKind
-from mbtool.framing.rtu_lengths import MIN_FRAME, has_frame, why_skipped
+from mbtool.framing.rtu_lengths import MIN_FRAME, has_frame, is_frame_between, why_skipped
 from mbtool.modbus.adu import MAX_RTU_ADU, Adu, Checksum, DirectionBy, Skipped, Transport, Verdict
 from mbtool.modbus.functions import ECHOING, NEVER_ECHOED
 from mbtool.serial_line.adapter_echo import AdapterEcho
@@ -43,8 +42,7 @@ if TYPE_CHECKING:
 WINDOW = 512
 """The number of bytes at which the search decides without a silence: two frames of full size."""
 HOLD_NS = 300_000_000
-"""An incomplete frame waits this long, in ns, for more bytes: longer than the longest latency timer
-of an FTDI adapter, 255 ms."""
+"""An incomplete frame waits this long, in ns, for more bytes. FTDI adapters wait at most 255 ms."""
 MAX_SILENCES = 16
 """After this many silences of t3.5 the buffered bytes are decided, even if a frame may be
 incomplete. A frame of 256 bytes that comes in pieces of 32 bytes has 8 silences."""
@@ -53,8 +51,8 @@ UNSURE = 0.79
 """The confidence (0.5 to 1) of an ambiguous frame is at most this, just below `SURE`."""
 
 LONG_NOISE = 2 * WINDOW
-"""After this many bytes without a frame, a full buffer is searched only if a frame with a correct
-CRC begins in it: among so much noise, a damaged frame would mean nothing."""
+"""After this many bytes without a frame, the search runs only if a frame with a correct CRC is among
+the buffered bytes: among so much noise, a damaged frame would mean nothing."""
 
 _COPIED_RETRY = Classification(Direction.REQUEST, DirectionBy.TIMING, 1.0)
 
@@ -264,13 +262,15 @@ class RtuSplitter:
 
         `keep` is the number of bytes at the end that stay undecided.
         """
-        end = len(self._data)
-        if keep and self._noise_size >= LONG_NOISE and not has_frame(self._data, self._roles):
-            self._emit_skipped(end - keep, events)
+        data, cuts, end = self._data, self._silences_at, len(self._data)
+        is_long_noise = self._noise_size >= LONG_NOISE
+        if is_long_noise and not (has_frame(data, self._roles) or is_frame_between(data, cuts)):
+            if keep or must_decide or not may_continue:
+                self._emit_skipped(end - keep, events)
             return
         last = self._last_end
         window = ByteWindow(
-            self._data,
+            data,
             self._times[:],
             self._character_ns,
             silences(self._times, last and last[0], self._silent_ns, at_end=not keep),
