@@ -1,5 +1,7 @@
 """Assigns device profiles to slaves, as WHO=PROFILE on the command line says."""
 
+# Examples of WHO=PROFILE, and the slaves to which they assign the profile:
+#
 #     5=idec-ft1a-touch                  unit 5 on any link
 #     192.168.3.250=fa3-at1m8x           an address, all its ports and units
 #     192.168.3.250:1502=fa3-at1m8x      an address and a port; [::1]:1502 for IPv6

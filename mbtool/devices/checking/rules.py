@@ -22,11 +22,11 @@ class Severity(StrEnum):
     """How serious a finding is. The values are levels of SARIF."""
 
     ERROR = "error"
-    """A request that cannot have a correct response, or an incorrect response."""
+    """For a request that cannot have a correct response, and for an incorrect response."""
     WARNING = "warning"
-    """Behaviour that may work in one case and fail in another."""
+    """For behaviour that may work in one case and fail in another."""
     NOTE = "note"
-    """A fact that is worth knowing, but need not be a fault."""
+    """For a fact that is worth knowing, but need not be a fault."""
 
 
 @dataclass(frozen=True, slots=True)
