@@ -51,8 +51,8 @@ UNSURE = 0.79
 """The confidence (0.5 to 1) of an ambiguous frame is at most this, just below `SURE`."""
 
 LONG_NOISE = 2 * WINDOW
-"""After this many bytes without a frame, the search runs only if a frame with a correct CRC is among
-the buffered bytes: among so much noise, a damaged frame would mean nothing."""
+"""After this many bytes without a frame, the search runs only if a frame with a correct CRC is in
+the buffer: among so much noise, a damaged frame would mean nothing."""
 
 _COPIED_RETRY = Classification(Direction.REQUEST, DirectionBy.TIMING, 1.0)
 
