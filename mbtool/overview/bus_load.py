@@ -1,4 +1,4 @@
-"""Divides the time of a serial line into characters, slaves, missing answers and pauses."""
+"""Divides the time of a serial line into bytes sent, latencies, missing answers and pauses."""
 
 # At any time, a two-wire line is in one of these states:
 #

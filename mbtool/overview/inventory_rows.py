@@ -152,8 +152,8 @@ class InventoryDocument(msgspec.Struct, kw_only=True):
     slaves: list[SlaveRow] = []
     masters: list[MasterRow] = []
     left_out: dict[str, int] = {}
-    """Counts of data that the inventory lacks because a memory limit was reached, each with a text
-    that says what is missing."""
+    """What the inventory lacks because a memory limit was reached: texts that name the data, each
+    with the number of missing items."""
 
 
 def shown_host(host: str, port: int | None) -> str:

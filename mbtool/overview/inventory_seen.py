@@ -74,7 +74,7 @@ class SeenSlave:
 
     @property
     def unreached(self) -> int:
-        """The number of requests to which a gateway responded that the unit did not answer."""
+        """The number of requests to which a gateway responded that it could not reach the unit."""
         return sum(self.exceptions[code] for code in _GATEWAY_EXCEPTIONS)
 
     @property

@@ -115,7 +115,7 @@ class PollStep(Generic[P]):
 
 @dataclass(frozen=True, slots=True)
 class PollList(Generic[P]):
-    """A list that a master polls in cycles. Times are in ns."""
+    """A sequence of requests that a master sends again and again, in cycles. Times are in ns."""
 
     steps: tuple[PollStep[P], ...]
     """The steps in the order of the requests; the first one follows the longest pause."""
@@ -159,7 +159,7 @@ class PollList(Generic[P]):
 
 @dataclass(frozen=True, slots=True)
 class PollLists(Generic[P]):
-    """The lists that a master polls in cycles, and its other requests."""
+    """The sequences of requests that a master sends in cycles, and its other requests."""
 
     lists: tuple[PollList[P], ...]
     """The polled lists, the one with the shortest period first."""
@@ -187,7 +187,7 @@ def response_timeout(in_order: Sequence[Asked[P]]) -> int | None:
     """Estimate how long (ns) the master waits for a response; None if it never waited in vain.
 
     The estimate is the 10th percentile of the times from an unanswered request to the next request.
-    Longer times include a pause of the master, shorter ones may be disturbed.
+    Longer times may include a pause of the master; the shortest tenth is ignored as exceptional.
     """
     waits = sorted(
         after.begin_ns - one.end_ns

@@ -39,7 +39,7 @@ class PollReport:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MasterReport:
-    """The lists that one master polls in cycles on a link."""
+    """The sequences of requests that one master sends in cycles on a link."""
 
     master: str
     """The master's host; empty on a serial line."""

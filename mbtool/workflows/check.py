@@ -58,7 +58,7 @@ class CodeFilter:
     """
 
     select: tuple[str, ...] = ()
-    """If empty, all codes are chosen."""
+    """The texts with which chosen codes begin; if empty, all codes are chosen."""
     ignore: tuple[str, ...] = ()
 
     @classmethod
@@ -138,7 +138,8 @@ class CheckRun:
         self._lines: UnreadableLines | None = None
         """Finds the serial lines in the current capture that cannot be read."""
         self._namer: Namer | None = None
-        """Names the transactions of a log with the present profiles; None if no log is read."""
+        """Names the transactions of a log again, with the user's and the log's profiles; None if no
+        log is read."""
         self._formats: dict[str, SerialFormat] = {}
         """The settings of the serial lines in the current capture, by link name."""
         self._captures = 0
@@ -187,7 +188,8 @@ class CheckRun:
     def checked(self) -> Iterator[CheckedRecord]:
         """Yield each record with its findings, and at the end of a capture those about the whole.
 
-        Raises InputError as `findings` does.
+        Raises InputError for a file that cannot be read; for a file that is cut or damaged, after
+        all findings.
         """
         return self._checked(self.reading.records())
 

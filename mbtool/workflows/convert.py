@@ -337,7 +337,7 @@ def _record_ns(record: Record) -> int:
 
 
 def _known_ns(item: LogItem) -> int:
-    """The time (UTC ns) at which an item was complete; a transaction with its response."""
+    """The time (UTC ns) at which an item was complete: for a transaction, that of its response."""
     if isinstance(item, WireEvent | Packet | Chunk):
         return item.ts_ns
     return item.start_ns if item.response_ns is None else item.response_ns

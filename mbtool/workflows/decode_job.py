@@ -53,8 +53,8 @@ class JobOptions:
 
     @property
     def text(self) -> str:
-        """A text of the options that change the result. It becomes part of the names of records, so
-        that other options decode again.
+        """A text with the options that change the result. The names of the records that mark
+        captures as decoded contain its hash, so a job with other options decodes them again.
         """
         return f"{sorted(self.ports)} {sorted(self.rtu_ports)} {self.any_port}"
 
@@ -67,7 +67,7 @@ class DecodeJob:
     output: str
     options: JobOptions
     files: int = 0
-    """The number of captures found; with a share, of those in it."""
+    """The number of captures found; with `options.share`, of those in this part of the job."""
     done_before: int = 0
     failed_before: list[FileOutcome] = field(default_factory=list)
     """The captures that an earlier job decoded, but could not read to their ends."""

@@ -77,7 +77,7 @@ class FileOutcome(msgspec.Struct, kw_only=True, omit_defaults=True):
     changed_ns: int
     sha256: str = ""
     parquet: str = ""
-    """The name of its Parquet file in the output; empty if there is none."""
+    """The path of the file's Parquet file, below the output folder; empty if there is none."""
     transactions: int = 0
     error: str = ""
     """Why the file was not read, or not to its end; empty if it was read."""
@@ -97,18 +97,19 @@ def decode_run(task: bytes) -> bytes:
 
 @dataclass(slots=True)
 class _Input:
-    """An input file of the run that can be read."""
+    """An input file of a task that can be read."""
 
     file: InputFile
     number: int | None
-    """The index of the file in the run; None for a file before or after the run."""
+    """The index of the file among those that the task decodes. None for a file before or after
+    them, which is only read for the state of connections."""
     path: str
     """The path at which the file is read: its own, or that of a copy."""
     digest: str
 
 
 class _RunWork:
-    """Decodes the files of one run."""
+    """Decodes the files of one DecodeTask."""
 
     def __init__(self, task: DecodeTask, folder: Path) -> None:
         self._task = task
@@ -146,9 +147,9 @@ class _RunWork:
                 outcome.parquet, outcome.transactions = "", 0
 
     def _inputs(self) -> list[_Input]:
-        """Return the files that can be read, those before and after the run included.
+        """Return the files that can be read: those to decode, and those before and after them.
 
-        For the other files of the run, note the error.
+        If a file to decode cannot be read, note the error in its outcome.
         """
         run = self._task.run
         inputs = []
@@ -249,7 +250,10 @@ class _FileTable:
 
 
 def _tables(reading: PartReading) -> Iterator[Table]:
-    """Yield the transactions of files as tables. Raises the errors of `PartReading.records`."""
+    """Yield the transactions of files as tables.
+
+    Raises InputError for a file that cannot be read, or is cut or damaged, after its transactions.
+    """
     if isinstance(reading, ColumnReading):
         for batch in reading.batches():
             yield batch.table
@@ -269,7 +273,9 @@ def _tables(reading: PartReading) -> Iterator[Table]:
 
 
 def _names(inputs: Sequence[_Input]) -> dict[str, str]:
-    """For the name at which each file is read, the name that the user gave: a copy has another."""
+    """The names that the user gave to the files, by the names under which they are read; these
+    differ for copies of files.
+    """
     return {shown_name(one.path): shown_name(one.file.path) for one in inputs}
 
 

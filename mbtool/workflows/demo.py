@@ -52,7 +52,8 @@ MODULE_UNIT = 0
 """The unit id that the module's manual tells a master to send; the module ignores it."""
 
 Exchange = tuple[int, bytes, bytes | None]
-"""Unit, request PDU and response PDU; None if the slave did not respond."""
+"""A request and its response: the unit, the request PDU, and the response PDU, which is None if the
+slave did not respond."""
 
 _ANY = Endpoint("127.0.0.1", 0)
 _QUIET_NS = 300_000_000

@@ -53,7 +53,7 @@ _FOR = {
 
 
 class CheckState(StrEnum):
-    """How a check ended."""
+    """The result of a check: OK, MISSING (mbtool works without it) or BROKEN (to be repaired)."""
 
     OK = "ok"
     MISSING = "missing"
@@ -67,7 +67,7 @@ class MachineCheck:
     name: str
     state: CheckState
     found: str
-    """The finding, as one line for the user."""
+    """A line for the user that says what the check found."""
     remedy: str = ""
     """A command that repairs it; mbtool never runs it itself. Empty if there is none."""
 
@@ -85,7 +85,7 @@ class Screen:
 def machine_checks(
     ports: Iterable[LocalSerialPort], capture: Trouble | None, screen: Screen
 ) -> Iterator[MachineCheck]:
-    """Yield all checks, in the order of the report."""
+    """Check everything; yield the results in the order in which `mbtool doctor` shows them."""
     yield python_check(sys.version_info[:3])
     yield from _packages()
     yield from port_checks(list(ports))

@@ -88,7 +88,7 @@ class SiteRule:
 
 
 class SitePlayer(NamedTuple):
-    """Slaves of the recording that answer on one link: one, those of an address or line, or all."""
+    """The slaves of the recording that answer on one link: those of one address or line, or all."""
 
     name: str
     """The slaves' address or the name of their serial line in the recording; if all slaves answer
@@ -111,7 +111,8 @@ class SiteRun:
         """Read the recording; `on` has the values of the options --on.
 
         Raises UsageError for a wrong --on, for a WHO that is not in the recording, and for several
-        slaves with the same unit on one link. Raises the errors of SlaveRun, too.
+        slaves with the same unit on one link; InputError if the file cannot be read or has no
+        request to answer.
         """
         rules = [SiteRule.parse(text) for text in on]
         _demand_who(on, rules)

@@ -113,7 +113,7 @@ class ReportRun:
 
     @property
     def remarks(self) -> list[str]:
-        """Lines for the user about the files."""
+        """Lines for the user about the files, such as cut packets."""
         return self._check.remarks
 
     def _add(self, one: CheckedRecord) -> None:

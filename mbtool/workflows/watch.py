@@ -44,7 +44,7 @@ _PACE_S = 0.05
 
 
 class WatchFeed(ABC):
-    """Reads records in a thread of its own, and adds them to `watched`."""
+    """Reads records in a thread of its own, and adds them to `watched`, the data for a view."""
 
     is_live = True
 

@@ -27,8 +27,8 @@ class PrintedBlock:
 
     counts: TransactionCounts
     made: list[NamedTransaction] = field(default_factory=list)
-    """Transactions whose PDUs are not the common reads and writes, so that each was made an object
-    to be printed."""
+    """Those transactions that arrays could not print, because they are no common reads or writes.
+    A NamedTransaction was made of each to print it."""
     text: str = ""
     """The lines of all transactions; empty if the process writes a Parquet file."""
     text_bytes: int = 0

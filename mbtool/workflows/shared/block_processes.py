@@ -101,7 +101,7 @@ class BlockProcesses:
                 continue
             process = self._processes[number % len(self._processes)]
             if process.is_full:
-                yield waiting.popleft().take()  # Blocks go round in turn, so this is `process`.
+                yield waiting.popleft().take()  # `process` has the oldest block: they take turns.
             process.send(block)
             waiting.append(process)
             number += 1

@@ -194,7 +194,7 @@ def _evidence(path: str, options: ReadingOptions) -> Iterator[tuple[LineSettings
             log = LogReader(capture.stream, capture.name)
             lines: dict[str, LineSettings | None] = {}
             for item in log.evidence():
-                if item.link not in lines:  # A log may describe a link only before its first item.
+                if item.link not in lines:  # A log may describe a link just before its first item.
                     lines[item.link] = _settings(log.links.get(item.link, {}).get(SPEC))
                 line = lines[item.link]
                 if isinstance(item, Chunk) and line is not None:

@@ -73,7 +73,9 @@ class ColumnReading(PartReading):
         """The check of the assumed baud rate, if the current file has bytes of a serial line."""
 
     def records(self) -> Iterator[Record]:
-        """Yield all transactions and events, one by one. Raises as `batches` does."""
+        """Yield all transactions and events, one by one. Raises InputError, or CutError for a file
+        that ends in the middle of a packet.
+        """
         namer = Namer(self.assignments)
         for block in self._blocks():
             for _, record in block.records:
@@ -101,7 +103,7 @@ class ColumnReading(PartReading):
         """Yield the transactions as text, the lines of each block of packets together.
 
         `line_of` makes the line of a transaction; `separator` stands between the values of a list
-        in it. Raises as `batches` does.
+        in it. Raises InputError, or CutError for a file that ends in the middle of a packet.
         """
         lines = BlockLines(line_of, separator)
         for block in self._blocks():
@@ -111,7 +113,9 @@ class ColumnReading(PartReading):
             yield batch
 
     def decoded(self) -> Iterator[DecodedBlock]:
-        """Yield the decoded blocks of packets as they are. Raises as `batches` does."""
+        """Yield the decoded blocks of packets as they are. Raises InputError, or CutError for a
+        file that ends in the middle of a packet.
+        """
         for block in self._blocks():
             for _, record in block.records:
                 self._note(record)

@@ -47,7 +47,7 @@ class _InputFile(NamedTuple):
 
 @dataclass(slots=True)
 class InputGroup:
-    """The files of one capture."""
+    """The input files that together are one capture, and the options for reading them."""
 
     paths: list[str]
     options: ReadingOptions

@@ -29,7 +29,7 @@ class EvidenceOnlyLog:
     """Passes packets and chunks on to a log, and events that decoding could not find again."""
 
     def __init__(self, log: StatusLog, taps: Set[str]) -> None:
-        """`taps` are the names of the links that are taps."""
+        """`taps` are the names of the links that are taps (relays between masters and a slave)."""
         self._log = log
         self._taps = taps
 

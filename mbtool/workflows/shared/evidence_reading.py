@@ -77,8 +77,8 @@ class EvidenceReading(Reading):
     ) -> None:
         """Decode all files and fill `marks`; the first transaction gets the number `first`.
 
-        `wanted` returns True for the transactions to keep. Raises the errors of `records`; then
-        `marks` has the transactions before the error.
+        `wanted` returns True for the transactions to keep. Raises InputError for a file that cannot
+        be read to its end; then `marks` has the transactions that could be read.
         """
         number = first
         try:

@@ -42,7 +42,7 @@ class FileResult:
 
 
 class FileResults:
-    """The results of the files of one reading."""
+    """Reads several files in turn, and keeps the number of records and the error of each."""
 
     def __init__(self, paths: Sequence[str]) -> None:
         self._paths = paths
@@ -114,7 +114,7 @@ class FileResults:
                 yield from go_on(error)
 
     def note(self, name: str, record: Record) -> None:
-        """Count a record of a file."""
+        """Count a record as read from the file with this name."""
         result = self._opened.get(name)
         if result is None:
             return
@@ -124,7 +124,7 @@ class FileResults:
             result.transactions += 1
 
     def note_some(self, name: str, transactions: int, events: int) -> None:
-        """Count several records of a file."""
+        """Count several transactions and events as read from the file with this name."""
         result = self._opened.get(name)
         if result is not None:
             result.transactions += transactions

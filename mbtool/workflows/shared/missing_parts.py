@@ -34,7 +34,7 @@ class MissingParts:
         self.note_cut(1, len(item.data), len(item.data))
 
     def note_cut(self, count: int, shortest: int, longest: int) -> None:
-        """Count cut packets. `shortest` and `longest` are the lengths (bytes) of two of them."""
+        """Count cut packets. `shortest` and `longest` are the limits of their lengths in bytes."""
         self._shortest = min(self._shortest, shortest) if self._cut else shortest
         self._longest = max(self._longest, longest)
         self._cut += count

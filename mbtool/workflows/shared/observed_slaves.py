@@ -60,7 +60,7 @@ class ObservedSlaves:
         return list(self._slaves.values())
 
     def only(self, option: str) -> ObservedSlave:
-        """Return the slave if there is one, or if only one of several has sent a response.
+        """Return the slave if there is only one, or if only one of several has sent a response.
 
         Otherwise raises UsageError; the message names `option`, with which the user can choose a
         slave.

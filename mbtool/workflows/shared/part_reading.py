@@ -1,4 +1,4 @@
-"""Reads files for commands that only count transactions, so that many may come as one object."""
+"""Reads files for commands that only count transactions, so that many can be passed as a batch."""
 
 from __future__ import annotations
 

@@ -99,7 +99,7 @@ class Reading:
         self._first_undecodable: str | None = None
         """The message of the first event about data that cannot be decoded."""
         self._heard: list[HeardLine] = []
-        """A check of the assumed baud rate, for each file of a line that does not contain it."""
+        """For each file that has serial bytes but no baud rate, a check of the assumed rate."""
         self._missing = MissingParts()
         self._logs = LogRemarks(paths, is_raw=options.raw)
         self.results = FileResults(paths)
@@ -219,7 +219,7 @@ class Reading:
         known.add(place)
 
     def records(self) -> Iterator[Record]:
-        """Yield all transactions and events, file by file. Each transaction has its `file`."""
+        """Yield all transactions and events, file by file. Each transaction names its file."""
         for record in self._records():
             self._has_found = True
             self._missing.note_record(record)

@@ -96,7 +96,7 @@ def within(transactions: list[NamedTransaction], window: TimeRange) -> list[Name
 
 
 def where_none(window: TimeRange) -> str:
-    """Return the end of the message "nothing to play": the chosen part, and a way out."""
+    """Return the end of the message "nothing to play": the part that was chosen, and advice."""
     if window == TimeRange():
         return "; see what it holds with decode"
     return f" in the part {window}; give another --start and --end"

@@ -43,8 +43,9 @@ MAX_RECORDS = 1000
 """The most records that wait to be written. The recorder's thread writes all of them at once, which
 delays evidence by less than 0.1 s."""
 BEHIND_NS = 250_000_000
-"""If the decoder is later than this (ns), a mark in the log says so. So if recording is killed, the
-log lacks records without a mark for at most this time."""
+"""If decoding is later than recording by more than this (ns), a mark is written to the log. So if
+recording is killed, a log without a mark lacks the decoded records of at most this time, beside
+those that were not on the disk."""
 _MARK_NS = 100_000_000
 """While the decoder is behind, a mark is written to the log at this interval (ns)."""
 

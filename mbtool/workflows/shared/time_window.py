@@ -63,8 +63,8 @@ class TimeWindow:
         return any(one is not None and not one.is_absolute for one in (self.start, self.end))
 
     def begun(self, records: Iterable[Record], *, at_once: bool = False) -> Iterator[Record]:
-        """Yield all records, but if the window is relative, not before the capture's first request
-        is known, from which relative times count.
+        """Yield all records. If the window's times count from the capture's first request, hold
+        records back until that request is known.
 
         With `at_once`, for live captures, no record is held back: the first transaction that is
         decoded counts as the first request.

@@ -41,8 +41,8 @@ _OF_TAPS = frozenset({EventKind.OPENED, EventKind.CLOSED})
 """Events that only a tap reports. For captured packets, decoding finds them again."""
 
 _HELD_NS = 2_000_000_000
-"""Evidence is held back until evidence or an event is later by this time (ns), as an event with an
-earlier time may still follow it in the log."""
+"""Evidence is held back until the log has an item that is later by this much (ns), as events with
+earlier times may follow it in the log."""
 _MOST_HELD = 5000
 
 _LOSSES_OF_SOURCES = ("not recorded", "turned away")
@@ -66,7 +66,7 @@ class LogRemarks:
         return bool(self._counts) or any(self._ends.values())
 
     def note(self, log: LogReader, name: str) -> None:
-        """Note the remarks about a log that has been read to its end."""
+        """Keep remarks for the user about a log that has been read to its end."""
         text = log.capture.get(UNDECODED_PIECES, "0")
         if not self._counts and text.isdecimal() and len(text) <= 9 and int(text):
             self._unread[name] = int(text)
@@ -122,7 +122,9 @@ class LogRemarks:
 
 
 def heard(log: LogReader) -> Iterator[Chunk | Packet | WireEvent]:
-    """Yield the evidence of a log, in order of time with the events that decoding cannot find."""
+    """Yield the packets and chunks of a log, and the events that decoding them cannot find again,
+    each event at its place in time.
+    """
     taps = {name for name, one in log.links.items() if one.get(SPEC, "").startswith("tap:")}
     return _in_place(
         item for item in log.heard() if not isinstance(item, WireEvent) or is_of_source(item, taps)
@@ -133,8 +135,8 @@ def _in_place(items: Iterator[Chunk | Packet | WireEvent]) -> Iterator[Chunk | P
     """Move each event in front of the evidence of its link that has a later time.
 
     An event is written to the log only after the decoder has passed it on, so often behind later
-    evidence. Decoding a loss of bytes ends the frame at that place; too late, it would break the
-    next frame.
+    evidence. An event about lost bytes ends the frame that is being decoded; if it came too late,
+    it would break the next frame.
     """
     held: deque[Chunk | Packet | WireEvent] = deque()
     try:
@@ -164,7 +166,7 @@ def is_of_source(event: WireEvent, taps: Set[str]) -> bool:
     if event.kind in _OF_TAPS:
         return event.link in taps
     if event.kind is EventKind.DISCARDED:
-        # Data that the decoder discarded because of its own limits will be reported again.
+        # If the decoder discarded data because of its own limits, decoding will report that again.
         return bool(event.packets) or any(text in event.message for text in _LOSSES_OF_SOURCES)
     if event.kind is EventKind.GAP:
         # Without a source, a GAP is a damaged place of the log, or a port that was unplugged. Gaps

@@ -52,7 +52,7 @@ class _HeardLine:
     first: WireEvent | None = None
     """The first event with bytes that could not be read."""
     sample: list[WireEvent] = field(default_factory=list)
-    """The first events with bytes that could not be read."""
+    """The first events with bytes that could not be read, with about SAMPLE_BYTES bytes in all."""
     is_told: bool = False
 
     @property

@@ -29,7 +29,9 @@ MAX_WAITING = 1 << 20
 
 
 class StreamKey(NamedTuple):
-    """The key of a stream of bytes in a capture: its link, its direction, its TCP connection."""
+    """The key of a stream of bytes in a capture: its link, its direction, and its TCP connection
+    (None on a serial line).
+    """
 
     link: str
     direction: Direction
