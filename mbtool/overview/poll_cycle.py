@@ -49,8 +49,8 @@ if TYPE_CHECKING:
 P = TypeVar("P", bound="Hashable")
 
 MOST = 0.9
-"""If at least this share (0 to 1) of the requests is in equal cycles, the cycle is accepted as one
-polled list without looking at the periods of single polls."""
+"""If at least this share (0 to 1) of the requests is in equal cycles, these are accepted, and no
+other way of grouping the polls is tried."""
 MANY = 0.4
 """At least this share (0 to 1) of the requests must be in equal cycles for the cycle to be a polled
 list."""

@@ -29,8 +29,8 @@ class ConnectionTally:
     joined: int = 0
     """The number of connections that were already open when the capture began."""
     refused_by_tap: int = 0
-    """The number of connections that a tap (a relay between master and slave) could not pass on to
-    the slave."""
+    """The number of connections that a tap (a relay between master and slave) refused, for example
+    because it could not reach the slave."""
     closed: dict[str, int] = field(default_factory=dict)
     """The number of closed connections by reason: finished, reset, refused, replaced, idle,
     discarded, capture-end, other."""

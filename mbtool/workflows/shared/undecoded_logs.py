@@ -102,7 +102,7 @@ class LogRemarks:
 
     @cached_property
     def _ends(self) -> Mapping[str, bool]:
-        """For each log that was not closed: True if its last evidence was not decoded.
+        """For each log, by path: True if it was not closed and its last evidence was not decoded.
 
         Empty if the files together have more than MAX_LOOKED_THROUGH bytes, since decoding all of
         them again would take too long.
