@@ -57,6 +57,6 @@ class OutputError(MbtoolError):
 def reason_of(error: OSError | ValueError) -> str:
     """Return the operating system's text for an error, without its number and file name.
 
-    If the error has no such text, this is the error's own text.
+    If the error has no such text, returns str(error).
     """
     return getattr(error, "strerror", None) or str(error)

@@ -61,12 +61,12 @@ class WireEvent:
     link: str
     kind: EventKind
     message: str
-    """The event in a sentence for the user."""
+    """What happened, in one sentence for the user."""
     source: str = ""
     destination: str = ""
     raw: bytes = b""
-    """The bytes that the event is about, if any."""
+    """The bytes that the event is about, such as the skipped ones; empty if there are none."""
     missing: int = 0
     """Number of bytes that the capture lacks; 0 if unknown."""
     packets: int = 0
-    """Number of packets of a network interface that the capture lacks."""
+    """Number of packets of a network interface that the capture lacks; 0 if none or unknown."""

@@ -12,12 +12,18 @@ from mbtool.core.errors import UsageError
 
 
 def missing_extra(what: str, extra: str) -> UsageError:
-    """Return the error for a command that needs an extra which is not installed."""
+    """Return the error for a missing optional extra; its text has the command that installs it.
+
+    `what` names the feature that needs the extra.
+    """
     return UsageError(f"{what} needs the extra mbtool[{extra}]: {installer(*requirements(extra))}")
 
 
 def requirements(extra: str) -> list[str]:
-    """Return the requirements of an extra, without their markers (such as `; extra == "tls"`)."""
+    """Return the packages (with versions, as for pip) that an extra needs.
+
+    If mbtool's own metadata does not list them, the result is only `mbtool[EXTRA]`.
+    """
     from importlib import metadata  # Imports the package email; rarely needed.
 
     try:
@@ -32,9 +38,9 @@ def requirements(extra: str) -> list[str]:
 def installer(*packages: str, prefix: str = sys.prefix) -> str:
     """Return the command that installs packages into the environment that this mbtool runs in.
 
-    `uv tool install --with` would remove what an earlier --with has installed, so for a tool of uv
-    the packages are added to its environment. The venv that `make` creates has no pip of its own,
-    so the pip of python3 installs into it.
+    `prefix` is the folder of that environment. If uv made it, `uv pip` adds the packages to it, as
+    `uv tool install --with` would remove the packages of an earlier --with. An environment without
+    pip, such as the one that `make` creates, gets the packages by the pip of python3.
     """
     parts = Path(prefix).parts
     quoted = shlex.join(packages)

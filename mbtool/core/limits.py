@@ -9,7 +9,8 @@ MAX_OPEN_REQUESTS = 256
 waits for the response to the oldest."""
 
 MAX_CLOCK_STEP_NS = 1_000_000_000
-"""If a time is earlier than the previous one by more than this, in ns, the clock was set back."""
+"""If a chunk's time is earlier than the previous chunk's by more than this, in ns, the clock was
+set back. A smaller difference is normal: two ports on one line are read at different moments."""
 
 RESPONSE_TIMEOUT_NS = 1_000_000_000
 """The default time in ns that a master waits for a response."""

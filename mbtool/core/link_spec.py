@@ -241,10 +241,10 @@ def parse_link(text: str, offer: str = _ALL) -> LinkSpec:
 def _parse_serial(
     text: str, scheme: str, rest: str, example: str | None = None
 ) -> SerialLink | AutoLink:
-    """Parse `PORT@SETTINGS`, also with two ports. Raises UsageError if it is anything else.
+    """Parse `rest`, which is `PORT@SETTINGS` or `PORT,PORT@SETTINGS`; `scheme` is rtu or ascii.
 
-    `text` is the whole LINK, and `example` is a correct link, both for the text of that error; if
-    `example` is None, one is made up.
+    Raises UsageError for any other text. The error shows `text`, the whole LINK, and `example`, a
+    correct link; None means an example with /dev/ttyUSB0.
     """
     listed, at, settings = rest.rpartition("@")
     ports = (listed if at else rest).split(",")
@@ -272,10 +272,10 @@ def _parse_serial(
 
 
 def _parse_relay(text: str, scheme: str, rest: str) -> SerialLink:
-    """Parse `PORT@SETTINGS=PORT`, where both ports have these settings.
+    """Parse `rest`, which is `PORT@SETTINGS=PORT`: the master's and the slaves' port.
 
-    `text` is the whole LINK, for error messages. Raises UsageError if `rest` is anything else or
-    names one port twice.
+    The settings are those of both ports. `scheme` is rtutap or asciitap; `text` is the whole LINK,
+    for error messages. Raises UsageError if `rest` has another form or names one port twice.
     """
     master_side, equals, slave_port = rest.rpartition("=")
     is_ascii = scheme == "asciitap"
@@ -333,7 +333,10 @@ def _parse_endpoint(text: str, part: str) -> Endpoint:
 
 
 def _demand_other_target(text: str, tap: TapLink) -> None:
-    """Raise UsageError if a tap connects to itself, or to port 0."""
+    """Raise UsageError if a tap's target is the tap itself, or has port 0.
+
+    `text` is the whole LINK, for the error message.
+    """
     listen, target = tap.listen, tap.target
     if target.port == 0:
         raise UsageError(

@@ -36,7 +36,7 @@ class Holder:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LocalSerialPort:
-    """A serial port of this machine that has hardware."""
+    """A serial port of this machine that has hardware, so no pseudo-terminal."""
 
     device: str
     """The name by which the port is opened, for example /dev/ttyUSB0."""
@@ -52,7 +52,8 @@ class LocalSerialPort:
     """The FTDI latency timer: the longest time in ms that the adapter waits for more bytes before
     it delivers those it has."""
     fifo_bytes: int | None = None
-    """The number of bytes that a UART collects before it delivers them."""
+    """The number of bytes that the port's UART collects before the driver gets them; None for a
+    port without such a setting, such as a USB adapter."""
     low_latency: bool | None = None
     """True if the driver delivers each byte at once."""
     low_latency_support: bool | None = None

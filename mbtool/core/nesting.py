@@ -12,7 +12,7 @@ from __future__ import annotations
 import re
 
 MAX_DEPTH = 16
-"""The most levels of brackets, and the most parts of a dotted key."""
+"""A text with more levels of brackets, or more parts in a dotted key (a.b.c), is refused."""
 
 # In this regular expression only sets of characters are repeated possessively (`*+`), not groups:
 # Python before 3.11.5 repeats groups wrongly.
@@ -24,14 +24,14 @@ _QUOTED_OR_COMMENT = re.compile(
     r"|\#[^\n]*+",
     re.DOTALL,
 )
-"""Matches what may contain brackets that do not nest: a text in quotes, even if the closing quotes
-are missing, or a comment of TOML."""
+"""Matches a quoted text (even without closing quotes) or a TOML comment. Brackets inside these do
+not count as levels."""
 _BETWEEN_KEYS = re.compile(r"[=\n,\[\]{}]")
 _BRACKET = re.compile(r"[\[\]{}]")
 
 
 def why_too_deep(text: str) -> str | None:
-    """Say in one line why a TOML or JSON text is refused; return None if it is not."""
+    """Return one line for the user if a TOML or JSON text nests too deep; None if it does not."""
     bare = _QUOTED_OR_COMMENT.sub("_", text)
     depth = 0
     for bracket in _BRACKET.finditer(bare):

@@ -22,9 +22,10 @@ if TYPE_CHECKING:
 def replacing(path: str | Path) -> Iterator[Path]:
     """Yield the path of an empty file that replaces the file at `path` when the context ends.
 
-    Only its owner can read it until then; it gets the old file's permissions. A symbolic link is
-    followed and stays. If the context ends by an error, the old file stays and the new one is
-    deleted; an OutputError then says so. Raises UsageError for a file that cannot be replaced.
+    Until then only its owner can read the new file; then it gets the old file's permissions. If
+    `path` is a symbolic link, the file it leads to is replaced. If an error ends the context, the
+    new file is deleted and the old one stays, which the text of an OutputError then says. Raises
+    UsageError if the file at `path` cannot be replaced.
     """
     target = Path(os.path.realpath(path))
     if not os.access(target, os.W_OK):
@@ -40,8 +41,9 @@ def replacing(path: str | Path) -> Iterator[Path]:
             raise OutputError(str(error)) from error
     except OutputError as error:
         refusal = _refusal(error)
-        # The error may name the file with the new content, or say that what was written so far can
-        # be read. Both would mislead the user.
+        # If an OSError is the cause, only its text is shown. The text of the OutputError may name
+        # the temporary file, or say that the data written so far can be read. Both would mislead
+        # the user, as the temporary file is deleted.
         why = error if refusal is None else f"{path}: cannot be written: {reason_of(refusal)}"
         raise OutputError(f"{why}; {path} stays as it was") from error
     finally:
@@ -50,7 +52,10 @@ def replacing(path: str | Path) -> Iterator[Path]:
 
 
 def _create(beside: Path, path: str | Path) -> None:
-    """Create the empty file for the new content, in place of one that a killed process left."""
+    """Create the empty file `beside` for the new content of the file at `path`.
+
+    A file of that name, which a killed process left there, is deleted first.
+    """
     try:
         beside.unlink(missing_ok=True)
         os.close(os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600))
@@ -69,7 +74,7 @@ def _copy_rights(old: Path, new: Path) -> None:
 
 
 def _refusal(error: BaseException | None) -> OSError | None:
-    """Find the operating system's error that caused this one; None if there is none."""
+    """Return the first OSError among an error and its causes; None if there is none."""
     while error is not None and not isinstance(error, OSError):
         error = error.__cause__
     return error

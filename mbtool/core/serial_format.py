@@ -24,8 +24,8 @@ _PATTERN = re.compile(
 )
 
 MIN_BAUD, MAX_BAUD = 50, 4_000_000
-"""The lowest and the highest baud rate that a user may give: those of the rates that termios has
-names for."""
+"""The lowest and the highest baud rate that a user may give. They are the lowest and the highest
+rates for which termios has a constant, B50 and B4000000."""
 
 _PARITIES = ("N", "E", "O")
 

@@ -1,6 +1,6 @@
 """Decides which machines may connect to a TCP listener: this one, and those given by --allow.
 
-It also carries the limits that the user has set for their connections.
+AllowedPeers also has the limits that the user has set for the connections of these machines.
 """
 
 # This machine may always connect, through its loopback address. Other machines may connect if their
@@ -40,7 +40,7 @@ class AllowedPeers:
         """Read the values of --allow, each a network or the address of one machine.
 
         Raises UsageError for a value that is neither, such as 192.168.1.7/24, which is an address
-        inside a network. `limits` are the limits for their connections.
+        inside a network. `limits` apply to the connections of all machines together.
         """
         return cls(tuple(_network(text) for text in texts), limits)
 

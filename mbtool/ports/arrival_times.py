@@ -18,26 +18,28 @@ _SO_TIMESTAMPNS = 35
 """SO_TIMESTAMPNS of Linux, which is also the type of its control message (asm-generic/socket.h)."""
 _TIMESPEC = struct.Struct("@ll")
 MOST_LATE_NS = 10_000_000_000
-"""A time stamp that seems older than this, in ns, is not used: the clock was probably set."""
+"""A kernel's time stamp that seems older than this, in ns, is not used: somebody has probably set
+the system's clock between the arrival and the read."""
 
 
 class SerialArrivals:
     """Estimates when the bytes of a serial port arrived, even if the process read them late.
 
-    So a process that was kept from running does not take its own delay for a silence on the line.
+    Without the estimate, a delay of this process would look like a silence on the line.
     """
 
     def __init__(self, character_ns: int) -> None:
         self._character_ns = character_ns
         self._empty_ns: int | None = None
-        """When the port was last known to have no unread byte; None before the first read."""
+        """The last time in ns at which the port certainly had no unread byte; None before the first
+        read."""
 
     def arrived_ns(self, size: int, begin_ns: int, wait_ns: int, now_ns: int) -> int:
         """Return when the last of the `size` bytes arrived that one read of the port returned.
 
-        For a read without bytes (`size` 0), return until when the line is known to have been
-        silent. The read began at `begin_ns` and ended at `now_ns`. `wait_ns` is how long it would
-        have waited for a byte; 0 if bytes were there when it began. All times are in ns.
+        For a read without bytes (`size` 0), return the time up to which the line was silent. The
+        read began at `begin_ns` and ended at `now_ns`. `wait_ns` is the longest time that the read
+        could wait for a byte; 0 means that it did not wait. All times are in ns.
         """
         if wait_ns or not size:
             arrived_ns = begin_ns + wait_ns
@@ -51,7 +53,10 @@ class SerialArrivals:
 
 
 def note_arrivals(connected: socket.socket) -> None:
-    """Ask the kernel to note when the bytes of a connection arrive: on Linux, and without TLS."""
+    """Ask the kernel to note when the bytes of a TCP connection arrive.
+
+    Does nothing on other systems than Linux, and for a connection with TLS.
+    """
     if sys.platform == "linux" and not isinstance(connected, ssl.SSLSocket):
         connected.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
 
@@ -59,7 +64,8 @@ def note_arrivals(connected: socket.socket) -> None:
 def receive(connected: socket.socket, size: int) -> tuple[bytes, int]:
     """Read at most `size` bytes; return them, and when they arrived by the monotonic clock, in ns.
 
-    Raises what `recv` raises.
+    Without a kernel's time stamp (see `note_arrivals`) the second value is the time of the read.
+    Raises the errors of `socket.recv`.
     """
     if sys.platform != "linux" or isinstance(connected, ssl.SSLSocket):
         return connected.recv(size), time.monotonic_ns()

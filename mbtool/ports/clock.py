@@ -26,16 +26,17 @@ if TYPE_CHECKING:
 __all__ = ["ClockWatch", "begun_run", "monotonic_ns", "now_ns", "share_clock", "steady_clock"]
 
 _AHEAD = "MBTOOL_CLOCK_AHEAD_NS"
-"""The environment variable that passes the clock to a child process: UTC minus the time since the
-machine was started, in ns."""
+"""The environment variable that gives a child process the clock of its parent. Its value is UTC
+minus the time since the machine was started, in ns, as the parent measured it."""
 _CERTAIN_NS = 50_000
-"""If reading the two clocks to be compared took longer than this, in ns, they are read again."""
+"""To compare UTC with the time since the machine was started, both clocks are read one after the
+other. If that took longer than this, in ns, they are read again, at most _TRIES times."""
 _TRIES = 5
 STEP_NS = 500_000_000
 """The smallest step of the system's clock, in ns, that is reported."""
 SLEW_NS = 1_000_000
-"""A change of the difference of two clocks by less than this, in ns, is an error of measurement,
-not a step."""
+"""If the difference of the system's clock and `now_ns` changes by less than this, in ns, the change
+is taken as an error of measurement, not as a step."""
 
 
 if hasattr(time, "CLOCK_BOOTTIME"):
@@ -49,7 +50,7 @@ else:
 
 
 def _measured_ahead_ns() -> int:
-    """The difference of the system's UTC and the time since the machine was started, in ns."""
+    """The system's UTC minus the time since the machine was started, in ns."""
     tried = []
     for _ in range(_TRIES):
         before_ns = passed_ns()
@@ -62,7 +63,7 @@ def _measured_ahead_ns() -> int:
 
 
 class _RunClock:
-    """The clock of this process: its offset, and how many captures are using it."""
+    """The clock of this process: its offset, and how many captures and slaves are using it."""
 
     lock = Lock()
     ahead_ns = int(os.environ.get(_AHEAD) or _measured_ahead_ns())
@@ -93,7 +94,10 @@ def begun_run() -> Iterator[None]:
 
 
 def share_clock(environment: dict[str, str]) -> dict[str, str]:
-    """Add to a child process's environment the offset that makes its clock tell the same time."""
+    """Return a child process's environment with the variable that sets its clock as this one.
+
+    The child's `now_ns` then returns the same times as that of this process.
+    """
     return {**environment, _AHEAD: str(_RunClock.ahead_ns)}
 
 
@@ -102,15 +106,18 @@ class ClockWatch:
 
     def __init__(self) -> None:
         self.ahead_ns = 0
-        """How far the system's clock was ahead of `now_ns` at the last comparison, in ns, except
-        for changes below SLEW_NS."""
+        """How far the system's clock was ahead of `now_ns` (negative: behind), in ns, when it last
+        changed by SLEW_NS or more."""
         self._before_ns = 0
         """How far the system's clock was ahead of `now_ns` before its last step, in ns."""
         self.look()
         self._before_ns = self._told_ns = self.ahead_ns
 
     def look(self) -> None:
-        """Compare the clocks again; changes below SLEW_NS are taken as errors of measurement."""
+        """Compare the system's clock with `now_ns` again.
+
+        A change below SLEW_NS is taken as an error of measurement and ignored.
+        """
         ahead_ns = self._measured()
         if abs(ahead_ns - self.ahead_ns) >= SLEW_NS:
             self._before_ns, self.ahead_ns = self.ahead_ns, ahead_ns
@@ -128,11 +135,11 @@ class ClockWatch:
         return step_ns
 
     def from_system(self, system_ns: int, near_ns: int) -> int:
-        """Convert a time of the system's clock to one of `now_ns`, both in ns.
+        """Convert `system_ns`, a time stamp of the system's clock, to a time of `now_ns`, in ns.
 
-        `near_ns` is a time of `now_ns` from the same moments. If the system's clock was set
-        recently, `system_ns` may be from before or after that: the result that is nearer to
-        `near_ns` is right.
+        `near_ns` is about the time that `now_ns` returned at the same moment. If the system's clock
+        was set recently, the time stamp may be from before or after the step. The method computes
+        both results and returns the one nearer to `near_ns`.
         """
         return min(
             system_ns - self.ahead_ns,
@@ -147,8 +154,8 @@ class ClockWatch:
 def steady_clock() -> Callable[[], int]:
     """Return a clock that starts at the present UTC and then follows the monotonic clock, in ns.
 
-    It never steps back. A slave uses it to measure silences and delays, which must not change when
-    somebody sets the system's clock.
+    The clock never steps back. A slave measures silences and delays with it, which must not change
+    when somebody sets the system's clock.
     """
     anchor_ns = time.time_ns() - time.monotonic_ns()  # noqa: TID251 - this is a clock
     return lambda: anchor_ns + time.monotonic_ns()

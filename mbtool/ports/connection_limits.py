@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 DEFAULT_PER_SECOND = 100.0
 SPARE_S = 1.0
-"""If the limit of connections is reached, a new connection replaces one on which nothing was
-answered yet and nothing was sent for this many seconds. (The TCP guide, V1.0b, 4.3.2, closes the
-oldest unused connection.)"""
+"""If a tap has as many connections as its limit allows, a new one replaces an unused one. Unused is
+a connection on which the slave has never answered, or that one side has ended, and that carried no
+byte for this many seconds. (The TCP guide, V1.0b, 4.3.2, also closes the oldest unused one.)"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

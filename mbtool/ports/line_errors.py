@@ -62,13 +62,17 @@ class LineTrouble:
 class LineErrors:
     """Turns a driver's marks and counters into reports of damaged and of lost bytes.
 
-    There is at most one report of each in GATHER_NS.
+    In each period of GATHER_NS there is at most one report of damaged and one of lost bytes.
     """
 
     def __init__(
         self, counts: Callable[[], ErrorCounts | None], character_ns: int, now_ns: int
     ) -> None:
-        """`counts` reads the driver's counters; it returns None if the driver has none."""
+        """`counts` reads the driver's error counters; it returns None if the driver has none.
+
+        `character_ns` is the duration of one character on the line, and `now_ns` the present time,
+        both in ns.
+        """
         self._counts = counts
         self._character_ns = character_ns
         self._before = counts()
@@ -92,10 +96,7 @@ class LineErrors:
         self._first += bytes(data[at] for at in damaged[: SHOWN - len(self._first)])
 
     def tell(self, now_ns: int) -> Sequence[LineTrouble]:
-        """Return the reports that are due at `now_ns`.
-
-        This is called after every read, so there are mostly none.
-        """
+        """Return the reports that are due at `now_ns`, usually none. Call this after every read."""
         return () if now_ns < self._due_ns else self.tell_all(now_ns)
 
     def tell_all(self, now_ns: int) -> list[LineTrouble]:

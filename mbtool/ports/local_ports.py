@@ -29,8 +29,8 @@ from mbtool.ports.serial_port import who_may
 from mbtool.ports.system_files import read_line, read_number
 
 _SERIAL_CORE = "serial-base"
-"""The name of a bus in /sys that is skipped: since Linux 6.5 its devices stand between a port and
-the port's hardware."""
+"""The name of a bus in /sys. Since Linux 6.5 it has devices between a port and the port's hardware;
+the search for the hardware's driver skips them."""
 _ASYNC_LOW_LATENCY = 0x2000
 _WITHOUT_LOW_LATENCY = {"cdc_acm", "ch341", "ch341-uart", "cp210x", "pl2303", "xr_serial"}
 """Linux drivers that ignore the low-latency flag."""
@@ -74,7 +74,7 @@ def ports_by_pyserial() -> list[LocalSerialPort]:
 
 @dataclass(frozen=True, slots=True)
 class _Scan:
-    """Facts about the whole machine that are needed to describe each port."""
+    """Facts about the whole machine, found once and used to describe each port."""
 
     root: Path
     stable: dict[str, str]
@@ -125,10 +125,10 @@ def _names(folder: Path) -> list[str]:
 
 
 def _stable_names(root: Path) -> dict[str, str]:
-    """Return the paths of udev's symbolic links, by the name of the port they lead to (ttyUSB0).
+    """Return the path of udev's symbolic link for each port, by the port's name (ttyUSB0).
 
     A link named after the adapter is preferred to one named after the USB socket. Two adapters of
-    one type without serial numbers share one such name; the link then leads to one of them.
+    one type without serial numbers have the same name, so only one of them gets such a link.
     """
     found: dict[str, str] = {}
     for kind in ("by-path", "by-id"):
@@ -145,7 +145,10 @@ def _stable_names(root: Path) -> dict[str, str]:
 
 
 def _driver(hardware: Path) -> tuple[str | None, str | None]:
-    """Return the names of the hardware's driver and of its bus; both None if there is no driver."""
+    """Return the names of the driver and of the bus of a port's hardware.
+
+    Both are None without a driver. `hardware` is the folder in /sys that describes the hardware.
+    """
     for device in (hardware, *hardware.parents):
         bus = os.path.basename(os.path.realpath(device / "subsystem"))
         if (device / "driver").exists() and bus != _SERIAL_CORE:
@@ -170,7 +173,11 @@ def _product(usb: Path) -> str:
 def _low_latency(
     timer: int | None, flags: int | None, driver: str | None
 ) -> tuple[bool | None, bool | None]:
-    """Return True if low latency is on, and True if it can be switched on; None means unknown."""
+    """Return two values for a port: is low latency on, and can it be switched on? None is unknown.
+
+    `timer` is the FTDI latency timer in ms, `flags` are the flags of a UART, and `driver` is the
+    driver's name; each is None if the port has none or it is unknown.
+    """
     if timer is not None:
         return timer <= 1, True
     if flags is not None:

@@ -32,7 +32,11 @@ class LowLatency:
     """Makes the driver of one port deliver bytes at once, and restores its old settings."""
 
     def __init__(self, fd: int, port: str, root: Path = Path("/")) -> None:
-        """Change the settings that may be changed; `root` is the folder that contains /sys."""
+        """Change both settings, as far as the driver and the permissions allow.
+
+        `fd` is the descriptor of the open port, `port` its path, and `root` the folder that
+        contains /sys. Does nothing on other systems than Linux.
+        """
         self._fd = fd
         name = os.path.basename(os.path.realpath(port))
         self._trigger = root / "sys/class/tty" / name / "rx_trig_bytes"

@@ -28,11 +28,15 @@ class PortIdentity:
     usb_id: str
     serial_number: str
     interface: str
-    """The number of the USB interface; each port of an adapter has its own."""
+    """The number of the port's USB interface in the adapter, such as "00"; each port of an adapter
+    has its own."""
 
 
 def identity_of(path: str, root: Path = _ROOT) -> PortIdentity | None:
-    """Return the identity of the adapter behind a port; None without one, or if `path` is a link.
+    """Return the identity of the USB adapter behind a port.
+
+    Returns None if `path` is a symbolic link, if the port has no USB adapter with a serial number,
+    and on other systems than Linux.
 
     `root` is the folder that contains /sys.
     """
@@ -44,8 +48,8 @@ def identity_of(path: str, root: Path = _ROOT) -> PortIdentity | None:
 def find_port(path: str, identity: PortIdentity | None, root: Path = _ROOT) -> str | None:
     """Find the present path of the port that had the path `path` before; None if it is not there.
 
-    Without an identity the port is expected under its old path. `root` is the folder that contains
-    /sys and /dev.
+    If `identity` is None, the port is expected under its old path. `root` is the folder that
+    contains /sys and /dev.
     """
     if identity is None:
         return path if os.path.exists(path) else None

@@ -48,8 +48,8 @@ if TYPE_CHECKING:
 _COUNTERS = struct.Struct("20i")
 """struct serial_icounter_struct of linux/serial.h: 11 counters and room for 9 more."""
 _ERROR_COUNTERS = slice(6, 11)
-"""Where the counters frame, overrun, parity, brk and buf_overrun are, in the order of
-`ErrorCounts`."""
+"""The indexes, in the struct's 20 numbers, of the counters frame, overrun, parity, brk and
+buf_overrun. `ErrorCounts` has its fields in the same order."""
 
 
 class PosixPort:
@@ -144,7 +144,7 @@ class PassingPort(PosixPort):
 def _claim(fd: int) -> None:
     """Lock a port and make it raw, so that it echoes nothing.
 
-    Raises an OSError or termios.error if it is locked or no serial port.
+    Raises an OSError if another program has locked the port, termios.error if it is no serial port.
     """
     fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
     attributes = termios.tcgetattr(fd)
@@ -155,9 +155,10 @@ def _claim(fd: int) -> None:
 
 
 def _set_modem_lines(fd: int, port: str, wanted: ModemLines) -> None:
-    """Drop DTR and RTS now, or have them stay raised when the port is closed, as `wanted` says.
+    """Do with DTR and RTS what `wanted` says: OFF drops the line now, RAISED does nothing.
 
-    Raises LinkError if the driver cannot drop them.
+    With KEEP both lines stay raised when the port is closed. Raises LinkError if the driver cannot
+    drop a line.
     """
     lines = ((wanted.dtr, "DTR", termios.TIOCM_DTR), (wanted.rts, "RTS", termios.TIOCM_RTS))
     if ModemLine.KEEP in (wanted.dtr, wanted.rts):
@@ -189,7 +190,7 @@ def _set_up(fd: int, port: str, format_: SerialFormat) -> Unmarker | None:
     is_marking = _ask_for_marks(fd)
     if not hasattr(termios, f"B{format_.baud}"):
         # termios has no constant for this baud rate, so pyserial has set it by a special call. On
-        # some systems later calls have undone it, so it is repeated.
+        # some systems the tcsetattr of _ask_for_marks undoes that, so the call is repeated.
         with suppress(NotImplementedError):
             settings._set_special_baudrate(format_.baud)  # type: ignore[attr-defined]
     termios.tcflush(fd, termios.TCIFLUSH)

@@ -1,9 +1,9 @@
 """Reads back which baud rate a driver has set, as a driver may set another one without an error."""
 
-# The kernel rounds to a rate that the port supports, and stores it in the port's settings: an 8250
-# whose highest rate is 115200 makes 9600 of 230400. Linux reports any rate as a number by the ioctl
-# TCGETS2, whose number is the same on x86, ARM and RISC-V. On other systems the rate is not known,
-# and no port is refused.
+# The kernel may set a rate that the port supports in place of the wanted one, and stores it in the
+# port's settings: an 8250 whose highest rate is 115200 runs at 9600 if 230400 is wanted. Linux
+# reports any rate as a number by the ioctl TCGETS2, whose number is the same on x86, ARM and
+# RISC-V. On other systems the rate is not known, and no port is refused.
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ import sys
 from mbtool.core import LinkError
 
 TOLERANCE = 0.03
-"""The largest relative difference that is accepted. Receivers tolerate a rate that is wrong by some
-4 %; clock dividers are off by 1 or 2 %."""
+"""The largest accepted difference between the real and the wanted baud rate, relative to the wanted
+one. Receivers tolerate about 4 %; dividing a UART's clock causes differences of 1 or 2 %."""
 
 _TCGETS2 = 0x802C542A
 _TERMIOS2 = struct.Struct("4I20B2I")

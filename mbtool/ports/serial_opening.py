@@ -32,7 +32,10 @@ WriteTimeout = serial.SerialTimeoutException
 def open_listening(
     port: str, format_: SerialFormat, modem_lines: ModemLines | None = None
 ) -> ListeningPort:
-    """Open a port that can only be read. Raises LinkError if that fails."""
+    """Open a port that can only be read. Raises LinkError if that fails.
+
+    `modem_lines` says what is done with DTR and RTS; None leaves them to the kernel.
+    """
     if sys.platform != "win32":
         from mbtool.ports.posix_serial import PosixPort
 
@@ -48,7 +51,8 @@ def open_passing(
 ) -> PassingPort:
     """Open one of the two ports of a serial tap, whose line was cut in two, to read and write it.
 
-    Raises LinkError if that fails, and always on Windows.
+    `modem_lines` says what is done with DTR and RTS; None leaves them to the kernel. Raises
+    LinkError if the port cannot be opened, and always on Windows.
     """
     if sys.platform != "win32":
         from mbtool.ports.posix_serial import PassingPort
@@ -84,7 +88,7 @@ def open_port(link: SerialLink, timeout_s: float) -> serial.Serial:
 
 @contextmanager
 def port_in_use(link: SerialLink) -> Iterator[None]:
-    """Turn errors of an open port, raised inside the `with` block, into a LinkError."""
+    """Turn errors of reads and writes of an open port, inside the `with` block, into LinkError."""
     try:
         yield
     except WriteTimeout as error:

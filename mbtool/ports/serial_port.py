@@ -124,7 +124,10 @@ def _error_number(error: Exception) -> int | None:
 
 
 def _line_hint(port: str) -> str:
-    """Return a hint that mbtool line can make such a port; "" for a path inside /dev."""
+    """Return a hint for the user that `port` may be an end of a virtual line of `mbtool line`.
+
+    Returns "" for a path inside /dev, where no virtual line has its ends, and on Windows.
+    """
     if sys.platform == "win32" or port.startswith("/dev/"):
         return ""
     return f"an end of a virtual line is there while mbtool line {port} runs; "
@@ -136,7 +139,7 @@ def _ports_here() -> str:
 
 
 def who_may(port: str) -> Trouble:
-    """Say who may open a port, and which command gives the user this permission."""
+    """Say who may open a port, and, if known, which command gives the user this permission."""
     if sys.platform == "win32":
         return Trouble("another program may hold it")
     import grp

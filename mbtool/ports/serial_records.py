@@ -75,7 +75,7 @@ class SerialRecord:
 class RecordWriter:
     """Writes records into a pipe.
 
-    Its methods raise BrokenPipeError once the reader has closed it.
+    Its methods raise BrokenPipeError once the reader has closed the pipe.
     """
 
     def __init__(self, pipe: int) -> None:
@@ -102,7 +102,8 @@ class RecordWriter:
     def end(self, ts_ns: int, error: str = "") -> None:
         """Write a LOST record for bytes not yet reported, then an ERROR record with `error`.
 
-        There is no ERROR record if `error` is empty. Waits until the pipe has room.
+        Without lost bytes there is no LOST record, with an empty `error` no ERROR record. The
+        method waits until the pipe has room.
         """
         self._let_writes_wait(True)
         if self._lost:
@@ -123,7 +124,7 @@ class RecordWriter:
 
 
 class RecordReader:
-    """Splits the bytes from the pipe into records; keeps at most one incomplete record."""
+    """Splits the bytes from the pipe into records; keeps an incomplete record for the next call."""
 
     def __init__(self) -> None:
         self._buffer = b""

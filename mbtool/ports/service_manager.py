@@ -21,13 +21,13 @@ MAX_STATUS = 500
 
 
 class ServiceManager:
-    """The service manager that the environment names; without one, all methods do nothing."""
+    """The service manager that NOTIFY_SOCKET names; without it all methods do nothing."""
 
     def __init__(self, environment: Mapping[str, str]) -> None:
         self._address = environment.get("NOTIFY_SOCKET", "")
         self.watchdog_s = _watchdog_s(environment)
-        """The period in seconds within which the manager must get an `alive`; None if it expects
-        none."""
+        """The manager kills the service if `alive` is not called for this many seconds; None if the
+        manager does not watch."""
 
     def ready(self, status: str) -> None:
         """Tell the manager that the service is ready; `status` is one line for people."""

@@ -82,9 +82,9 @@ class TcpListener:
 
     @property
     def endpoint(self) -> Endpoint:
-        """The endpoint of the socket.
+        """The endpoint at which the socket listens.
 
-        After `open` it has the port that the system chose for port 0.
+        If the user gave port 0, `open` replaces it by the free port that the system chose.
         """
         return self._endpoint
 
@@ -109,7 +109,8 @@ class TcpListener:
 
         `protocol` makes the asyncio protocol of a connection. While the process can open no more
         connections (too many files are open), `on_exhausted` gets a line for the user, at most one
-        in TELL_EVERY_S. Raises LinkError if the endpoint is in use, which can happen after `hold`.
+        in TELL_EVERY_S. Raises LinkError if another program listens at the endpoint; it can have
+        taken the endpoint after a call of `hold`.
         """
         loop = asyncio.get_running_loop()
 

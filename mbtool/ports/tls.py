@@ -61,8 +61,8 @@ _REFUSALS = {
     "HANDSHAKE_FAILURE": "it demands a certificate, or has no cipher in common",
     "UNKNOWN_CA": "it does not know who vouches for the tap's certificate",
 }
-"""What a peer that sends a TLS alert objects to, in words for the user, by the name of the alert
-(RFC 8446, 6.2)."""
+"""Why a peer refuses the tap, in words for the user, by the name of the TLS alert that the peer
+sends (RFC 8446, 6.2)."""
 
 
 def server_context(tls: ListenTls) -> ssl.SSLContext:
@@ -94,9 +94,10 @@ def why_outdated(option: str, cert: str) -> str | None:
 
 
 def client_context(tls: TargetTls, host: str) -> tuple[ssl.SSLContext, str]:
-    """Return the TLS context for a tap's target, and the name that its certificate must have.
+    """Return the TLS context for connections from a tap to its target, and the target's name.
 
-    Raises LinkError if a certificate or key file, or --tls-target-name, cannot be used.
+    The target's certificate must have this name: --tls-target-name, or without it `host`. Raises
+    LinkError if a certificate or key file, or --tls-target-name, cannot be used.
     """
     context = _context(ssl.PROTOCOL_TLS_CLIENT)
     if tls.ca is None:
@@ -119,8 +120,8 @@ def client_context(tls: TargetTls, host: str) -> tuple[ssl.SSLContext, str]:
                 f"--tls-target-name {name!r}: no host can have such a name; "
                 "give the one in the target's certificate"
             ) from None
-        # Here the name is the host in the user's LINK. It is invalid, so connecting will fail with
-        # an error that says so.
+        # Without --tls-target-name, `name` is the host in the user's LINK, and no valid host name.
+        # It is returned nevertheless: the connection to it fails with an error that says so.
     return context, name
 
 
@@ -207,10 +208,11 @@ def _load_ca(context: ssl.SSLContext, option: str, path: str) -> None:
 
 
 def _pem(option: str, path: str, label: re.Pattern[bytes], what: str) -> bytes:
-    """Return the content of a certificate or key file.
+    """Return the content of a certificate or key file, which the user gave by `option`.
 
-    `label` finds the first line of the wanted kind of PEM block, which `what` names. Raises
-    LinkError if the file cannot be read or has no such block.
+    The file must have a line that `label` matches: the first line of a PEM block of the wanted
+    kind. `what` names this kind for the error. Raises LinkError if the file cannot be read or has
+    no such line.
     """
     try:
         held = Path(path).read_bytes()
