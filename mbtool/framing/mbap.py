@@ -20,12 +20,13 @@
 #
 # - In step, a length of up to LONGEST_LENGTH is possible if the ADU ends with a segment, or if the
 #   next header follows. Schneider's UMAS (function 5AH) sends such ADUs.
-# - Out of step, an ADU of an unknown function, or a longer one, is accepted if it also begins with
-#   a segment. An ADU of a known function must begin with a segment, or end like the ADUs accepted
-#   in step. If its PDU has not the form of its function, it must be one whole segment.
-# - While such an ADU is incomplete, a whole ADU behind its header that begins and ends with a
-#   segment shows that it is no header. If the header's function is known and its PDU has another
-#   length, any whole ADU behind it that ends with a segment shows that.
+# - Out of step, an ADU of an unknown function, or one longer than 260 bytes, is accepted if it
+#   begins with a segment and ends with one, or is followed by a header. An ADU of a known function
+#   needs only one of these: it begins with a segment, it ends with a segment, or a header follows
+#   it. If its PDU has not the length that its function tells, it must be one whole segment.
+# - While an ADU of an unknown function, or one longer than 260 bytes, is incomplete, its header is
+#   rejected if a whole ADU behind the header begins and ends with a segment. If the header's
+#   function is known, a whole ADU that only ends with a segment is enough to reject the header.
 #
 # Without `by_segments`, which bytes are dropped depends on the bytes only, never on the ends of
 # chunks.
@@ -91,7 +92,10 @@ class MbapSplitter:
         return self._in_step and not self._buffer
 
     def feed(self, data: bytes, ts_ns: int, origin: Origin | None = None) -> list[Adu | Skipped]:
-        """Take the bytes of one segment; return the ADUs and skipped bytes that they complete."""
+        """Take the bytes of one segment; return the ADUs and skipped bytes that they complete.
+
+        `ts_ns` is the segment's time in ns, `origin` the packet that it came in (None if unknown).
+        """
         is_idle = self._in_step and not self._buffer.data
         if is_idle and _HEADER.match(data) and data[5] == len(data) - _LENGTH_END:
             # Most segments are one whole ADU, which needs no buffer.
@@ -109,8 +113,8 @@ class MbapSplitter:
     def gap(self, missing: int = 0) -> list[Adu | Skipped]:
         """Note that the capture lacks `missing` bytes here; 0 if the number is unknown.
 
-        Returns the buffered bytes: as an ADU if they begin one that the missing bytes can end, else
-        as skipped.
+        Returns the buffered bytes. They become an ADU if its header was captured and its other
+        bytes can be among the missing ones; else they become skipped bytes.
         """
         events: list[Adu | Skipped] = []
         held = len(self._buffer)
@@ -135,7 +139,7 @@ class MbapSplitter:
     def _first_size(self) -> int | None:
         """Return the size in bytes of the ADU at the start of the buffer.
 
-        0 if none begins there, None if more bytes are needed to know.
+        0 if no ADU begins there, None if more bytes are needed to know.
         """
         header = self._buffer.peek(MBAP_BYTES)
         if len(header) < MBAP_BYTES:
@@ -157,9 +161,9 @@ class MbapSplitter:
         return self._size_by_segments(size)
 
     def _known_size(self, size: int) -> int | None:
-        """Return `size` if an ADU of a known function begins here; 0 if not, None if not known yet.
+        """Return `size` if an ADU of `size` bytes starts the buffer; 0 if not, None if undecided.
 
-        Used after bytes that were no header: the ends of TCP segments must confirm the ADU.
+        Used out of step, for a known function: the ends of TCP segments must confirm the ADU.
         """
         if not self._by_segments or self._buffer.is_seam(0):
             return size
@@ -168,12 +172,18 @@ class MbapSplitter:
         return size if self._may_end_at(size) else 0
 
     def _whole_segment(self, size: int) -> int:
-        """Return `size` if an ADU with a malformed PDU is one whole TCP segment; else 0."""
+        """Return `size` if the buffer holds exactly one TCP segment of `size` bytes; else 0.
+
+        An ADU with a malformed PDU is accepted only in this case.
+        """
         is_whole = self._by_segments and self._buffer.is_seam(0) and len(self._buffer) == size
         return size if is_whole else 0
 
     def _size_by_segments(self, size: int) -> int | None:
-        """Return `size` if the ends of segments confirm an ADU; 0 if not, None if not known yet."""
+        """Return `size` if the ends of segments confirm that the first `size` bytes are an ADU.
+
+        0 if they do not, None if more bytes are needed to know.
+        """
         if not self._by_segments or not (self._in_step or self._buffer.is_seam(0)):
             return 0
         if len(self._buffer) < size:
@@ -213,7 +223,10 @@ class MbapSplitter:
         return pdu_size == len(pdu) or (pdu_size == 0 and self._buffer.is_seam(at))
 
     def _cut_size(self, missing: int) -> int:
-        """The size of the ADU that the buffer begins, if `missing` bytes can end it; else 0."""
+        """Return the size in bytes of the ADU whose first bytes the buffer holds.
+
+        0 if the buffer does not begin with an ADU, or if the ADU lacks more than `missing` bytes.
+        """
         held = len(self._buffer)
         start = self._buffer.peek(held)
         if held <= MBAP_BYTES or start[2:4] != _MODBUS:
@@ -273,7 +286,10 @@ class MbapSplitter:
         return tuple(verdict for is_true, verdict in verdicts if is_true)
 
     def _drop(self, events: list[Adu | Skipped]) -> None:
-        """Skip the bytes before the next byte at which a header may begin."""
+        """Skip at least one byte, and all further bytes before the next possible header.
+
+        Appends an event to `events` for every MAX_RUN skipped bytes.
+        """
         undecided = len(self._buffer) - MBAP_BYTES + 1
         next_header = self._buffer.find(self._header, 1)
         for piece, ts_ns in self._buffer.drain(min(next_header or undecided, undecided)):

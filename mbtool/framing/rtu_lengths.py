@@ -38,8 +38,8 @@ _VARIABLE = frozenset(
 def frame_size(start: bytes, direction: Direction) -> int | None:
     """Return the size in bytes of the RTU frame that begins with `start`.
 
-    Its function and byte count tell the size. None if more bytes are needed to know, 0 if the
-    frame's bytes do not tell its size.
+    The function code and the byte count tell the size. None if `start` ends before them, 0 if the
+    frame's bytes do not tell its size, as for an unknown function.
     """
     if len(start) < 2:
         return None
@@ -51,7 +51,10 @@ def frame_size(start: bytes, direction: Direction) -> int | None:
 
 
 def has_frame(data: bytes, directions: Iterable[Direction]) -> bool:
-    """True if a frame with a correct CRC and the size that its function tells begins in `data`."""
+    """True if `data` contains a frame with a correct CRC, at any offset.
+
+    The frame must have the size that its function tells for one of `directions`.
+    """
     tables = [(_FIXED[direction], direction) for direction in directions]
     end = len(data)
     for offset in range(end - MIN_FRAME + 1):
@@ -96,7 +99,10 @@ def crc_ends(start: bytes, most: int) -> list[int]:
 def why_skipped(
     raw: bytes, directions: Iterable[Direction]
 ) -> tuple[EventKind, str, Checksum | None]:
-    """Return the kind of skipped bytes, the reason in one sentence, and the wrong CRC, if any."""
+    """Return why `raw` was skipped: the event's kind, the reason as a text, and the wrong CRC.
+
+    The CRC is None unless `raw` has the length of one frame of one of `directions`.
+    """
     if len(raw) >= MIN_FRAME and len(raw) in [frame_size(raw, each) for each in directions]:
         check = Checksum(int.from_bytes(raw[-2:], "little"), crc(raw[:-2]))
         if not check.ok:
@@ -109,7 +115,10 @@ def why_skipped(
 
 
 def begins_with_frame(head: bytes, direction: Direction) -> bool | None:
-    """True if bytes begin with an RTU frame with a correct CRC; None if more bytes are needed."""
+    """True if `head` begins with an RTU frame with a correct CRC, False if not.
+
+    None if `head` is the incomplete beginning of a possible frame.
+    """
     size = frame_size(head, direction)
     if size is None or size > len(head):
         return None if (size or 0) <= MAX_RTU_ADU and len(head) <= MAX_RTU_ADU else False

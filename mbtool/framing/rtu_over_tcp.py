@@ -53,7 +53,10 @@ class RtuStreamSplitter:
         return not self._buffer
 
     def feed(self, data: bytes, ts_ns: int, origin: Origin | None = None) -> list[Adu | Skipped]:
-        """Take the bytes of one segment; return the frames and skipped bytes that they complete."""
+        """Take the bytes of one segment; return the frames and skipped bytes that they complete.
+
+        `ts_ns` is the segment's time in ns, `origin` the packet that it came in (None if unknown).
+        """
         self._buffer.append(data, ts_ns, origin)
         return self._frames(ended=False)
 

@@ -79,7 +79,10 @@ class TimedBuffer:
         return taken
 
     def drain(self, size: int) -> Iterator[tuple[bytes, int]]:
-        """Remove the first `size` bytes; yield those of each `append`, with their time in ns."""
+        """Remove the first `size` bytes, or all if there are fewer, and yield them in pieces.
+
+        Each piece holds bytes of one `append` and comes with their time in ns.
+        """
         left = min(size, len(self.data))
         while left:
             end, ts_ns, _ = self._marks[0]

@@ -37,7 +37,8 @@ class Function:
     """The table that the function's addresses belong to; None if the function has no addresses in a
     table."""
     limit: int = 1
-    """The most registers or bits that a request may read or write; for 17H, may read."""
+    """The most registers or bits that a request may read or write. For 17H, which does both, the
+    most that it may read; WRITE_LIMIT_17H limits what it writes."""
     writes: bool = False
     serial_only: bool = False
 

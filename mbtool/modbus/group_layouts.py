@@ -27,9 +27,9 @@ _HALF_GROUP = "its byte count does not end with a group"
 class FileGroups:
     """The sub-requests of the file record functions (V1.1b3, 6.14 and 6.15).
 
-    Each sub-request is a group: the byte 06, then file number, record number and length. In a write
-    (`with_data`) as many registers as that length says follow. A group is parsed as (file, record,
-    length), in a write as (file, record, registers).
+    Each sub-request is a group: the byte 06, file number, record number and length in registers. In
+    a write request (`with_data` is True) the registers follow. A group of a read request is parsed
+    as (file, record, length), a group of a write request as (file, record, registers).
     """
 
     with_data: bool
@@ -72,7 +72,8 @@ class FileGroups:
 class FileResponses:
     """The sub-responses of read file record (V1.1b3, 6.14).
 
-    Each is a length in bytes, the byte 06 and the registers. It is parsed as (registers,).
+    Each sub-response is a length in bytes, the byte 06 and the registers. It is parsed as a tuple
+    with one element, the tuple of its registers.
     """
 
     def length(self, pdu: bytes, at: int) -> int | None:
@@ -107,7 +108,8 @@ class FileResponses:
 class Objects:
     """The objects of a device identification (V1.1b3, 6.21).
 
-    First comes their number, then id, length and value of each. Each is parsed as (id, value).
+    The bytes are the number of objects, then the id, length and value of each object. An object is
+    parsed as (id, value).
     """
 
     def length(self, pdu: bytes, at: int) -> int | None:

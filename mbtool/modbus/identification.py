@@ -86,7 +86,7 @@ def _server_id(data: bytes) -> list[Identity]:
 
 
 def _id_text(data: bytes) -> str:
-    """Return bytes as text if all are printable and at least _LEAST_TEXT, else in hexadecimal."""
+    """Return bytes as text if they are printable and _LEAST_TEXT or more, else in hexadecimal."""
     trimmed = data.rstrip(b"\x00 ")
     if len(trimmed) >= _LEAST_TEXT and all(0x20 <= byte < 0x7F for byte in trimmed):
         return text_of(trimmed)

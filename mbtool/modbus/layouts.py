@@ -1,6 +1,6 @@
 """Layouts of the bytes after a function code; the table in functions.py is made of them."""
 
-# A Layout is a row of fixed-width integers, then at most one tail of variable length. The same
+# A Layout is a list of integers of fixed width, then at most one tail of variable length. The same
 # object does three things, so that they always agree:
 #
 #     length(pdu)     finds the length of the whole PDU, from as few bytes as possible
@@ -48,7 +48,10 @@ class Tail(Protocol):
         """
 
     def parse(self, pdu: bytes, at: int, fields: Fields) -> str | None:
-        """Add the tail's fields to `fields`. Returns a text if its form is wrong, else None."""
+        """Add the tail's fields to `fields`, by name.
+
+        Returns a text that says what is wrong with the tail's form; None if nothing is wrong.
+        """
 
     def encode(self, fields: Mapping[str, Value]) -> bytes: ...
 
@@ -80,7 +83,10 @@ class Layout:
         return self._size + tail if tail else tail
 
     def parse(self, pdu: bytes) -> tuple[Fields, str | None]:
-        """Return the fields of a PDU by name, and a text if its form is wrong, else None."""
+        """Return the fields of a PDU by name, and a text that says what is wrong with its form.
+
+        The text is None if nothing is wrong.
+        """
         if len(pdu) < self._size:
             return self._parse_short(pdu), self._wrong_size(pdu)
         fields: Fields = {}
@@ -91,9 +97,9 @@ class Layout:
         return fields, self._wrong_size(pdu) if len(pdu) > self._size else None
 
     def encode(self, fields: Mapping[str, Value]) -> bytes:
-        """Return the bytes after the function code.
+        """Make the bytes after the function code from the fields by name.
 
-        Raises ValueError if a field is missing or wrong.
+        Raises ValueError if a field is missing, has a wrong type or does not fit its width.
         """
         values = [_field(fields, name) for name in self._names]
         try:
@@ -105,7 +111,10 @@ class Layout:
 
     @property
     def heads(self) -> list[tuple[str, int]]:
-        """The name and width in bytes of each integer, and of the byte count behind them."""
+        """The name and width in bytes of each integer of fixed width.
+
+        The last one is `byte_count` if the tail begins with a byte count.
+        """
         widths = [1 if code == "B" else 2 for code in self._fixed.format[1:]]
         heads = list(zip(self._names, widths, strict=True))
         count = 1 if isinstance(self._tail, Bits) else getattr(self._tail, "count_width", 0)
@@ -135,7 +144,8 @@ class Registers:
     count_width: int = 1
     """Width of the byte count in bytes, 1 or 2."""
     quantity: str | None = None
-    """The name of the field with the number of registers; None if there is only the byte count."""
+    """The name of the field, before the byte count, that holds the number of registers; None if the
+    layout has no such field."""
 
     def length(self, pdu: bytes, at: int) -> int | None:
         return counted_length(pdu, at, self.count_width)
@@ -164,8 +174,8 @@ class Bits:
 
     name: str = "values"
     quantity: str | None = None
-    """The name of the field with the number of bits; None if there is none, so that all bits of the
-    bytes are kept."""
+    """The name of the field that holds the number of bits; None if the layout has no such field.
+    Without it, parsing returns all bits of the bytes, also those that only fill the last byte."""
 
     def length(self, pdu: bytes, at: int) -> int | None:
         return counted_length(pdu, at, 1)
@@ -216,7 +226,7 @@ class UncountedRegisters:
 
     name: str = "values"
     usual: int = USUAL_DIAGNOSTIC_BYTES
-    """The usual length in bytes; the PDU does not tell the length."""
+    """The number of bytes of the registers that is assumed where a PDU's end is not known yet."""
 
     def length(self, pdu: bytes, at: int) -> int | None:
         return self.usual
@@ -303,9 +313,10 @@ def counted_length(pdu: bytes, at: int, width: int) -> int | None:
 
 
 def counted_data(pdu: bytes, at: int, width: int) -> tuple[bytes, str | None]:
-    """Return the data after a byte count, and a text if the PDU has more or fewer bytes, else None.
+    """Return the data after a byte count, and a text if the PDU has more or fewer bytes than that.
 
-    The byte count begins at offset `at` of `pdu` and has `width` bytes.
+    The text is None if the byte count is right. The byte count begins at offset `at` of `pdu` and
+    has `width` bytes.
     """
     if len(pdu) < at + width:
         return b"", "its byte count is missing"

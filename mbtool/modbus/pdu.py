@@ -41,14 +41,15 @@ LAYOUTS = {
     Direction.RESPONSE: _RESPONSES,
     Direction.UNKNOWN: _REQUESTS,
 }
-"""The layout of a PDU, by direction and function code. For speed, the function code is the index of
-a list: a splitter looks up nearly every byte of a line as a function code."""
+"""The layout of a PDU, by direction and function code. A PDU of unknown direction is parsed as a
+request. The function code is the index of a list, not the key of a dict, because a splitter looks
+up nearly every byte of a line as a function code and a list is faster."""
 
 
 class Pdu(msgspec.Struct, frozen=True):
     """A parsed PDU.
 
-    If the PDU breaks the form of its function, `fields` has those that could be read.
+    If the PDU breaks the form of its function, `fields` holds only the fields that could be read.
     """
 
     code: int
@@ -114,8 +115,8 @@ def exception_pdu(function: int, exception_code: int) -> bytes:
 def pdu_length(pdu: bytes, direction: Direction, at: int = 0) -> int | None:
     """The length in bytes of the PDU that begins at offset `at` of `pdu`, from its first bytes.
 
-    None if more bytes are needed to know, 0 if no bytes of the PDU tell the length. In function 08
-    no bytes tell it, either, but the usual length is returned.
+    None if more bytes are needed to know; 0 if no byte of the PDU tells the length, as for an
+    unknown function. For function 08, where no byte tells it either, the usual length of 5.
     """
     if len(pdu) <= at:
         return None
@@ -140,9 +141,9 @@ def pdu_of(transport: Transport, raw: bytes) -> tuple[int, bytes]:
 
 
 def whole_pdu(transport: Transport, raw: bytes | None) -> bytes | None:
-    """The PDU of an ADU; None if `raw` is None, or not a whole ADU.
+    """The PDU of an ADU; None if `raw` is None or is not a whole ADU.
 
-    An ADU may be incomplete: a capture may have cut it, or another program may have written wrong
+    `raw` may be incomplete because a capture cut the ADU, or because another program wrote wrong
     bytes to a log.
     """
     if raw is None:

@@ -21,7 +21,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class RegisterAccess:
-    """The addresses of one table that a request reads, and those that it writes."""
+    """The addresses of one table that a request reads, and the addresses that it writes.
+
+    A range is empty if the request reads, or writes, nothing.
+    """
 
     table: Table
     reads: range = range(0)
@@ -61,9 +64,10 @@ def keeps_limits(request: Pdu) -> bool:
 
 
 def values_after(request: Pdu, before: Sequence[int]) -> tuple[int, ...]:
-    """Return the values that the addresses written by a request have after it.
+    """Return the values that the written addresses have after a request.
 
-    `before` are the values there before the request; a mask write (16H) changes only some bits.
+    `before` are their values before the request; only a mask write (16H), which changes some of the
+    bits of a register, depends on them.
     """
     match request.code:
         case 0x05:
@@ -92,14 +96,17 @@ def response_to(request: Pdu, pdu: bytes, values: Sequence[int]) -> bytes:
 
 
 def _is_allowed(access: RegisterAccess, request: Pdu, limit: int) -> bool:
-    """True if a request reads and writes at least 1 value, and no more than the standard allows."""
+    """True if a request reads or writes at least 1 value and at most `limit` values.
+
+    A request of 17H must do both, and may write at most WRITE_LIMIT_17H registers.
+    """
     if request.code == 0x17:
         return 1 <= len(access.reads) <= limit and 1 <= len(access.writes) <= WRITE_LIMIT_17H
     return 1 <= len(access.reads or access.writes) <= limit
 
 
 def _addresses(address: int, quantity: int | None) -> range:
-    """The `quantity` addresses from `address` on; one if the function has no quantity."""
+    """The `quantity` addresses from `address` on; only `address` if `quantity` is None."""
     return range(address, address + (1 if quantity is None else quantity))
 
 

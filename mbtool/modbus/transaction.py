@@ -23,7 +23,7 @@ class Outcome(StrEnum):
     OK = "ok"
     EXCEPTION = "exception"
     NO_ANSWER = "no-answer"
-    """The slave sent no response: the capture is complete here and has none."""
+    """The slave sent no response: the capture lacks no bytes here and shows no response."""
     NOT_CAPTURED = "not-captured"
     """The capture lacks the request or the response, or some of their bytes, so that the outcome is
     unknown."""
@@ -75,7 +75,8 @@ class Transaction(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True,
     latency_ns: Nanoseconds | None = None
     """The time from the end of the request to the start of the response, in ns."""
     retries: Count
-    """Number of equal requests directly before this one that got no response."""
+    """The number of earlier requests with the same unit and PDU that got no response, since such a
+    request last got one."""
     request_raw: bytes | None = None
     response_raw: bytes | None = None
     verdicts: list[Verdict] = []
@@ -100,11 +101,15 @@ class Transaction(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True,
     destination_mac: str | None = None
     """The MAC address that the slave's packets have."""
     vlan: Word | None = None
-    """The VLAN of the packets: the id of the innermost tag."""
+    """The VLAN of the packets: the id of the innermost tag. None if they have no tag."""
 
     @property
     def written_quantity(self) -> int:
-        """The number of registers that function 17H writes: its quantity field, else its values."""
+        """The number of registers that the request writes.
+
+        The request's field `write_quantity` gives the number; where that is None, as for functions
+        other than 17H, the number of written values does.
+        """
         if self.write_quantity is not None:
             return self.write_quantity
         return len(self.request_values or ())
