@@ -51,24 +51,24 @@ class BusPlayer:
     def __init__(
         self, runs: Sequence[ByteRun], clock: PlayClock, *, character_ns: int, silence_ns: int
     ) -> None:
-        """Play `runs`, which are in order of time.
+        """Play `runs`, which are in the order of their `position_ns`.
 
-        `character_ns` is the duration of a character, and `silence_ns` the silence between frames,
-        on the line that the recording is played on.
+        `character_ns` is the duration of one character, and `silence_ns` the silence between two
+        frames, both in ns, on the line that the recording is played on.
         """
         self._queue = PlayQueue(runs, clock)
         self._character_ns = character_ns
         self._silence_ns = silence_ns
         self._passed_ns: int | None = None
-        """The time, in ns, when the port will have sent all bytes given to it; None before the
-        first byte."""
+        """The real time (ns) at which the port will have sent all bytes given to it; None before
+        the first byte."""
         self.bytes = 0
         self.delayed = 0
         """The number of runs sent more than BEHIND_NS late because the port was still sending
         earlier bytes."""
         self.lateness = Sample()
-        """The delay of each other run in ns. Runs that the user sent with the step key are not
-        included."""
+        """How late (ns) each run was sent after its recorded time. Runs counted in `delayed` and
+        runs that the user sent with the step key are left out."""
 
     @property
     def has_ended(self) -> bool:
@@ -82,13 +82,15 @@ class BusPlayer:
 
     @property
     def passed_ns(self) -> int | None:
-        """The time, in ns, when the port will have sent all bytes given to it; None before the
-        first byte.
+        """The real time (ns) at which the port will have sent all bytes given to it; None before
+        the first byte.
         """
         return self._passed_ns
 
     def next_run(self, now_ns: int) -> ByteRun | None:
-        """Return the run to send at once and count it as sent; None if no run is due."""
+        """Return the run to send at the real time `now_ns`, and count it as sent; None if no run is
+        due.
+        """
         run = self._queue.upcoming()
         if run is None or self._free_ns(run) > now_ns:
             return None
@@ -106,8 +108,8 @@ class BusPlayer:
         return run
 
     def wake_ns(self, now_ns: int) -> int | None:
-        """The time, in ns, when the next run is due; None while the clock is paused, and after the
-        last run.
+        """The real time (ns) at which the next run is due; None while the clock is paused, and
+        after the last run.
         """
         run = self._queue.upcoming()
         if run is None:
@@ -122,13 +124,17 @@ class BusPlayer:
         self._queue.allow_step()
 
     def _free_ns(self, run: ByteRun) -> int:
-        """The earliest time, in ns, at which a run can be given to the port."""
+        """The earliest real time (ns) at which `run` may be given to the port.
+
+        A run that begins a frame must wait until the line has been silent; any other run may come
+        up to AHEAD_NS before the port has sent the earlier bytes.
+        """
         busy_ns = self._busy_ns(run)
         return busy_ns if run.after_silence else busy_ns - AHEAD_NS
 
     def _busy_ns(self, run: ByteRun) -> int:
-        """The time, in ns, when all earlier bytes are sent and the silence that `run` needs is
-        over.
+        """The real time (ns) when the port has sent all earlier bytes and the silence that `run`
+        needs is over; 0 if no byte was sent yet.
         """
         if self._passed_ns is None:
             return 0

@@ -20,7 +20,7 @@ from fractions import Fraction
 SLOWEST = Fraction(1, 64)
 FASTEST = Fraction(64)
 _STEP = 2
-"""`faster` multiplies the rate by this number, `slower` divides it."""
+"""The rate of playing is multiplied by this number in `faster`, and divided by it in `slower`."""
 
 
 class PlayClock:
@@ -51,8 +51,8 @@ class PlayClock:
         self._lap_ns = length_ns + gap_ns if is_loop else None
         self._rate = rate
         self._anchor_ns: int | None = None
-        """The real time, in ns, at which the position was `_anchor_position_ns`; None while
-        paused."""
+        """The real time (ns) at which the position was `_anchor_position_ns`; None while the clock
+        is paused."""
         self._anchor_position_ns = 0
 
     @property
@@ -78,7 +78,9 @@ class PlayClock:
         return min(max(position_ns, 0), self.length_ns)
 
     def lap(self, position_ns: int) -> int:
-        """The number of the lap, from 0, that a position is in; 0 without a loop."""
+        """The number of the lap that a position is in, from 0; always 0 if the recording is not
+        played in a loop.
+        """
         return position_ns // self._lap_ns if self._lap_ns is not None else 0
 
     @property
@@ -90,7 +92,7 @@ class PlayClock:
         return lap * self._lap_ns if self._lap_ns is not None else 0
 
     def is_over(self, now_ns: int) -> bool:
-        """True if the whole recording was played; always False in a loop."""
+        """True if the clock has reached the end of the recording; always False in a loop."""
         return self._lap_ns is None and self.position(now_ns) >= self.length_ns
 
     def time_of(self, position_ns: int) -> int | None:

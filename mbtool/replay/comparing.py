@@ -67,6 +67,7 @@ def differences(
     """Return all differences between captures `a` and `b`, slave by slave.
 
     `profiles` are the device profiles by name; they give the names and the notation of registers.
+    `ignored` says what is not compared.
     """
     links = a.links_of_units() | b.links_of_units()  # The greater number of links, by unit.
     unique = frozenset(unit for unit, count in links.items() if count == 1)
@@ -87,7 +88,9 @@ def differences(
 
 
 def _count_tests(a: Mapping[SlaveKey, SlaveTraffic], b: Mapping[SlaveKey, SlaveTraffic]) -> int:
-    """The number of statistical tests: two for each request that both captures have."""
+    """The number of statistical tests: for each request that both captures have, one for the share
+    of missing responses and one for the latencies. `a` and `b` hold the slaves of the two captures.
+    """
     return sum(
         2 * len(a[key].requests.keys() & b[key].requests.keys()) for key in a.keys() & b.keys()
     )
@@ -124,7 +127,9 @@ class _LatencyShift:
         return after / before if self.is_slower else before / after
 
     def is_like(self, other: _LatencyShift) -> bool:
-        """True if both changes have the same direction and about the same factor."""
+        """True if both latencies became longer, or both shorter, and the greater factor is at most
+        ALIKE times the smaller.
+        """
         factors = sorted((self.factor, other.factor))
         return self.is_slower == other.is_slower and factors[1] <= factors[0] * ALIKE
 
@@ -214,7 +219,7 @@ class _SlaveComparison:
             )
 
     def _changes_in_both(self, key: ValueKey) -> bool:
-        """True if a register had several values in each capture."""
+        """True if a register had more than one value in each of the two captures."""
         return min(len(side.registers[key].values) for side in (self._a, self._b)) > 1
 
     def _latencies(self) -> Iterator[Difference]:
@@ -227,8 +232,8 @@ class _SlaveComparison:
                 )
 
     def _shift(self, request: RequestKey) -> Iterator[_LatencyShift]:
-        """Yield the change of a request's latencies, or nothing if it is insignificant or too
-        small.
+        """Yield the change of a request's latencies from capture a to capture b, once; nothing if
+        it is insignificant or too small.
         """
         a, b = (side.requests[request].latencies for side in (self._a, self._b))
         shift = rank_sum(a.values, b.values)
@@ -245,7 +250,11 @@ class _SlaveComparison:
         p: float | None = None,
         alike: Iterable[str] = (),
     ) -> Difference:
-        """Make the Difference of a request; `alike` names requests that differ in the same way."""
+        """Make the Difference of a request; `a` and `b` show what each capture has.
+
+        `p` is the p-value of the statistical test that found it, None if no test was needed.
+        `alike` names other requests that differ in the same way.
+        """
         request = self._a.requests.get(key) or self._b.requests[key]
         return Difference(
             kind=kind,
@@ -262,8 +271,8 @@ class _SlaveComparison:
 
 
 def _alike(shifts: Iterable[_LatencyShift]) -> Iterator[list[_LatencyShift]]:
-    """Group latency changes with the same direction and about the same factor, largest factors
-    first.
+    """Group the latency changes that `is_like` finds alike: first those that became slower, and of
+    these the largest factor first.
     """
     group: list[_LatencyShift] = []
     for shift in sorted(shifts, key=lambda one: (one.is_slower, one.factor), reverse=True):
@@ -276,7 +285,9 @@ def _alike(shifts: Iterable[_LatencyShift]) -> Iterator[list[_LatencyShift]]:
 
 
 def _name(key: RequestKey, request: RequestTraffic) -> str | None:
-    """The addresses of a request in the notation of the device; None if it has none."""
+    """The addresses of a request as text, in the notation of the device if known; None for a
+    request without addresses.
+    """
     return request.reference or (f"address {key.address}" if key.address >= 0 else None)
 
 
@@ -292,7 +303,11 @@ def _is_same(a: ObservedValues, b: ObservedValues) -> bool:
 def _runs(
     keys: Iterable[ValueKey], can_join: Callable[[ValueKey], bool]
 ) -> Iterator[list[ValueKey]]:
-    """Group adjacent registers for which `can_join` is true; any other is a group of its own."""
+    """Group the registers in `keys`, which are sorted.
+
+    Registers with consecutive addresses form one group if `can_join` is true for each of them; any
+    other register is a group of its own.
+    """
     run: list[ValueKey] = []
     for key in keys:
         joins = bool(run) and can_join(run[-1]) and can_join(key)

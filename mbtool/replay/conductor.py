@@ -56,13 +56,13 @@ class Conductor:
         self._judge = judge
         self._limits = limits
         self._open: dict[int, _SentRequest] = {}
-        """The requests that still wait for a response, by the number of their step in the
-        script."""
+        """The pending requests: the key is the number of the request's step in the script."""
         self._free_ns: int | None = None
-        """The earliest time in ns at which the link allows the next request; None before the first
-        one is over."""
+        """The earliest real time (ns) at which the link allows the next request; None until the
+        first request is answered or given up, or a broadcast is sent."""
         self.lateness = Sample()
-        """The delays in ns of the steps that waited for nothing but the clock."""
+        """How late (ns) requests were sent after their recorded time. Requests that had to wait for
+        anything but the clock, such as a response, are left out."""
         self.unsolicited = 0
         """The number of responses that belonged to no pending request."""
 
@@ -76,7 +76,9 @@ class Conductor:
         return self._queue.taken
 
     def next_step(self, now_ns: int) -> Step | None:
-        """Return the request to send at once, and count it as sent; None if none is due."""
+        """Return the step (recorded request) to send at the real time `now_ns`, and count it as
+        sent; None if none is due.
+        """
         step = self._upcoming()
         if step is None or not self._is_free(step, now_ns):
             return None
@@ -100,10 +102,10 @@ class Conductor:
         self._queue.allow_step()
 
     def note_sent(self, step: Step, now_ns: int) -> None:
-        """Called when the last byte of a request was sent.
+        """Called when the last byte of `step`'s request was sent, at the real time `now_ns`.
 
-        The latency and the time-out of the response count from this time; after a broadcast, so
-        does the turnaround delay.
+        The latency and the time-out of the response count from this time; after a broadcast, the
+        turnaround delay does.
         """
         request = self._open.get(step.number)
         if request is not None:
@@ -112,10 +114,10 @@ class Conductor:
             self._free_ns = now_ns + self._limits.turnaround_ns
 
     def wake_ns(self, now_ns: int) -> int | None:
-        """Return the time in ns at which the owner of the link must call again at the latest.
+        """Return the real time (ns) at which the owner of the link must call again at the latest.
 
         At that time the next request may be sent, or the first pending request times out. None if
-        nothing is due.
+        neither can happen before a response comes or the user presses a key.
         """
         times = [each.sent_ns + self._limits.timeout_ns for each in self._open.values()]
         step = self._upcoming()
@@ -127,11 +129,12 @@ class Conductor:
         return min(times, default=None)
 
     def answered(self, number: int, pdu: bytes, start_ns: int, end_ns: int) -> bool | None:
-        """Called with a response to the request with this number.
+        """Called with the PDU of a response; `number` is the number of the step whose request it
+        answers.
 
-        `start_ns` and `end_ns` are the times of the response's first and last byte. Returns True if
-        the response means the same as the recorded one, False if it does not, and None if no
-        pending request has this number.
+        `start_ns` and `end_ns` are the real times of the response's first and last byte. Returns
+        True if the response means the same as the recorded one, False if it does not, and None if
+        the request of that step is not pending.
         """
         request = self._open.pop(number, None)
         if request is None:
@@ -141,9 +144,10 @@ class Conductor:
         return self._judge.judge(request.step, pdu, max(start_ns - request.sent_ns, 0))
 
     def expire(self, now_ns: int) -> list[tuple[Step, bool]]:
-        """Give up the requests that have waited longer than the time-out.
+        """Give up the requests that have waited as long as the time-out allows.
 
-        Returns for each of them its step, and True if the recording has no response to it either.
+        Returns a pair for each: its step, and True if the recording has no response to that request
+        either, so that the silence is as recorded.
         """
         late = [
             number
@@ -153,10 +157,10 @@ class Conductor:
         return [each for number in late for each in self.give_up(number, now_ns)]
 
     def give_up(self, number: int, now_ns: int) -> list[tuple[Step, bool]]:
-        """Stop waiting for the response to the request with this number.
+        """Stop waiting for the response to the request of the step `number`.
 
-        Returns a list with one item: the step, and True if the recording has no response to it
-        either. The list is empty if no pending request has this number.
+        Returns a list with one pair: the step, and True if the recording has no response to that
+        request either. The list is empty if that request is not pending.
         """
         request = self._open.pop(number, None)
         if request is None:
@@ -165,14 +169,18 @@ class Conductor:
         return [(request.step, self._judge.judge(request.step, None, None))]
 
     def _note_over(self, now_ns: int) -> None:
-        """Delay the next request by `pause_ns`, as a request has just been answered or given up."""
+        """Allow the next request `pause_ns` from now: called when a request was answered or given
+        up.
+        """
         self._free_ns = now_ns + self._limits.pause_ns
 
     def _upcoming(self) -> Step | None:
         return self._queue.upcoming(may_restart=not self._open)
 
     def _must_wait(self, step: Step) -> bool:
-        """True if a request must wait until others are answered or given up."""
+        """True if the request of `step` must wait until pending requests are answered or
+        given up.
+        """
         if len(self._open) >= MAX_OPEN_REQUESTS or (self._limits.one_at_a_time and self._open):
             return True
         return any(

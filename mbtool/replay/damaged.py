@@ -34,8 +34,8 @@ RESPONSE_NS = 5_000_000_000
 DAMAGED_KINDS = frozenset((EventKind.BAD_CHECK, EventKind.SKIPPED))
 
 _WHOLE_ADU = 1024
-"""More bytes than any ADU has. Cutting this many off a response leaves nothing, so that recorded
-bytes can be sent in its place."""
+"""More bytes than any ADU has. Cutting this many off a made response leaves nothing of it, so that
+only the recorded bytes are sent."""
 _RTU = frozenset((Transport.RTU, Transport.RTU_TCP))
 
 
@@ -44,14 +44,15 @@ class DamagedAnswer:
     """A damaged response in a recording."""
 
     raw: bytes
-    """The bytes of the response, as they were captured."""
+    """The bytes of the response with unit and checksum, as they were captured."""
     transport: Transport
     has_wrong_check: bool
     """True if only the checksum of the response is wrong; False if the response is incomplete."""
     latency_ns: int
 
     def again(self, transport: Transport, delay_ns: int) -> Response | None:
-        """Return a response with the same damage, to be sent on a link with this transport.
+        """Return a response with the same damage, to be sent `delay_ns` after the request on a link
+        with this transport.
 
         None if no response is to be sent, because such a link cannot carry the damage.
         """
@@ -68,7 +69,8 @@ def damaged_answers(
 ) -> dict[int, DamagedAnswer]:
     """Find the damaged responses to requests for which the recording has no intact one.
 
-    `asked` holds the transactions in order of time. The keys of the result are indices in `asked`.
+    `asked` holds the transactions in order of time. `events` are the events of the same recording;
+    those that hold undecoded bytes are searched. The keys of the result are indices in `asked`.
     """
     undecoded: dict[str, list[WireEvent]] = defaultdict(list)
     for event in events:
@@ -78,8 +80,8 @@ def damaged_answers(
         each.sort(key=_time)
     found: dict[int, DamagedAnswer] = {}
     next_ns: dict[str, int] = {}
-    """By link, the time in ns of the next later request; the loop goes through `asked`
-    backwards."""
+    """By link, the time (UTC ns) of the request that follows the present one. The loop below goes
+    from the last request to the first."""
     for index in range(len(asked) - 1, -1, -1):
         one = asked[index]
         request_ns = one.start_ns
@@ -107,10 +109,10 @@ def _time(event: WireEvent) -> int:
 
 
 def _begins_like_response(asked: Transaction, raw: bytes) -> bool:
-    """True if undecoded bytes begin with the unit and function of a request, as a response to it
-    would.
+    """True if `raw`, which could not be decoded, begins with the unit and function of the request
+    of `asked`, as a response does.
 
-    False if they also have the address of a read: then they repeat the request.
+    False if it also has the address of a read request: then it is a repetition of the request.
     """
     body, request = _body(asked.transport, raw), _body(asked.transport, asked.request_raw or b"")
     if len(body) < 2 or body[0] != asked.unit or body[1] & ~EXCEPTION_BIT != asked.function:
@@ -119,10 +121,10 @@ def _begins_like_response(asked: Transaction, raw: bytes) -> bool:
 
 
 def _body(transport: Transport, raw: bytes) -> bytes:
-    """Return an ADU's bytes from the unit on, with the checksum.
+    """Return the bytes of a serial ADU from the unit on, with the checksum.
 
-    An ASCII frame is decoded up to the first line end; if it is not hexadecimal, the result is
-    empty.
+    An ASCII frame is converted from hexadecimal digits up to the first carriage return; the result
+    is empty if it contains other characters.
     """
     if transport is not Transport.ASCII:
         return raw

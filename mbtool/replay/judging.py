@@ -62,7 +62,9 @@ _EXCEPTION_BIT = 0x80
 
 @dataclass(frozen=True, slots=True)
 class Tolerance:
-    """How much longer than the recorded latencies the new ones may be, as a share and in ns."""
+    """How much longer than a recorded latency a new one may be. The greater of `share` and
+    `least_ns` counts.
+    """
 
     share: float = 0.0
     """Allowed increase as a share of the recorded latency: 0.5 is 50 %."""
@@ -81,15 +83,17 @@ class _RequestResult:
     count: int = 0
     different: int = 0
     outcomes: dict[tuple[str, str], int] = field(default_factory=dict)
-    """The number of responses, by recorded outcome (first) and different new outcome (second)."""
+    """The number of responses with another outcome than recorded, by a pair of texts: the recorded
+    outcome and the new one."""
     recorded: Sample = field(default_factory=Sample)
-    """The recorded latencies, in ns."""
+    """The recorded latencies (ns) of the responses whose new latencies are in `answered`."""
     answered: Sample = field(default_factory=Sample)
-    """The latencies of the new responses, in ns."""
+    """The latencies (ns) that were measured when the recording was played."""
     time_ns: int = 0
-    """The sum of the latencies of the new responses, in ns."""
+    """The sum of all latencies measured when the recording was played, in ns."""
     registers: set[tuple[str | None, ValueKey]] = field(default_factory=set)
-    """The registers that differed, each with the name of the device's profile."""
+    """The registers whose values differed from the recorded ones: pairs of the name of the device's
+    profile (None without profile) and the register."""
 
     @property
     def what(self) -> str:
@@ -104,9 +108,10 @@ class _RequestResult:
         self.answered.add(answered_ns)
 
     def add_difference(self, recorded: str, outcome: str) -> None:
-        """Count a response that differs from the recorded one.
+        """Count a response that differs from the recorded one; both outcomes are texts.
 
-        Two equal outcomes mean that only values differ; they are not put into `outcomes`.
+        Equal texts mean that only values of registers differ. Such a response is counted in
+        `different`, but not in `outcomes`.
         """
         self.different += 1
         if recorded == outcome:
@@ -119,7 +124,7 @@ class _RequestResult:
 
 @dataclass(slots=True)
 class _RegisterResult:
-    """The recorded and the new values of a register, from the reads in which they differed."""
+    """The recorded and new values of a register, from the reads in which the two differed."""
 
     recorded: ObservedValues = field(default_factory=ObservedValues)
     answered: ObservedValues = field(default_factory=ObservedValues)
@@ -127,7 +132,7 @@ class _RegisterResult:
 
 
 class RequestReport(msgspec.Struct, frozen=True, kw_only=True):
-    """The results of one request and its repetitions, for reports."""
+    """The results of one request and its repetitions, as they appear in a report."""
 
     unit: int
     function: int
@@ -140,13 +145,14 @@ class RequestReport(msgspec.Struct, frozen=True, kw_only=True):
     time_ns: int
     """The sum of the latencies of all responses to the request, in ns."""
     problems: list[str]
-    """One text for each way in which responses or latencies differed."""
+    """One text for each outcome that differs from the recorded one, and one if the latencies are
+    too long, such as "recorded ok, answered exception 02"."""
     registers: list[str]
-    """The registers that differed in the responses, in the notation of the device."""
+    """The registers that differed from the recorded responses, in the device's notation."""
 
 
 class Judge:
-    """Compares responses with the recorded ones, one by one, and collects the differences."""
+    """Compares a live slave's responses with the recorded ones, and collects the differences."""
 
     def __init__(
         self,
@@ -158,9 +164,10 @@ class Judge:
     ) -> None:
         """Prepare to compare.
 
-        `profiles` are the device profiles by name, which give names and units of measure. The
-        values of registers in `spans` may differ. Without `tolerance` latencies are not compared.
-        With `learns`, registers that differ are collected and do not count as differences.
+        `profiles` are the device profiles by name; they give names and units of measure. Registers
+        in `spans` may differ from the recording. Without `tolerance`, latencies are not compared.
+        With `learns`, registers that differ are collected for `learned` and do not count as
+        differences.
         """
         self._profiles = profiles or {}
         self._spans = list(spans)
@@ -168,22 +175,25 @@ class Judge:
         self._tolerance = tolerance
         self._wordings: dict[str | None, DeviceWording] = {}
         self._results: dict[tuple[int, int, object], _RequestResult] = {}
-        """The results of each request, by unit, function, and the registers that it accesses (or
-        its PDU, if it accesses none)."""
+        """The results of each request. The key is the unit, the function, and the registers that
+        the request accesses; for a request that accesses none, its PDU instead."""
         self._result_of: dict[tuple[int, bytes], _RequestResult] = {}
-        """The results in `_results` again, by unit and PDU, to find them faster."""
+        """The results in `_results` again, by unit and request PDU, to find them without
+        parsing."""
         self._registers: dict[tuple[int, str | None, ValueKey], _RegisterResult] = {}
-        """The values of each register that differed, by unit, profile name and register."""
+        """For each register that differed from the recording: its recorded and new values. The key
+        is the unit, the name of the device's profile (None without profile) and the register."""
         self.count = 0
-        """The number of responses compared, including missing ones."""
+        """The number of played requests that were judged, also those without a response."""
         self.wrong = 0
         """The number of compared responses that differed from the recorded ones."""
 
     def judge(self, step: Step, response: bytes | None, latency_ns: int | None) -> bool:
-        """Compare the response to a step (a recorded request) with the recorded response.
+        """Compare the new response to a step (a recorded request) with the recorded response.
 
-        `response` is the PDU, None for silence. `latency_ns` is None if unknown. Returns True if
-        both mean the same, or if the recorded response was not captured.
+        `response` is the PDU of the new response, None if none came. `latency_ns` is its latency,
+        None if unknown. Returns True if both responses mean the same, and for a request whose
+        recorded response the capture lost.
         """
         self.count += 1
         result = self._result(step)
@@ -218,7 +228,7 @@ class Judge:
         return sorted(found, key=lambda one: one.unit)
 
     def requests(self) -> list[RequestReport]:
-        """The results of each request, in the order in which they were first sent."""
+        """The results of each request, in the order in which the requests were first sent."""
         alpha = self._alpha()
         return [
             RequestReport(
@@ -242,9 +252,10 @@ class Judge:
         ]
 
     def uncompared_latencies(self) -> int:
-        """The number of requests with too few responses to compare latencies.
+        """The number of requests with responses, but too few (below MIN_VALUES) to compare
+        latencies.
 
-        0 if the user did not ask to compare latencies. Requests without any response do not count.
+        0 if the user did not ask to compare latencies.
         """
         if self._tolerance is None:
             return 0
@@ -254,7 +265,7 @@ class Judge:
         )
 
     def learned(self) -> list[tuple[int, Span]]:
-        """The registers that differed, as pairs of a unit and a range of addresses."""
+        """The registers that differed from the recording, as pairs of unit and address range."""
         spans: list[tuple[int, Span]] = []
         for unit, key in sorted({(unit, key) for unit, _, key in self._registers}):
             one = Span(key.table, key.address, key.address)
@@ -267,9 +278,7 @@ class Judge:
         return spans
 
     def _result(self, step: Step) -> _RequestResult:
-        """Return the collected results of a step's request; steps with equal requests share
-        them.
-        """
+        """Return the object that collects a step's results; steps with equal requests share it."""
         result = self._result_of.get((step.unit, step.pdu))
         if result is None:
             access = register_access(parse_pdu(step.pdu, Direction.REQUEST))
@@ -324,7 +333,7 @@ class Judge:
             )
 
     def _reads(self) -> Counter[tuple[int, ValueKey]]:
-        """The number of reads of each register that differed, by unit and register."""
+        """How often each register that differed was read in all, by unit and register."""
         differed = {(unit, key) for unit, _, key in self._registers}
         reads: Counter[tuple[int, ValueKey]] = Counter()
         for result in self._results.values():
@@ -344,12 +353,12 @@ class Judge:
         return self._wordings[device]
 
     def _alpha(self) -> float:
-        """The significance level of the test of one request's latencies."""
+        """The significance level of one test: ALPHA divided by the number of requests tested."""
         tests = sum(result.has_enough_latencies for result in self._results.values())
         return ALPHA / max(tests, 1)
 
     def _latencies(self, result: _RequestResult, alpha: float) -> Iterable[Difference]:
-        """Yield the difference of the latencies of one request, if the new ones are too long."""
+        """Yield one Difference if a request's new latencies are too long at the level `alpha`."""
         if self._tolerance is None:
             return
         allowed = [self._tolerance.latest_ns(each) for each in result.recorded.values]
@@ -367,7 +376,7 @@ def _soonest(values: Iterable[float]) -> float:
 
 
 def _outcomes(result: _RequestResult) -> Iterable[Difference]:
-    """Yield a difference for each outcome of one request that was not as recorded."""
+    """Yield a Difference for each outcome of a request that differs from the recorded one."""
     for (recorded, outcome), count in result.outcomes.items():
         text = _with_count(outcome, count, result.count)
         yield _difference(result, Kind.OUTCOME, Side(text=recorded), Side(text=text, count=count))
@@ -390,7 +399,9 @@ def _difference(
 
 
 def _with_count(text: str, count: int, total: int) -> str:
-    """A text, followed by "(3 of 7)" unless count and total are equal."""
+    """Return `text`, followed by "(3 of 7)" if `count` is 3 and `total` is 7. If both are equal,
+    return only `text`.
+    """
     return text if count == total else f"{text} ({count:,} of {total:,})"
 
 

@@ -25,12 +25,18 @@ class LatencyModel(Protocol):
         ...
 
     def ns(self, unit: int, function: int, own_ns: int | None) -> int:
-        """The latency of a response in ns; `own_ns` is the recorded one, None if there is none."""
+        """Return the latency (ns) of a response of this unit to this function code.
+
+        `own_ns` is the latency of that response in the recording; None if the response is not
+        recorded.
+        """
         ...
 
 
 class RecordedLatency:
-    """Gives each response its recorded latency, or the median of its unit and function."""
+    """Gives each recorded response its own latency; any other gets the median recorded for its unit
+    and function.
+    """
 
     is_recorded_time = True
 
@@ -42,7 +48,7 @@ class RecordedLatency:
 
 
 class FixedLatency:
-    """Gives all responses the same latency."""
+    """Gives all responses the same latency, in real time."""
 
     is_recorded_time = False
 
@@ -59,7 +65,7 @@ class SampledLatency:
     is_recorded_time = True
 
     def __init__(self, recording: Recording, chance: Callable[[], float]) -> None:
-        """`chance` returns random numbers of at least 0 and less than 1."""
+        """`chance` returns a random number from 0 up to, but not including, 1 at each call."""
         self._recording = recording
         self._chance = chance
 

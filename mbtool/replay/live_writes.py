@@ -30,42 +30,47 @@ if TYPE_CHECKING:
 
 
 class Place(NamedTuple):
-    """A position in a recording that may be played several times."""
+    """A position in a recording that may be played several times. Positions compare in the order in
+    which they are played.
+    """
 
     lap: int
-    """How many times the recording has begun again, from 0."""
+    """How many times the recording had begun again: 0 while it is played for the first time."""
     at_ns: int
-    """The recorded time in ns."""
+    """The recorded time in UTC ns."""
 
 
 @dataclass(slots=True)
 class _LiveValue:
-    """The value of one register or bit that the live master has written."""
+    """A register or bit that the live master has written: the value that responses show."""
 
     value: int
     place: Place
-    """The player's position when the live master wrote the value. Once a recorded write has
-    replaced it: the position at which `value` was read in the recording."""
+    """The player's position when the live master wrote `value`. When a later recorded write ends
+    the live write, `value` and `place` become those of the recorded response that showed it."""
     recorded_writes: int
-    """The number of recorded writes to the same address before the player's position at the live
-    write."""
+    """The number of recorded writes to this address up to the player's position when the live
+    master wrote."""
 
 
 class LiveWrites:
-    """The registers and bits that a live master has written."""
+    """Holds the registers and bits that the live master (the one that talks to the player) has
+    written.
+    """
 
     def __init__(self, recording: Recording) -> None:
         self._recording = recording
         self._values: dict[tuple[int, Table], dict[int, _LiveValue]] = {}
-        """The live values by unit and table, then by address."""
+        """The values that responses show in place of the recorded ones: by unit and table, then by
+        address."""
 
     def keep(
         self, unit: int, table: Table, address: int, value: int, *, recorded: int, place: Place
     ) -> None:
-        """Keep the value of an acknowledged write of the live master.
+        """Keep a value that the live master wrote with an acknowledged write.
 
-        `place` is the player's position in the recording; `recorded` is the recorded value of the
-        address there.
+        `place` is the player's position in the recording at the write; `recorded` is the recorded
+        value of the address at that position.
         """
         values = self._values.setdefault((unit, table), {})
         before = values.get(address)
@@ -78,8 +83,10 @@ class LiveWrites:
         values[address] = _LiveValue(value, place, writes)
 
     def shown(self, unit: int, table: Table, address: int, recorded: int, place: Place) -> int:
-        """Return the value to show: the live master's, or `recorded`, the recorded value at
-        `place`.
+        """Return the value of an address that a response shows.
+
+        This is the live master's, or `recorded`, the recorded value at `place`, if the live master
+        did not write or a later recorded write has ended its write.
         """
         live = self._values.get((unit, table), {}).get(address)
         if live is None or self._has_ended(live, unit, table, address, place):
@@ -89,10 +96,11 @@ class LiveWrites:
     def in_answer(
         self, unit: int, table: Table, start: int, values: Sequence[int], place: Place
     ) -> list[int]:
-        """Replace values in a recorded response by those that the live master has written.
+        """Return the values of a recorded response, with those replaced that the live master has
+        written.
 
-        `values` are those of the response, from address `start` on; `place` is where it was
-        recorded.
+        `values` are the recorded values, from address `start` on; `place` is the position at which
+        the response was recorded.
         """
         shown = list(values)
         for address, live in self._values.get((unit, table), {}).items():
@@ -107,7 +115,9 @@ class LiveWrites:
     def _has_ended(
         self, live: _LiveValue, unit: int, table: Table, address: int, place: Place
     ) -> bool:
-        """True if the recording, up to `place`, has a write to the address after the live write."""
+        """True if the recording has a write to the address between the live write `live` and
+        `place`.
+        """
         if place < live.place:
             return False
         return self._recorded_writes(unit, table, address, place) > live.recorded_writes

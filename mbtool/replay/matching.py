@@ -39,15 +39,16 @@ class MatchStrategy(StrEnum):
     """How to find the answer to a request."""
 
     AUTO = "auto"
-    """As KEY; if the recording lacks the request, from the register image, then from the device's
-    profile."""
+    """As KEY. For a request that the recording lacks, the response comes from the register image
+    (the recorded values at the player's time), else from the simulated device."""
     SEQUENCE = "sequence"
     """A request is answered only if it is the next one in the recording."""
     KEY = "key"
-    """A request gets the next recorded answer to the same unit, function, addresses and values."""
+    """Each time the same request (unit, function, addresses and values) comes, it gets its next
+    recorded answer."""
     TIME = "time"
-    """A request gets the answer to the same request that was recorded nearest to the clock's
-    time."""
+    """Of all recorded answers to the same request, the one recorded nearest to the clock's time is
+    given."""
     IMAGE = "image"
     """A request gets the values that the registers had in the recording at the clock's time."""
 
@@ -67,15 +68,15 @@ class OnEnd(StrEnum):
     LOOP = "loop"
     """A request gets its first recorded answer again, then the second, and so on."""
     IMAGE = "image"
-    """A request is answered with the last values of the registers."""
+    """A request gets the values that its registers had at the player's time in the recording."""
     SILENT = "silent"
 
 
 class NoAnswer(Enum):
-    """The result of a matcher that has no recorded answer to a request.
+    """What a matcher returns if it has no recorded answer to a request.
 
-    MISS: the recording has no such request. IMAGE: answer from the register image. SILENCE: send no
-    response.
+    MISS: the recording has no such request. IMAGE: the player is to answer from the register image
+    (the recorded values). SILENCE: the player is to send no response.
     """
 
     MISS = "miss"
@@ -87,21 +88,24 @@ _AT_END = {OnEnd.IMAGE: NoAnswer.IMAGE, OnEnd.SILENT: NoAnswer.SILENCE}
 
 
 class Moment(NamedTuple):
-    """The player's time in the recording, in ns, and its state."""
+    """The player's time in the recording (UTC ns), and whether the player is paused or at
+    the end.
+    """
 
     at_ns: int
     is_over: bool = False
-    """True if the clock has reached the end of the recording."""
+    """True if the clock has reached the end of the recording; False if the matcher does not use the
+    clock."""
     is_paused: bool = False
 
 
 class Found(NamedTuple):
-    """A recorded answer that is to be played."""
+    """A recorded answer that a matcher has chosen to be played."""
 
     answer: RecordedAnswer
     lap: int = 0
-    """How many times all recorded answers were played before this one; 0 if the matcher uses the
-    clock."""
+    """How many times all recorded answers (with KeyMatcher, all answers to this request) were
+    played before this one; always 0 if the matcher uses the clock."""
 
 
 class Matcher(Protocol):
@@ -129,7 +133,7 @@ class KeyMatcher:
         self._answers = recording.answers
         self._on_end = on_end
         self._given: dict[Key, int] = {}
-        """By request, the number of its recorded answers that were played."""
+        """For each request (unit and PDU), how many of its recorded answers were played."""
 
     def find(self, key: Key, moment: Moment) -> Found | NoAnswer:
         answers = self._answers.get(key)
@@ -147,7 +151,7 @@ class KeyMatcher:
 
 
 class SequenceMatcher:
-    """Answers a request only if it is the next one in the recording; any other is a miss."""
+    """Answers a request only if it comes next in the recording; any other request is a miss."""
 
     def __init__(self, recording: Recording, on_end: OnEnd) -> None:
         self._order = recording.order
@@ -173,7 +177,9 @@ class SequenceMatcher:
 
 
 class TimeMatcher:
-    """Gives a request the answer recorded nearest to the clock's time."""
+    """Gives a request the answer to the same request that was recorded nearest to the clock's time.
+    If the recording lacks the request, an answer to the same first address decides.
+    """
 
     def __init__(self, recording: Recording, on_end: OnEnd) -> None:
         self._answers = recording.answers
@@ -199,7 +205,9 @@ class TimeMatcher:
 
 
 class ImageMatcher:
-    """Lets the player answer requests for registers or bits from the register image."""
+    """Lets the player answer all requests for registers or bits with their recorded values; other
+    requests get their next recorded answer.
+    """
 
     def __init__(self, recording: Recording, on_end: OnEnd) -> None:
         self._others = KeyMatcher(recording, on_end)
@@ -218,14 +226,16 @@ def _last(answers: Sequence[RecordedAnswer]) -> Found:
 
 
 def _nearest(answers: Sequence[RecordedAnswer], at_ns: int) -> RecordedAnswer:
-    """The answer whose request was recorded nearest to `at_ns`; of two equally near, the first."""
+    """The answer whose request was recorded nearest to `at_ns` (UTC ns); if two are equally near,
+    the earlier one.
+    """
     index = bisect_left(answers, at_ns, key=lambda one: one.asked_ns)
     return min(answers[max(index - 1, 0) : index + 1], key=lambda one: abs(one.asked_ns - at_ns))
 
 
 def _address_key(key: Key) -> bytes | None:
-    """Unit, function and first address of a request as bytes; None if it accesses no registers or
-    bits.
+    """Unit, function and first address of a request as 4 bytes; None if the request accesses no
+    registers or bits, or is malformed.
     """
     unit, pdu = key
     if not pdu or pdu[0] not in TABLE_FUNCTIONS:

@@ -13,7 +13,9 @@ if TYPE_CHECKING:
 
 
 class PlayItem(Protocol):
-    """A part of a recording, such as a request, to be played `position_ns` after the beginning."""
+    """A part of a recording, such as a request, to be played `position_ns` (ns of recorded time)
+    after the beginning.
+    """
 
     @property
     def position_ns(self) -> int: ...
@@ -31,7 +33,8 @@ class PlayQueue(Generic[_Item]):
         self._next = 0
         self._lap = 0
         self._steps = 0
-        """How many items may still be played although the clock is paused."""
+        """How many items may still be played although the clock is paused: one for each press of
+        the step key."""
 
     @property
     def taken(self) -> int:
@@ -56,10 +59,11 @@ class PlayQueue(Generic[_Item]):
         self._steps += 1
 
     def due_ns(self, item: _Item, now_ns: int) -> int | None:
-        """Return the real time, in ns, at which the next item may be played.
+        """Return the real time (ns) at which `item`, the next one, may be played; `now_ns` if
+        `allow_step` permits it.
 
-        None if the clock is paused and `allow_step` permits no further item. Once the clock runs
-        again, unused permissions are dropped.
+        None if the clock is paused and `allow_step` was not called for it. As soon as the clock
+        runs again, unused permissions are dropped.
         """
         due_ns = self._clock.time_of(self._position(item))
         if due_ns is not None:
@@ -69,10 +73,10 @@ class PlayQueue(Generic[_Item]):
         return due_ns
 
     def take(self, item: _Item, now_ns: int) -> bool:
-        """Mark the next item as played.
+        """Mark `item`, the next one, as played at the real time `now_ns`.
 
-        Returns True if it was due by the clock, False if `allow_step` permitted it; in the second
-        case the clock moves to the item's position.
+        Returns True if the item was due by the clock, False if the user played it with the step
+        key. In the second case the clock moves to the item's position.
         """
         position_ns = self._position(item)
         self._next += 1

@@ -57,28 +57,29 @@ if TYPE_CHECKING:
 
 BROADCAST_UNIT = 0
 _LOOP_GAP_NS = 1_000_000_000
-"""The length of a lap, in ns, if a recording that lasts 0 ns, such as a single request, is played
-in a loop."""
+"""If a recording of length 0 ns (such as a single request) is played in a loop, each lap takes this
+long (ns of recorded time)."""
 
 
 class OnMiss(StrEnum):
-    """The answer to a request that is not in the recording."""
+    """The player's answer to a request that the recording lacks."""
 
     IMAGE = "image"
-    """A response from the register image or the simulated device, else an exception response."""
+    """A response with the recorded values of its registers, else one from the simulated device,
+    else an exception response."""
     EXCEPTION = "exception"
     SILENT = "silent"
 
 
 class AnsweredFrom(StrEnum):
-    """The source of the answer to a request of the live master."""
+    """What the player took its answer to a request of the live master from."""
 
     RECORDED = "recorded"
-    """A response in the recording; or none, as in the recording."""
+    """A recorded response; or no response, because the recording has none either."""
     IMAGE = "image"
-    """The values of the registers in the recording."""
+    """The recorded values of the registers that the request reads or writes."""
     PROFILE = "profile"
-    """The simulated device."""
+    """The simulated device that was made from the device's profile."""
     NOWHERE = "never recorded"
     """The request got an exception or no response, as the recording tells nothing about it."""
 
@@ -113,8 +114,8 @@ class RecordedSlave:
         `rate` is recorded time divided by real time. Recorded latencies are divided by it; with
         None, responses are sent at once. `devices` holds the simulated devices by unit. `transport`
         is the transport of the live requests. With `with_damage`, damaged responses are played,
-        too. Raises ValueError if the rate is not above 0, or if it is None although `match` needs a
-        clock.
+        too. Raises ValueError if `rate` is not above 0, or if it is None although `match` goes by
+        the clock.
         """
         if rate is None and match.by_clock:
             raise ValueError(f"{match} goes by the clock, which needs a rate")
@@ -134,14 +135,16 @@ class RecordedSlave:
         )
         self._steering = Steering(self._clock, self._step)
         self._steps = 0
-        """How many answers may still be played although the player is paused."""
+        """How many answers may still be played although the player is paused: one for each press of
+        the step key."""
         self._time_ns = recording.begin_ns
-        """The time in the recording, in ns, from which values for responses are taken."""
+        """The time in the recording (UTC ns) from which the values in responses are taken."""
         self._lap = 0
-        """How many times the recording has begun again: by the clock, or as the matcher counts."""
+        """The number of the lap, from 0. With a matcher by the clock, the clock counts the laps;
+        otherwise it is the `lap` of the answer that was played last."""
         self._writes = LiveWrites(recording)
         self.answered_from: Counter[AnsweredFrom] = Counter()
-        """The number of requests from the live master, by the source of their answers."""
+        """The number of requests from the live master, by what their answers were taken from."""
         self.missed = 0
         """The number of requests from the live master that have no answer in the recording."""
 
@@ -184,7 +187,7 @@ class RecordedSlave:
         self._steering.apply(control, now_ns)
 
     def progress(self, now_ns: int) -> Progress:
-        """The player's state, for the status line that the user sees."""
+        """Return the player's state, for the status line that the user sees."""
         position_ns = self._time_ns - self._recording.begin_ns
         if self._match.by_clock:
             position_ns = self._clock.position(now_ns)
@@ -194,8 +197,10 @@ class RecordedSlave:
         return self._steering.progress(position_ns, done)
 
     def _moment(self, now_ns: int) -> Moment:
-        """Update the time in the recording from which values are taken; return it with the player's
-        state.
+        """Set the time in the recording (`_time_ns`, `_lap`) to the clock's, if the matcher goes by
+        the clock.
+
+        Returns that time, with whether the player is paused or at the end.
         """
         if not self._match.by_clock:
             is_paused = self._steering.is_paused and not self._steps
@@ -245,9 +250,10 @@ class RecordedSlave:
         return Response(answer, self._delay_ns(unit, pdu[0], recorded.latency_ns))
 
     def _go_to(self, found: Found) -> None:
-        """Take the next values from the time at which this answer was recorded.
+        """Set the time in the recording, from which later values are taken, to that of the answer
+        `found`.
 
-        If the matcher uses the clock, the clock decides the time instead.
+        Does nothing if the matcher goes by the clock, which then decides the time.
         """
         if not self._match.by_clock:
             self._time_ns, self._lap = found.answer.at_ns, found.lap
@@ -256,7 +262,11 @@ class RecordedSlave:
         return Place(self._lap, self._time_ns)
 
     def _with_writes(self, unit: int, request: Pdu, pdu: bytes, recorded: RecordedAnswer) -> bytes:
-        """The PDU of a recorded answer, with the values that the live master has written."""
+        """Return the PDU of a recorded response, with the values replaced that the live master has
+        written.
+
+        `request` is the live request parsed, and `pdu` its bytes.
+        """
         answer = recorded.pdu or b""
         access = register_access(request)
         if access is None or not access.reads:
@@ -277,7 +287,11 @@ class RecordedSlave:
         return 0 if self._clock.rate is None else round(latency_ns / self._clock.rate)
 
     def _make_up(self, unit: int, pdu: bytes, found: NoAnswer, now_ns: int) -> Response | None:
-        """Make a response to a request that has no recorded answer; None for no response."""
+        """Make a response to a request that has no recorded answer.
+
+        `found` says why: the matcher wants the register image, or the recording lacks the request.
+        Returns None if no response is to be sent.
+        """
         request = parse_pdu(pdu, Direction.REQUEST)
         access = register_access(request)
         if found is NoAnswer.IMAGE or self._on_miss is OnMiss.IMAGE:
@@ -302,7 +316,11 @@ class RecordedSlave:
     def _from_image(
         self, unit: int, request: Pdu, access: RegisterAccess | None, pdu: bytes
     ) -> bytes | None:
-        """The response from the register image; None if one of the addresses was never seen."""
+        """Return the PDU of a response with the recorded values of the registers.
+
+        None if the request accesses no registers or bits, or if one of the addresses was never seen
+        in the recording.
+        """
         if access is None:
             return None
         for span in (access.reads, access.writes):
@@ -315,7 +333,11 @@ class RecordedSlave:
     def _from_device(
         self, unit: int, request: Pdu, access: RegisterAccess | None, pdu: bytes, now_ns: int
     ) -> Response | None:
-        """The simulated device's response, after it was given the values of the recording."""
+        """Return the simulated device's response, None for no response.
+
+        Before that, the device is given the present values of those addressed registers that the
+        recording has.
+        """
         device = self._devices[unit]
         if access is not None:
             for address in (*access.reads, *access.writes):
@@ -328,7 +350,7 @@ class RecordedSlave:
         return response
 
     def _keep_write(self, unit: int, request: Pdu) -> None:
-        """Remember the values of the live master's acknowledged write, for addresses that the
+        """Keep the values that the live master's acknowledged write gives to addresses that the
         recording has.
         """
         access = register_access(request)
@@ -344,8 +366,8 @@ class RecordedSlave:
                 )
 
     def _value(self, unit: int, table: Table, address: int) -> int | None:
-        """The value of a register or bit at the present time of the recording, or as the live
-        master has since written it; None if it was never recorded.
+        """The value of a register or bit at the player's time in the recording, or the value that
+        the live master has written since. None if the recording never shows a value of it.
         """
         recorded = self._recorded(unit, table, address)
         if recorded is None:
@@ -353,8 +375,8 @@ class RecordedSlave:
         return self._writes.shown(unit, table, address, recorded, self._place())
 
     def _recorded(self, unit: int, table: Table, address: int) -> int | None:
-        """The value of a register or bit at the present time of the recording; None if never
-        recorded.
+        """The recorded value of a register or bit at the player's time in the recording; None if
+        the recording never shows a value of it.
         """
         known = self._recording.timeline(unit, table).at(address, self._time_ns)
         return None if known is None else known[0]

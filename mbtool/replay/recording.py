@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from mbtool.modbus import Transaction
 
 Key = tuple[int, bytes]
-"""Identifies equal requests: unit and request PDU."""
+"""Identifies equal requests: the unit and the PDU of the request."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,11 +48,11 @@ class RecordedAnswer:
     pdu: bytes | None
     """The PDU of the response; None if there was no intact response."""
     at_ns: int
-    """The time in ns of the response's last byte; if there is no response, of the request's last
+    """The time (UTC ns) of the response's last byte; if there is no response, of the request's last
     byte."""
     latency_ns: int
     asked_ns: int = 0
-    """The time in ns of the request's last byte."""
+    """The time (UTC ns) of the request's last byte."""
     damaged: DamagedAnswer | None = None
     """The damaged response, if one was captured in place of an intact one; else None."""
 
@@ -74,9 +74,11 @@ class Recording:
         self._latencies: dict[tuple[int, int | None], array[int]] = {}
         self._medians: dict[tuple[int, int | None], int] = {}
         self.begin_ns = 0
-        """The time in ns of the first request, or of the beginning of the time range."""
+        """The time (UTC ns) at which the played part begins: the first request of the recording, or
+        the beginning of the time range that the user gave."""
         self.length_ns = 0
-        """The time in ns from `begin_ns` to the last answer, or to the end of the time range."""
+        """The length of the played part in ns: from `begin_ns` to the last answer, or to the end of
+        the time range that the user gave."""
 
     @classmethod
     def of(
@@ -88,9 +90,9 @@ class Recording:
     ) -> Self:
         """Build a recording; the transactions may come in any order.
 
-        Only requests inside the time range `part` get answers. Its times count from `origin_ns`, in
-        UTC ns; without it, from the first request. The bytes of damaged responses are taken from
-        `events`, which are of the same links as the transactions.
+        Only requests inside the time range `part` get answers. `part` counts from `origin_ns` (UTC
+        ns); if that is None, from the first request. The bytes of damaged responses are taken from
+        `events`, the events of the same links as the transactions.
         """
         recording = cls()
         asked = sorted(filter(_is_asked, transactions), key=lambda one: one.start_ns)
@@ -115,36 +117,41 @@ class Recording:
         return recording
 
     def timeline(self, unit: int, table: Table) -> Timeline:
-        """The recorded values of one table of a unit over time."""
+        """The recorded values of one table of a unit over time; without any values if the unit has
+        none.
+        """
         return self._values.get((unit, table), _NOTHING)
 
     def latency_ns(self, unit: int, function: int) -> int:
-        """The median latency in ns with which a unit responded to a function.
+        """The median latency (ns) of the unit's responses to this function code.
 
-        If the unit never responded to it, the median of all its responses; if there are none, 0.
+        If the unit never responded to it, the median of all responses of the unit; 0 if there are
+        none.
         """
         of_unit = self._medians.get((unit, None), 0)
         return self._medians.get((unit, function), of_unit)
 
     def latencies(self, unit: int, function: int) -> Sequence[int]:
-        """All latencies in ns with which a unit responded to a function.
+        """The latencies (ns) of all responses of the unit to this function code.
 
-        If the unit never responded to it, the latencies of all its responses.
+        If the unit never responded to it, the latencies of all responses of the unit.
         """
         seen = self._latencies.get((unit, function)) or self._latencies.get((unit, None))
         return seen or ()
 
     def next_ns(self, at_ns: int) -> int | None:
-        """The time of the first request after `at_ns`; None if there is none."""
+        """The time (UTC ns) of the first request after `at_ns` (UTC ns); None if there is none."""
         index = bisect_right(self.order, at_ns, key=lambda each: each[1].asked_ns)
         return self.order[index][1].asked_ns if index < len(self.order) else None
 
     def _add_answer(
         self, transaction: Transaction, damaged: DamagedAnswer | None, keys: dict[Key, Key]
     ) -> None:
-        """Add the answer of a transaction.
+        """Add the recorded answer to a transaction's request; `damaged` is its damaged response, if
+        any.
 
-        `keys` gives equal requests one common Key object, to save memory.
+        `keys` holds each Key once, as key and as value, so that equal requests share one object and
+        memory is saved.
         """
         request = whole_pdu(transaction.transport, transaction.request_raw)
         if request is None:
@@ -161,9 +168,9 @@ class Recording:
         self.order.append((key, answer))
 
     def _add_latencies(self, asked: Iterable[Transaction]) -> None:
-        """Collect the latencies by unit and function.
+        """Collect the latencies of all transactions, by unit and function.
 
-        The key (unit, None) has those of all functions of a unit.
+        The key (unit, None) has the latencies of all functions of a unit.
         """
         for one in asked:
             if one.latency_ns is not None:

@@ -32,7 +32,8 @@ class Step:
     number: int
     """The index of this step in the script, from 0."""
     position_ns: int
-    """When the last byte of the request was sent, in ns from the first request of the recording."""
+    """When the last byte of the request was sent, in ns since that of the first request of the
+    recording."""
     unit: int
     pdu: bytes
     expected: bytes | None
@@ -41,16 +42,16 @@ class Step:
     """The latency of the recorded response in ns; None if there was none."""
     is_broadcast: bool
     reference: str
-    """The addresses in the request, in the notation of the device."""
+    """The addresses in the request, in the notation of the device; empty if it has none."""
     function_name: str
     device: str | None
     """The name of the slave's device profile; None if it has none."""
     is_captured: bool = True
-    """False if the capture lost the response, so that it is unknown."""
+    """False if the capture lost the response, so that nobody knows if there was one."""
     open_before: tuple[int, ...] = ()
-    """The numbers of the earlier steps whose responses were still missing when this request was
-    recorded. The player does not wait for these; it waits for all other earlier steps that were
-    answered."""
+    """The numbers of the earlier steps whose responses came only after this request was recorded,
+    so that the recorded master did not wait for them. The player does not wait for these either,
+    but for all other earlier steps that have a recorded response."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,8 +74,8 @@ class Script:
         pdus: dict[bytes, bytes] = {}
         """Gives equal PDUs one common bytes object, to save memory."""
         open_until: dict[int, int] = {}
-        """The steps still without a response at the current request: the step's number, and when
-        its response came, in ns."""
+        """The requests that were pending when the present request was recorded. The key is the
+        number of the request's step, the value the time (UTC ns) at which its response came."""
         for number, (request_ns, pdu, one) in enumerate(asked):
             for each in [each for each, end in open_until.items() if end <= request_ns]:
                 del open_until[each]

@@ -28,11 +28,12 @@ ALPHA = 0.01
 of tests (Bonferroni)."""
 MIN_VALUES = 8
 MEDIUM = 0.14
-"""A shift is at least of medium size if `exceeds` differs from 0.5 by at least this."""
+"""The shift between samples a and b is at least of medium size if `Shift.exceeds` differs from 0.5
+by at least this."""
 
 _ROUNDING = 1e-9
-"""In Fisher's test, tables whose log probabilities differ by less than this count as equally
-likely, which allows for rounding errors."""
+"""In Fisher's test, an outcome counts as at most as likely as the observed one if its log
+probability is at most this much higher, which allows for rounding errors."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +44,8 @@ class Shift:
     """The p-value: the probability of a difference at least as great as the one found, if both
     samples come from the same distribution."""
     exceeds: float
-    """The probability that a random value of b exceeds a random one of a; equal ones count half."""
+    """The probability that a random value of b is greater than a random one of a. A pair of equal
+    values counts half."""
 
     @property
     def is_medium(self) -> bool:
@@ -51,7 +53,10 @@ class Shift:
 
 
 def rank_sum(a: Sequence[float], b: Sequence[float]) -> Shift:
-    """Test whether the values of b tend to be greater or less than those of a."""
+    """Test whether the values of b tend to be greater or smaller than those of a.
+
+    With fewer than MIN_VALUES values on one side, the result is no difference (p = 1).
+    """
     if min(len(a), len(b)) < MIN_VALUES:
         return Shift(1.0, 0.5)
     both = sorted([(value, 0) for value in a] + [(value, 1) for value in b])
@@ -74,7 +79,7 @@ def rank_sum(a: Sequence[float], b: Sequence[float]) -> Shift:
 def same_share(k: int, n: int, other_k: int, other_n: int) -> float:
     """Test whether two shares differ: k of n, and other_k of other_n. Returns the p-value.
 
-    This is the probability of a difference at least as great, if the true shares are equal.
+    The p-value is the probability of a difference at least as great, if the true shares are equal.
     """
     hits, lowest = k + other_k, max(0, k + other_k - other_n)
     logs = [_log_chance(each, n, hits, n + other_n) for each in range(lowest, min(hits, n) + 1)]
@@ -83,7 +88,9 @@ def same_share(k: int, n: int, other_k: int, other_n: int) -> float:
 
 
 def _log_chance(k: int, n: int, hits: int, whole: int) -> float:
-    """The log probability that exactly k of `hits` hits fall among the first n of `whole` items."""
+    """The natural logarithm of a probability: if `hits` of `whole` items are chosen at random, that
+    exactly k of the first n items are chosen.
+    """
     return _log_choices(n, k) + _log_choices(whole - n, hits - k) - _log_choices(whole, hits)
 
 

@@ -36,12 +36,13 @@ class Progress:
     """Recorded time in ns from the beginning of the part that is played."""
     length_ns: int
     lap: int
-    """The number of the lap, from 0: how often the recording was played to the end."""
+    """How many times the recording was played to its end before; 0 in the first round."""
     rate: Fraction | None
     """Recorded time divided by real time; None for as fast as possible."""
     is_paused: bool
     is_waiting: bool
-    """True until the clock is started for the first time."""
+    """True until the clock was started for the first time, as while a slave waits for the first
+    request."""
     done: str
     """A text that says how much was played so far, such as "12 asked"."""
 
@@ -50,20 +51,20 @@ class PlayerControls(Protocol):
     """The keyboard and display of the user who plays a recording; called many times a second."""
 
     def controls(self) -> Sequence[Control]:
-        """The keys that the user has pressed since the last call."""
+        """The commands of the keys that the user has pressed since the last call."""
         ...
 
     def show(self, progress: Progress) -> None: ...
 
 
 class Steering:
-    """Applies controls to the clock of a player."""
+    """Applies the commands of the user's keys to the clock of a player."""
 
     def __init__(self, clock: PlayClock, on_step: Callable[[int], None]) -> None:
-        """Apply keys to `clock`.
+        """Apply the user's keys to `clock`.
 
-        `on_step` is called each time that the user presses the step key, with the time in ns; the
-        clock is paused before the call.
+        `on_step` is called each time the user presses the step key. Its argument is the real time
+        (ns); the clock is paused before the call.
         """
         self._clock = clock
         self._on_step = on_step
@@ -94,7 +95,10 @@ class Steering:
                 self._clock.slower(now_ns)
 
     def update(self, user: PlayerControls, now_ns: int, done: str) -> None:
-        """Apply the user's controls, and show the player's progress to the user."""
+        """Apply the keys that the user has pressed, then show the player's progress to the user.
+
+        `done` is a text that says how much was played so far, such as "12 asked".
+        """
         for control in user.controls():
             self.apply(control, now_ns)
         user.show(self.progress(self._clock.position(now_ns), done))
@@ -104,7 +108,11 @@ class Steering:
         self._clock.pause(now_ns)
 
     def progress(self, position_ns: int, done: str) -> Progress:
-        """The player's state at a position (see clock.py); `done` says what was played so far."""
+        """The player's state at `position_ns`, recorded time in ns since the beginning of the first
+        lap.
+
+        `done` is a text that says how much was played so far.
+        """
         clock = self._clock
         return Progress(
             position_ns=clock.in_recording(position_ns),

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class TimeRange:
-    """A part of a recording, in ns from its first request or byte; by default the whole recording.
+    """A part of a recording: its beginning and end, in ns from the first request, or from the first
+    byte of a recording played on a serial line. By default the whole recording.
 
     The end is not included, so that a request at the border of two ranges is only in the second.
     """

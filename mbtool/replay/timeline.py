@@ -15,21 +15,23 @@ if TYPE_CHECKING:
 
 
 class Timeline:
-    """The values of one table of a slave, by address and time."""
+    """The values of one table of a slave, by address and time. Times are in UTC ns."""
 
     __slots__ = ("_history", "_writes")
 
     def __init__(self) -> None:
         self._history: dict[int, tuple[list[int], list[int]]] = {}
-        """By address, the times in ns at which its value changed, and the value from each of them
-        on."""
+        """By address, two lists of equal length: the times (UTC ns) at which the value changed, and
+        the new values. The first known value has the time 0."""
         self._writes: dict[int, tuple[list[int], list[int | None]]] = {}
-        """By address, the times in ns of the writes, and the written values; None if unknown."""
+        """By address, two lists of equal length: the times (UTC ns) of the writes, and the written
+        values. None stands for a value that is unknown."""
 
     def note(self, at_ns: int, address: int, values: Sequence[int]) -> None:
-        """Add the values of consecutive addresses, from `address` on, that were seen at `at_ns`.
+        """Add the values of consecutive addresses, from `address` on, that were seen at `at_ns`
+        (UTC ns).
 
-        No call may have an earlier time than the call before it.
+        No call may have an earlier time than the call before.
         """
         for each, value in enumerate(values, start=address):
             times, known = self._history.setdefault(each, ([], []))
@@ -38,8 +40,10 @@ class Timeline:
                 known.append(value)
 
     def at(self, address: int, at_ns: int) -> tuple[int, int] | None:
-        """The value of an address at a time, and the time in ns since which it has it; None if
-        never seen.
+        """Return the value that an address had at `at_ns`, and the time (UTC ns) since which it had
+        it.
+
+        None if the recording never shows a value of the address.
         """
         history = self._history.get(address)
         if history is None:
@@ -49,17 +53,18 @@ class Timeline:
         return known[index], times[index]
 
     def last(self, addresses: range) -> list[int] | None:
-        """The values of addresses at the end of the timeline; None if one of them was never
-        seen.
+        """The last known values of `addresses`; None if the recording never shows a value of one of
+        them.
         """
         if not all(address in self._history for address in addresses):
             return None
         return [self._history[address][1][-1] for address in addresses]
 
     def note_writes(self, at_ns: int, address: int, values: Sequence[int | None]) -> None:
-        """Add an acknowledged write to consecutive addresses; a value is None if unknown.
+        """Add an acknowledged write to consecutive addresses, from `address` on, at `at_ns` (UTC
+        ns).
 
-        No call may have an earlier time than the call before it.
+        A value is None if it is unknown. No call may have an earlier time than the call before.
         """
         for each, value in enumerate(values, start=address):
             times, written = self._writes.setdefault(each, ([], []))
@@ -67,11 +72,13 @@ class Timeline:
             written.append(value)
 
     def writes_until(self, address: int, at_ns: int) -> int:
-        """The number of writes to an address up to a time in ns, inclusive."""
+        """The number of writes to an address up to and including `at_ns` (UTC ns)."""
         writes = self._writes.get(address)
         return 0 if writes is None else bisect_right(writes[0], at_ns)
 
     def last_write(self, address: int, at_ns: int) -> int | None:
-        """The value of the last write up to a time; None if there was no write."""
+        """The value that the last write up to `at_ns` (UTC ns) gave to an address; None if there
+        was no write or its value is unknown.
+        """
         count = self.writes_until(address, at_ns)
         return self._writes[address][1][count - 1] if count else None

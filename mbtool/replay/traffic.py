@@ -45,7 +45,9 @@ _MASK_WRITE = 0x16
 
 
 class SlaveKey(NamedTuple):
-    """Identifies a slave; the link is None if its unit number occurs on one link only."""
+    """Identifies a slave of a capture. `link` is None if the unit number occurs on only one link,
+    so that the number is enough.
+    """
 
     unit: int
     link: str | None
@@ -55,7 +57,9 @@ class SlaveKey(NamedTuple):
 
 
 class RequestKey(NamedTuple):
-    """Identifies equal requests, whatever values they write; -1 for a field a function lacks."""
+    """Identifies equal requests, whatever values they write. A field that the function
+    lacks is -1.
+    """
 
     function: int
     sub_function: int
@@ -66,22 +70,24 @@ class RequestKey(NamedTuple):
 
 
 class ValueKey(NamedTuple):
-    """A register or bit of a slave. Values read and values written have different keys."""
+    """A register or bit of a slave. The values that were read of it and those that were written
+    have different keys.
+    """
 
     table: Table
     address: int
     is_written: bool
 
     def is_in(self, spans: Iterable[Span]) -> bool:
-        """True if one of the address ranges contains this register or bit."""
+        """True if one of `spans` (ranges of addresses of a table) contains this register or bit."""
         return any(span.table is self.table and self.address in span for span in spans)
 
 
 class Sample:
-    """A sample of times in ns, such as latencies, of limited size.
+    """A sample of times in ns, such as latencies, that keeps fewer than MAX_LATENCIES of them.
 
-    When it has MAX_LATENCIES times, every second one is dropped, and from then on only every second
-    new one is kept, then every fourth, and so on.
+    Whenever it is full, every second time is dropped. From then on only every second new one is
+    kept; after the next time it is full, every fourth, and so on.
     """
 
     __slots__ = ("_skip", "_stride", "values")
@@ -89,9 +95,9 @@ class Sample:
     def __init__(self) -> None:
         self.values = array("q")
         self._stride = 1
-        """One of this many new values is kept: 1, 2, 4, ..."""
+        """Of this many new times, one is kept: 1, 2, 4, ..."""
         self._skip = 1
-        """How many calls of `add` until the next value is kept: 1 means the next call."""
+        """The number of the coming call of `add` whose time is kept: 1 means the next call."""
 
     def add(self, value: int) -> None:
         self._skip -= 1
@@ -110,7 +116,7 @@ class RequestTraffic:
 
     function_name: str
     reference: str
-    """The addresses in the request, in the notation of the device."""
+    """The addresses in the request, in the notation of the device; empty if it has none."""
     count: int = 0
     outcomes: Counter[str] = field(default_factory=Counter)
     """The number of requests by outcome: `ok`, `exception 02`, `no answer`, `malformed`,
@@ -124,7 +130,8 @@ class ObservedValues:
     """The values that a register or bit had."""
 
     values: dict[int, None] = field(default_factory=dict)
-    """The different values as keys, in the order in which they were first seen."""
+    """The different values, as keys of a dict that keeps the order in which they were first seen;
+    at most MAX_VALUES."""
     is_all: bool = True
     """False if there were more than MAX_VALUES different values, so that `values` lacks some."""
     least: int = 0xFFFF
@@ -246,7 +253,7 @@ class Traffic:
         }
 
     def links_of_units(self) -> Counter[int]:
-        """For each unit number, on how many links it occurs."""
+        """By unit number, the number of links on which it occurs."""
         return Counter(unit for _, unit in self._slaves)
 
 

@@ -20,11 +20,15 @@ SHOWN_VALUES = 4
 
 
 class DeviceWording:
-    """The names and the notation (HR400001) that a device's profile has for its registers."""
+    """The names that a device's profile has for its registers, and their notation, such as
+    HR400001.
+    """
 
     @classmethod
     def of_device(cls, device: str | None, profiles: Mapping[str, Profile]) -> Self:
-        """The names in the profile called `device`; without a profile, the Modbus standard's."""
+        """Take the names from the profile called `device`; if there is none, use the notation of
+        the Modbus standard.
+        """
         return cls(profiles.get(device) if device is not None else None)
 
     def __init__(self, profile: Profile | None) -> None:
@@ -39,10 +43,11 @@ class DeviceWording:
         return write_reference(self._profile, table, address, quantity)
 
     def of(self, key: ValueKey) -> tuple[str | None, PointInstance | None]:
-        """Return the name of a register and its point, which formats its values.
+        """Return the name of a register's point, and the point, which formats its values.
 
-        Both are None if the profile has no point there. If the point takes several registers, only
-        the name is returned, with None.
+        Both are None if the profile has no point at this address. If the point takes several
+        registers, the value of one register says nothing; then only the name is returned, with
+        None.
         """
         point = self._points.get((key.table, key.address))
         if point is None:
@@ -52,13 +57,20 @@ class DeviceWording:
 
 
 def function_text(function: int, name: str, sub_function: int = -1) -> str:
-    """The function code in hexadecimal and its short name, or `name` for a vendor's function."""
+    """A request's function as text: the code in hexadecimal, the short name, and the sub-function
+    if it is not -1.
+
+    `name` is used for a vendor's function, which has no short name.
+    """
     sub = f" {sub_function:02X}" if sub_function >= 0 else ""
     return f"{function:02X} {short_name(function, name)}{sub}"
 
 
 def values_text(observed: ObservedValues, point: PointInstance | None) -> str:
-    """The values as the point shows them; if more than SHOWN_VALUES, only their range."""
+    """The values of a register as text, formatted by `point`; as numbers if `point` is None.
+
+    If there are more than SHOWN_VALUES, only their range and number.
+    """
     count = len(observed.values)
     if count > SHOWN_VALUES or not observed.is_all:
         more = "" if observed.is_all else "more than "
