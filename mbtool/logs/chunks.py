@@ -50,13 +50,16 @@ class Unpacker:
         """The number of bytes that may still be unpacked before the limit is reached."""
 
     def allow(self, size: int) -> None:
-        """Raise the limit on unpacked bytes, as `size` more bytes of the log file were read."""
+        """Raise the limit on unpacked bytes by MAX_RATIO times `size`.
+
+        Call this when `size` more bytes of the log file have been read.
+        """
         self._left += MAX_RATIO * size
 
     def spend(self, size: int) -> bool:
-        """Count `size` bytes against the limit on unpacked bytes.
+        """Take `size` bytes from those that may still be unpacked, and return True.
 
-        Returns False if fewer are left.
+        If fewer than `size` are left, the method takes none and returns False.
         """
         if size > self._left:
             return False
@@ -68,7 +71,8 @@ class Unpacker:
 
         `content` is the chunk record without its opcode and length.
 
-        Raises ValueError, whose text tells the user what is wrong, if the records are not whole.
+        Raises ValueError if the chunk is damaged, too large or packed in another way than by zstd;
+        the text of the error is for the user.
         """
         if len(content) < PLAIN_DATA_AT:
             raise ValueError("a record that ends too early")
@@ -101,8 +105,8 @@ class Unpacker:
 def data_length(content: bytes) -> int | None:
     """Compute the length (bytes) of a chunk's content from its field "data length".
 
-    `content` is the beginning of the chunk's content, up to ZSTD_DATA_AT + 4 bytes. Returns None if
-    it cannot be a chunk.
+    `content` is the beginning of the chunk's content: its first ZSTD_DATA_AT + 4 bytes, or all of a
+    shorter one. Returns None if these bytes cannot be the beginning of a chunk.
     """
     if len(content) < PLAIN_DATA_AT:
         return None

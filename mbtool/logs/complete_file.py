@@ -45,7 +45,7 @@ DISK_FULL = frozenset({errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC)})
 
 
 class CompleteFile:
-    """A growing MCAP file."""
+    """A growing MCAP file that has a valid end after each write, even if the process is killed."""
 
     def __init__(
         self, file: BinaryIO, name: str, head: bytes, make_room: Callable[[], bool] = lambda: False
@@ -80,18 +80,17 @@ class CompleteFile:
         return self._file.closed
 
     def hold(self) -> BinaryIO:
-        """Return a second handle of the file.
+        """Return a second handle of the open file, which the caller closes.
 
         The file stays locked until both handles are closed.
         """
         return open(os.dup(self._file.fileno()), "wb", buffering=0)
 
     def append(self, records: bytes, *, sync: bool) -> None:
-        """Add records; with `sync`, return when they are on the disk.
+        """Add records to the file; with `sync`, return only when they are on the disk.
 
-        Raises OutputError if they cannot be written. After that the file is as it was before, and
-        every later write raises the same error again, so that the caller sees the reason even if it
-        handles only the last one.
+        Raises OutputError if they cannot be written. Readers then still see the file as it was
+        before, and every later write raises the same error.
         """
         records += _padding(self.position + len(records), TAIL_SIZE, TAIL_SIZE - len(records))
         crc = zlib.crc32(records, self._crc)
@@ -116,9 +115,9 @@ class CompleteFile:
         """
         length = DATA_END_SIZE + len(summary(0)[0])
         if not _fits(self.position + length, FOOTER_SIZE):
-            # If the tail (DataEnd and Footer), or the footer behind the summary, would cross the
-            # boundary of a 512-byte sector, a filler record moves both. Few offsets lead to a
-            # crossing, so some size of the filler suits both.
+            # The footer behind the summary would cross the boundary of a 512-byte sector. So a
+            # filler record moves it. The size of the filler is chosen such that neither this
+            # footer nor the tail (DataEnd and Footer) behind the filler crosses a boundary.
             size = next(
                 size
                 for size in range(TAIL_SIZE, TAIL_SIZE + SECTOR)
@@ -159,9 +158,10 @@ class CompleteFile:
     def _replace(self, at: int, new: bytes, old_size: int, *, sync: bool) -> None:
         """Replace the end of the file, from offset `at` on, by the longer `new`.
 
-        The file's end has `old_size` bytes. The bytes are written back to front, so that the old
-        end stays valid until the last step: first the end of `new`, then its middle, last the bytes
-        over the old ones.
+        `old_size` is the number of bytes in the file from `at` on. The new bytes are written back
+        to front, so that the old end stays valid until the last step: first the last `old_size`
+        bytes of `new`, then its middle, and last the first `old_size` bytes, over the old end. With
+        `sync` the new bytes are on the disk before the last step, and all when the method returns.
         """
         end = len(new) - old_size
         self._write(at + end, new[end:])
@@ -191,8 +191,9 @@ class CompleteFile:
 def _padding(end: int, tail: int, minimum: int) -> bytes:
     """Make a filler record so that the tail after it does not cross a 512-byte sector boundary.
 
-    `end` is the offset at which the record begins, `tail` the size of the tail in bytes. The record
-    has at least `minimum` bytes. Returns no bytes if no record is needed.
+    `end` is the file offset at which the record begins, `tail` the size of the tail in bytes. The
+    record has at least `minimum` bytes. Returns b"" if `minimum` is not above 0 and a tail at `end`
+    crosses no boundary.
     """
     size = max(minimum, RECORD_HEAD.size) if minimum > 0 else 0
     if not _fits(end + size, tail):

@@ -38,8 +38,8 @@ if TYPE_CHECKING:
 
 CHUNK_SIZE = 256 * 1024
 SMALL = 8 * 1024
-"""A chunk of at most this many bytes is compressed with zstd at level 19, which takes below 2
-ms."""
+"""A chunk of at most this many bytes is compressed with zstd at level 19, which takes less than 2
+ms. A larger chunk is compressed at zstd's default level, which is faster and packs less."""
 MAX_CHANNELS = 0xFFFF
 MAX_TIME = (1 << 64) - 1
 
@@ -86,7 +86,10 @@ class Container:
         return len(self._chunk) + len(self._sealed)
 
     def add_topic(self, name: str, schema: TopicSchema) -> Topic:
-        """Add a topic with the schema of its messages; at most MAX_CHANNELS topics."""
+        """Add a topic with the schema of its messages.
+
+        The caller adds at most MAX_CHANNELS topics: MCAP has 16 bits for a channel's id.
+        """
         known = self._schemas.get(schema.name)
         if known is None:
             known = Schema(
@@ -155,7 +158,8 @@ class Container:
     def flush(self, *, sync: bool) -> None:
         """Write everything that was added since the last flush to the file.
 
-        Raises OutputError if the data cannot be written; they are then lost.
+        With `sync` the method returns only when the data are on the disk. Raises OutputError if the
+        data cannot be written; they are then lost.
         """
         self._seal()
         if self._sealed:
@@ -169,7 +173,7 @@ class Container:
 
     @property
     def _next(self) -> int:
-        """The file offset that the next record outside a chunk will have."""
+        """The file offset of the next record outside a chunk: behind all sealed bytes."""
         return self._file.position + len(self._sealed)
 
     def _seal(self) -> None:

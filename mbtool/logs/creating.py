@@ -26,8 +26,8 @@ if sys.platform != "win32":
 def create_file(path: Path, *, replace: bool = False) -> BinaryIO:
     """Create an empty file, open for writing, unbuffered, and locked until it is closed.
 
-    Raises UsageError if it cannot be created or exists (without `replace`), OutputError if another
-    recorder has it open.
+    With `replace` an existing file is emptied. Raises UsageError if the file exists and `replace`
+    is False, or if it cannot be created. Raises OutputError if another recorder has it open.
     """
     check_path(path, replace=replace)
     try:
@@ -54,7 +54,10 @@ def create_file(path: Path, *, replace: bool = False) -> BinaryIO:
 
 
 def check_path(path: Path, *, replace: bool = False) -> None:
-    """Check that a log can be created at a path, without creating it; raise UsageError if not."""
+    """Raise UsageError if no log can be created at a path; create nothing.
+
+    An existing file is an error unless `replace` is True.
+    """
     try:
         mode = path.stat().st_mode
     except FileNotFoundError as error:
@@ -72,7 +75,10 @@ def check_path(path: Path, *, replace: bool = False) -> None:
 
 
 def demand_unlocked(path: Path) -> None:
-    """Raise OutputError if a recorder is writing to an existing file."""
+    """Raise OutputError if a recorder has locked the file at `path`.
+
+    A file that is absent or may not be written counts as not locked.
+    """
     try:
         with path.open("rb+", buffering=0) as file:
             _lock(file, path, is_shared=True)
@@ -81,7 +87,10 @@ def demand_unlocked(path: Path) -> None:
 
 
 def _lock(file: BinaryIO, path: Path, *, is_shared: bool = False) -> None:
-    """Lock the file until it is closed. Raises OutputError if another recorder has locked it."""
+    """Lock the file until it is closed. Raises OutputError if another recorder has locked it.
+
+    With `is_shared` the lock is a shared one, which only tests for a recorder's lock.
+    """
     if sys.platform == "win32":
         return
     try:

@@ -37,9 +37,10 @@ class Damage:
         return self._places > 0
 
     def add(self, error: DamageError, skipped: int = 0) -> None:
-        """Count a damaged place.
+        """Count a damaged place, which `error` describes.
 
-        `skipped` is the number of bytes that the reader left out there.
+        `skipped` is the number of bytes that the reader skipped there. If they may have held
+        captured bytes, transactions or events, call `add_hole` instead.
         """
         if not self._places:
             self._first = str(error).removeprefix(f"{self._name}: ")
@@ -47,9 +48,10 @@ class Damage:
         self._skipped += skipped
 
     def add_hole(self, error: DamageError, offset: int, skipped: int) -> None:
-        """Count damage at a file offset.
+        """Count a damaged place, which `error` describes, and prepare a GAP event for it.
 
-        Its `skipped` bytes may have held chunks or transactions.
+        The place is at file offset `offset`. The reader skipped `skipped` bytes there, which may
+        have held captured bytes, transactions or events.
         """
         self.add(error, skipped)
         if not self._hole:
@@ -57,10 +59,10 @@ class Damage:
         self._hole += skipped
 
     def take_gap(self, ts_ns: int) -> list[WireEvent]:
-        """Return a GAP event, in a list, for the damage since the last one; an empty list if none.
+        """Return a list with one GAP event for the items lost since the last GAP event.
 
-        `ts_ns` is the time of the event, UTC ns. At time 0 no item was read so far, so there is
-        nothing before the gap, and the list is empty, too.
+        The list is empty if nothing was lost. `ts_ns` is the time of the event, UTC ns. 0 means
+        that no item was read so far; the list is then empty, too, as a gap lies between two items.
         """
         if not self._hole or not ts_ns:
             return []
@@ -76,9 +78,9 @@ class Damage:
         return DamageError(f"{self._name}: {self._summary()}{rest}; {_MENDED}")
 
     def added_to(self, end: InputError) -> InputError:
-        """Return a copy of the error `end` that also tells of the damage.
+        """Return an error like `end` whose text also tells of the damage.
 
-        `end` is the error that ended the reading of the log before its end.
+        `end` is the error because of which the rest of the log could not be read.
         """
         return type(end)(f"{end}; before that, {self._summary()}")
 

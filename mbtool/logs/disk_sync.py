@@ -28,7 +28,10 @@ class DiskSync:
         self._error: OSError | None = None
 
     def request(self) -> None:
-        """Ask for a sync of everything written so far. Raises the OSError of an earlier sync."""
+        """Ask for a sync of everything written so far, and return at once.
+
+        If an earlier sync has failed, raises its OSError.
+        """
         if self._error is not None:
             raise self._error
         if self._thread is None:
@@ -37,7 +40,10 @@ class DiskSync:
         self._wanted.set()
 
     def close(self) -> None:
-        """End the thread, after the sync that it is running. A second call does nothing."""
+        """End the thread and wait until its present sync is done. A second call does nothing.
+
+        A sync that was requested and has not begun is left out.
+        """
         self._is_closing = True
         self._wanted.set()
         if self._thread is not None:

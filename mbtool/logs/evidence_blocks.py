@@ -49,7 +49,10 @@ _FIELDS = {
 
 
 def is_joinable(chunk: Chunk) -> bool:
-    """True if a chunk is a read of a serial port. Only such chunks are joined into one message."""
+    """True if a chunk is a read of a serial port and its time is from 0 to MAX_TIME_NS.
+
+    Only such chunks are joined into one message.
+    """
     is_read = chunk.connection is None and chunk.stamp is Stamp.LAST_BYTE
     return is_read and 0 <= chunk.ts_ns < MAX_TIME_NS
 
@@ -166,7 +169,7 @@ def _unpacked(packed: bytes) -> list[int]:
 
 
 def _number_at(data: bytes, at: int) -> tuple[int, int]:
-    """Return the varint at offset `at`, and the offset of the byte after it."""
+    """Return the value of the varint at offset `at`, and the offset of the byte after it."""
     number = 0
     for place, byte in enumerate(data[at : at + 10]):
         number |= (byte & 0x7F) << 7 * place

@@ -97,7 +97,8 @@ class Hole(NamedTuple):
 class SoundRecords:
     """Reads the data section of a log; returns intact records, and holes for the skipped bytes.
 
-    `repaired` is called with an error for each damaged record that was restored without a loss.
+    A damaged record that could be restored without a loss is returned as intact; `repaired` is then
+    called with an error that describes the damage.
     """
 
     def __init__(self, records: RecordStream, repaired: Callable[[DamageError], None]) -> None:
@@ -105,7 +106,8 @@ class SoundRecords:
         self._repaired = repaired
         self._unpacker = Unpacker()
         self._why = ""
-        """Why the record that was checked last is not intact, in words for the user."""
+        """Why the record that was checked last is not intact, in words for the user; "" at
+        first."""
         self.crc_before = 0
         """The CRC of all bytes of the file before the record that was returned last."""
 
@@ -183,7 +185,8 @@ class SoundRecords:
     def _healed(self, record: McapRecord | None) -> McapRecord | None:
         """Return the record at the current position with its opcode or length corrected.
 
-        Returns None if that does not make the record intact.
+        `record` is that record as it was read; None if its length is too long for the file or for
+        the limits. Returns None if no other opcode or length makes the record intact.
         """
         offset, why = self._records.position, self._why
         head = self._records.look(_HEAD)
@@ -202,7 +205,8 @@ class SoundRecords:
     def _passed_over(self, record: McapRecord | None) -> Hole | None:
         """Skip the damaged record at the current position, and return it as a hole.
 
-        Returns None if no record may begin behind it.
+        Returns None, and skips nothing, if the bytes behind the record cannot be the head of
+        another one, or if `record` is None because its length is too long.
         """
         if record is None or not self._may_begin(_HEAD + len(record.content)):
             return None
@@ -246,8 +250,9 @@ class SoundRecords:
     def _proven(self, opcode: int, ahead: int, length: int | None) -> bytes | None:
         """Return the content of the record that begins `ahead` bytes after the current position.
 
-        `opcode` and `length` (bytes) are those that the record should have. The content of a chunk
-        is returned unpacked. Returns None if the record cannot be verified.
+        `opcode` and `length` (of the content, in bytes) are tried values; those in the record's
+        head may be damaged. A `length` of None is unknown. The content of a chunk is returned
+        unpacked. Returns None if the record cannot be verified with these values.
         """
         if length is None or length > MAX_RECORD or not self._unpacker.spend(length):
             return None
@@ -291,7 +296,10 @@ class SoundRecords:
         return True
 
     def _attachment_crc(self, ahead: int, length: int) -> bool | None:
-        """True if an attachment's CRC matches, False if it does not, None if it has no CRC."""
+        """True if an attachment's CRC matches, None if the attachment has no CRC, otherwise False.
+
+        The record begins `ahead` bytes after the current position; its content has `length` bytes.
+        """
         if length < _CRC.size or not self._unpacker.spend(length):
             return False
         content = self._records.look(length, ahead + _HEAD)
@@ -316,7 +324,8 @@ class SoundRecords:
     def _length_by_fields(self, opcode: int, ahead: int) -> int | None:
         """Compute a record's content length (bytes) from the lengths of its fields.
 
-        Returns None if unknown.
+        The record begins `ahead` bytes after the current position. Returns None if a record of this
+        kind, such as a message, has no such fields, or if the file ends inside them.
         """
         if opcode in _FIXED:
             return _FIXED[Opcode(opcode)]
@@ -342,7 +351,10 @@ class SoundRecords:
 
 
 def _is_index(content: bytes) -> bool:
-    """True if the content of a supposed message is in fact that of a message index."""
+    """True if the content of a record with the opcode of a message is that of a message index.
+
+    One changed bit turns the one opcode into the other.
+    """
     (size,) = _BLOCK_LENGTH.unpack_from(content, 2)
     is_whole = size == len(content) - 6 and size % 16 == 0
     return is_whole and content[_MESSAGE_FIELDS : _MESSAGE_FIELDS + 1] not in (b"{", b"\x09")

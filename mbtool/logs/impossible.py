@@ -29,9 +29,10 @@ class ImpossibleItems:
         self._first = ""
 
     def note(self, error: Exception, data: bytes) -> bool:
-        """Count a message if `error` says that a number is out of range.
+        """Count a message if `error` says that a number in it is out of range; return True then.
 
-        Returns False for other errors.
+        `error` was raised when the message `data` (JSON) was decoded. Returns False for an error of
+        another cause.
         """
         match = _OUT_OF_RANGE.fullmatch(str(error))
         if match is None:

@@ -68,7 +68,11 @@ def empty_record(size: int) -> bytes:
 
 
 def footer(summary_start: int = 0, offsets_start: int = 0, crc: int = 0) -> bytes:
-    """Return the end of a file: the Footer record and the magic bytes."""
+    """Return the end of a file: the Footer record and the magic bytes.
+
+    `summary_start` and `offsets_start` are the file offsets of the summary and of the summary
+    offset records in it; 0 means that there are none. `crc` is that of the summary; 0 means none.
+    """
     return packed(Footer(summary_start, offsets_start, crc)) + MAGIC
 
 

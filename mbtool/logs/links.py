@@ -36,7 +36,10 @@ class LinkMetadata(Protocol):
 
 
 def all_assignments(log: LinkMetadata, given: Assignments) -> Assignments:
-    """The user's profile assignments, and the log's for devices that the user does not name."""
+    """Return which device has which profile: as the user says, otherwise as the log says.
+
+    `given` are the user's assignments. The log's are added for devices that `given` does not name.
+    """
     named = {str(assignment.who) for assignment in given}
     of_log = (
         Assignment(parse_who(who), profile_from_json(log.profiles[name], f"profile {name}"))
@@ -58,7 +61,8 @@ def names_any_port(log: LinkMetadata) -> bool:
 
 
 def ports_of(log: LinkMetadata, key: str) -> tuple[int, ...]:
-    """The TCP ports that all links list under a metadata key: PORTS or RTU_PORTS."""
+    """The TCP ports that any link lists under the metadata key `key` (PORTS or RTU_PORTS),
+    sorted."""
     texts = (one.get(key, "") for one in log.links.values())
     ports = {port for text in texts for port in text.split()}
     return tuple(sorted(int(port) for port in ports if port.isdecimal() and len(port) <= 5))

@@ -27,7 +27,10 @@ _FOOTER_WRONG = "the footer, which tells where the summary is; all else was read
 
 
 def is_open_end(records: RecordStream) -> bool:
-    """True if the next record is the Footer of a log that was not closed, or not yet."""
+    """True if the next record is the Footer of a log without a summary.
+
+    The recorder of such a log is still writing it, or ended without closing it.
+    """
     record = records.look_at_record()
     return (
         record is not None

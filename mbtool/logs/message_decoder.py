@@ -44,8 +44,8 @@ if TYPE_CHECKING:
 
 BATCH = 4096
 _COUNTED = 16
-"""For the limit of BATCH messages, this many bytes of joined serial reads count as one message; one
-read takes 2 bytes or more."""
+"""A message of joined serial reads counts as 1 plus its length divided by this (in bytes) against
+the limit of BATCH messages, as it decodes into many reads. One read takes 2 bytes or more of it."""
 
 _TYPES: dict[str, Any] = {
     schemas.CHUNK: ChunkMessage,
@@ -112,9 +112,10 @@ class MessageDecoder:
                 yield from self._decoded(batch)
 
     def _walk(self, data: bytes, at: int, wanted: frozenset[str], batch: _Batch) -> int:
-        """Collect up to BATCH wanted messages of `data` from offset `at` on.
+        """Collect up to BATCH messages of the wanted schemas into `batch`.
 
-        Returns the next offset.
+        The search begins at offset `at` of `data`, the records of a chunk. Returns the offset at
+        which the next search begins; len(data) if there is nothing left.
         """
         # Half of the time of reading a log is spent in this loop, so it calls methods by local
         # names.
@@ -149,9 +150,10 @@ class MessageDecoder:
         return at
 
     def _decoded(self, batch: _Batch) -> Iterator[list[LogItem]]:
-        """Decode a batch into lists of items.
+        """Decode a batch; yield its items in one list, or in several if a message is damaged.
 
-        A GAP event comes first if damage precedes the batch.
+        If items between the previous batch and this one are lost, a list with a GAP event comes
+        first.
         """
         if gap := self._damage.take_gap(batch.begin_ns):
             yield [*gap]
@@ -235,7 +237,11 @@ class MessageDecoder:
             self._damage.add_hole(error, offset, len(content))
 
     def _unknown(self, channel: int, offset: int, data: bytes) -> str:
-        """Find the schema of a channel with a lost definition by decoding one of its messages."""
+        """Find the schema of a channel whose definition is lost by decoding one of its messages.
+
+        `data` is that message, and `offset` the file offset of its chunk. Returns the schema's
+        name, "" if the message is no item.
+        """
         if not self._damage:
             what = f"a message of an unknown channel ({channel})"
             self._damage.add(self._records.damaged(offset, what))
@@ -243,7 +249,7 @@ class MessageDecoder:
         return schema
 
     def _schema_of(self, data: bytes) -> str:
-        """Find the schema of a message by trying to decode it; "" if it is no item.
+        """Return the name of a message's schema, found by trying to decode it; "" if it is no item.
 
         Each type of item has required fields that no other type has, so only one type fits.
         """
@@ -268,9 +274,10 @@ def _items_of(schema: str, data: bytes) -> list[LogItem]:
 
 
 def _merged(evidence: list[list[Chunk] | Chunk | Packet]) -> list[LogItem]:
-    """Return the captured chunks and packets of several messages.
+    """Return the captured chunks and packets of several messages in one list.
 
-    They are in the order of time if they come from several links.
+    An element of `evidence` is what one message holds: one item, or a list of serial reads. If the
+    items come from several links, they are merged by their times.
     """
     by_link: dict[str, list[Chunk | Packet]] = {}
     for one in evidence:
@@ -287,8 +294,8 @@ class _Batch:
         self.offset = offset
         """The file offset of the chunk that contains the messages."""
         self.order: list[str] = []
-        """The schema of each message."""
+        """The name of each message's schema, in the order of the messages in `raw`."""
         self.raw: list[bytes] = []
         self.begin_ns = 0
-        """The log time (ns) of the first message."""
+        """The log time (ns) of the first message in the batch; 0 while the batch is empty."""
         self.end_ns = 0

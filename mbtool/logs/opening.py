@@ -46,8 +46,9 @@ def create_log(
     """Create a log, and write to it everything that is needed to decode its captured bytes again.
 
     `ports`, `rtu_ports` and `any_port` are the TCP ports that the run decodes on interfaces. With
-    `evidence_only` the log is marked as holding captured bytes but no transactions, so that its
-    readers decode it. `continues`, `keep` and `on_full` are those of a RotatingLog.
+    `rotation` the result is a RotatingLog; `continues`, `keep` and `on_full` are arguments of its
+    constructor. With `overwrite` an existing file is replaced. With `evidence_only` the log is
+    marked as holding captured bytes but no transactions, so that its readers decode it.
 
     Raises UsageError if the file cannot be created or has the suffix of another format, OutputError
     if another recorder has it open.
@@ -95,14 +96,17 @@ def create_log(
 
 
 def with_point_topics(create: Callable[[], LogWriter | RotatingLog]) -> LogWriter | RotatingLog:
-    """Create a log in which each point (a named value of a device) also has a topic of its own."""
+    """Call `create`, and return its log, set to write each point to a topic of its own as well.
+
+    A point is a named value of a device.
+    """
     log = create()
     log.give_points_topics()
     return log
 
 
 def check_log_path(path: str, *, overwrite: bool = False) -> None:
-    """Check that `create_log` could create a log at a path; raise UsageError if not."""
+    """Raise UsageError if `create_log` could not create a log at this path; create nothing."""
     _check_suffix(path)
     check_path(Path(path), replace=overwrite)
 

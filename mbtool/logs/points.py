@@ -28,8 +28,9 @@ class PointChanges:
         self._last: dict[tuple[str, int, str | None, str], tuple[float | None, str]] = {}
 
     def changes(self, transaction: NamedTransaction, ts_ns: int) -> Iterator[PointMessage]:
-        """Yield the points of a transaction that changed; none if it had no effect on the device.
+        """Yield the points of a transaction whose value differs from the one seen before.
 
+        A transaction that the slave did not carry out, such as a refused write, yields none.
         `ts_ns`, UTC ns, becomes the time of the yielded points.
         """
         if not transaction.points or not transaction.took_effect:

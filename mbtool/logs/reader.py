@@ -74,10 +74,10 @@ class LogReader(ClosesOnExit):
     def __init__(
         self, stream: ByteStream, name: str, *, wait: Callable[[], bool] | None = None
     ) -> None:
-        """Read the metadata before the first item.
+        """Read the metadata before the first item. `name` is the file's name for error messages.
 
-        `wait` makes the reader follow a log that is still being written: it is called at the end of
-        the file and returns True to look for more. Raises InputError if the stream is not a log,
+        With `wait` the reader follows a log that is still being written: it calls `wait` at the end
+        of the file, and reads on if it returns True. Raises InputError if the stream is not a log,
         CutError or DamageError if its beginning is not whole.
         """
         self._stream = stream
@@ -203,10 +203,11 @@ class LogReader(ClosesOnExit):
             )
 
     def _data_section(self, wait: Callable[[], bool] | None) -> Iterator[McapRecord | Hole]:
-        """Yield the records before DataEnd, and holes for skipped bytes; then check the rest.
+        """Yield the records before DataEnd, and holes for skipped bytes.
 
-        With `wait`, a log that is still being written is read again from its DataEnd record on,
-        until it is closed or `wait` returns False.
+        Without `wait`, the records from DataEnd on are then checked. With `wait`, the reader
+        follows a log that is still being written: at each DataEnd record it calls `wait` and reads
+        again from there, until `wait` returns False or the log is closed.
         """
         while True:
             record = self._sound.read()
@@ -218,9 +219,9 @@ class LogReader(ClosesOnExit):
                 return
             is_open = is_open_end(self._records)
             self._records.seek(record.offset)
-            # An end that is not that of an open log: either the log was closed, or the recorder
-            # replaced the end while it was being read. In the second case another record is now in
-            # place of the DataEnd.
+            # If the end that was read is not that of an open log, either the log was closed, or the
+            # recorder was just replacing the end. In the second case another record is now at the
+            # offset of the DataEnd record.
             self.closed = not is_open and self._records.look_at_record() == record
             if self.closed or (is_open and not wait()):
                 return
@@ -243,9 +244,9 @@ class LogReader(ClosesOnExit):
             self._damage.add(error)
 
     def _learn(self, record: McapRecord | Hole) -> bool:
-        """Keep the metadata of a record and return True.
+        """Return False if the record or hole may hold items.
 
-        Returns False if the record may hold items.
+        Otherwise keep the record's metadata, or count the hole as damage, and return True.
         """
         if isinstance(record, Hole):
             if not record.has_items:
@@ -283,7 +284,12 @@ class LogReader(ClosesOnExit):
                 self.devices[values.get("who", "")] = values.get("profile", "")
 
     def _read(self, wanted: frozenset[str]) -> Iterator[list[LogItem]]:
-        """Yield items of wanted schemas in lists, with GAP events where items may be missing."""
+        """Yield the items of the wanted schemas in lists, with GAP events where items may be
+        missing.
+
+        `wanted` has the names of the schemas. At the end, raises DamageError or CutError if the log
+        is not whole.
+        """
         messages, damage = self._messages, self._damage
         try:
             for record in self._data:

@@ -64,7 +64,7 @@ class RecordStream:
         self.position = 0
         """The file offset of the next byte to consume."""
         self.crc = 0
-        """The CRC of all bytes consumed so far, or since `restart_crc`."""
+        """The CRC-32 of all bytes consumed so far, or since the last call of `restart_crc`."""
         self._end: InputError | None = None
         """The error that stopped reading the stream; None if there was none so far."""
 
@@ -130,7 +130,8 @@ class RecordStream:
         return self._held.endswith(MAGIC)
 
     def seek(self, offset: int) -> None:
-        """Go back to a file offset, to read what the recorder has written there meanwhile."""
+        """Go back to a file offset, to read the records that the recorder has since written
+        there."""
         self._stream.seek(offset)
         self._held.clear()
         self.position = offset
@@ -149,9 +150,9 @@ class RecordStream:
         return DamageError(f"{self._name}: damaged at byte {offset}: {what}")
 
     def cut(self, offset: int) -> InputError:
-        """Return the error for a file that ends, or cannot be read, behind a file offset.
+        """Return the error for a file that ends, or cannot be read further, inside a record.
 
-        `offset` is where the incomplete record begins.
+        `offset` is the file offset at which that record begins.
         """
         if self._end is not None:
             return self._end

@@ -106,7 +106,10 @@ class Recovery:
     """Reads a damaged log once, and writes its intact records to a new log."""
 
     def __init__(self, stream: BinaryIO, name: str, report: Callable[[LogLoss], None]) -> None:
-        """Take the damaged log; `report` is called for each lost part, in the order of the file."""
+        """Prepare to read the damaged log from `stream`; `name` is its name for error messages.
+
+        `run` calls `report` for each lost part, in the order of the file.
+        """
         self._name = name
         self._report = report
         self._summary = read_summary(stream, name) or LogSummary()
@@ -118,8 +121,8 @@ class Recovery:
         self._by_channel: dict[int, Topic | None] = {}
         self._now_ns: int | None = None
         self._waiting: Hole | None = None
-        """A lost part that is reported as soon as the next message is read, whose log time is its
-        end."""
+        """A lost part that is not yet reported: its end is the log time of the next message that is
+        read. None if there is none."""
         self._ends = False
         self.result = Recovered()
 
@@ -145,7 +148,10 @@ class Recovery:
         return self.result
 
     def _head(self) -> list[McapRecord | Hole]:
-        """Return the records up to the first one that shows that the file is a log of mbtool."""
+        """Return the records up to the first one that shows that the file is a log of mbtool.
+
+        Raises InputError if the first MAX_HEAD_RECORDS records do not show it.
+        """
         if self._records.look(len(MAGIC)) != MAGIC:
             self._repaired(self._records.damaged(0, "the first bytes of the file"))
         self._records.take(min(len(MAGIC), len(self._records.look(len(MAGIC)))))
@@ -254,7 +260,7 @@ class Recovery:
     def _topic_of(self, channel_id: int, data: bytes) -> Topic | None:
         """Find the topic of a message by its channel, else by its data.
 
-        Returns None if neither tells it.
+        Returns None if neither tells it, or if the new log already has MAX_TOPICS topics.
         """
         channel = self._channels.get(channel_id)
         schema = self._schemas.get(channel.schema_id) if channel is not None else None
@@ -287,7 +293,10 @@ class Recovery:
         self.result.remark = self.result.remark or f"{error}; nothing is lost there"
 
     def _lose(self, hole: Hole) -> None:
-        """Note damaged bytes as lost, unless the summary shows that they held no data."""
+        """Note damaged bytes as lost; join them to a lost part that is not yet reported.
+
+        If the summary shows that the bytes held no data, they become a remark instead.
+        """
         if self._summary.messages is not None and not self._summary.has_record_in(
             hole.offset, hole.end
         ):
@@ -298,7 +307,7 @@ class Recovery:
         self._waiting = hole
 
     def _tell(self, next_ns: int | None) -> None:
-        """Report the lost part that was noted last, if any.
+        """Report the lost part in `_waiting`, if there is one, and write a GAP event in its place.
 
         `next_ns` is the log time (ns) of the first message behind it; None at the end of the log.
         """

@@ -82,12 +82,13 @@ class RotatingLog(ClosesOnExit):
     ) -> None:
         """Create the first file; with `continues`, the one after the existing files of the series.
 
-        With `keep` there are never more than `keep` files. `on_full` is called with a line for the
-        user for each file that is removed because the disk is full.
+        `capture` is metadata of the run, such as its host and command, for each file. With `keep`
+        there are never more than `keep` files. `on_full` gets a line for the user for each file
+        that is removed because the disk is full.
 
-        Raises UsageError if the file exists (unless `replace` or `continues`; with `keep`, if any
-        file of the series exists) or cannot be created, OutputError if another recorder writes to
-        one of them.
+        Raises UsageError if the file cannot be created, and for a file that exists, unless
+        `replace` or `continues` is True: the first one of the series, with `keep` any one. Raises
+        OutputError if another recorder writes to a file of the series.
         """
         self._path = Path(path)
         self._keep = keep
@@ -102,8 +103,8 @@ class RotatingLog(ClosesOnExit):
         self._continues = continues
         self._metadata: list[Callable[[LogWriter], None]] = []
         self._mark: DecodingMark | None = None
-        """The last mark of how far the decoder is behind; a new file begins with it if the decoder
-        is behind."""
+        """The last mark that says how far the decoder is behind the capture; None before the first.
+        While the decoder is behind, each new file begins with it."""
         self._status: Mapping[str, str] = {}
         self._began_ns: int | None = None
         self._now_ns: int | None = None
@@ -148,9 +149,9 @@ class RotatingLog(ClosesOnExit):
         self._add_to_each(lambda writer: writer.give_points_topics())
 
     def add_status(self, values: Mapping[str, str]) -> None:
-        """Add a heartbeat (the state of the recording).
+        """Add a heartbeat: `values` describe the state of the recording.
 
-        Each later file begins with the last one.
+        Each new file of the series begins with a copy of the last heartbeat.
         """
         self._status = values
         self._writer.add_status(values)
@@ -220,9 +221,9 @@ class RotatingLog(ClosesOnExit):
         return writer
 
     def _finish(self, path: Path) -> None:
-        """Note a finished file.
+        """Note a finished file, and remove the oldest ones of the series if `keep` demands it.
 
-        Removes the oldest ones so that there is room for one more below the limit.
+        At most `keep` - 1 finished files are left, so that the next file can be begun.
         """
         if self._keep is None:
             return
@@ -263,7 +264,7 @@ def part_path(path: Path, number: int) -> Path:
 
 
 def parts_of(path: Path) -> list[Path]:
-    """The existing numbered files of a log whose path the user gave as `path`, in their order."""
+    """The existing files of a log whose path the user gave as `path`, in the order of numbers."""
     numbered = re.compile(rf"{re.escape(path.stem)}-\d{{4,9}}{re.escape(path.suffix)}", re.ASCII)
     try:
         names = os.listdir(path.parent)

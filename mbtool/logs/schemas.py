@@ -206,7 +206,10 @@ def _object(cls: type) -> dict[str, Any]:
 
 
 def _schema(type_: inspect.Type) -> tuple[dict[str, Any], Iterable[str]]:
-    """Return the JSON schema of a type, and its values if it is an enumeration of strings."""
+    """Return the JSON schema of a field's type, and the type's values.
+
+    The values are empty unless the type is an enumeration of strings.
+    """
     match type_:
         case inspect.UnionType(types=(inspect.IntType(), inspect.FloatType(), *_)):
             return {"type": "number"}, ()

@@ -47,7 +47,10 @@ class LogStatus:
 
 
 def read_status(path: Path) -> LogStatus:
-    """Read the state of a recording from its log; InputError if unreadable or no log."""
+    """Read the state of a recording from its log.
+
+    Raises InputError if the file cannot be read or is no log.
+    """
     try:
         if not path.is_file():
             path.stat()  # Raises FileNotFoundError if nothing is there.

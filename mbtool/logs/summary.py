@@ -3,8 +3,8 @@
 # The summary is used where the log before it is damaged: to find the channels of messages whose own
 # definition is lost, and to tell how much was lost. It is used only if its CRC matches.
 #
-# Memory: the summary's bytes, at most MAX_RECORD (two chunks a second for a week: 130 MB are not
-# read), and a few numbers for each chunk.
+# Memory: the summary's bytes, at most MAX_RECORD, and a few numbers for each chunk. A longer
+# summary is not used; two chunks a second for a week make one of 130 MB.
 
 from __future__ import annotations
 
@@ -52,17 +52,20 @@ class LogSummary:
         self.chunks: list[ChunkPlace] = []
         """The chunks of the log, sorted by offset."""
         self.other_offsets: list[int] = []
-        """The file offsets of attachments and metadata, in order."""
+        """The file offsets of the attachment and metadata records, in ascending order."""
         self.messages: int | None = None
         """The number of messages in the log; None if the summary does not tell."""
 
     def chunks_in(self, begin: int, end: int) -> list[ChunkPlace]:
-        """The chunks that begin in a range of file offsets."""
+        """The chunks that begin at a file offset from `begin` up to, but not including, `end`."""
         first, last = (bisect_left(self.chunks, (offset,)) for offset in (begin, end))
         return self.chunks[first:last]
 
     def has_record_in(self, begin: int, end: int) -> bool:
-        """True if a chunk, an attachment or metadata begins in a range of file offsets."""
+        """True if a chunk, an attachment or metadata begins at an offset from `begin` up to `end`.
+
+        `end` itself is not included.
+        """
         first, last = (bisect_left(self.other_offsets, offset) for offset in (begin, end))
         return first < last or bool(self.chunks_in(begin, end))
 
@@ -102,7 +105,10 @@ def _read(stream: BinaryIO, name: str) -> LogSummary | None:
 
 
 def _parsed(data: bytes, name: str) -> LogSummary:
-    """Parse the records of a summary; raises DamageError if one is too short."""
+    """Parse the bytes of a summary, up to the footer; `name` is the file's, for error messages.
+
+    Raises DamageError if a record is too short for its fields.
+    """
     summary = LogSummary()
     records = RecordStream(io.BytesIO(data), name)
     while (record := records.look_at_record()) is not None:

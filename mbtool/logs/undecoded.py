@@ -32,8 +32,9 @@ from mbtool.logs.layout import (
 from mbtool.logs.reader import LogReader
 
 MAX_LOOKED_THROUGH = 16 << 20
-"""The largest size in bytes of an unclosed log that is decoded again for the sake of its last
-moments, which takes some seconds. For a larger one the user is told how to do it."""
+"""The largest size in bytes of a log that was not closed, up to which mbtool looks if its last
+bytes were decoded, and decodes them, which takes some seconds. For a larger log the user is told
+how."""
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -99,9 +99,9 @@ class LogWriter(ClosesOnExit):
 
         `make_room` is called when the disk is full; it returns True if it has removed another file.
 
-        Raises UsageError if the file exists (unless `replace`) or cannot be created, OutputError if
-        another recorder has it open, or if the disk has no room for its beginning; then no new file
-        is left behind.
+        Raises UsageError if the file cannot be created, or if it exists and `replace` is False.
+        Raises OutputError if another recorder has the file open. The same error is raised if the
+        disk has no room for the beginning of the log; a file that was created for it is removed.
         """
         self._path = Path(path)
         is_new = not self._path.exists()
@@ -138,7 +138,7 @@ class LogWriter(ClosesOnExit):
         self._point_topics: PointTopics | None = None
         self._flushed_ns = 0
         self._synced = 0
-        """The file offset behind the last record when a sync was last requested."""
+        """The file offset behind the last record at the last request for a sync to the disk."""
         self._synced_ns = 0
         self._capture = {
             "log_format": str(FORMAT_VERSION),
@@ -158,7 +158,7 @@ class LogWriter(ClosesOnExit):
         return self._file.size
 
     def hold(self) -> BinaryIO:
-        """Return a second handle of the file.
+        """Return a second handle of the open file, which the caller closes.
 
         The file stays locked until both handles are closed.
         """
@@ -187,8 +187,8 @@ class LogWriter(ClosesOnExit):
     def add_finding(self, finding: Finding, known_ns: int) -> None:
         """Add a finding (a broken rule) that only several transactions together show.
 
-        `known_ns`, UTC ns, is the time of the item that made it certain. A finding about one
-        transaction is written together with the transaction.
+        `known_ns`, UTC ns, is the time of the last transaction or event that was needed to find it.
+        `write` adds a finding about a single transaction together with that transaction.
         """
         sec, nsec = divmod(max(finding.ts_ns, 0), 1_000_000_000)
         place = finding.link if finding.unit is None else f"{finding.link} unit {finding.unit}"
@@ -272,7 +272,10 @@ class LogWriter(ClosesOnExit):
             self._join_reads()
 
     def _join_reads(self) -> None:
-        """Write the serial reads since the last call, joined by line, then the other messages."""
+        """Write the serial reads since the last call, then the messages kept back behind them.
+
+        The reads of each serial line become one message.
+        """
         found, self._reads = self._reads, {}
         waiting, self._evidence, self._decoded = self._evidence + self._decoded, [], []
         self._read_count = self._read_bytes = 0
@@ -300,7 +303,10 @@ class LogWriter(ClosesOnExit):
             self._add(findings, known_ns, item.start_ns, _finding(code, item, known_ns))
 
     def _own_topic(self, point: PointMessage) -> Topic | None:
-        """Return the topic for one point alone; None if there are too many, or none is wanted."""
+        """Return the topic that a point (a named value of a device) has for itself.
+
+        Returns None if such topics are not wanted, or if MAX_POINT_TOPICS points have one already.
+        """
         name = None if self._point_topics is None else self._point_topics.name_of(point)
         if name is None:
             return None
@@ -329,7 +335,10 @@ class LogWriter(ClosesOnExit):
             self._join_reads()
 
     def _topic(self, link: str, kind: str, schema: str) -> Topic:
-        """Return a link's topic for one kind of messages; link "" means the topic of all links."""
+        """Return a link's topic for one kind of messages, such as "events"; create it if needed.
+
+        `link` "" means the topic that all links share; `schema` names the schema of the messages.
+        """
         topic = self._topics.get((link, kind))
         if topic is not None:
             return topic
