@@ -61,8 +61,7 @@ def names_any_port(log: LinkMetadata) -> bool:
 
 
 def ports_of(log: LinkMetadata, key: str) -> tuple[int, ...]:
-    """The TCP ports that any link lists under the metadata key `key` (PORTS or RTU_PORTS),
-    sorted."""
+    """The TCP ports that any link lists under a metadata key: PORTS or RTU_PORTS. Ascending."""
     texts = (one.get(key, "") for one in log.links.values())
     ports = {port for text in texts for port in text.split()}
     return tuple(sorted(int(port) for port in ports if port.isdecimal() and len(port) <= 5))

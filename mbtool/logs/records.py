@@ -130,8 +130,7 @@ class RecordStream:
         return self._held.endswith(MAGIC)
 
     def seek(self, offset: int) -> None:
-        """Go back to a file offset, to read the records that the recorder has since written
-        there."""
+        """Go back to a file offset, to read what the recorder has since written there."""
         self._stream.seek(offset)
         self._held.clear()
         self.position = offset
