@@ -15,15 +15,21 @@ Numbers = Int64s | npt.NDArray[np.uint16]
 
 
 def narrow(numbers: Int64s) -> Numbers:
-    """Return the numbers as uint16 if all fit: numpy sorts those several times as fast as int64."""
+    """Return the numbers as a uint16 array if all are from 0 to 65535, else the same int64 array.
+
+    numpy sorts uint16 several times as fast as int64.
+    """
     has_room = len(numbers) and numbers.min() >= 0 and numbers.max() < 1 << 16
     return numbers.astype(np.uint16) if has_room else numbers
 
 
 def gather(octets: Octets, places: Int64s, dtype: np.dtype[Any]) -> npt.NDArray[Any]:
-    """Return the structure at each offset of `places`, all of which must lie inside `octets`."""
-    # Select opaque items of `size` bytes first, then view them as the structure: numpy copies these
-    # several times as fast as structures with fields.
+    """Return one structure of the type `dtype` for each offset in `places`, read from `octets`.
+
+    Offsets count bytes from the start of `octets`; each structure must lie completely inside it.
+    """
+    # Take each structure as `size` raw bytes (numpy's type V) first, then view these bytes as
+    # `dtype`: numpy copies raw bytes several times as fast as structures with fields.
     size = dtype.itemsize
     count = max(len(octets) - size + 1, 0)
     items = np.ndarray((count,), np.dtype(f"V{size}"), octets.data, strides=(1,))
@@ -31,15 +37,15 @@ def gather(octets: Octets, places: Int64s, dtype: np.dtype[Any]) -> npt.NDArray[
 
 
 def pieces(octets: Octets, starts: Int64s, sizes: Int64s) -> Octets:
-    """Return many byte ranges joined in one array: `sizes[i]` bytes from `starts[i]` on, for each
-    i.
+    """Return many parts of `octets` joined in one array: for each i, the `sizes[i]` bytes from the
+    offset `starts[i]` on.
     """
     return octets[ranges(starts, sizes)]
 
 
 def ranges(starts: Int64s, sizes: Int64s) -> Int64s:
-    """Return many integer ranges joined in one array: `sizes[i]` numbers from `starts[i]` on, for
-    each i.
+    """Return many integer ranges joined in one array: for each i, the `sizes[i]` consecutive
+    integers from `starts[i]` on.
     """
     ends = np.cumsum(sizes)
     total = int(ends[-1]) if len(ends) else 0

@@ -1,4 +1,6 @@
-"""Makes a pyarrow table of the transactions in a block of packets, in order."""
+"""Makes a pyarrow table of the transactions in a block of packets, in the order in which packets
+completed them.
+"""
 
 from __future__ import annotations
 
@@ -24,14 +26,16 @@ class TransactionBatch:
     """The transactions and events that were completed by the packets of a block."""
 
     table: pa.Table
-    """All transactions, in order, with the columns of schema.py."""
+    """All transactions, in the order in which packets completed them, with the columns of
+    schema.py."""
     records: list[Record]
-    """In order: the events, and the transactions that the Decoder read packet by packet, which
-    `table` has too. Opening and closing events of connections that were read from arrays from SYN
-    to FIN are missing."""
+    """First the events and the transactions that the Decoder read packet by packet, in the order in
+    which packets completed them; then the transactions of `made`. All these transactions are in
+    `table`, too. The opening and closing events are missing for a connection that was read from
+    arrays as a whole, from SYN to FIN."""
     made: list[NamedTransaction] = field(default_factory=list)
-    """Transactions found in the arrays whose PDUs are not the common reads and writes, so that each
-    was made as an object; `records` and `table` have them too."""
+    """The transactions that were read from arrays but are not common reads or writes
+    (usual_rows.py), so that an object was made of each."""
 
 
 class BlockTables:

@@ -3,22 +3,24 @@ Decoder.
 """
 
 # A plain stretch is a series of request and response pairs of one connection, in order and without
-# a gap (stretches.py). Where one begins, the Decoder is asked if the connection is at rest: no
-# request pending, no byte out of order. If so, the transactions are read from the arrays, and the
-# Decoder is told what it would have learned from them (decode/plain_stretch.py). If not, the
-# packets up to the stretch's next request are fed, and the question is asked again there. Every
-# packet outside of stretches is fed to the Decoder, in the order of the file.
+# a gap (stretches.py). Where a stretch begins, the Decoder is asked if the connection is at rest:
+# no request is pending and no byte is out of order. If it is at rest, the transactions are read
+# from the arrays, and the Decoder is told what it would have learned from them
+# (decode/plain_stretch.py). If it is not, the Decoder is fed the stretch's packets up to its next
+# request, and is asked again there. The Decoder is fed all packets outside of stretches that may
+# carry Modbus, in the order of the file.
 #
 # So the Decoder alone keeps the state of connections, and the results are the same as if it had
 # been fed every packet. The results of a block are sorted by the packet that completed them.
 #
-# A connection that lies in one block from its SYN to its FINs, undisturbed, is read from the arrays
-# without the Decoder (whole_connections.py), which is only told that it has ended.
+# A connection that lies in one block from its SYN to its FINs, with nothing unusual, is read from
+# the arrays without asking the Decoder (whole_connections.py). The Decoder is only told that the
+# connection has ended.
 #
-# All packets of a block are fed to the Decoder if its times go back, or if a limit of the
-# reassembler (idle time, number of connections) may drop an open connection: then the order of all
-# packets of all connections counts. A block with very many connections is decoded in several parts,
-# each with so few that none of them can make the reassembler drop another.
+# The Decoder is fed all packets of a block if the packets' times go back, or if the reassembler may
+# reach a limit (idle time, number of connections) and drop an open connection. Then the results
+# depend on the order of all packets of all connections. A block with very many connections is
+# decoded in several parts, each with so few that they cannot make the reassembler drop one of them.
 
 from __future__ import annotations
 
@@ -51,8 +53,9 @@ if TYPE_CHECKING:
     from mbtool.packets.connection import TcpConnection
 
 _FLOWS_AT_ONCE = MAX_CONNECTIONS // 2
-"""The most flows (pairs of TCP ends) that are decoded in one part of a block: with so few, the
-reassembler never drops a connection that is still in use."""
+"""At most this many flows (a flow is all segments between two TCP ends) are decoded in one part of
+a block. It is half of the connections that the reassembler keeps, so the flows of one part cannot
+make it drop one of them."""
 
 
 @dataclass(slots=True)
@@ -61,22 +64,30 @@ class DecodedBlock:
 
     plain: PlainRows | None = None
     records: list[tuple[int, Record]] = field(default_factory=list)
-    """The transactions and events from the Decoder, each with a number that orders it among the
-    rows of `plain`. A row has the number that `order_of` gives for its response's packet."""
+    """The transactions and events from the Decoder, each with its sort key (`order_of`). A
+    transaction in `plain` has the key that `order_of` gives for the packet of its response."""
     passed: PassedConnections | None = None
-    """Connections that were read from arrays from SYN to FIN; `records` lacks the events of their
-    opening and closing."""
+    """The connections that were read from arrays as a whole, from SYN to FIN; None if there are
+    none. `records` lacks their opening and closing events."""
 
     def sorted_records(self, *, with_passed: bool = False) -> list[tuple[int, Record]]:
-        """Return `records` in order; with the opening and closing events of `passed` if wanted."""
+        """Return `records` sorted by their keys.
+
+        `with_passed` adds the opening and closing events of the connections in `passed`.
+        """
         passed = self.passed.events() if with_passed and self.passed is not None else []
         return sorted([*passed, *self.records], key=lambda one: one[0])
 
     def last_ns(self) -> int | None:
-        """The time of the last transaction or event in UTC ns; None if there is none."""
+        """Return the time (UTC ns) of the transaction or event that was completed last.
+
+        The time of a transaction is that of its request, or of its response if it has no request.
+        None if the block completed nothing.
+        """
         found: list[tuple[int, int]] = []
         if self.records:
-            # `max` returns the first of several records with the same number; reversed, the last.
+            # If several records have the highest key, `max` returns the first of them. On the
+            # reversed list that is the record that stands last in `records`.
             number, last = max(reversed(self.records), key=lambda one: one[0])
             found.append((number, last.ts_ns if isinstance(last, WireEvent) else last.start_ns))
         if self.plain is not None:
@@ -89,18 +100,23 @@ class DecodedBlock:
 
 
 def order_of(packets: Int64s) -> Int64s:
-    """Return a sort key for each result, from the index of the packet whose bytes completed it."""
-    # Results that the bytes of packet i complete have the key 2i + 1. Results that only its time
-    # completes, such as timeouts, have 2i and come before them.
+    """Return, for each index of a packet in the block, the sort key of the results that the
+    packet's bytes complete.
+    """
+    # Results that the bytes of packet i complete have the key 2i + 1. Results that only the time of
+    # packet i completes, such as timeouts, have the key 2i and so come before them.
     return 2 * packets + 1
 
 
 class ColumnDecoder:
-    """Decodes the blocks of one capture, fed in order."""
+    """Decodes a capture that is given in blocks of packets, which must come in order."""
 
     def __init__(self, decoder: Decoder, ports: Iterable[int]) -> None:
-        """Decode with `decoder`, which must follow exactly the TCP ports `ports`, and must treat
-        the packets of all interfaces as one network's (`across`).
+        """Take the Decoder that reads whatever is no plain stretch, and the TCP ports that carry
+        Modbus.
+
+        The Decoder must follow exactly these ports, and must have been made with `across=True`, so
+        that packets from different interfaces may belong to one connection.
         """
         self._decoder = decoder
         self._ports = frozenset(ports)
@@ -109,7 +125,9 @@ class ColumnDecoder:
         """The number of transactions that were read from arrays so far, without the Decoder."""
 
     def feed(self, block: PacketBlock) -> Iterator[DecodedBlock]:
-        """Decode a block; yield its results, in several parts if it has very many connections."""
+        """Decode a block. Yields its results once, or once per part if the block has so many flows
+        (more than _FLOWS_AT_ONCE) that it is decoded in parts.
+        """
         headers = read_headers(block, self._ports)
         segments = headers.segments
         numbers = self._flows.numbers(segments.lower, segments.upper)
@@ -136,8 +154,10 @@ class ColumnDecoder:
         return DecodedBlock(records=[(0, one) for one in self._decoder.close()])
 
     def _may_skip(self, block: PacketBlock, headers: Headers, numbers: Int64s) -> bool:
-        """True if it makes no difference to the results in which order packets of different
-        connections are decoded, so that stretches may be read from arrays.
+        """True if plain stretches of the block may be read from arrays.
+
+        That is so if the order in which packets of different connections are decoded makes no
+        difference to the results.
         """
         segments = headers.segments
         if not len(segments.index):
@@ -160,9 +180,10 @@ class ColumnDecoder:
 
 
 def _cuts(segments: Segments, numbers: Int64s) -> list[int]:
-    """Return the indices of the packets at which a block with too many flows is cut into parts.
+    """Return the index of the first packet of each part but the first, if a block has more than
+    _FLOWS_AT_ONCE flows and so must be cut into parts; else an empty list.
 
-    `numbers` has the flow number (pair of TCP ends) of each segment.
+    `numbers` has the flow number of each segment.
     """
     _, firsts = np.unique(numbers, return_index=True)
     if len(firsts) <= _FLOWS_AT_ONCE:
@@ -172,7 +193,9 @@ def _cuts(segments: Segments, numbers: Int64s) -> list[int]:
 
 
 class _BlockPass:
-    """Decodes one block: reads polls of connections at rest from arrays, feeds other packets."""
+    """Decodes one block. Reads polls from arrays if their connection is at rest (no request
+    pending, no byte missing), and feeds the other packets to the Decoder.
+    """
 
     def __init__(
         self,
@@ -193,17 +216,18 @@ class _BlockPass:
         self._times: list[int] = self._segments.ts_ns.tolist()
         self._rows = TransactionArrays(stretches, self._segments)
         self._passed = 0
-        """The Decoder knows the times of the segments before this index: it was fed them or told of
-        them."""
+        """An index in `Segments`. The Decoder was fed each segment before it, or was told the
+        segment's time."""
         self._used = 0
-        """The connections of the segments before this index were marked as used in the reassembler,
-        which drops the one unused for longest."""
+        """An index in `Segments`. The connections of all segments before it were marked as used in
+        the reassembler, which drops the connection that was not used for longest."""
         self._decoded = DecodedBlock()
         self._taken: list[tuple[int, int, Connection]] = []
-        """For each stretch read from arrays: the index of its first transaction, the index behind
-        its last one, and its connection."""
+        """For each plain stretch that was read from arrays: the index of its first transaction, the
+        index behind its last one, and its connection."""
         self._ends_ns: dict[TcpConnection, int] = {}
-        """By connection, the time of the last response that was read from arrays, in UTC ns."""
+        """For each connection, the time of its last response that was read from arrays, in UTC
+        ns."""
 
     def run(self) -> DecodedBlock:
         index = self._segments.index
@@ -238,16 +262,18 @@ class _BlockPass:
         self._decoder.reassembler.forget_excess()
         self._decoder.note_time(int(self._block.ts_ns.max()))
         for connection, end_ns in self._ends_ns.items():
-            # Packets of other connections, earlier than the end of this stretch, were fed after it,
-            # and may have set the connection's time back.
+            # A stretch is passed as soon as its first packet is reached. Packets of other
+            # connections with earlier times than its last one were fed afterwards, and may have set
+            # the time of this connection back.
             connection.note_time(end_ns)
         self._decoded.plain = self._rows.rows(self._block, self._taken) if self._taken else None
         return self._decoded
 
     def _pass_whole(self) -> Bools:
-        """Read the connections from arrays that are in the block from SYN to FIN, undisturbed.
+        """Read from arrays the connections that lie in the block from SYN to FIN, with nothing
+        unusual.
 
-        Returns for each flow number True if all connections of the flow were read so.
+        Returns for each flow number True if all segments of the flow were read in this way.
         """
         is_whole = np.zeros(len(self._flows.ends), np.bool_)
         passed = pass_whole(self._decoder, self._flows, self._headers, self._stretches)
@@ -260,16 +286,17 @@ class _BlockPass:
         return is_whole
 
     def _stretch_flows(self) -> Int64s:
-        """For each plain stretch (series of polls of one connection), the number of its flow."""
+        """Return the flow number of each plain stretch."""
         firsts = self._rows.first_place[self._stretches.bounds[:-1]]
         flows: Int64s = self._stretches.flows[firsts]
         return flows
 
     def _fed_segments(self, is_whole: Bools) -> list[tuple[int, int]]:
-        """The packet index and the segment index of each segment outside of all stretches, which is
-        to be fed to the Decoder.
+        """Return the segments outside of all plain stretches, which must be fed to the Decoder.
 
-        Flows are left out for which `is_whole` is True: they were read from arrays.
+        Each item has the index of the segment's packet in the block, and the segment's own index in
+        `Segments`. Flows whose number has True in `is_whole` are left out: they were read from
+        arrays.
         """
         order, bounds = self._stretches.order, self._stretches.bounds
         change = np.zeros(len(order) + 1, np.int64)
@@ -280,8 +307,10 @@ class _BlockPass:
         return list(zip(packets.tolist(), places.tolist(), strict=True))
 
     def _feed(self, packet: int, place: int) -> None:
-        """Feed a packet to the Decoder; `place` is its index among the segments, or -1 if it is
-        none.
+        """Feed the packet with the index `packet` in the block to the Decoder.
+
+        `place` is the index of the packet's segment in `Segments`, or -1 if it has none there
+        (IPv6, or headers that cannot be read as arrays).
         """
         if place < 0:
             behind = int(np.searchsorted(self._segments.index, packet))
@@ -294,8 +323,8 @@ class _BlockPass:
             self._decoded.records.append((2 * packet + 1, record))
 
     def _pass_times(self, until: int) -> None:
-        """Tell the Decoder the times of the segments before `until` that it is not fed, so that its
-        timeouts expire as if it had been.
+        """Tell the Decoder the times of those segments before the index `until` that were not fed
+        to it, so that its timeouts expire as if they had been.
         """
         if self._passed >= until:
             return
@@ -306,18 +335,20 @@ class _BlockPass:
             self._decoded.records += [(2 * packet, record) for record in records]
 
     def _note_used(self, until: int) -> None:
-        """Mark the connections of the segments before `until` as used in the reassembler, in order;
-        it drops the one unused for longest.
+        """Mark the connections of the segments before the index `until` as used in the reassembler,
+        in the order of the segments. The reassembler drops the connection that was not used for
+        longest.
         """
         newest_first = dict.fromkeys(self._numbers[self._used : until][::-1].tolist())
         self._used = max(self._used, until)
         self._decoder.reassembler.note_used(self._flows.ends[one] for one in reversed(newest_first))
 
     def _take(self, at: int, end: int) -> bool:
-        """Read the transactions from `at` to `end` (exclusive) from arrays if their connection is
-        at rest.
+        """Read the transactions with the indices `at` to `end` (exclusive) from arrays, if their
+        connection is at rest.
 
-        Returns False if it is not: a request is pending, or bytes are missing or out of order.
+        Returns False if it is not at rest: a request is pending, or bytes are missing or out of
+        order. Then nothing was read.
         """
         rows = self._rows
         place = int(self._stretches.order[rows.first_place[at]])

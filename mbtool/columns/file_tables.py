@@ -1,4 +1,4 @@
-"""Renames the capture files in tables of transactions, and splits tables by file."""
+"""Changes the names of capture files in tables of transactions, and splits a table by file."""
 
 from __future__ import annotations
 
@@ -16,7 +16,10 @@ _COLUMNS = ("file", "response_file")
 
 
 def with_file_names(table: Table, names: Mapping[str, str]) -> Table:
-    """Return the table with its files renamed: `names` gives new names by old ones, others stay."""
+    """Return the table with other file names for its transactions.
+
+    `names` maps an old file name to the new one; a name that is not in it stays.
+    """
     for column in _COLUMNS:
         place = table.schema.get_field_index(column)
         chunks = [
@@ -39,8 +42,10 @@ def _renamed(column: pa.DictionaryArray, names: Mapping[str, str]) -> pa.Diction
 
 
 def tables_by_file(table: Table) -> dict[str, Table]:
-    """Return a table for each file, by file name, with the transactions whose request's packet is
-    in that file.
+    """Return one table per capture file, by the file's name.
+
+    A transaction belongs to the file that has its request, or its response if it has no request. A
+    transaction without a file name is left out.
     """
     names = table["file"].cast(pa.string())
     found = [one for one in pc.unique(names).to_pylist() if one is not None]

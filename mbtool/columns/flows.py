@@ -1,9 +1,13 @@
-"""Numbers the flows of a capture. A flow is all segments between two ends (address and port)."""
+"""Numbers the flows of a capture. A flow is all segments between two TCP ends (an end is an address
+and a port).
+"""
 
-# Flows are looked up by a hash of their two ends, then the ends are compared. If two flows have the
-# same hash, only the first gets a number; segments of the second are decoded packet by packet.
+# A flow is looked up by a hash of its two ends, then its ends are compared. If two flows have the
+# same hash, only the first gets a number. A block with segments of the second is decoded packet by
+# packet.
 #
-# Memory: about MAX_FLOWS flows are kept; with more, all are forgotten and numbers begin at 0 again.
+# Memory: about MAX_FLOWS flows are kept. If there are more, all are forgotten before the next block
+# and numbers begin at 0 again.
 
 from __future__ import annotations
 
@@ -29,8 +33,10 @@ class FlowNumbers:
         self._forget()
 
     def numbers(self, lower: Uint64s, upper: Uint64s) -> Int64s:
-        """Return the number of each segment's flow, given its two ends as numbers
-        (`Segments.lower`, `upper`); UNKNOWN where two flows have the same hash.
+        """Return the flow number of each segment; UNKNOWN (-1) if another flow has the same hash.
+
+        `lower[i]` and `upper[i]` are the two ends of segment i as numbers (`Segments.lower`,
+        `upper`).
         """
         if len(self.ends) > MAX_FLOWS:
             self._forget()
@@ -44,11 +50,11 @@ class FlowNumbers:
 
     def _forget(self) -> None:
         self.ends: list[FlowEnds] = []
-        """By flow number, the two ends of the flow: address and port of the lower, then of the
-        upper."""
+        """For each flow number, the address and port of its lower end, then those of its upper end.
+        The lower end has the smaller port or, of equal ports, the smaller address."""
         self._hashes = np.zeros(0, np.uint64)
-        """The hashes of the flows, sorted; `_numbers`, `_lower` and `_upper` are in the same
-        order."""
+        """The hashes of all known flows in ascending order. `_numbers`, `_lower` and `_upper` have
+        the number and the two ends of each flow in the same order."""
         self._numbers = np.zeros(0, np.int64)
         self._lower = np.zeros(0, np.uint64)
         self._upper = np.zeros(0, np.uint64)

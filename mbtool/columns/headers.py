@@ -1,13 +1,15 @@
 """Reads the link layer, IPv4 and TCP headers of all packets of a block at once, as arrays."""
 
-# Each packet is of one of these kinds (a followed port is a TCP port that carries Modbus):
+# A followed port is a TCP port that carries Modbus. Each packet is of one of these kinds:
 #
-#     plain      a whole TCP segment in IPv4 between a port that is followed and one that is not
-#     odd        a segment of a followed connection that is not plain: cut, or malformed
+#     plain      a whole TCP segment in IPv4 between a followed port and one that is not followed
+#     odd        a segment in IPv4 from or to a followed port that is not plain: cut, malformed, or
+#                between two followed ports
 #     hidden     a packet that may carry a segment where this module does not look: fragments,
 #                tunnels, headers before IP that are not VLAN tags, unknown link types
-#     apart      a segment in IPv6: never of a connection in IPv4, and not plain
-#     other      everything else, of which the decoder takes no notice
+#     apart      a segment in IPv6 from or to a followed port; it cannot belong to a connection in
+#                IPv4
+#     other      everything else, which the Decoder would ignore
 #
 # The rules are those by which the Decoder reads single packets (packets/link_layer.py, segment.py
 # and tunnels.py). A packet whose kind is in doubt counts as hidden. Only plain packets may be read
@@ -29,15 +31,15 @@ if TYPE_CHECKING:
     from mbtool.columns.packet_block import PacketBlock
 
 _IP_PLACES = {1: (12, 14), 113: (14, 16), 276: (0, 20)}
-"""By link type (113 is Linux cooked capture), the offsets of the EtherType and of the IP header in
-a packet, in bytes."""
+"""For each link type (1 Ethernet, 113 and 276 Linux cooked capture), the offsets of the EtherType
+and of the IP header in a packet, in bytes."""
 _RAW_TYPES = frozenset((12, 14, 101, 228, 229))
-"""Link types of packets that begin with the IP header."""
+"""Link types of packets that begin with the IP header, so that they have no EtherType."""
 _VLAN = (0x8100, 0x88A8, 0x9100)
 _IPV4, _IPV6 = 0x0800, 0x86DD
 _BEFORE_IP = (0x892F, 0x8864, 0x8847, 0x8848, *_VLAN)
-"""EtherTypes in front of a further header that this module does not read: HSR, PPPoE, MPLS, a third
-VLAN tag. An IP packet may follow them, so packets with them go to the Decoder."""
+"""EtherTypes behind which this module does not look for IP: HSR, PPPoE, MPLS, a third VLAN tag.
+Their packets go to the Decoder, because an IP packet may follow the further header."""
 _TUNNELS = (4, 41, 47)
 _UDP, _ICMPV6 = 17, 58
 _VXLAN_PORT = 4789
@@ -71,7 +73,8 @@ class Segments:
     """For each segment, the index of its packet in the block."""
     is_plain: Bools
     lower: Uint64s
-    """The smaller of the connection's two ends as a number: port << 32 | IPv4 address."""
+    """The smaller one of the connection's two ends. An end is the number port << 32 | IPv4 address;
+    `upper` has the other one."""
     upper: Uint64s
     from_lower: Bools
     from_master: Bools
@@ -83,7 +86,7 @@ class Segments:
     ip_at: Int64s
     """The length, in bytes, of the link layer header in front of the IP header."""
     begin: Int64s
-    """The offset of the payload in the data of the block."""
+    """The offset of the TCP payload in the data of the block, in bytes."""
     size: Int64s
     """The number of payload bytes; 0 where `is_plain` is False."""
     ts_ns: Int64s
@@ -101,8 +104,9 @@ class Headers:
     """The indices of IPv6 packets that may carry Modbus; they are never read as arrays."""
 
     def part(self, begin: int, end: int) -> Headers:
-        """The headers of the packets `begin` to `end` (exclusive); indices then count from
-        `begin`.
+        """Return the headers of the packets with the indices `begin` to `end` (exclusive).
+
+        In the result, packets are counted from `begin`.
         """
         index = self.segments.index
         first, last = np.searchsorted(index, (begin, end)).tolist()
@@ -117,7 +121,7 @@ class Headers:
 
 
 def read_headers(block: PacketBlock, ports: Iterable[int]) -> Headers:
-    """Read the headers of all packets of a block; `ports` are the TCP ports that carry Modbus."""
+    """Read the headers of all packets of a block. `ports` are the TCP ports that carry Modbus."""
     is_followed = np.zeros(1 << 16, np.bool_)
     is_followed[list(ports)] = True
     kinds, at, hidden = _network(block)
@@ -135,10 +139,11 @@ def read_headers(block: PacketBlock, ports: Iterable[int]) -> Headers:
 
 
 def _network(block: PacketBlock) -> tuple[Int64s, Int64s, Bools]:
-    """Read the link layer headers.
+    """Read the link layer headers of all packets of a block.
 
-    Returns for each packet its EtherType, the offset of its IP header in the block's data, and True
-    if its headers cannot be read here (a hidden packet).
+    Returns three arrays with an element per packet: the EtherType behind up to two VLAN tags (that
+    of IPv4 if the packet begins with the IP header); the offset of the IP header in the block's
+    data; True for a hidden packet, whose headers cannot be read here.
     """
     hidden = np.zeros(len(block), np.bool_)
     kind_at, at = np.zeros(len(block), np.int64), np.zeros(len(block), np.int64)
@@ -153,7 +158,7 @@ def _network(block: PacketBlock) -> tuple[Int64s, Int64s, Bools]:
             hidden[chosen] = True
     too_short = ~is_raw & (block.captured < np.maximum(kind_at + 2, at))
     hidden |= too_short
-    # A packet too short for its EtherType is hidden, so that nothing is read behind its end.
+    # A packet too short for its link layer header is hidden, so that no byte behind its end counts.
     kinds = _pairs(block, kind_at, hidden)
     for _ in range(_MAX_TAGS):
         tagged = np.flatnonzero(_is_one_of(kinds, _VLAN) & ~is_raw & ~hidden)
@@ -169,8 +174,8 @@ def _network(block: PacketBlock) -> tuple[Int64s, Int64s, Bools]:
 
 
 def _pairs(block: PacketBlock, at: Int64s, hidden: Bools) -> Int64s:
-    """Return the 16-bit number at the offset `at` of each packet; of hidden packets, some other
-    number that must not be used.
+    """Return for each packet the big-endian 16-bit number at its offset in `at`, counted from the
+    start of the packet. The number of a hidden packet is meaningless.
     """
     places = block.starts + np.where(hidden, 0, at)
     return gather(block.data, places, _PAIR).astype(np.int64)
@@ -181,10 +186,12 @@ def _is_one_of(values: Int64s, known: tuple[int, ...]) -> Bools:
 
 
 def _ipv6(block: PacketBlock, at: Int64s, six: Bools, hidden: Bools, is_followed: Bools) -> Bools:
-    """Return True for the IPv6 packets with TCP on a Modbus port.
+    """Return True for each IPv6 packet with a TCP segment from or to a Modbus port.
 
-    `six` is True for the IPv6 packets. Sets `hidden` for those that may carry TCP behind further
-    headers or in a tunnel.
+    All arrays but `is_followed` have an element per packet: `at` is the offset of its IP header in
+    the block's data, `six` is True for IPv6. `is_followed` is True at the index of each Modbus
+    port. Sets `hidden` to True for packets that may carry TCP behind further headers or in a
+    tunnel.
     """
     apart = np.zeros(len(block), np.bool_)
     some = np.flatnonzero(six)
@@ -205,11 +212,11 @@ def _ipv6(block: PacketBlock, at: Int64s, six: Bools, hidden: Bools, is_followed
 def _ipv4(
     block: PacketBlock, some: Int64s, at: Int64s, hidden: Bools, is_followed: Bools
 ) -> Segments:
-    """Return the TCP segments in the IPv4 packets with the indices `some`, whose headers are at
-    `at`.
+    """Return the TCP segments from or to Modbus ports in the IPv4 packets with the indices `some`.
 
-    Sets `hidden` for packets that may carry a segment where it is not read: fragments, tunnels, cut
-    headers.
+    `at` has the offset of each packet's IP header in the block's data; `is_followed` is True at the
+    index of each Modbus port. Sets `hidden` to True for packets that may carry a segment that
+    cannot be read here: fragments, tunnels, cut headers.
     """
     headers = gather(block.data, at, _IPV4_HEADER)
     header = (headers["first"] & 0x0F).astype(np.int64) * 4
@@ -220,7 +227,7 @@ def _ipv4(
     is_odd = (header < 20) | ((headers["fragment"] & 0x3FFF) != 0)
     is_tcp = protocol == TCP
     start = at + header
-    # If the TCP header is cut off by the snaplen, its ports and flags are unknown: hidden.
+    # Hide a packet whose TCP header is cut off by the snapshot length: its ports are unknown.
     is_odd |= is_tcp & ((captured < relative + header + 20) | (total < header))
     is_odd |= _is_one_of(protocol.astype(np.int64), _TUNNELS)
     is_udp = np.flatnonzero((protocol == _UDP) & ~is_odd & (captured >= relative + header + 4))

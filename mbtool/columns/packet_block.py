@@ -35,14 +35,15 @@ if TYPE_CHECKING:
 
 BLOCK_PACKETS = 65_536
 BLOCK_BYTES = 8 * 1024 * 1024
-"""At least this much of the file is looked at for a block; longer than the longest possible
-record."""
+"""So many bytes of the file are searched for the records of one block. A record is never longer, so
+a block has at least one."""
 LEAST_READ = 1024 * 1024
-"""Each read of the file asks for at least this many bytes."""
+"""Each read of the file asks for at least this many bytes; few large reads are faster."""
 
 SPARE = 64
-"""This many bytes follow the last packet in a block's data, so that a fixed-size header can be read
-even where a packet is shorter; such values are not used."""
+"""This many bytes follow the last packet in a block's data. So a header of fixed size can be read
+at the start of each packet without a check of the packet's length; whoever reads it must ignore the
+bytes behind the packet's end."""
 
 _MAGIC = 4
 _NS_PER_SECOND = 1_000_000_000
@@ -76,7 +77,9 @@ class PacketBlock:
         return len(self.starts)
 
     def first_of_each_interface(self) -> list[int]:
-        """The index of the first packet of each interface that has one."""
+        """Return, for each interface that captured a packet of the block, the index of its first
+        packet.
+        """
         if self.interfaces is None:
             return [0]
         _, firsts = np.unique(self.interfaces, return_index=True)
@@ -84,7 +87,9 @@ class PacketBlock:
         return places
 
     def part(self, begin: int, end: int) -> PacketBlock:
-        """The packets from index `begin` to `end` (exclusive), as a block that shares the data."""
+        """Return the packets with the indices `begin` to `end` (exclusive) as a block with the same
+        data.
+        """
         some = slice(begin, end)
         return PacketBlock(
             data=self.data,
@@ -99,7 +104,9 @@ class PacketBlock:
         )
 
     def packet(self, index: int) -> Packet:
-        """Return one packet as a `Packet`, equal to what the packet-by-packet readers give."""
+        """Return the packet with this index in the block, equal to the packet that read_capture
+        gives.
+        """
         start, captured = int(self.starts[index]), int(self.captured[index])
         link, link_type = self.links[0 if self.interfaces is None else self.interfaces[index]]
         return Packet(
@@ -114,7 +121,8 @@ class PacketBlock:
 
 
 def read_blocks(stream: BinaryIO, name: str) -> Iterator[PacketBlock]:
-    """Yield the packets of a pcap or pcapng file in order, many at a time.
+    """Yield the packets of a pcap or pcapng file in order, in blocks. `name` is the name of the
+    file.
 
     Raises InputError if the file is of another kind or damaged, CutError if it ends within a
     record; all packets before the damage are yielded first.
@@ -128,32 +136,33 @@ def read_blocks(stream: BinaryIO, name: str) -> Iterator[PacketBlock]:
 
 
 class _Source:
-    """Reads a file in large pieces, of which callers take small ones.
+    """Reads a file in large pieces and gives them to callers in small ones.
 
-    If reading fails, the error is raised only after all bytes before it were taken.
+    If reading the file fails, the error is raised only after callers took all bytes before it.
     """
 
     def __init__(self, stream: BinaryIO) -> None:
         self._stream = stream
         self._held = b""
         self._at = 0
-        """How many bytes of `_held` were already taken. They are cut off only at the next read, so
-        that taking a few bytes does not copy the whole piece."""
+        """How many bytes of `_held` were already taken. They stay there until the next read of the
+        file, because cutting them off copies all bytes behind them."""
         self._error: Exception | None = None
         self._is_ended = False
 
     def peek(self, size: int) -> bytes:
-        """Return the next bytes without taking them; fewer than `size` at the end of the file or
-        before a read error.
+        """Return the next `size` bytes without taking them.
+
+        The result is shorter at the end of the file and before a read error.
         """
         self._fill(size)
         return self._held[self._at : self._at + size]
 
     def held(self, size: int) -> tuple[bytes, int, int]:
-        """Return the buffer and the offsets in it where the next bytes begin and end.
+        """Return the buffer, and the offsets in it at which the next `size` bytes begin and end.
 
-        These are `size` bytes, or fewer at the end of the file or before a read error. Nothing is
-        copied or taken.
+        There are fewer bytes at the end of the file and before a read error. The bytes are not
+        copied, and count as not yet taken.
         """
         self._fill(size)
         return self._held, self._at, min(self._at + size, len(self._held))
@@ -169,9 +178,9 @@ class _Source:
             self._held, self._at = b"".join(pieces), 0
 
     def take(self, size: int) -> bytes:
-        """Take and return the next bytes; fewer than `size` at the end of the file.
+        """Take and return the next `size` bytes; fewer at the end of the file.
 
-        If a read error prevented more bytes, it is raised here.
+        If there are fewer because of a read error, the error is raised here.
         """
         taken = self.peek(size)
         if len(taken) < size and self._error is not None:
@@ -182,11 +191,13 @@ class _Source:
     read = take
 
     def drop(self, size: int) -> None:
-        """Take bytes that `peek` or `held` has shown, without returning them."""
+        """Take the next `size` bytes without returning them. `peek` or `held` must have shown
+        them.
+        """
         self._at += size
 
     def raise_error(self) -> None:
-        """Raise the read error that came after the last bytes, if there was one."""
+        """Raise the error that reading the file ended with, if there was one."""
         if self._error is not None:
             raise self._error
 
@@ -210,7 +221,7 @@ class _PcapBlocks:
         self._header = 16 + form.extra
         self._record = np.dtype([(each, form.order + "u4") for each in ("s", "f", "cap", "len")])
         self._number = 0
-        """The number of packets in the blocks so far."""
+        """The number of packets in the blocks that were yielded so far."""
 
     def blocks(self) -> Iterator[PacketBlock]:
         while True:
@@ -232,10 +243,11 @@ class _PcapBlocks:
         self._source.raise_error()
 
     def _walk(self, data: bytes, begin: int, end: int) -> tuple[list[int], int, int]:
-        """Find the complete records in `data` from `begin` to `end`.
+        """Find the complete records in `data` between the offsets `begin` and `end`.
 
         Returns the offset of each record, counted from `begin`; the offset in `data` behind the
-        last one; and the record length that is impossible and stopped the search, or 0.
+        last record; and, if the next record claims more than MAX_CAPTURED bytes, that impossible
+        length, else 0.
         """
         length_of = struct.Struct(self._form.order + "I").unpack_from
         header = self._header
@@ -257,8 +269,9 @@ class _PcapBlocks:
         return places, at, 0
 
     def _has_zeros(self, data: bytes, at: int) -> bool:
-        """True if the record header at offset `at` is all zeros: the file was not written to its
-        end.
+        """True if the first 16 bytes of the record header at offset `at` are zeros.
+
+        Such zeros show that the file was not written to its end.
         """
         return data.startswith(bytes(16), at)
 
@@ -280,8 +293,10 @@ class _PcapBlocks:
 
 
 def _octets(data: bytes, begin: int, end: int) -> Octets:
-    """Return the bytes from `begin` to `end` and SPARE bytes behind them, copied only if `data` is
-    too short.
+    """Return the bytes of `data` from `begin` to `end`, and SPARE more bytes behind them.
+
+    The SPARE bytes are those that follow in `data`. If `data` is too short for them, the result is
+    a copy with zeros at its end.
     """
     if end + SPARE > len(data):
         data, begin, end = data[begin:end] + bytes(SPARE), 0, end - begin
@@ -289,9 +304,9 @@ def _octets(data: bytes, begin: int, end: int) -> Octets:
 
 
 def _packed(packets: Iterator[Packet]) -> Iterator[PacketBlock]:
-    """Collect packets into blocks.
+    """Collect packets into blocks of at most BLOCK_PACKETS.
 
-    A read error is raised after the packets before it were yielded.
+    If reading a packet fails, the error is raised after all packets before it were yielded.
     """
     error: Exception | None = None
 

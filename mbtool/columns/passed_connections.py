@@ -1,4 +1,6 @@
-"""Tells the Decoder of connections that were read from arrays, so that it was not fed them."""
+"""Tells the Decoder of the connections whose packets, from SYN to FIN, were read from arrays and
+not fed to it.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +39,7 @@ class PassedConnections:
     flow: Int64s
     """The number of the connection's flow: its pair of IP addresses and TCP ports."""
     stretch: Int64s
-    """The index in `Stretches` of the series of its transactions."""
+    """The index, among the block's plain stretches, of the one that has all its transactions."""
     opened: Int64s
     """The index in the block of the packet with its SYN."""
     opened_ns: Int64s
@@ -46,8 +48,8 @@ class PassedConnections:
     closed_ns: Int64s
 
     def events(self) -> list[tuple[int, Record]]:
-        """The events of their opening and closing, each with a number that sorts it among the
-        results of the block (see `DecodedBlock.records`).
+        """Return the opening and the closing event of each connection, each with its sort key among
+        the results of the block (`order_of`).
         """
         found: list[tuple[int, Record]] = []
         for event, packets, times in (
@@ -64,15 +66,16 @@ class PassedConnections:
 def pass_whole(
     decoder: Decoder, flows: FlowNumbers, headers: Headers, stretches: Stretches
 ) -> PassedConnections | None:
-    """Find connections that lie in the block from SYN to FIN, and tell the Decoder that they have
-    ended.
+    """Find the connections that lie in the block from SYN to FIN, and tell the Decoder's
+    reassembler that they have ended.
 
-    Returns None if there are none, or if the block may hold more of their packets (hidden ones), or
-    lasts so long that a connection may become idle.
+    Returns None if there are none. Returns None, too, if the block has hidden packets, which may
+    belong to such a connection, or if it lasts as long as IDLE_NS (two hours), after which the
+    reassembler drops a connection without segments.
     """
     segments = headers.segments
     times = segments.ts_ns
-    # A hidden packet, one whose headers cannot be read here, may belong to any connection.
+    # The headers of a hidden packet could not be read, so it may belong to any connection.
     if len(headers.hidden) or not len(times) or times[-1] - times[0] >= IDLE_NS:
         return None
     whole = find_whole(segments, stretches)
@@ -107,10 +110,10 @@ def _ended(
     connections: list[Connection],
     is_lower: list[bool],
 ) -> Iterator[EndedConnection]:
-    """Yield an EndedConnection for each connection, by which the reassembler recognises late
-    segments.
+    """Yield an EndedConnection for each connection in `whole`. By it the reassembler recognises
+    segments of the connection that come after its end.
 
-    `is_lower` is True for a connection whose master is the lower of the two ends (by port, then
+    `is_lower` is True for a connection whose master is the lower one of its two ends (by port, then
     address).
     """
     for connection, last_ns, asked, answered, requests, responses, lower in zip(
@@ -128,8 +131,10 @@ def _ended(
 
 
 def _connection(ends: FlowEnds, *, is_lower: bool, number: int) -> Connection:
-    """Return the connection between two ends; `is_lower` is True if the first of them is the
-    master.
+    """Return the connection between two ends.
+
+    `is_lower` is True if the first one of `ends` is the master; `number` tells this connection from
+    others between the same ends.
     """
     low, low_port, high, high_port = ends
     if is_lower:

@@ -1,13 +1,14 @@
-"""Makes lines of JSON or CSV from the transactions of blocks."""
+"""Formats the transactions of each block of packets as lines of JSON or CSV."""
 
-# The caller gives a function that makes the line of one transaction. To call it seldom, rows of
-# common reads and writes (usual_rows.py) are grouped that differ only in time, ends, transaction
-# id, values, raw bytes and packet numbers. For each group the function makes one line, with a
-# random mark in each of these fields. The line of each row is this template with its own texts in
-# place of the marks. So it is the same line that the function would make of the row.
+# The caller gives a function that formats one transaction as a line. It is slow, so it is called
+# seldom. Transactions with common reads and writes (usual_rows.py) are grouped; in a group they
+# differ only in time, ends, transaction id, values, raw bytes and packet numbers. The function
+# formats one transaction of each group with a random mark in each of these fields. The result is a
+# template: the line of each transaction is the template with the transaction's own texts in place
+# of the marks, and so equals the line that the function would have made.
 #
-# Memory: about MAX_LINES templates are kept; with more, all are forgotten and made again when
-# needed.
+# Memory: about MAX_LINES templates are kept. If there are more, all are forgotten and made again
+# when needed.
 
 from __future__ import annotations
 
@@ -45,12 +46,12 @@ _RAW = ("request_raw", "response_raw")
 _TIMES = ("request_ns", "time")
 # Marks are random, so that no text of a capture, such as a file name, contains one by chance.
 _MARKS = {name: f"<{secrets.token_hex(8)}:{name}>" for name in (*_TEXTS, *_NUMBERS, *_LISTS, *_RAW)}
-"""For each field that varies, the text that marks its place in a template; it occurs nowhere else
-in a line."""
+"""For each field that differs within a group, the mark that stands for it in a template; a mark
+occurs nowhere else in a line."""
 _MARK_NS = 10**18 + secrets.randbelow(10**18)
 _MARK_TIME = str(np.datetime_as_string(np.datetime64(_MARK_NS, "ns"), unit="ns"))
 _WIDTHS = np.array([len(str(number)) + 1 for number in range(1 << 16)])
-"""The length of each number from 0 to 65535 as text, plus 1 for the separator behind it."""
+"""The number of digits of each number from 0 to 65535, plus 1 for the separator behind it."""
 
 
 @dataclass(slots=True)
@@ -60,35 +61,38 @@ class LineBatch:
     text: str
     """All lines of the block joined, in order."""
     outcomes: Counter[Outcome]
-    """The number of transactions by outcome, without those in `records`."""
+    """The number of transactions with each outcome, not counting the transactions in `records`."""
     records: list[Record]
-    """In order: the events, and the transactions that the Decoder read packet by packet; behind
-    them those of `made`. Opening and closing events of connections that were read from arrays from
-    SYN to FIN are missing."""
+    """First the events and the transactions that the Decoder read packet by packet, in the order in
+    which packets completed them; then the transactions of `made`. The opening and closing events
+    are missing for a connection that was read from arrays as a whole, from SYN to FIN."""
     made: list[NamedTransaction] = field(default_factory=list)
-    """Transactions found in the arrays whose PDUs are not the common reads and writes, so that each
-    was made as an object; `records` has them too."""
+    """The transactions that were read from arrays but are not common reads or writes
+    (usual_rows.py), so that an object was made of each."""
 
 
 class BlockLines:
-    """Makes the lines of each block of a capture that is decoded without device profiles."""
+    """Formats each block of a capture as lines, if the capture is decoded without device
+    profiles.
+    """
 
     def __init__(self, line_of: Callable[[NamedTransaction], str], separator: str) -> None:
         """Take the format of the lines.
 
-        `line_of` makes the line of one transaction. `separator`, one ASCII character, stands
-        between the numbers of a list of values.
+        `line_of` formats one transaction, with the end of the line. `separator`, one ASCII
+        character, stands between the numbers of a list of values.
         """
         self._line_of = line_of
         self._words = np.array([f"{number}{separator}".encode() for number in range(1 << 16)])
-        """Each number from 0 to 65535 as text with the separator behind it, padded with zero bytes
-        to equal length."""
+        """Each number from 0 to 65535 as ASCII text with the separator behind it; numpy fills
+        shorter texts with zero bytes."""
         self._namer = Namer()
         self._forms: dict[tuple[object, ...], str] = {}
-        """The templates: lines with %s in place of the fields that vary, by the values of all other
-        fields."""
+        """By capture file, MAC addresses, and the fields of the PDUs as one number: the template, a
+        line with %s in place of each field that differs within a group."""
         self._order: list[str] = []
-        """The names of the fields that vary, in the order in which a line has them."""
+        """The names of the fields that differ within a group, in the order in which they stand in a
+        line."""
 
     def batch(self, decoded: DecodedBlock) -> LineBatch:
         records = decoded.sorted_records()
@@ -127,7 +131,9 @@ class BlockLines:
     def _forms_of(
         self, rows: PlainRows, usual: UsualValues, chosen: Int64s
     ) -> tuple[list[str], list[int]]:
-        """Return the templates of the rows' lines, and for each row the index of its template."""
+        """Return the templates for the rows with the indices `chosen`, and for each of these rows
+        the index of its template.
+        """
         numbers: dict[object, int] = {}
         place_of = np.array([numbers.setdefault(one, len(numbers)) for one in rows.addresses])
         places = [*numbers]
@@ -149,8 +155,11 @@ class BlockLines:
         return forms, kinds.tolist()
 
     def _form(self, like: NamedTransaction) -> str:
-        """Return the line of a transaction as a template, with %s in place of each field that
-        varies between rows.
+        """Return the line of the transaction `like` as a template: %s stands in place of each field
+        that differs within a group.
+
+        A field that this line lacks, such as the values written by a read, becomes %.0s, which
+        prints nothing.
         """
         if not self._order:
             line = self._line_of(_marked(like, is_full=True))
@@ -158,7 +167,7 @@ class BlockLines:
             self._order = sorted(places, key=places.__getitem__)
         line = self._line_of(_marked(like, is_full=False)).replace("%", "%%")
         for name in (*_NUMBERS, *_LISTS):
-            # JSON puts the mark in quotes, as a text; the numbers that take its place have none.
+            # JSON puts a mark in quotes, as a text. Remove them, because a number takes its place.
             line = line.replace(f'"{_MARKS[name]}"', _MARKS[name])
         form = ""
         for name in self._order:
@@ -170,7 +179,9 @@ class BlockLines:
     def _fields(
         self, rows: PlainRows, usual: UsualValues, chosen: Int64s
     ) -> dict[str, Sequence[object]]:
-        """For each field that varies, return a list with its text or number for each row."""
+        """Return for each field that differs within a group, by its name, a list with its text or
+        number in each of the rows with the indices `chosen`.
+        """
         ends = rows.connection[chosen].tolist()
         request_ns, response_ns = rows.request_ns[chosen], rows.response_ns[chosen]
         first = rows.block.first_number
@@ -200,13 +211,13 @@ class BlockLines:
         }
 
     def _texts(self, lists: ValueLists) -> list[str]:
-        """Return for each row its list of numbers as text, with separators between them; empty for
-        a missing list.
+        """Return for each row its list of numbers as text, with separators between them. The text
+        is empty if the row has no list.
         """
         padded = self._words[lists.numbers].view(np.uint8)
         text = padded[padded != 0].tobytes().decode()
         ends = np.concatenate([[0], np.cumsum(_WIDTHS[lists.numbers])])[lists.offsets]
-        # Cut off the separator behind the last number of each row.
+        # Leave out the separator behind the last number of each row.
         stops = np.maximum(ends[1:] - 1, ends[:-1])
         return [
             text[begin:end] for begin, end in zip(ends[:-1].tolist(), stops.tolist(), strict=True)
@@ -214,7 +225,9 @@ class BlockLines:
 
 
 class _HexMark:
-    """Takes the place of a transaction's raw bytes; its hexadecimal text is a mark."""
+    """Stands for the raw bytes of a request or response: its hexadecimal text is the field's
+    mark.
+    """
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -230,9 +243,9 @@ def _mark_of(name: str) -> str:
 
 
 def _marked(like: NamedTransaction, *, is_full: bool) -> NamedTransaction:
-    """Return a transaction whose varying fields are marks.
+    """Return the transaction `like` with a mark in each field that differs within a group.
 
-    `is_full` is True to put a mark also into value lists that are None.
+    If `is_full`, a list of values that is None is replaced by a mark, too.
     """
     fields: dict[str, Any] = {name: _MARKS[name] for name in (*_TEXTS, *_NUMBERS)}
     fields |= {name: _HexMark(name) for name in _RAW}
@@ -243,8 +256,8 @@ def _marked(like: NamedTransaction, *, is_full: bool) -> NamedTransaction:
 
 
 def _hex(rows: PlainRows, begins: Int64s, sizes: Int64s) -> list[str]:
-    """Return hexadecimal text for each byte range of a block's data; `begins` and `sizes` are in
-    bytes.
+    """Return many parts of `rows.data` as hexadecimal text: for each i, the `sizes[i]` bytes from
+    the offset `begins[i]` on.
     """
     text = pieces(rows.data, begins, sizes).tobytes().hex()
     return [*_cut(text, 2 * sizes)]

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from mbtool.columns.stretches import Stretches
 
 _LINK_HEADER = np.dtype("V32")
-"""The first 32 bytes of a packet: longer than each link layer header that headers.py reads (at most
-28)."""
+"""The first 32 bytes of a packet. No link layer header that headers.py reads is longer than 28
+bytes."""
 
 
 @dataclass(slots=True)
@@ -33,25 +33,26 @@ class PlainRows:
 
     block: PacketBlock
     data: Octets
-    """The bytes of all packets of the block, followed by the request ADUs that came in two
-    segments."""
+    """The bytes of all packets of the block, followed by copies of the request ADUs that came in
+    two segments each."""
     connections: list[Connection]
-    """For each stretch (series of polls of one connection without a gap), its connection."""
+    """For each plain stretch, its connection."""
     addresses: list[tuple[LinkAddresses | None, LinkAddresses | None]]
-    """For each stretch, the MAC addresses in the packets of its first request and of its first
-    response; None if unknown."""
+    """For each plain stretch, the MAC addresses and VLAN in the packets of its first request and of
+    its first response; None for a packet without MAC addresses."""
     connection: Int64s
-    """The index of the transaction's stretch in `connections` and in `addresses`."""
+    """The index, in `connections` and in `addresses`, of the transaction's plain stretch."""
     has_addresses: Bools
-    """True if the transaction's packets have the same MAC addresses as those in `addresses`."""
+    """True if the link layer headers of the transaction's packets equal those of the first
+    transaction in its stretch, so that `addresses` holds for it, too."""
     request_ip_at: Int64s
-    """The length, in bytes, of the link layer header of the packet that completed the request."""
+    """The number of bytes before the IP header, in the packet that completed the request."""
     response_ip_at: Int64s
     request: Int64s
     """The index in the block of the packet that completed the request."""
     response: Int64s
     request_begin: Int64s
-    """The offset of the request's ADU in `data`."""
+    """The offset in `data` at which the request's ADU begins, in bytes."""
     request_size: Int64s
     response_begin: Int64s
     response_size: Int64s
@@ -64,7 +65,7 @@ class PlainRows:
 
 
 class _Lists(NamedTuple):
-    """The fields of TransactionArrays as lists of int, one element per transaction.
+    """Fields of TransactionArrays as lists of int, with one element per transaction.
 
     Reading single elements from a list is faster than from a numpy array.
     """
@@ -84,9 +85,8 @@ class _Lists(NamedTuple):
 
 
 class TransactionArrays:
-    """Arrays and lists of the fields of all transactions in the plain stretches of a block.
-
-    A plain stretch is a series of polls of one connection in order and without a gap.
+    """Holds the fields of all transactions in the plain stretches of a block, each field as an
+    array, and some as a list, too.
     """
 
     def __init__(self, stretches: Stretches, segments: Segments) -> None:
@@ -96,8 +96,8 @@ class TransactionArrays:
         self._data = stretches.data
         self._octets = stretches.data.data  # Small slices are faster on a memoryview.
         self.first_place, self._request_place = found.request_first, found.request
-        """For each transaction, the index in `Stretches.order` of the first and of the last segment
-        of its request."""
+        """For each transaction, the index in `Stretches.order` of its request's first segment, and
+        that of its request's last segment."""
         self.response_place = found.response
         requests, responses = order[found.request], order[found.response]
         self.first_packet = segments.index[order[found.request_first]]
@@ -123,18 +123,18 @@ class TransactionArrays:
         )
 
     def packets(self, at: int, until: int, end: int) -> Int64s:
-        """Return the indices in `Segments` of the segments of the transactions `at` to `until`
-        (exclusive).
+        """Return the indices in `Segments` of the segments of the transactions with the indices
+        `at` to `until` (exclusive).
 
-        Segments between the last one and the next transaction count too, unless `until` is `end`,
-        the end of the stretch.
+        `end` is the index behind the last transaction of the stretch. If `until` is smaller,
+        further segments before the transaction `until`, such as acknowledgements, are returned too.
         """
         stop = self.response_place[at] + 1 if until == end else self.first_place[until]
         return self._order[self.first_place[at] : stop]
 
     def stretch(self, at: int, end: int) -> PlainStretch:
-        """Return the transactions `at` to `end` (exclusive) as a PlainStretch, by which the Decoder
-        learns of them.
+        """Return what the Decoder must learn from the transactions with the indices `at` to `end`
+        (exclusive).
         """
         some, last, lists = slice(at, end), end - 1, self._lists
         first_place = lists.first_place[at]
@@ -170,10 +170,11 @@ class TransactionArrays:
         return self._octets[begin : begin + size].tobytes()
 
     def _tail(self, begins: list[int], sizes: list[int], at: int, end: int) -> bytes:
-        """Return the last RECENT_BYTES bytes of the ADUs `at` to `end` (exclusive), or all if
-        fewer.
+        """Return the last RECENT_BYTES bytes of the ADUs with the indices `at` to `end`
+        (exclusive); all their bytes if they have fewer.
 
-        The reassembler compares retransmissions with them.
+        ADU i has `sizes[i]` bytes from the offset `begins[i]` on. The reassembler compares
+        retransmissions with the returned bytes.
         """
         adus: list[bytes] = []
         room = RECENT_BYTES
@@ -185,8 +186,10 @@ class TransactionArrays:
 
     @staticmethod
     def _link_headers(block: PacketBlock, packets: Int64s, ip_at: Int64s) -> Octets:
-        """Return a row of 32 bytes per packet: its link layer header, padded with zeros, and in the
-        last byte the header's length. Equal rows mean equal headers.
+        """Return a row of 32 bytes for each packet with an index in `packets`.
+
+        A row has the packet's link layer header, zeros behind it, and in the last byte the header's
+        length, which `ip_at` gives. So two rows are equal if the headers are equal.
         """
         headers = gather(block.data, block.starts[packets], _LINK_HEADER).view(np.uint8)
         headers = headers.reshape(len(packets), _LINK_HEADER.itemsize)
@@ -199,10 +202,11 @@ class TransactionArrays:
         return headers
 
     def rows(self, block: PacketBlock, taken: list[tuple[int, int, Connection]]) -> PlainRows:
-        """Return the transactions of the given stretches, in the order of their responses.
+        """Return the transactions of the plain stretches in `taken`, in the order of their
+        responses.
 
-        A stretch is a series of polls of one connection. Each item of `taken` has the index of a
-        stretch's first transaction, the index behind its last one, and its connection.
+        Each item of `taken` has the index of a stretch's first transaction, the index behind its
+        last one, and its connection.
         """
         firsts = np.array([first for first, _, _ in taken])
         sizes = np.array([end - first for first, end, _ in taken])
@@ -241,9 +245,10 @@ class TransactionArrays:
     def _addresses(
         self, block: PacketBlock, firsts: Int64s, requests: Octets, responses: Octets
     ) -> list[tuple[LinkAddresses | None, LinkAddresses | None]]:
-        """Return the MAC addresses of request and response of the transactions `firsts`.
+        """Return the MAC addresses and VLAN in the packets of request and response, for each of the
+        transactions with the indices `firsts`.
 
-        `requests` and `responses` are the rows of `_link_headers` of the same transactions.
+        `requests` and `responses` are the rows that `_link_headers` gives for these transactions.
         """
         both = np.ascontiguousarray(np.concatenate([requests, responses], axis=1))
         _, some, like = np.unique(
@@ -260,15 +265,16 @@ class TransactionArrays:
 
 
 def _are_equal(headers: Octets, first: Int64s, second: Int64s) -> Bools:
-    """True where the rows `first` and `second` of `headers` are equal."""
+    """Return for each i True if the rows `first[i]` and `second[i]` of `headers` are equal."""
     words = headers.view(np.uint64)  # Compared as 8-byte words: much faster.
     is_equal: Bools = (words[first] == words[second]).all(axis=1)
     return is_equal
 
 
 def link_addresses_of(block: PacketBlock, packet: int, ip_at: int) -> LinkAddresses | None:
-    """Return the MAC addresses and VLAN of a packet of the block, whose link layer header has
-    `ip_at` bytes; None if it has none.
+    """Return the MAC addresses and VLAN of the packet with the index `packet` in the block.
+
+    `ip_at` is the length of its link layer header in bytes. None if the header has no MAC address.
     """
     start = int(block.starts[packet])
     _, link_type = block.links[0 if block.interfaces is None else block.interfaces[packet]]

@@ -1,11 +1,12 @@
-"""Makes a pyarrow table from transactions that were read from arrays."""
+"""Makes a pyarrow table of the transactions that were read from arrays."""
 
-# The columns of common reads and writes (usual_rows.py) are computed from the arrays. Every other
-# row is made a transaction object first, as the decoder makes it (plain_transactions.py).
+# The table has a row per transaction. The columns of common reads and writes (usual_rows.py) are
+# computed from the arrays. Of every other transaction an object is made first, equal to the
+# Decoder's (plain_transactions.py).
 #
 # The function's name, the reference and the findings of a common read or write depend only on its
 # function, address and quantity. So one transaction object is made for each combination of these
-# three, and all its rows take these fields from it.
+# three, and all rows with this combination take these fields from it.
 
 from __future__ import annotations
 
@@ -31,17 +32,19 @@ if TYPE_CHECKING:
 
 
 class PlainTables:
-    """Makes a table of the transactions in arrays of each block; no device profiles are used."""
+    """Makes a pyarrow table of those transactions of a block that were read from arrays. Uses no
+    device profiles.
+    """
 
     def __init__(self) -> None:
         self._namer = Namer()
         self._names: dict[int, NamedTransaction] = {}
-        """For each combination of function, address and quantity (as one number), a transaction
-        with its names and findings."""
+        """An example transaction for each combination of function, address and quantity; the key is
+        function << 32 | address << 16 | quantity."""
 
     def table(self, rows: PlainRows) -> tuple[pa.Table, list[NamedTransaction]]:
-        """Return a table of all rows, and separately those that are not common reads and writes as
-        objects.
+        """Return a table of all transactions in `rows`, and a list of those that are not common
+        reads or writes, of which objects had to be made.
         """
         usual = UsualValues(rows)
         chosen = np.flatnonzero(usual.is_usual)
@@ -114,8 +117,8 @@ class PlainTables:
     def _names_of(
         self, rows: PlainRows, usual: UsualValues, chosen: Int64s
     ) -> tuple[list[NamedTransaction], Int64s]:
-        """Return an example transaction for each combination of function, address and quantity, and
-        for each row the index of its example.
+        """Return an example transaction for each combination of function, address and quantity in
+        the rows with the indices `chosen`, and for each of these rows the index of its example.
         """
         keys = rows.code[chosen] << 32 | usual.address[chosen] << 16 | usual.quantity[chosen]
         kinds, first, like = np.unique(keys, return_index=True, return_inverse=True)
@@ -136,7 +139,7 @@ def _column(field: pa.Field, values: Any, count: int) -> pa.Array:
 
 
 def _words(texts: list[str], indices: Int64s, missing: Bools | None = None) -> pa.Array:
-    """Return a column of texts: each row has the text `texts[index]`, or null where `missing` is
+    """Return a column of texts. Row i has the text `texts[indices[i]]`, or null if `missing[i]` is
     True.
     """
     index = pa.array(
@@ -146,7 +149,7 @@ def _words(texts: list[str], indices: Int64s, missing: Bools | None = None) -> p
 
 
 def _words_or_none(texts: Sequence[str | None], indices: Int64s) -> pa.Array:
-    """Return a column of texts: each row has the text `texts[index]`, null if that is None."""
+    """Return a column of texts. Row i has `texts[indices[i]]`, which is null if it is None."""
     missing = np.array([text is None for text in texts], np.bool_)
     return _words([text or "" for text in texts], indices, missing[indices])
 

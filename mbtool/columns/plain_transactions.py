@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def plain_transaction(rows: PlainRows, index: int) -> Transaction:
-    """Return the transaction in row `index` of the arrays, as the Decoder would make it from
+    """Return the transaction with this index in the arrays, as the Decoder would make it from
     packets.
     """
     identity = rows.connections[rows.connection[index]]
@@ -54,8 +54,11 @@ def plain_transaction(rows: PlainRows, index: int) -> Transaction:
 def origin_fields(
     request: LinkAddresses | None, response: LinkAddresses | None
 ) -> tuple[str | None, str | None, int | None]:
-    """The MAC addresses of master and slave, and the VLAN number (None if there is none), from the
-    link layer addresses of request and response.
+    """Return the MAC address of the master, that of the slave, and the VLAN number; None for what
+    is unknown.
+
+    `request` and `response` are the addresses in the headers of the two packets; None if a header
+    has none.
     """
     fields: dict[str, Any] = {}
     add_origins(fields, Origin("", 0, request), Origin("", 0, response))
@@ -63,10 +66,11 @@ def origin_fields(
 
 
 class _Half(NamedTuple):
-    """Arrays with an element per transaction: of the requests, or of the responses.
+    """Fields of all requests, or of all responses, as arrays with an element per transaction.
 
-    Packet index in the block, length of the link layer header, offset and size of the ADU in the
-    data, time in UTC ns.
+    `packet` is the packet's index in the block, `ip_at` the length of its link layer header in
+    bytes. The ADU has `size` bytes from the offset `begin` on in the data; `ts_ns` is its time in
+    UTC ns.
     """
 
     packet: Int64s

@@ -1,14 +1,14 @@
-"""Groups transactions in arrays by poll, for the statistics and the inventory, without making an
-object of each.
+"""Groups equal polls among the transactions in arrays, for the statistics and the inventory,
+without making an object of each.
 """
 
-# Only the common reads and writes (usual_rows.py) are grouped. Rows are of one kind if they have
-# the same link, master address (without port), slave and MAC addresses, and PDUs with the same
-# unit, function, address, quantity and exception code. Only the first row of each kind is made a
-# transaction object with names, as the decoder makes it; it stands for all of its kind.
+# Only the common reads and writes (usual_rows.py) are grouped. Two transactions are of one kind if
+# they have the same link, master address (without port), slave and MAC addresses, and if their PDUs
+# have the same unit, function, address, quantity and exception code. Only the first transaction of
+# each kind is made an object with names, as the Decoder makes it. It stands for all of its kind.
 #
-# Memory: about MAX_KINDS such objects are kept between blocks; with more, all are forgotten and
-# made again when needed.
+# Memory: about MAX_KINDS such objects are kept between blocks. If there are more, all are forgotten
+# and made again when needed.
 
 from __future__ import annotations
 
@@ -35,7 +35,8 @@ if TYPE_CHECKING:
 
 MAX_KINDS = 65_536
 _SHORT = 24
-"""Fewer rows than this in a row are given as single transactions: that is faster than a group."""
+"""If fewer common reads and writes than this follow one another, they are given as single
+transactions, which is faster than as an AnsweredRun."""
 
 _Place = tuple[str, str, str, str | None, str | None]
 """Link name, IP address of the master, address and port of the slave, MAC address of the master,
@@ -43,7 +44,8 @@ MAC address of the slave (None if unknown)."""
 
 
 class PollRuns:
-    """Groups the common reads and writes of each block by poll (an AnsweredRun for rows in a row).
+    """Groups the common reads and writes of each block: consecutive ones become an AnsweredRun,
+    which counts equal polls together.
 
     For a capture that is decoded without device profiles.
     """
@@ -54,9 +56,11 @@ class PollRuns:
         self._kinds: dict[tuple[_Place, int], NamedTransaction] = {}
 
     def parts(self, decoded: DecodedBlock) -> Iterator[Record | AnsweredRun]:
-        """Yield the transactions and events of a block in order.
+        """Yield the transactions and events of a block in the order in which packets completed
+        them.
 
-        Common reads and writes that follow one another come as one AnsweredRun.
+        Consecutive common reads and writes come together as one AnsweredRun, if they are at least
+        _SHORT.
         """
         records = decoded.sorted_records(with_passed=True)
         self._sunspec.note(records)
@@ -83,9 +87,9 @@ class PollRuns:
 
     def _kinds_of(self, rows: PlainRows, usual: UsualRows) -> tuple[list[NamedTransaction], Int64s]:
         """Return an example transaction of each kind of poll in the block, and for each row the
-        index of its kind.
+        index of its kind among these examples.
 
-        The index is meaningless for rows that are not common reads or writes.
+        The index of a row that is no common read or write is meaningless.
         """
         if len(self._kinds) > MAX_KINDS:
             self._kinds.clear()
@@ -117,8 +121,10 @@ class PollRuns:
         begin: int,
         end: int,
     ) -> Iterator[AnsweredRun | NamedTransaction]:
-        """Yield the rows `begin` to `end` (exclusive) as one AnsweredRun, or as single transactions
-        if they are few.
+        """Yield the rows with the indices `begin` to `end` (exclusive), all of them common reads
+        and writes, as one AnsweredRun; as single transactions if they are fewer than _SHORT.
+
+        `likes` has an example of each kind of poll, `kind` the index of each row's kind in `likes`.
         """
         if begin == end:
             return
@@ -131,7 +137,7 @@ class PollRuns:
 
 
 def _places(rows: PlainRows) -> list[_Place]:
-    """For each connection in `rows.connections`, its link, IP and MAC addresses (see _Place)."""
+    """Return for each item of `rows.connections` its link, IP and MAC addresses (_Place)."""
     return [
         (one.link, one.master.host, str(one.slave), *origin_fields(*addresses)[:2])
         for one, addresses in zip(rows.connections, rows.addresses, strict=True)
@@ -141,10 +147,10 @@ def _places(rows: PlainRows) -> list[_Place]:
 def between(
     rows: PlainRows, is_usual: Bools, records: list[tuple[int, Record]]
 ) -> list[tuple[int, Record | None]]:
-    """Return the items between the rows for which `is_usual` is True, in order.
+    """Return, in order, what stands between the rows for which `is_usual` is True.
 
-    These are the Decoder's records, each with the index of the row that follows it, and the other
-    rows, each as its index and None.
+    An item has the index of a row and a record of the Decoder that was completed just before this
+    row. Or it has the index of a row for which `is_usual` is False, and None.
     """
     places = np.searchsorted(order_of(rows.response), [place for place, _ in records]).tolist()
     found: list[tuple[int, Record | None]] = [

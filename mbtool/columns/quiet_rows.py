@@ -1,10 +1,9 @@
-"""Finds, for `check`, transactions in arrays that break no rule, without making an object
-of each.
-"""
+"""Finds transactions in arrays that break no rule of `check`, without making an object of each."""
 
-# A row of the arrays is quiet if it is one of the common reads (usual_rows.py), has the outcome OK,
-# has a function, address and quantity that give no finding, and shows no SunSpec models. Every
-# other row is made a transaction object, as the decoder makes it.
+# A row of the arrays is one transaction. It is quiet if it is one of the common reads
+# (usual_rows.py), has the outcome OK, has a function, address and quantity that give no finding,
+# and does not read holding registers of a SunSpec slave (sunspec_rows.py). Every other row is made
+# a transaction object, as the Decoder makes it.
 
 from __future__ import annotations
 
@@ -33,12 +32,13 @@ if TYPE_CHECKING:
 
 _READS = [*READ_BITS, *READ_REGISTERS - {0x17}]
 FEWEST = 64
-"""If fewer quiet rows than this follow one another, they are given as transaction objects: that is
-faster."""
+"""If fewer quiet rows than this follow one another, they are given as transaction objects, which is
+faster than as a QuietRows."""
 
 
 class QuietParts:
-    """Splits the transactions of each block into groups of reads without findings and single ones.
+    """Splits the transactions of each block into groups of consecutive reads without findings and
+    single transactions.
 
     For a capture that is decoded without device profiles.
     """
@@ -48,9 +48,11 @@ class QuietParts:
         self._sunspec = SunSpecRows()
 
     def parts(self, decoded: DecodedBlock) -> Iterator[Record | QuietRows]:
-        """Yield the transactions and events of a block in order.
+        """Yield the transactions and events of a block in the order in which packets completed
+        them.
 
-        Many reads without findings in a row come as one QuietRows.
+        Consecutive reads without findings come together as one QuietRows, if they are at least
+        FEWEST.
         """
         records = decoded.sorted_records(with_passed=True)
         self._sunspec.note(records)
@@ -72,8 +74,8 @@ class QuietParts:
 
 
 class _QuietBlock:
-    """The transactions of a block as arrays, grouped by poll and by connection for the rules of
-    `check`.
+    """The transactions of a block that were read from arrays. Each has the number of its poll and
+    that of its connection, by which the rules of `check` group them.
     """
 
     def __init__(self, rows: PlainRows, namer: Namer, sunspec: SunSpecRows) -> None:
@@ -96,8 +98,8 @@ class _QuietBlock:
         return self._namer.name(plain_transaction(self._rows, index))
 
     def some(self, begin: int, end: int) -> Iterator[QuietRows | NamedTransaction]:
-        """The rows `begin` to `end` (exclusive), all of them reads without findings: as one
-        QuietRows, or as single transactions if they are few.
+        """Yield the rows with the indices `begin` to `end` (exclusive), all of them reads without
+        findings, as one QuietRows; as single transactions if they are fewer than FEWEST.
         """
         if end - begin < FEWEST:
             yield from map(self.transaction, range(begin, end))
@@ -150,7 +152,9 @@ class _QuietBlock:
 
 
 class _BlockRows:
-    """Consecutive rows of a block, all of them reads without findings; a QuietRows."""
+    """Consecutive transactions of a block, all of them reads without findings. Implements
+    QuietRows.
+    """
 
     def __init__(self, block: _QuietBlock, begin: int, end: int) -> None:
         self._block = block
@@ -162,7 +166,7 @@ class _BlockRows:
 
     @property
     def row_count(self) -> int:
-        """The number of rows, which a progress bar adds up."""
+        """The number of transactions, for a progress bar."""
         return len(self)
 
     def run(self, begin: int) -> QuietRun:
@@ -174,17 +178,18 @@ class _BlockRows:
 
 
 def _numbers(values: Sequence[Hashable]) -> Int64s:
-    """Return a number for each value; equal values have equal numbers, counted from 0 in the order
-    of first appearance.
+    """Return a number for each value: equal values get equal numbers. Numbers count from 0 in the
+    order in which values first appear.
     """
     known = {value: number for number, value in enumerate(dict.fromkeys(values))}
     return np.array([known[value] for value in values], np.int64)
 
 
 def _alike(group: Numbers, begin: int, end: int) -> list[Int64s]:
-    """Split the rows `begin` to `end` (exclusive) into groups by their number in `group`.
+    """Group the rows with the indices `begin` to `end` (exclusive) that have equal numbers in
+    `group`.
 
-    Returns the row indices of each group; the groups are sorted by their last row.
+    Returns the indices of the rows of each group. The groups are sorted by their last rows.
     """
     some = group[begin:end]
     order = np.argsort(some, kind="stable")

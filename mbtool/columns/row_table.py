@@ -1,4 +1,6 @@
-"""Makes a pyarrow table from transaction objects, such as those that were not read from arrays."""
+"""Makes a pyarrow table from transaction objects, such as those that the Decoder made packet by
+packet.
+"""
 
 from __future__ import annotations
 
@@ -44,5 +46,7 @@ def _column(field: pa.Field, values: list[Any]) -> pa.Array:
 
 
 def whole_table(parts: Sequence[pa.Table]) -> pa.Table:
-    """Join tables with the columns of schema.py, in order; an empty table if there are none."""
+    """Join tables with the columns of schema.py, in the order given. No tables give an empty
+    one.
+    """
     return pa.concat_tables(parts) if parts else SCHEMA.empty_table()

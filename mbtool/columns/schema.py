@@ -9,7 +9,8 @@ import pyarrow as pa
 Table = pa.Table
 
 _WORD = pa.dictionary(pa.int32(), pa.string())
-"""A dictionary type, for columns of text with few different values."""
+"""The type of a column of text with few different values: each different text is stored once, and
+each row has its index."""
 _NUMBERS = pa.list_(pa.uint16())
 _POINT = pa.struct(
     [

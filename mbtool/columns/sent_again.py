@@ -1,9 +1,11 @@
-"""Finds TCP retransmissions that repeat delivered bytes, and so change nothing."""
+"""Finds TCP segments that only repeat bytes of an earlier segment, so that decoding can skip
+them.
+"""
 
-# Such a segment has the sequence number, acknowledgement number and bytes of an earlier one.
-# Between the two, no other segment of the connection has bytes, except one response if the repeated
-# segment is a request. So the first copy is in the same plain stretch (stretches.py), and the
-# second adds nothing.
+# Such a retransmission has the sequence number, acknowledgement number and bytes of an earlier
+# segment. Between the two, no other segment of the connection has bytes, except one response if the
+# repeated segment is a request. So both segments are in the same plain stretch (stretches.py), and
+# the second one adds nothing.
 #
 # A segment of one byte may be a keep-alive probe. The Decoder counts those, so they are not treated
 # as retransmissions here.
@@ -21,13 +23,15 @@ if TYPE_CHECKING:
     from mbtool.columns.headers import Segments
 
 _LONGEST = 512
-"""Longer payloads, in bytes, are not compared: the Decoder reads them."""
+"""TCP payloads of more bytes are not compared. Segments with such payloads go to the Decoder."""
 
 
 def is_sent_again(segments: Segments, order: Int64s, flows: Int64s, data: Octets) -> Bools:
-    """True for each segment in `order` that repeats the previous one, or a request just answered.
+    """Return for each segment in `order` True if it repeats the connection's previous segment with
+    bytes, or the request that this previous segment answers.
 
-    `flows` has the segments' flow numbers; all segments of a flow stand together.
+    `order` has indices in `Segments`, sorted by connection, then by time. `flows` has the flow
+    number of each segment in `order`.
     """
     found = np.zeros(len(order), np.bool_)
     places = np.flatnonzero(segments.size[order] > 1)
@@ -53,7 +57,9 @@ def is_sent_again(segments: Segments, order: Int64s, flows: Int64s, data: Octets
 
 
 def _are_equal(segments: Segments, first: Int64s, second: Int64s, data: Octets) -> Bools:
-    """True where two segments of equal size have the same bytes."""
+    """Return for each i True if the payloads of the segments `first[i]` and `second[i]`, which have
+    equal sizes, have the same bytes.
+    """
     if not len(first):
         return np.zeros(0, np.bool_)
     sizes = segments.size[first]

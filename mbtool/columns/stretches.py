@@ -1,13 +1,13 @@
-"""Finds polls in TCP segments as arrays: requests and responses that follow one another without
-loss or disorder.
+"""Finds the plain stretches of a block of packets: consecutive requests and responses of one
+connection, with no segment missing or out of order. Works on the arrays of `Segments`.
 """
 
 # A plain stretch is a series of request and response pairs of one connection, one Modbus/TCP ADU in
 # each segment, in order and without a gap (decode/plain_stretch.py has the exact rule). A segment
 # continues the previous one of its connection if its sequence number and its acknowledgement number
-# are exactly the next ones of both directions. This module looks at the segments only. The Decoder
-# alone knows if anything was still pending on the connection when a stretch begins, so it is asked
-# before a stretch is used.
+# are exactly the next ones of both directions. This module looks at the segments only. Only the
+# Decoder knows if a request or bytes were still pending on the connection when a stretch begins, so
+# the Decoder is asked before a stretch is used.
 #
 # A hidden packet is one whose headers this package cannot read as arrays, such as an IP fragment or
 # a tunnel (headers.py). It may belong to any connection, so every stretch ends before it.
@@ -48,9 +48,7 @@ _MBAP = np.dtype(
 @dataclass(slots=True)
 class PlainTransactions:
     """The transactions of all plain stretches in a block of packets, one stretch after the other.
-
-    A plain stretch is a series of polls of one connection in order and without a gap. Each array
-    has one element per transaction.
+    Each array has one element per transaction.
     """
 
     request_first: Int64s
@@ -60,7 +58,7 @@ class PlainTransactions:
     `request_first` only for a request in two segments."""
     response: Int64s
     request_begin: Int64s
-    """The offset of the request's ADU in `Stretches.data`."""
+    """The offset in `Stretches.data` at which the request's ADU begins, in bytes."""
     request_size: Int64s
     response_begin: Int64s
     response_size: Int64s
@@ -73,32 +71,31 @@ class PlainTransactions:
 
 @dataclass(slots=True)
 class Stretches:
-    """The plain stretches of a block of packets: series of polls of one connection without
-    a gap.
-    """
+    """The plain stretches of a block of packets, with their transactions and segments."""
 
     order: Int64s
-    """The indices of the block's segments in `Segments`, sorted by connection, then by time."""
+    """The index in `Segments` of each segment of the block. The indices are sorted by connection,
+    then by time."""
     flows: Int64s
     """For each segment in `order`, the number of its flow (pair of IP addresses and TCP ports)."""
     transactions: PlainTransactions
     bounds: Int64s
-    """For each stretch, the index of its first transaction in `transactions`; the last element is
-    the number of all transactions."""
+    """For each plain stretch, the index of its first transaction in the arrays of `transactions`;
+    then, as last element, the number of all transactions."""
     data: Octets
     """The bytes of all packets of the block, followed by copies of the requests that were joined
     from two segments."""
     sent_again: Int64s
-    """The indices in `order` of the segments that are retransmissions and add no bytes."""
+    """The places in `order` of the segments that are retransmissions and add no bytes."""
 
 
 @dataclass(slots=True)
 class _Payloads:
     """TCP payloads: each from one segment, or joined from the two segments of one request.
 
-    Each array has one element per payload. `first` and `last` are the indices of its first and last
-    segment in `Stretches.order`; `begin` is its offset in the data and `size` its length, both in
-    bytes.
+    Each array has one element per payload. `first` and `last` are the places of its first and last
+    segment in `Stretches.order`. The payload has `size` bytes from the offset `begin` on in the
+    data.
     """
 
     first: Int64s
@@ -108,12 +105,12 @@ class _Payloads:
     ts_ns: Int64s
     from_master: Bools
     run: Int64s
-    """The number of a series of segments without a gap; payloads with equal numbers belong to the
-    same series."""
+    """Payloads with the same number come from one series of segments, each of which continues the
+    segment before it, without a gap."""
 
 
 def find_stretches(headers: Headers, flows: Int64s, data: Octets) -> Stretches:
-    """Find the plain stretches: series of polls of one connection in order and without a gap.
+    """Find the plain stretches of a block of packets.
 
     `flows` has the flow number of each segment in `headers.segments`, and `data` the bytes of the
     block.
@@ -144,10 +141,12 @@ def find_stretches(headers: Headers, flows: Int64s, data: Octets) -> Stretches:
 
 
 def _follows(segments: Segments, order: Int64s, flows: Int64s, hidden: Int64s) -> Bools:
-    """True for each segment in `order` that continues the previous one of its connection.
+    """Return for each segment in `order` True if it continues the previous segment of its
+    connection.
 
-    Its sequence and acknowledgement numbers are the next ones, its time is not earlier, and no
-    hidden packet (one whose headers could not be read) lies between the two.
+    It does if its sequence and acknowledgement numbers are the next ones, its time is not earlier,
+    and no packet whose headers could not be read (its index is in `hidden`) lies between the two.
+    `order` has indices in `Segments`; `flows` has the flow number of each segment in `order`.
     """
     flags = segments.flags[order]
     is_usual = segments.is_plain[order] & ((flags == ACK) | (flags == ACK | _PSH)) & (flows >= 0)
@@ -175,7 +174,8 @@ def _follows(segments: Segments, order: Int64s, flows: Int64s, hidden: Int64s) -
 def _joined(payloads: _Payloads, data: Octets) -> tuple[_Payloads, Octets]:
     """Join the two payloads of each request that came in two segments.
 
-    Returns the payloads, a joined pair as one, and the data with the joined bytes appended.
+    Returns the payloads, with each joined pair as one payload, and the data with the bytes of the
+    joined pairs appended.
     """
     is_adu, _ = _whole_adus(payloads.begin, payloads.size, data)
     size = payloads.size
@@ -195,8 +195,8 @@ def _joined(payloads: _Payloads, data: Octets) -> tuple[_Payloads, Octets]:
     more = pieces(data, payloads.begin[halves], size[halves])
     data = np.concatenate([data[:-SPARE], more, np.zeros(SPARE, np.uint8)])
     is_adu, _ = _whole_adus(begins, sizes, data)
-    # If two joined requests would share a segment, only the earlier one is joined; the Decoder
-    # reads the later one packet by packet.
+    # Three payloads in a row may give two pairs that share the middle one. Then only the earlier
+    # pair is joined; the Decoder reads the later request packet by packet.
     is_adu[1:] &= ~(is_adu[:-1] & (first[1:] == first[:-1] + 1))
     first, sizes, begins = first[is_adu], sizes[is_adu], begins[is_adu]
     last, begin, size = payloads.last.copy(), payloads.begin.copy(), size.copy()
@@ -218,8 +218,10 @@ def _joined(payloads: _Payloads, data: Octets) -> tuple[_Payloads, Octets]:
 
 
 def _whole_adus(begin: Int64s, size: Int64s, data: Octets) -> tuple[Bools, npt.NDArray[np.void]]:
-    """Return True for each payload that is one whole Modbus/TCP ADU; and the MBAP header and
-    function code of every payload, valid or not.
+    """Return two arrays with an element per payload: True if the payload is one whole Modbus/TCP
+    ADU; its first 8 bytes as MBAP header and function code, even if they are none.
+
+    Payload i has `size[i]` bytes from the offset `begin[i]` on in `data`.
     """
     mbap = gather(data, begin, _MBAP)
     length = mbap["length"].astype(np.int64)
@@ -233,7 +235,7 @@ def _whole_adus(begin: Int64s, size: Int64s, data: Octets) -> tuple[Bools, npt.N
 
 
 def _pair(payloads: _Payloads, data: Octets) -> tuple[PlainTransactions, Int64s]:
-    """Pair each request with the response right behind it.
+    """Pair each request with the response in the next payload.
 
     Returns the transactions, and the index of the first transaction of each plain stretch.
     """

@@ -1,13 +1,13 @@
-"""Finds the transactions in arrays that may show the SunSpec models of a slave, for the
-inventory.
+"""Finds those transactions in arrays from which the inventory may learn which SunSpec models a
+slave has.
 """
 
 # A SunSpec slave has the mark "SunS" in two holding registers at the start of its map
 # (devices/sunspec_map.py). Once a response with the mark was seen, in the arrays or in a
-# transaction object, all reads of holding registers of that slave are found, in this block and
-# later ones. Each of them is then made a transaction object and examined.
+# transaction object, all reads of holding registers of that slave are found, in this block and in
+# later ones. Each of these reads is then made a transaction object and examined.
 #
-# Memory: at most MAX_SLAVES slaves are known; the reads of further ones are not found.
+# Memory: at most MAX_SLAVES slaves are remembered; the reads of further ones are not found.
 
 from __future__ import annotations
 
@@ -37,26 +37,28 @@ MAX_SLAVES = 1024
 _MARK = MARK[0] << 16 | MARK[1]
 _MARK_BYTES = _MARK.to_bytes(4)
 _VALUES = MBAP_BYTES + 2
-"""The offset, in bytes, of the first register in the ADU of a response to a read."""
+"""The offset, in bytes, at which the register values begin in the ADU of a response to a read."""
 _TWO_REGISTERS = np.dtype(">u4")
 
 
 class SunSpecRows:
-    """Finds reads of SunSpec slaves among the rows of each block of a capture; blocks must come in
-    order.
+    """Finds the reads of SunSpec slaves among the transactions in arrays.
+
+    The blocks of a capture must be given in order.
     """
 
     def __init__(self) -> None:
         self._slaves: set[tuple[str, str, int]] = set()
-        """Link name, address and unit of each slave that has shown the SunSpec mark."""
+        """Link name, HOST:PORT and unit of each slave that has shown the SunSpec mark."""
 
     @property
     def has_slaves(self) -> bool:
         return bool(self._slaves)
 
     def note(self, records: Iterable[tuple[int, Record]]) -> None:
-        """Remember the slaves that show the SunSpec mark in the next block's transaction
-        objects.
+        """Remember the slaves that show the SunSpec mark in the transactions among `records`.
+
+        `records` are the Decoder's records of the block that `find` is called with next.
         """
         for _, one in records:
             if isinstance(one, WireEvent) or one.function != READ_HOLDING:
@@ -68,8 +70,8 @@ class SunSpecRows:
                 self._slaves.add((one.link, slave, one.unit))
 
     def find(self, rows: PlainRows, usual: UsualRows) -> Bools:
-        """Return True for each row that reads holding registers of a slave known to have a SunSpec
-        map.
+        """Return for each row True if it reads holding registers of a slave that has shown the
+        SunSpec mark.
         """
         reads = usual.is_usual & (rows.code == READ_HOLDING) & (usual.exception < 0)
         for place in _with_mark(rows, usual, np.flatnonzero(reads)):
@@ -84,8 +86,10 @@ class SunSpecRows:
 
 
 class SunSpecReads:
-    """Makes the transactions of each block that may show SunSpec models; blocks must come
-    in order.
+    """Makes transaction objects of the reads of SunSpec slaves, whose responses may show SunSpec
+    models.
+
+    The blocks of a capture must be given in order.
     """
 
     def __init__(self) -> None:
@@ -93,8 +97,8 @@ class SunSpecReads:
         self._namer = Namer()
 
     def records(self, decoded: DecodedBlock) -> list[Record]:
-        """Return the Decoder's records of a block, and the rows that may show SunSpec models as
-        objects, in order.
+        """Return the Decoder's records of a block together with the reads of SunSpec slaves in its
+        arrays, in the order in which packets completed them.
         """
         records = decoded.sorted_records()
         self._rows.note(records)
@@ -109,8 +113,8 @@ class SunSpecReads:
 
 
 def _with_mark(rows: PlainRows, usual: UsualRows, places: Int64s) -> list[int]:
-    """Return the rows among `places` whose response has the SunSpec mark at an address where a map
-    may begin.
+    """Return those of the row indices `places` whose response has the SunSpec mark at an address
+    where a map may begin. These rows must be reads of holding registers.
     """
     found: list[int] = []
     for base in BASES:

@@ -14,7 +14,9 @@ if TYPE_CHECKING:
 
 @dataclass(slots=True)
 class TransactionCounts:
-    """The number of transactions by outcome, and how many are ambiguous (confidence below 0.8)."""
+    """The number of transactions by outcome, and the number of ambiguous ones (confidence below
+    0.8).
+    """
 
     outcomes: Counter[Outcome] = field(default_factory=Counter)
     ambiguous: int = 0

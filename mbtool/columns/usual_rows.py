@@ -2,10 +2,10 @@
 PDUs.
 """
 
-# Usual are functions 01 to 06, 0F and 10 (hex) whose request has the length and fields of its
-# function, and whose response fits it or is an exception response. The columns of these rows are
-# computed from arrays. A row with any other PDU is made a transaction object, as the decoder makes
-# it (plain_transactions.py).
+# A usual row is a transaction with one of the functions 01 to 06, 0F and 10 (hex). Its request has
+# the length and fields of the function; its response fits the request or is an exception response.
+# The table columns of these rows are computed from arrays. A row with any other PDU is made a
+# transaction object, as the Decoder makes it (plain_transactions.py).
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ _FOUR_BYTES = np.dtype([("address", ">u2"), ("quantity", ">u2")])
 _FIXED = 5
 """The size in bytes of a PDU that consists of function code, address, and a quantity or value."""
 COUNTED = 6
-"""The size in bytes of a request PDU to write several values, up to and including its byte
-count."""
+"""The number of bytes before the values in a request PDU that writes several values: function code,
+address, quantity and byte count."""
 
 
 class UsualRows:
@@ -86,7 +86,8 @@ class UsualRows:
         self.exception = np.where(is_exception, second, -1)
 
     def _is_padded(self, is_exception: Bools) -> Bools:
-        """True for each row whose last data byte has unused bits set.
+        """Return for each row True if a bit that carries no value is set in the last byte of its
+        coils or discrete inputs.
 
         Such a row gets a finding, so it must be made a transaction object.
         """

@@ -15,7 +15,7 @@ _PAIR = np.dtype(">u2")
 
 
 class ValueLists(NamedTuple):
-    """A list of numbers for each row, all lists joined in one array."""
+    """Holds a list of numbers for each row, with all lists joined in one array."""
 
     numbers: Words
     """The numbers of all rows, one row after the other."""
@@ -27,10 +27,13 @@ class ValueLists(NamedTuple):
 
 
 class UsualValues(UsualRows):
-    """Reads the register and bit values of the rows that UsualRows has found."""
+    """Reads the register and bit values of common reads and writes. A bit is the number 0 or 1."""
 
     def request_values(self, chosen: Int64s) -> ValueLists:
-        """Return the values that the requests of the rows `chosen` write; no list for reads."""
+        """Return the values that the requests of the rows with the indices `chosen` write.
+
+        The list of a read is marked as missing.
+        """
         code, value = self._code[chosen], self._value[chosen]
         words, bits = self._writes_words[chosen], self._writes_bits[chosen]
         single = np.isin(code, [WRITE_COIL, *WRITE_WORD])
@@ -45,8 +48,9 @@ class UsualValues(UsualRows):
         return ValueLists(*values, ~(words | bits))
 
     def response_values(self, chosen: Int64s) -> ValueLists:
-        """Return the values in the responses of the rows `chosen`; no list for writes and
-        exceptions.
+        """Return the values in the responses of the rows with the indices `chosen`.
+
+        The list of a write or of an exception response is marked as missing.
         """
         is_ok = self.exception[chosen] < 0
         words, bits = self._reads_words[chosen] & is_ok, self._reads_bits[chosen] & is_ok
@@ -56,10 +60,11 @@ class UsualValues(UsualRows):
     def _values(
         self, begin: Int64s, counts: Int64s, words: Bools, bits: Bools
     ) -> tuple[Words, Int64s]:
-        """Return the values of all rows in one array, and the index where each row begins.
+        """Return the values of all rows joined in one array, and the index in it where each row
+        begins.
 
-        `begin` is the offset of each row's first value in the data, `counts` how many values it
-        has; `words` is True for registers, `bits` for bits.
+        Each row has `counts` values from the offset `begin` in the data on. They are registers if
+        `words` is True and bits if `bits` is True; if both are False, the row has no values.
         """
         counts = np.where(words | bits, counts, 0)
         offsets = np.concatenate([[0], np.cumsum(counts)])

@@ -2,9 +2,9 @@
 
 # Such a connection has, in order and without a gap: SYN, SYN with ACK, an ACK, transactions that
 # form one plain stretch (stretches.py), a FIN of each end, and acknowledgements. Its first request
-# has the exact length of its function's requests, so the Decoder would recognise Modbus/TCP at
-# once. So its events and transactions are the same whatever the Decoder knows, provided that no
-# other connection between the same ends is open.
+# has the exact length of its function's requests, so the Decoder would recognise Modbus/TCP at the
+# first request. Nothing that the Decoder knows from before can then change the connection's events
+# and transactions, provided that no other connection between the same ends is open.
 #
 # All segments between the same two ends in the block must belong to such connections, and none may
 # be a retransmission.
@@ -31,8 +31,8 @@ _FIXED_CODES = (1, 2, 3, 4, 5, 6)
 """Functions whose requests have a function code, an address, and a quantity or value."""
 _FIXED = MBAP_BYTES + 5
 _COUNTED = MBAP_BYTES + 6
-"""The size in bytes of a request ADU to write several values, up to and including its byte count;
-the values follow."""
+"""The number of bytes before the values in a request ADU that writes several values, from the MBAP
+header to the byte count."""
 _COUNTED_CODES = tuple(WRITE_SEVERAL)
 
 
@@ -46,7 +46,8 @@ class WholeConnections:
     flow: Int64s
     """The number of the connection's flow: its pair of IP addresses and TCP ports."""
     stretch: Int64s
-    """The index in `Stretches` of its only stretch, the series of all its transactions."""
+    """The index, among the block's plain stretches, of its only one, which has all its
+    transactions."""
     opening: Int64s
     """The index in `Segments` of its SYN."""
     answering: Int64s
@@ -62,7 +63,9 @@ class WholeConnections:
         return len(self.flow)
 
     def only(self, wanted: Bools | Int64s) -> WholeConnections:
-        """Return the connections for which `wanted` is True, or those at the indices in it."""
+        """Return some of the connections: those with True in `wanted`, or those whose indices it
+        has.
+        """
         return WholeConnections(
             *(getattr(self, name)[wanted] for name in WholeConnections.__slots__)
         )
@@ -71,7 +74,7 @@ class WholeConnections:
 def find_whole(segments: Segments, stretches: Stretches) -> WholeConnections:
     """Find the connections that lie in the block from SYN to FIN and have nothing unusual.
 
-    `stretches` are those of the same segments.
+    `stretches` are the plain stretches of the same block as `segments`.
     """
     if len(stretches.bounds) == 1 or not (segments.flags & SYN).any():
         return WholeConnections(*(np.zeros(0, np.int64) for _ in WholeConnections.__slots__))
@@ -117,11 +120,11 @@ def find_whole(segments: Segments, stretches: Stretches) -> WholeConnections:
 
 
 def _is_in_order(segments: Segments, order: Int64s, group: Int64s, begins: Int64s) -> Bools:
-    """True for each segment in `order` that is in order and has the flags expected at its position
-    in a connection from SYN to FIN.
+    """Return for each segment in `order` True if it is in order and has the flags that are expected
+    at its position in a connection from SYN to FIN.
 
-    `group` has the number of each segment's connection, and `begins` the index of each connection's
-    first segment.
+    `order` has indices in `Segments`. `group` has the number of each segment's connection, and
+    `begins` the place in `order` of each connection's first segment.
     """
     flags, size = segments.flags[order], segments.size[order]
     sequence, acknowledged = segments.sequence[order], segments.acknowledged[order]
@@ -148,10 +151,10 @@ def _is_in_order(segments: Segments, order: Int64s, group: Int64s, begins: Int64
 
 
 def _only_stretch(stretches: Stretches, group: Int64s, count: int) -> tuple[Int64s, Bools]:
-    """For each of `count` connections, return the index of its stretch, and True if it has exactly
-    one.
+    """Return for each of the `count` connections the index of its plain stretch, and True if it has
+    exactly one.
 
-    `group` has the number of the connection of each segment.
+    `group` has the number of the connection of each segment in `Stretches.order`.
     """
     bounds = stretches.bounds
     where = group[stretches.transactions.request_first[bounds[:-1]]]
@@ -161,8 +164,8 @@ def _only_stretch(stretches: Stretches, group: Int64s, count: int) -> tuple[Int6
 
 
 def _has_known_length(stretches: Stretches) -> Bools:
-    """True for each transaction whose request has exactly the length that its function code and
-    byte count tell.
+    """Return for each transaction True if its request has exactly the length that its function code
+    and, if it has one, its byte count demand.
     """
     found = stretches.transactions
     count = stretches.data[found.request_begin + _COUNTED - 1]
