@@ -17,17 +17,17 @@ P = TypeVar("P", bound="Hashable")
 
 @dataclass(slots=True)
 class AlikeRequests:
-    """Requests of one batch that are equal except for their times, transaction ids, values, packets
-    and the TCP port of the master.
+    """A group of requests of one batch that are equal except for their times, transaction ids,
+    values, packets and the TCP port of the master.
     """
 
     like: NamedTransaction
     """One of these transactions as an example; it may come from an earlier batch."""
     count: int
     begin_ns: int
-    """The time of the first request, in UTC ns."""
+    """The time (UTC ns) of the earliest request of the group."""
     end_ns: int
-    """The time of the last response, in UTC ns."""
+    """The time (UTC ns) of the latest response of the group."""
     latencies: list[int]
     """The latency of each request in ns, in the order of the responses."""
 
@@ -36,14 +36,15 @@ class AlikeRequests:
 class AnsweredRun:
     """A batch of TCP transactions, in the order of their responses.
 
-    Each transaction has the outcome OK or EXCEPTION, no retries, and a response time that is not
-    before its request time. Each list except `kinds` has one element for each transaction.
+    Each transaction has the outcome OK or EXCEPTION and no retries, and its response does not come
+    before its request. `kind`, `request_ns` and `response_ns` have one element for each
+    transaction.
     """
 
     kinds: list[AlikeRequests]
     """The groups of equal requests, in the order in which they first appear."""
     kind: list[int]
-    """The index in `kinds` of the group that the transaction belongs to."""
+    """For each transaction, the index in `kinds` of its group."""
     request_ns: list[int]
     response_ns: list[int]
 
@@ -52,13 +53,14 @@ class AnsweredRun:
 
     @property
     def row_count(self) -> int:
-        """The number of its transactions, for a progress bar."""
+        """The number of transactions in the batch, for a progress bar."""
         return len(self.kind)
 
     def latencies_of(self, polls: Sequence[P]) -> dict[P, list[int]]:
-        """Return for each poll its latencies (ns) in the order of the responses.
+        """Return for each poll the latencies (ns) of its requests, in the order of the responses.
 
-        `polls[i]` is the poll that the requests of the group `kinds[i]` belong to.
+        `polls[i]` is the poll that the group `kinds[i]` belongs to; several groups may have the
+        same poll.
         """
         found: dict[P, list[int]] = {poll: [] for poll in polls}
         if len(found) == len(polls):
@@ -71,9 +73,11 @@ class AnsweredRun:
         return zip(self.kind, self.request_ns, self.response_ns, strict=True)
 
     def transactions(self) -> Iterator[NamedTransaction]:
-        """Yield each transaction: the example of its group, with times and latency of its own.
+        """Yield the transactions one by one: each is its group's example, with times and latency of
+        its own.
 
-        Values, transaction id and packets are those of the example, not those of the transaction.
+        Values, transaction id and packets are those of the example, as the batch does not keep them
+        for each transaction.
         """
         for kind, begin_ns, end_ns in self._each():
             yield msgspec.structs.replace(

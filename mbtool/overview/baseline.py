@@ -38,7 +38,7 @@ _UNANSWERED = (Role.SILENT, Role.UNHEARD)
 
 
 class ChangeKind(StrEnum):
-    """The kinds of changes from an older inventory."""
+    """The kinds of changes between an older and a newer inventory, in the order of a report."""
 
     HOST = "new host"
     UNIT = "new unit"
@@ -52,7 +52,7 @@ class ChangeKind(StrEnum):
 
 
 class InventoryChange(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """One difference from the older inventory."""
+    """One change between an older and a newer inventory."""
 
     kind: ChangeKind
     host: str
@@ -60,7 +60,8 @@ class InventoryChange(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=T
     unit: int | None = None
     text: str
     first_ns: int | None = None
-    """When the unit or host was first seen in the newer capture, in UTC ns; None if it was not."""
+    """When the newer capture first shows the unit, host or master of this change, in UTC ns; None
+    if it does not."""
 
     @property
     def where(self) -> str:
@@ -90,8 +91,10 @@ def _key(row: SlaveRow) -> tuple[str, int | None, int]:
 
 
 def _with_line_of(old: InventoryDocument, new: InventoryDocument) -> InventoryDocument:
-    """Return the older inventory. If each inventory has exactly one serial line, the line of the
-    older one is renamed to the name in the newer one, so that their units are compared.
+    """Return the older inventory, made comparable with the newer one.
+
+    If each of the two has exactly one serial line, the older line gets the name of the newer one,
+    so that their units are compared.
     """
     old_lines = {row.host for row in old.slaves if row.port is None}
     new_lines = {row.host for row in new.slaves if row.port is None}
@@ -109,7 +112,11 @@ def _new_places(
     known: dict[tuple[str, int | None, int], SlaveRow],
     old_hosts: set[tuple[str, int | None]],
 ) -> Iterator[InventoryChange]:
-    """Yield a change for each host and each unit that the older inventory does not have."""
+    """Yield a change for each host and each unit that only the newer inventory has.
+
+    `known` has the older inventory's units by host, port and unit number; `old_hosts` has its pairs
+    of host and port.
+    """
     places: dict[tuple[str, int | None], list[SlaveRow]] = {}
     scanned: dict[tuple[str | None, ChangeKind], list[SlaveRow]] = {}
     for row in new.slaves:
@@ -160,7 +167,11 @@ def _asked_by(rows: Iterable[SlaveRow]) -> str:
 
 
 def _of_unit(before: SlaveRow, row: SlaveRow, old_masters: set[str]) -> Iterator[InventoryChange]:
-    """Yield the changes of one unit that both inventories have."""
+    """Yield the changes of one unit that both inventories have.
+
+    `before` is its row in the older inventory, `row` that in the newer one. `old_masters` are the
+    hosts of all masters in the older inventory.
+    """
 
     def change(kind: ChangeKind, text: str) -> InventoryChange:
         return InventoryChange(
@@ -194,8 +205,9 @@ def _of_unit(before: SlaveRow, row: SlaveRow, old_masters: set[str]) -> Iterator
 
 
 def _what(row: SlaveRow, master: str, kind: ChangeKind) -> str:
-    """A text on the functions and addresses that a new master requests; for a new writer, only
-    those that it writes.
+    """Return a text with the functions and addresses that a new master requests from a unit.
+
+    If `kind` is WRITER, the text has only the functions that write.
     """
     is_writer = kind is ChangeKind.WRITER
     uses = [use for use in row.uses if use.master == master and (use.writes or not is_writer)]

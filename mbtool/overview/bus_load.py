@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LineTime:
-    """For how long (ns) a serial line carried characters, waited for responses that came, and
-    waited in vain for missing ones.
+    """How a part of a serial line's time (ns) was spent: on characters, on waiting for responses
+    that came, and on waiting in vain for missing ones.
     """
 
     characters_ns: int
@@ -39,7 +39,9 @@ class LineTime:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BusLoad:
-    """How the time during which a serial line was watched divides into its states."""
+    """How the time during which a serial line was watched divides into characters, latencies,
+    missing responses and pauses.
+    """
 
     watched_ns: int
     spent: LineTime
@@ -52,7 +54,7 @@ class BusLoad:
 
     @property
     def busy_share(self) -> float:
-        """The share (0 to 1) of the time in which there were characters on the line."""
+        """The share (0 to 1) of the watched time in which characters were on the line."""
         return self.share(self.spent.characters_ns + self.other_ns)
 
     @property
@@ -61,7 +63,7 @@ class BusLoad:
 
 
 def line_time(tally: RequestTally, link: LinkStatistics, timeout_ns: int) -> LineTime:
-    """Return for how long the counted transactions occupied the line.
+    """Return how much time of a serial line the transactions counted in `tally` took.
 
     `timeout_ns` is how long the master waits for a missing response, in ns.
     """
@@ -73,7 +75,7 @@ def line_time(tally: RequestTally, link: LinkStatistics, timeout_ns: int) -> Lin
 
 
 def bus_load(tally: RequestTally, link: LinkStatistics, timeout_ns: int) -> BusLoad | None:
-    """Return how the time of a line was spent on all its transactions, counted in `tally`.
+    """Return how the time of a serial line was spent; `tally` counts all its transactions.
 
     None if the baud rate or the times of the bytes are unknown, or if the line's settings changed.
     `timeout_ns` is how long the master waits for a missing response, in ns.

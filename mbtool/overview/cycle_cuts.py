@@ -22,26 +22,28 @@ MIN_REQUESTS = 6
 """All repetitions of a poll cycle together must have at least this many requests. So one request
 that was sent three times is no cycle."""
 _TRANSITIONS = 64
-"""At most this many transitions (from one poll to the next) are tried as the beginning of a cycle,
-the most frequent first. If a cycle has more steps, all its transitions are equally frequent, so any
-of them gives the cycle."""
+"""At most this many transitions (pairs of polls that follow each other) are tried as the beginning
+of a cycle, the most frequent first. In a cycle with more steps than that, all transitions are
+equally frequent, so that any of them gives the cycle."""
 _SAME_PACE = 0.25
-"""The pauses in a cycle count as equal if they differ by at most this share of the mean time from
-one request to the next."""
+"""The pauses before the steps of a cycle count as equal if the longest and the shortest differ by
+at most this share of the mean time from one request to the next."""
 _TIED = 0.02
-"""Two ways to cut requests into cycles are equally good if the shares (0 to 1) of the requests
-that are in equal cycles differ by at most this."""
+"""Two ways to cut requests into cycles count as equally good if their shares (0 to 1) of requests
+in equal cycles differ by at most this. Then the cycle with fewer steps is taken."""
 
 
 class PollStart(NamedTuple, Generic[P]):
-    """A request, together with its retries: from its first attempt to the end of its last one."""
+    """A request together with its retries, which lasts from the beginning of the first attempt to
+    the end of the last one.
+    """
 
     poll: P
     begin_ns: int
     end_ns: int
     is_missing: bool
-    """True if the first attempt got no answer. If the last attempt got none, `end_ns` is the time
-    when the master stopped waiting."""
+    """True if the first attempt got no answer. If the last attempt got none either, `end_ns` is the
+    time when the master stopped waiting."""
 
 
 class CutCycles(NamedTuple, Generic[P]):
@@ -49,21 +51,23 @@ class CutCycles(NamedTuple, Generic[P]):
 
     starts: Sequence[PollStart[P]]
     cuts: Sequence[int]
-    """The indices in `starts` at which cycles begin, and last the length of `starts`."""
+    """The indices in `starts` of the first request of each cycle; the last element is the length of
+    `starts`."""
     usual: tuple[P, ...]
     share: float
-    """The share (0 to 1) of the requests that are in cycles equal to `usual`, the most frequent
-    sequence of polls."""
+    """The share (0 to 1) of all requests that are in cycles whose polls are exactly `usual`."""
 
     def pieces(self) -> list[Sequence[PollStart[P]]]:
-        """The requests of each cycle whose polls are exactly `usual`, in order."""
+        """The requests of each cycle whose polls are exactly `usual`, cycle by cycle."""
         found = (self.starts[begin:end] for begin, end in pairwise(self.cuts))
         return [one for one in found if tuple(start.poll for start in one) == self.usual]
 
 
 def usual_cycles(starts: Sequence[PollStart[P]]) -> CutCycles[P] | None:
-    """Cut requests into cycles at the transition from one poll to the next that puts the most
-    requests into equal cycles. Returns None if there is no cycle.
+    """Cut requests into cycles, so that as many requests as possible are in equal cycles.
+
+    The cuts are at one transition, which means wherever a certain poll follows a certain other
+    poll. Returns None if no sequence repeats often enough to be a cycle.
     """
     places: defaultdict[tuple[P, P], list[int]] = defaultdict(list)
     for at, (before, start) in enumerate(pairwise(starts), 1):
@@ -83,9 +87,10 @@ def usual_cycles(starts: Sequence[PollStart[P]]) -> CutCycles[P] | None:
 
 
 def _cut(starts: Sequence[PollStart[P]], first: P, places: list[int]) -> CutCycles[P] | None:
-    """Cut the requests before each index of `places`; each cycle then begins with the poll `first`.
+    """Cut requests into cycles before each index in `places`; each cycle then begins with the poll
+    `first`.
 
-    Returns None if no sequence repeats often enough to count as a cycle.
+    Returns None if no sequence of polls repeats often enough to be a cycle.
     """
     cuts = [*places, len(starts)]
     if starts[0].poll == first:
@@ -95,7 +100,8 @@ def _cut(starts: Sequence[PollStart[P]], first: P, places: list[int]) -> CutCycl
     usual, count = max(pieces.items(), key=lambda one: (one[1] * len(one[0]), one[1]))
     if count < MIN_CYCLES or count * len(usual) < MIN_REQUESTS:
         return None
-    # Requests before the first cut, and after the last one, count if they are a part of a cycle.
+    # The requests before the first cut, and those after the last one, are added to the share if they
+    # are a part of the usual cycle.
     head = cuts[0] if tuple(polls[: cuts[0]]) == usual[-cuts[0] :] else 0
     last = tuple(polls[cuts[-2] :])
     tail = len(last) if len(last) < len(usual) and last == usual[: len(last)] else 0
@@ -103,9 +109,11 @@ def _cut(starts: Sequence[PollStart[P]], first: P, places: list[int]) -> CutCycl
 
 
 def _well_begun(cycles: CutCycles[P], places: Mapping[tuple[P, P], list[int]]) -> CutCycles[P]:
-    """Cut the same cycles so that each begins after its longest pause.
+    """Return the same cycles, but cut so that each begins after its longest pause.
 
-    If all pauses are about equal, each cycle begins with the first request of the sequence.
+    If all pauses are about equal, each cycle begins with the poll of the very first request.
+    `places` has the indices of all requests by transition: the poll before and the request's own
+    poll.
     """
     usual, pauses = cycles.usual, step_pauses(cycles)
     first = pauses.index(max(pauses))
@@ -123,29 +131,31 @@ def _step_ns(cycles: CutCycles[P]) -> float:
 
 
 def step_pauses(cycles: CutCycles[P]) -> list[float]:
-    """For each step of the usual cycle, the median pause (ns) between the end of the previous
-    transaction and its request.
+    """For each step of the usual cycle, the median pause (ns) between the end of the transaction
+    before it and the beginning of its request.
     """
     pauses = [after.begin_ns - before.end_ns for before, after in pairwise(cycles.starts)]
     usual = [begin for (begin, _), is_usual in _marked(cycles) if is_usual]
     found = []
     for step in range(len(cycles.usual)):
-        # The first request of the capture has no known pause before it.
+        # The pause before the first request of the capture is unknown.
         known = [pauses[begin + step - 1] for begin in usual if begin + step]
         found.append(median(known) if known else 0.0)
     return found
 
 
 def _marked(cycles: CutCycles[P]) -> list[tuple[tuple[int, int], bool]]:
-    """For each cycle: its first index and the index after its last one in `cycles.starts`, and True
-    if its polls are exactly those of the usual cycle.
+    """For each cycle, a pair: the indices in `cycles.starts` at which it begins and ends (the end
+    not included), and True if its polls are exactly those of the usual cycle.
     """
     polls, usual = [one.poll for one in cycles.starts], [*cycles.usual]
     return [((begin, end), polls[begin:end] == usual) for begin, end in pairwise(cycles.cuts)]
 
 
 def has_one_pace(cycles: CutCycles[P]) -> bool:
-    """True if all pauses in the usual cycle are about equal, so that no timer starts the cycles."""
+    """True if the pauses before all steps of the usual cycle are about equal. Then no timer starts
+    the cycles; the master polls without a pause.
+    """
     return _is_one_pace(step_pauses(cycles), cycles)
 
 
@@ -154,9 +164,11 @@ def _is_one_pace(pauses: Sequence[float], cycles: CutCycles[P]) -> bool:
 
 
 def cycle_times(cycles: CutCycles[P]) -> tuple[list[int], list[int]]:
-    """The durations (ns) of the usual cycles, from one cycle's begin to the next one's.
+    """The durations (ns) of the cycles that are exactly the usual one, from the beginning of the
+    cycle to that of the next.
 
-    Returns two lists: of the cycles in which no answer is missing, and of those in which one is.
+    Returns two lists: the durations of the cycles in which no answer is missing, and of those in
+    which at least one is.
     """
     whole: list[int] = []
     missing: list[int] = []
@@ -169,7 +181,7 @@ def cycle_times(cycles: CutCycles[P]) -> tuple[list[int], list[int]]:
 
 
 def number_of_other_cycles(cycles: CutCycles[P]) -> int:
-    """The number of cycles that differ from the usual one. The last cycle is not counted, as the
+    """The number of cycles that are not exactly the usual one. The last cycle is left out, as the
     capture may end before the cycle does.
     """
     return sum(not is_usual for _, is_usual in _marked(cycles)[:-1])

@@ -41,7 +41,8 @@ class Distribution:
     def __init__(self, limit: int = MAX_BUCKETS) -> None:
         self._limit = limit
         self._buckets: dict[int, int] = {}
-        """The number of durations in each bucket, by the least duration (ns) of the bucket."""
+        """The number of durations in each bucket; the key is the least duration (ns) that the
+        bucket can hold."""
         self.bits = _EXACT_BITS
         self.count = 0
         self.total = 0
@@ -62,7 +63,9 @@ class Distribution:
         self._put(ns, 1)
 
     def add_all(self, durations: Sequence[int]) -> None:
-        """Add several durations (ns), none of them negative; the result is as if added in turn."""
+        """Add several durations (ns), none of them negative. The result is the same as if `add` was
+        called for each.
+        """
         if not durations:
             return
         least, greatest = min(durations), max(durations)
@@ -100,11 +103,13 @@ class Distribution:
 
     @property
     def error(self) -> float:
-        """The largest relative error of a percentile, 0 to 1; 0 if percentiles are exact."""
+        """The largest relative error of a percentile, such as 0.01 for 1 %; 0 if percentiles are
+        exact.
+        """
         return 0.0 if self.bits == _EXACT_BITS else 0.5**self.bits
 
     def percentile(self, percent: float) -> int:
-        """Return the duration (ns) that `percent` of all durations do not exceed (nearest rank).
+        """Return a duration (ns) that `percent` % of all durations do not exceed (nearest rank).
 
         `percent` is above 0 and at most 100. Returns 0 if there are no durations.
         """
@@ -120,7 +125,7 @@ class Distribution:
     def histogram(self) -> list[Bucket]:
         """Count the durations in steps that begin at 0, 1, 2, 5, 10, 20 us and so on.
 
-        Empty steps at both ends are left out.
+        Steps without durations at both ends are left out.
         """
         counts: dict[int, int] = {}
         for low, count in self._buckets.items():
@@ -140,7 +145,7 @@ class Distribution:
             self._shrink()
 
     def _low(self, ns: int) -> int:
-        """The least duration (ns) of the bucket that a duration (ns) falls into."""
+        """The least duration (ns) that is in the same bucket as the duration `ns`."""
         shift = ns.bit_length() - self.bits
         return ns >> shift << shift if shift > 0 else ns
 
@@ -159,7 +164,7 @@ class Distribution:
 
 
 def _edge(step: int) -> int:
-    """The least duration (ns) of the histogram's step with this index; step 0 begins at 0."""
+    """The duration (ns) at which step number `step` of the histogram begins; step 0 begins at 0."""
     if not step:
         return 0
     decade, within = divmod(step - 1, len(_STEPS))
@@ -167,7 +172,7 @@ def _edge(step: int) -> int:
 
 
 def _step(ns: int) -> int:
-    """The index of the histogram's step that a duration (ns) belongs to."""
+    """The number of the histogram's step that the duration `ns` belongs to, from 0."""
     if ns < _MICROSECOND:
         return 0
     decade = len(str(ns // _MICROSECOND)) - 1

@@ -49,7 +49,11 @@ _ADDRESS_REFUSALS = frozenset((0x02, 0x03))
 
 
 def identify(slave: ObservedSlave, profiles: Sequence[Profile]) -> ProfileFit:
-    """Compare the requests and responses of a slave with profiles, and choose the one that fits."""
+    """Compare the requests and responses of a slave with the profiles, and choose the one that
+    fits.
+
+    If none fits, the result has the reason.
+    """
     if len(slave.requests) < MIN_EXPLAINED:
         return ProfileFit(why=_too_little(len(slave.requests)))
     result = match_profiles(slave, profiles)
@@ -82,7 +86,10 @@ def _score(slave: ObservedSlave, profile: Profile, match: ProfileMatch) -> int:
 
 
 def _doubt(result: MatchResult, confirmation: str, score: int) -> str:
-    """The reason, as a text for the user, why the best profile may not fit; empty if it fits."""
+    """The reason, as a text for the user, why the best profile of `result` may not fit the slave;
+    empty if it fits. `score` is that profile's score, and `confirmation` the text of
+    `_confirmation`.
+    """
     best = result.matches[0]
     asked = _requests(best.explained + best.contradicted)
     ties = _ties(result)
@@ -104,7 +111,7 @@ def _too_little(requests: int) -> str:
 
 
 def _ties(result: MatchResult) -> list[str]:
-    """The names of all profiles with the best rank, among them the first of `result.matches`."""
+    """The names of all profiles that share the best rank, including that of `result.matches[0]`."""
     return [one.profile for one in result.matches if one.rank == result.matches[0].rank]
 
 
@@ -113,7 +120,9 @@ def _requests(count: int) -> str:
 
 
 def _confirmation(slave: ObservedSlave, profile: Profile, match: ProfileMatch) -> str:
-    """A text on the evidence that few other devices would give; empty if there is none."""
+    """A text on evidence that few devices but the profile's would give: a model code, a name, or
+    the ends of address ranges. Empty if there is no such evidence.
+    """
     if match.is_model:
         return "its model code and its answers"
     if _names_model(slave, profile):
@@ -134,8 +143,9 @@ def _names_model(slave: ObservedSlave, profile: Profile) -> bool:
 def _boundaries(slave: ObservedSlave, profile: Profile) -> int:
     """Count the accepted address ranges that end exactly where the profile says.
 
-    An end counts if the device refused a request that begins directly behind it or extends beyond
-    it. Refused addresses far from accepted ones do not count, as every device refuses those.
+    Such an end counts only if the device refused a request that begins directly behind it or
+    extends beyond it. Refused addresses far from accepted ones do not count, as every device
+    refuses those.
     """
     accepted = slave.known_addresses()
     ends = set()

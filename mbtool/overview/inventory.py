@@ -76,7 +76,9 @@ class Inventory:
             _count(transaction, 1, start_ns, start_ns if response_ns is None else response_ns, poll)
 
     def add_run(self, run: AnsweredRun) -> None:
-        """Add a batch of answered requests at once; the result is as if added one by one."""
+        """Add a batch of answered requests at once. The result is the same as if `add` was called
+        for each.
+        """
         if len(self._polls) + len(run.kinds) > MAX_POLLS:
             for one in run.transactions():
                 self.add(one)
@@ -91,9 +93,9 @@ class Inventory:
                 self._poll(kind.like)
 
     def _poll(self, transaction: NamedTransaction) -> _Poll | None:
-        """Return the slave, the master and the functions that a transaction is counted with.
+        """Return where a transaction is counted: its slave, its master and its functions.
 
-        None if there are MAX_SLAVES slaves and its slave is not one of them.
+        None if its slave has no row, because there are MAX_SLAVES others.
         """
         source = transaction.source
         master = None if source is None else source.rpartition(":")[0]
@@ -128,8 +130,9 @@ class Inventory:
     ) -> InventoryDocument:
         """Return the inventory as a document whose rows are sorted by host and unit.
 
-        `identify` compares a slave with profiles. `maker` returns the name of the manufacturer for
-        a MAC address, None if unknown.
+        `files` are the names of the captures. `identify` compares a slave with profiles; if it is
+        None, no slave is compared. `maker` returns the name of the manufacturer for a MAC address,
+        None if unknown.
         """
         gateways = self._gateways()
         rows = []
@@ -154,8 +157,11 @@ class Inventory:
         )
 
     def _begin(self, transaction: NamedTransaction, master: str | None) -> _Poll | None:
-        """Find or create the slave, the master and the functions that a transaction is counted
-        with. None if there are MAX_SLAVES slaves and its slave is not one of them.
+        """Return where a transaction is counted (its slave, master and functions), creating what is
+        new.
+
+        None if its slave has no row, because there are MAX_SLAVES others. `master` is the master's
+        host, None on a serial line.
         """
         slave = self._slave(transaction)
         if slave is None:
@@ -208,8 +214,9 @@ class Inventory:
     def _uses_of(
         self, slave: SeenSlave, transaction: NamedTransaction, master: str | None
     ) -> tuple[SeenUse, ...]:
-        """Return the entries that count a transaction's function: one, or two for function 17H,
-        which reads and writes. None of them if MAX_USES is reached.
+        """Return the entries in which a transaction's function is counted: one, or two for function
+        17H, which reads and writes. An entry beyond MAX_USES is left out. `master` is the master's
+        host, None on a serial line.
         """
         function = transaction.function
         known = FUNCTIONS.get(function)
@@ -238,7 +245,7 @@ class Inventory:
         return use
 
     def _observe(self, slave: SeenSlave, transaction: NamedTransaction) -> None:
-        """Keep a request and its response, so that the slave can be compared with profiles."""
+        """Keep a request and its response for the comparison of the slave with profiles."""
         if slave.observed is None:
             if transaction.outcome in UNANSWERED:
                 return  # A slave is compared with profiles only once it has answered.
@@ -264,9 +271,10 @@ class Inventory:
 def _count(
     transaction: NamedTransaction, number: int, start_ns: int, end_ns: int, poll: _Poll
 ) -> None:
-    """Count `number` transactions equal to this one for their slave, master and functions (`poll`).
+    """Count `number` transactions equal to this one for their slave, master and functions, which
+    are `poll`.
 
-    The first of them began at `start_ns`, the last one ended at `end_ns` (UTC ns).
+    The first of these transactions began at `start_ns`, the last one ended at `end_ns` (UTC ns).
     """
     slave, master, uses = poll
     slave.seen.note(start_ns, end_ns, transaction.destination_mac)
@@ -290,7 +298,11 @@ def _count(
 def _widen(
     use: SeenUse | None, transaction: NamedTransaction, address: int | None, quantity: int | None
 ) -> None:
-    """Add the addresses of a request to the ranges that its function accessed at the slave."""
+    """Add the addresses of a request to those that `use` (one function of one master at one slave)
+    keeps: to the refused ones if the response is an exception, else to the asked ones.
+
+    Does nothing if `use` or `address` is None.
+    """
     if use is None or address is None:
         return
     ranges = use.refused if transaction.exception is not None else use.asked
@@ -298,7 +310,9 @@ def _widen(
 
 
 def _note_identity(slave: SeenSlave, transaction: NamedTransaction) -> None:
-    """Keep the identity texts in a response: vendor, product, version, or a model code."""
+    """Keep the identity texts that a response contains: vendor, product, version, or a
+    model code.
+    """
     if transaction.response_raw is None or transaction.exception is not None:
         return
     function = transaction.function
@@ -386,12 +400,16 @@ def _makers(macs: Sequence[str], maker: Callable[[str], str | None]) -> list[str
 
 
 def _bare(host: str | None) -> str | None:
-    """Return a host without the brackets around an IPv6 address: `::1` for `[::1]`."""
+    """Return a host without the brackets that enclose an IPv6 address: `::1` for `[::1]`; None for
+    None.
+    """
     if host is not None and host.startswith("[") and host.endswith("]"):
         return host[1:-1]
     return host
 
 
 def _host_key(host: str) -> tuple[tuple[int, int | str], ...]:
-    """A sort key that orders IPv4 addresses by number (10.0.0.9 before 10.0.0.10), names last."""
+    """Return a key to sort hosts by: IP addresses by number (10.0.0.9 before 10.0.0.10), names
+    after them.
+    """
     return tuple((0, int(part)) if part.isdecimal() else (1, part) for part in host.split("."))

@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 
 MAX_RANGES = 1024
 SHOWN = 8
-"""The most ranges or names that a text lists by default."""
+"""How many ranges or names a text lists at most, unless the caller says otherwise."""
 _LAST_ADDRESS = 0xFFFF
 
 AddressRange = tuple[int, int]
-"""The first and the last address, both included."""
+"""The first and the last address of a range, both included."""
 
 
 class AddressRanges:
@@ -32,16 +32,20 @@ class AddressRanges:
         self._firsts: list[int] = []
         self._lasts: list[int] = []
         self.left_out = 0
-        """The number of ranges that were not added because the set already had MAX_RANGES."""
+        """The number of calls of `add` whose range was not added, because the set already had
+        MAX_RANGES."""
         for first, last in ranges:
             self.add(first, last)
 
     def add(self, first: int, last: int) -> None:
-        """Add the addresses from `first` to `last`, both included. Ignores those above FFFFH."""
+        """Add the addresses from `first` to `last`, both included. Addresses above FFFFH are
+        ignored.
+        """
         last = min(last, _LAST_ADDRESS)
         if not 0 <= first <= last:
             return
-        # The ranges with an index from `begin` to `end` - 1 overlap or touch the new range.
+        # The ranges with the indices from `begin` up to, but not including, `end` overlap or touch
+        # the new range.
         begin = bisect_left(self._lasts, first - 1)
         end = bisect_right(self._firsts, last + 1)
         if begin < end:
@@ -59,7 +63,7 @@ class AddressRanges:
 
 
 def joined(several: Iterable[Sequence[AddressRange]]) -> list[AddressRange]:
-    """The sorted ranges of all addresses that are in at least one of several sets."""
+    """The addresses that are in at least one of several sets, as one sorted list of ranges."""
     return AddressRanges(pair for ranges in several for pair in ranges).pairs
 
 
@@ -82,14 +86,14 @@ def without(ranges: Sequence[AddressRange], others: Sequence[AddressRange]) -> l
 
 
 def ranges_text(ranges: Sequence[AddressRange], most: int = SHOWN) -> str:
-    """Return at most `most` ranges as one text: `0..99, 200 and 3 more`."""
+    """Return `ranges` as a text that shows at most `most` of them: `0..99, 200 and 3 more`."""
     return listed(
         [str(first) if first == last else f"{first}..{last}" for first, last in ranges], most
     )
 
 
 def listed(names: Sequence[str], most: int = SHOWN) -> str:
-    """Return at most `most` names, and the number of the others, as a text: `a, b and 3 more`."""
+    """Return `names` as a text that shows at most `most` of them: `a, b and 3 more`."""
     if len(names) <= most:
         return ", ".join(names)
     return f"{', '.join(names[:most])} and {len(names) - most:,} more"

@@ -21,11 +21,12 @@ class Role(StrEnum):
 
     SLAVE = "slave"
     GATEWAY = "gateway"
-    """A slave at a host where several units answer."""
+    """A slave at a host where several units answer: the host is a gateway to them."""
     SILENT = "silent"
     """A unit that was asked and never answered."""
     UNHEARD = "unheard"
-    """A unit that was asked, but its responses would not be in the capture even if it answered."""
+    """A unit that was asked, and whose responses, if it gave any, the capture could not contain. An
+    example is a capture of only the master's packets."""
     BROADCAST = "broadcast"
     """Unit 0 of a serial line: it addresses all slaves at once, and no slave responds."""
     MASTER = "master"
@@ -42,7 +43,8 @@ class FunctionUse(msgspec.Struct, kw_only=True):
     """True if the requests write the addresses, False if they read them."""
     requests: int = 0
     ranges: list[AddressRange] = []
-    """The addresses in requests that were not answered with an exception."""
+    """The addresses that were in at least one request not answered with an exception; the request
+    may also have got no response at all."""
     refused: list[AddressRange] = []
     """The addresses for which every request got an exception response."""
     unsupported: int = 0
@@ -72,10 +74,11 @@ class ProfileFit(msgspec.Struct, kw_only=True):
     profile: str | None = None
     """The name of the profile that fits; None if none fits."""
     score: int = 0
-    """How well the profile (or the nearest one, if none fits) explains the slave's responses: 0 to
-    100."""
+    """How well the profile explains the slave's responses, from 0 to 100. If no profile fits, this
+    is the score of the one that fits best."""
     nearest: str | None = None
-    """If no profile fits: the name of the profile that fits best; None if there are several."""
+    """If no profile fits: the name of the profile that fits best, None if several fit equally
+    well."""
     why: str = ""
     evidence: list[str] = []
     against: list[str] = []
@@ -91,13 +94,14 @@ class SlaveRow(msgspec.Struct, kw_only=True):
     role: Role = Role.SLAVE
     transports: list[str] = []
     device: str | None = None
-    """The name of the profile that the user, or the log that was read, assigned to the unit."""
+    """The name of the profile that the user, or the log that was read, assigned to the unit; None
+    if nobody did."""
     macs: list[str] = []
     makers: list[str] = []
     identity: list[IdentityText] = []
     fit: ProfileFit | None = None
-    """None if the unit was not compared with profiles, because it never answered or a memory limit
-    was reached."""
+    """How profiles fit the unit. None if it was not compared with them, because it never answered
+    or a memory limit was reached."""
     uses: list[FunctionUse] = []
     transactions: int = 0
     answered: int = 0
@@ -120,8 +124,8 @@ class SlaveRow(msgspec.Struct, kw_only=True):
         return shown_host(self.host, self.port)
 
     def masters(self, *, writing: bool = False) -> list[str]:
-        """The hosts of the masters that sent requests to the unit (with `writing`, write requests),
-        each once.
+        """The hosts of the masters that sent requests to the unit, each once; with `writing`, only
+        of those that sent write requests.
         """
         uses = (one for one in self.uses if one.writes or not writing)
         return list(dict.fromkeys(one.master for one in uses if one.master is not None))
@@ -143,7 +147,7 @@ class MasterRow(msgspec.Struct, kw_only=True):
 
 
 class InventoryDocument(msgspec.Struct, kw_only=True):
-    """The hosts in one or more captures."""
+    """The inventory of one or more captures: all slaves and masters in them."""
 
     format: str
     """The name and version of the document format; mbtool writes INVENTORY_FORMAT."""

@@ -17,9 +17,9 @@ MAX_MACS = 4
 _GATEWAY_EXCEPTIONS = frozenset(
     (ExceptionCode.GATEWAY_PATH_UNAVAILABLE, ExceptionCode.GATEWAY_TARGET_FAILED_TO_RESPOND)
 )
-"""Exceptions that a gateway sends when the unit behind it does not answer."""
+"""Codes of exception responses that a gateway sends when the unit behind it does not answer."""
 UNANSWERED = frozenset((Outcome.NO_ANSWER, Outcome.NOT_CAPTURED, Outcome.BROADCAST))
-"""Outcomes of transactions that show no response of the slave."""
+"""Outcomes of transactions in which no response of the slave was seen."""
 
 
 @dataclass(slots=True)
@@ -41,7 +41,7 @@ class Seen:
 
 @dataclass(slots=True)
 class SeenUse:
-    """The requests of one master to one slave with one function."""
+    """What one master requested from one slave with one function code."""
 
     function: int
     name: str
@@ -50,13 +50,13 @@ class SeenUse:
     requests: int = 0
     unsupported: int = 0
     asked: AddressRanges = field(default_factory=AddressRanges)
-    """The addresses in requests that were not answered with an exception."""
+    """The addresses that were in at least one request not answered with an exception."""
     refused: AddressRanges = field(default_factory=AddressRanges)
 
 
 @dataclass(slots=True)
 class SeenSlave:
-    """A unit at a host's TCP port, or on a serial line."""
+    """A unit at a TCP port of a host, or on a serial line, with all that was seen of it."""
 
     host: str
     port: int | None
@@ -74,12 +74,14 @@ class SeenSlave:
 
     @property
     def unreached(self) -> int:
-        """The number of requests to which a gateway responded that it could not reach the unit."""
+        """The number of requests that a gateway answered with an exception, because it could not
+        reach the unit.
+        """
         return sum(self.exceptions[code] for code in _GATEWAY_EXCEPTIONS)
 
     @property
     def answered(self) -> int:
-        """The number of requests that the unit itself answered."""
+        """The number of responses of the unit itself, exception responses included."""
         silent = sum(self.outcomes[one] for one in UNANSWERED)
         return self.outcomes.total() - silent - self.unreached
 

@@ -37,7 +37,9 @@ class Hours:
         self._add(at_ns // HOUR_NS, 1, int(is_missing))
 
     def add_answered(self, times_ns: Sequence[int]) -> None:
-        """Count requests that were answered, at these times (UTC ns)."""
+        """Count requests that were answered; `times_ns` (UTC ns) has the time of each, and is not
+        empty.
+        """
         first, last = min(times_ns) // HOUR_NS, max(times_ns) // HOUR_NS
         if first == last:
             self._add(first, len(times_ns), 0)
@@ -70,12 +72,13 @@ class LinkStatistics:
         self.format: SerialFormat | None = None
         """The settings of a serial line; None on a network, or if the bytes have no times."""
         self.has_times = True
-        """False for a serial line whose bytes have no times, as in a file that has only bytes."""
+        """False for a serial line whose bytes have no times, because the capture file stores only
+        the bytes."""
         self.is_mixed = False
         """True if the settings of the line are not the same in all captures that were read."""
         self.other_bytes = 0
-        """The number of bytes on the line that belong to no frame, including the second copies that
-        an adapter makes by hearing its own bytes."""
+        """The number of bytes on the line that belong to no frame. This includes the second copy of
+        frames that an adapter hears twice, because it hears its own bytes."""
         self.hours = Hours()
         self.first_ns: int | None = None
         self.last_ns: int | None = None
@@ -85,14 +88,18 @@ class LinkStatistics:
         """True until the first transaction of the current capture is noted."""
 
     def note(self, one: NamedTransaction) -> None:
-        """Extend the time during which the link was watched by the times of a transaction."""
+        """Extend the time during which the link was watched, so that it includes the transaction
+        `one`.
+        """
         begin_ns = one.start_ns
         self.note_span(one, begin_ns, max(one.response_ns or begin_ns, begin_ns))
 
     def note_span(self, one: NamedTransaction, begin_ns: int, end_ns: int) -> None:
-        """Extend the time during which the link was watched to `begin_ns` and `end_ns` (UTC ns).
+        """Extend the time during which the link was watched, so that it includes `begin_ns` to
+        `end_ns` (UTC ns).
 
-        These are the times of `one`, or of the first and the last of several equal transactions.
+        These are the request time and the response time of `one`, or the first and the last such
+        time of several equal transactions.
         """
         if self._is_new:
             self._begin_span(one)
@@ -112,15 +119,17 @@ class LinkStatistics:
         self.has_times = not is_serial or format_ is not None
 
     def end_span(self) -> None:
-        """End a capture: the time until the next capture begins does not count as watched."""
+        """End the span of the present capture: the time until the next capture begins does not
+        count as watched.
+        """
         self._is_new = True
         if self._span is not None:
             self.first_ns, self.last_ns = self.whole_span()
             self._earlier_ns, self._span = self.watched_ns, None
 
     def whole_span(self) -> tuple[int, int]:
-        """The time of the first request and of the end of the last response in all captures, in
-        UTC ns.
+        """The time of the earliest request and that of the latest response in all captures, in UTC
+        ns.
         """
         begin, end = self._span or (self.first_ns or 0, self.last_ns or 0)
         begin = begin if self.first_ns is None else min(begin, self.first_ns)
@@ -128,12 +137,14 @@ class LinkStatistics:
 
     @property
     def watched_ns(self) -> int:
-        """The time (ns) from the first request to the end of the last response of each capture,
-        summed over all captures.
+        """The time (ns) during which the link was watched: from the first request to the last
+        response of each capture, summed over all captures.
         """
         begin, end = self._span or (0, 0)
         return self._earlier_ns + end - begin
 
     def wire_ns(self, count: int) -> int:
-        """How long `count` bytes take on the line, in ns; 0 if its baud rate is unknown."""
+        """The time (ns) that `count` bytes take on the serial line; 0 if its baud rate is
+        unknown.
+        """
         return 0 if self.format is None else count * self.format.character_ns

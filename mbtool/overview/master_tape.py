@@ -14,23 +14,24 @@ if TYPE_CHECKING:
     from mbtool.overview.poll_statistics import PollStatistics
 
 MAX_ASKED = 2048
-"""The number of requests kept: enough for three cycles of a list of 680 polls."""
+"""The number of requests kept for each master: enough for three cycles of a list of 680 polls."""
 
 
 class TapedRequest(NamedTuple):
     """A request, with the poll that it belongs to. Requests sort by time, then by number."""
 
     at_ns: int
-    """The end of the request, in UTC ns."""
+    """The time (UTC ns) of the request's last byte."""
     number: int
     """The running number of the transaction, in the order in which transactions were completed."""
     poll: PollStatistics
     end_ns: int
-    """The end of the response or, without a response, of the request, in UTC ns."""
+    """The time (UTC ns) of the response's last byte; without a response, of the request's last
+    byte."""
     is_missing: bool
-    """True if the slave should have answered and did not."""
+    """True if the slave should have responded and did not."""
     wire_ns: int
-    """How long the bytes of the request took on a serial line, in ns; 0 on a network."""
+    """The time (ns) that the bytes of the request took on a serial line; 0 on a network."""
     is_damaged: bool = False
     """True if `is_missing` is True because the response had a wrong CRC or LRC."""
 
@@ -44,12 +45,13 @@ class MasterTape:
         self._later: deque[tuple[list[int], list[PollStatistics], list[int]]] = deque()
         """Batches of answered requests that came after the requests in `_asked`.
 
-        Each batch has three lists: the times of the requests (UTC ns), their polls, and the times
-        of the responses (UTC ns).
-        """
+        Each batch has three lists of equal length: the times of the requests (UTC ns), their polls,
+        and the times of the responses (UTC ns)."""
 
     def add(self, asked: TapedRequest) -> bool:
-        """Add the next request. Returns True if it repeats the last one, which got no answer."""
+        """Add the next request. Returns True if it is a retry: the request before it is equal and
+        got no response.
+        """
         self._join()
         last, self._last = self._last, asked
         self._asked.append(asked)
@@ -58,10 +60,11 @@ class MasterTape:
     def add_answered(
         self, at_ns: list[int], polls: list[PollStatistics], ends_ns: list[int]
     ) -> None:
-        """Add answered requests of a network; call it only if `is_waiting` is False.
+        """Add answered requests of a network, in order of time; call it only if `is_waiting` is
+        False.
 
-        The lists have an element for each request: its time, its poll, and the time of its
-        response (UTC ns).
+        The lists have one element for each request: its time, its poll, and the time of its
+        response (times in UTC ns).
         """
         self._later.append((at_ns, polls, ends_ns))
         self._last = TapedRequest(at_ns[-1], 0, polls[-1], ends_ns[-1], False, 0)
@@ -86,7 +89,7 @@ class MasterTape:
 
     @property
     def is_waiting(self) -> bool:
-        """True if the last request got no answer, so that the next one may repeat it."""
+        """True if the last request got no response, so that the next one may be its retry."""
         return self._last is not None and self._last.is_missing
 
     def cut(self) -> None:

@@ -55,62 +55,68 @@ MANY = 0.4
 """At least this share (0 to 1) of the requests must be in equal cycles for the cycle to be a polled
 list."""
 _REGULAR = 0.2
-"""A period of a poll is regular if it differs from the poll's median period by at most this share
-of the median."""
+"""The time from one request of a poll to the next is regular if it differs from the poll's median
+period by at most this share of the median."""
 _REGULAR_SHARE = 0.7
-"""A poll is regular if at least this share of its periods are. If two different periods alternate,
-only half of them are regular."""
+"""A poll is regular if at least this share (0 to 1) of its periods are. If two different periods
+alternate, only half of them are, so the poll is not regular."""
 _PERIOD_SUM = 1.3
-"""A poll is regular only if its mean period is at most this many times its median period. That
-excludes a poll that comes several times in a cycle, close together: its median period is short."""
+"""A poll is regular only if its mean period is at most this many times its median period. If a poll
+comes several times in a cycle, close together, its median period is short, and this excludes it."""
 _SOON = 0.5
-"""A request equal to an unanswered one before it is a retry if it comes at most this share of the
-timeout after the timeout has passed. If it comes later, it begins the next cycle of a list of one
-poll."""
+"""A request equal to an unanswered one before it is a retry if it begins at most this share of the
+timeout after the master has stopped waiting. If it begins later, it belongs to the next cycle of a
+list of one poll."""
 _EQUAL_PERIODS = 1.08
 _EVEN = 0.1
-"""The times between the requests of a poll are even if they differ by at most this share of their
-mean."""
+"""A poll comes at even distances in a cycle if the times from one of its requests to the next
+differ by at most this share of their mean."""
 _LONG_PAUSE = 0.2
-"""A pause in a cycle is long if it has more than this share of the longest pause, and more than
-_LONGER_THAN_SHORT times the shortest."""
+"""A pause in a cycle is long if it is longer than this share of the longest pause in the cycle, and
+more than _LONGER_THAN_SHORT times as long as the shortest."""
 _LONGER_THAN_SHORT = 4
 _CONSTANT_SHARE = 0.8
-"""A poll belongs to a list if it comes equally often in at least this share of the list's cycles.
-"""
+"""A poll without a regular period belongs to a list if it comes equally often in at least this
+share (0 to 1) of the list's cycles."""
 _SLACK_NS = 5_000_000
 """Pauses of a master that differ by less than this (ns) count as equal, as masters do not keep time
 more exactly."""
 _NEAR = 0.25
-"""The time of a cycle is near the median if it differs by at most this share of the median."""
+"""The duration of a cycle is near the median if it differs from it by at most this share of the
+median."""
 
 
 class Asked(NamedTuple, Generic[P]):
-    """A request of the master: its poll, its times (UTC ns), and if its response is missing."""
+    """A request of the master: its poll, its begin and end (UTC ns), and True if its response is
+    missing.
+    """
 
     poll: P
     begin_ns: int
     end_ns: int
-    """The end of the response or, without a response, of the request."""
+    """The time (UTC ns) of the end of the response; without a response, of the end of the
+    request."""
     is_missing: bool
-    """True if the slave had to answer and did not."""
+    """True if the slave had to respond and did not."""
     is_damaged: bool = False
-    """True if the answer counts as missing because it had a wrong CRC or LRC. Then the master may
+    """True if the response counts as missing because it had a wrong CRC or LRC. Then the master may
     send its next request before its timeout has passed."""
 
 
 @dataclass(frozen=True, slots=True)
 class PollStep(Generic[P]):
-    """One step of a polled list: a poll, the pause before it, and how long it takes."""
+    """One step of a polled list: a poll, the pause before it, and how long it takes. Times are in
+    ns.
+    """
 
     poll: P
     pause_ns: int
     """The median time (ns) from the end of the previous step to the beginning of this one."""
     took_ns: int
     """The median time (ns) from the beginning of the request to the end of the response, retries
-    included; without a response, to when the master stopped waiting."""
+    included. If there is no response, it counts to when the master stopped waiting."""
     missing: int
-    """The number of cycles in which at least one answer of this step was missing."""
+    """The number of cycles in which the first attempt of this step got no response."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,10 +128,11 @@ class PollList(Generic[P]):
     cycles: int
     """The number of cycles that had exactly the steps of the list, in their order."""
     other_cycles: int
-    """The number of cycles that lacked a step, had one more, or were in another order."""
+    """The number of cycles that lacked a step of the list, had another one in addition, or had the
+    steps in another order."""
     times: tuple[int, ...]
-    """The duration of each cycle that had exactly the steps of the list, from its begin to the next
-    one's, sorted by length."""
+    """The durations (ns), sorted, of the cycles that had exactly the steps of the list; each counts
+    from the beginning of the cycle to that of the next."""
     whole_ns: int | None
     """The median duration of the cycles in which no answer is missing; None if there is none."""
     missing_ns: int | None
@@ -133,8 +140,8 @@ class PollList(Generic[P]):
 
     @property
     def period_ns(self) -> int:
-        """The usual duration (ns) of a cycle: the mean of all durations that differ by at most 25 %
-        from the median.
+        """The usual duration (ns) of a cycle: the mean of those durations in `times` that differ by
+        at most 25 % from their median.
         """
         middle = median_low(self.times)
         near = [time for time in self.times if abs(time - middle) <= _NEAR * middle]
@@ -146,12 +153,14 @@ class PollList(Generic[P]):
 
     @property
     def repeated(self) -> list[P]:
-        """The polls that are asked more than once in a cycle."""
+        """The polls that are sent more than once in a cycle."""
         return [poll for poll, count in Counter(self.polls).items() if count > 1]
 
     @property
     def missing_cost_ns(self) -> int | None:
-        """The time (ns) by which missing answers make a cycle longer; None if that is unknown."""
+        """How much longer (ns) a cycle is in which an answer is missing: the difference of
+        `missing_ns` and `whole_ns`, at least 0. None if one of them is unknown.
+        """
         if self.whole_ns is None or self.missing_ns is None:
             return None
         return max(self.missing_ns - self.whole_ns, 0)
@@ -166,11 +175,15 @@ class PollLists(Generic[P]):
     between: Mapping[P, int]
     """For each poll that is in no list, the number of its requests, not counting retries."""
     timeout_ns: int | None
-    """The estimated response timeout of the master (ns); None if no answer is missing."""
+    """The estimated response timeout of the master (ns); None if the master never waited in
+    vain."""
 
 
 def find_lists(asked: Iterable[Asked[P]]) -> PollLists[P]:
-    """Find the polled lists of one master on one link. `asked` may be in any order."""
+    """Find the lists that one master polls in cycles on one link.
+
+    `asked` are its requests, retries included, in any order.
+    """
     in_order = sorted(asked, key=lambda one: one.begin_ns)
     timeout_ns = response_timeout(in_order)
     starts = _without_repetitions(in_order, timeout_ns or 0)
@@ -185,6 +198,7 @@ def find_lists(asked: Iterable[Asked[P]]) -> PollLists[P]:
 
 def response_timeout(in_order: Sequence[Asked[P]]) -> int | None:
     """Estimate how long (ns) the master waits for a response; None if it never waited in vain.
+    `in_order` are its requests in order of time.
 
     The estimate is the 10th percentile of the times from an unanswered request to the next request.
     Longer times may include a pause of the master; the shortest tenth is ignored as exceptional.
@@ -239,7 +253,7 @@ def _lists(starts: Sequence[PollStart[P]]) -> list[PollList[P]]:
 
 
 def _with_others(cycles: CutCycles[P]) -> list[PollList[P]]:
-    """Return the list that these cycles show, and the lists of the polls that are not in it."""
+    """Return the polled list that `cycles` show, and the lists of the other polls in them."""
     if not _has_pace(cycles):
         return []
     others = {start.poll for start in cycles.starts} - set(cycles.usual)
@@ -247,9 +261,10 @@ def _with_others(cycles: CutCycles[P]) -> list[PollList[P]]:
 
 
 def _faster_polls(cycles: CutCycles[P]) -> set[P]:
-    """The polls that are sent several times in the usual cycle, at a shorter period of their own.
+    """The polls that are sent several times in the usual cycle at even distances, so that they have
+    a shorter period of their own.
 
-    They are a second list with that period. The set is empty if the cycle is one list.
+    These polls form a second list. The set is empty if the cycle is a single list.
     """
     counts = Counter(cycles.usual)
     repeated = {poll for poll, count in counts.items() if count > 1}
@@ -270,7 +285,9 @@ def _faster_polls(cycles: CutCycles[P]) -> set[P]:
 
 
 def _bursts(usual: tuple[P, ...], pauses: Sequence[float]) -> list[tuple[P, ...]]:
-    """Divide the polls of a cycle at its long pauses; `pauses[i]` (ns) is before `usual[i]`."""
+    """Divide the polls of a cycle at its long pauses. `pauses[i]` is the pause (ns) before
+    `usual[i]`.
+    """
     least = max(_LONG_PAUSE * max(pauses), _LONGER_THAN_SHORT * max(min(pauses), 0))
     long = [at for at, pause in enumerate(pauses) if pause > least]
     if not long:
@@ -280,7 +297,7 @@ def _bursts(usual: tuple[P, ...], pauses: Sequence[float]) -> list[tuple[P, ...]
 
 
 def _is_evenly_asked(cycles: CutCycles[P], poll: P) -> bool:
-    """True if the times from one request of a poll to the next are about equal."""
+    """True if the times from one request of `poll` to its next are about equal."""
     times = [start.begin_ns for piece in cycles.pieces() for start in piece if start.poll == poll]
     by_place: list[list[int]] = [[] for _ in range(cycles.usual.count(poll))]
     for at, (one, other) in enumerate(pairwise(times)):
@@ -291,9 +308,10 @@ def _is_evenly_asked(cycles: CutCycles[P], poll: P) -> bool:
 
 
 def _groups(starts: Sequence[PollStart[P]]) -> list[set[P]]:
-    """Group the polls that have equal regular periods.
+    """Group the polls whose own periods are regular and equal; each set is a group.
 
-    Returns an empty list if no poll is regular, or if all polls would be in one group.
+    A poll without a regular period joins the group in whose cycles it comes equally often. Returns
+    an empty list if no poll is regular, or if all polls would be in one group.
     """
     times: defaultdict[P, list[int]] = defaultdict(list)
     for start in starts:
@@ -319,7 +337,9 @@ def _groups(starts: Sequence[PollStart[P]]) -> list[set[P]]:
 
 
 def _regular_period(times: Sequence[int]) -> float | None:
-    """The median period (ns) of a poll that was sent at `times` (ns); None if it is irregular."""
+    """The median time (ns) from one request of a poll to the next, if that is regular; None if not.
+    `times` (ns) are the times of its requests.
+    """
     periods = [other - one for one, other in pairwise(times)]
     if len(periods) < MIN_CYCLES - 1:
         return None
@@ -334,8 +354,10 @@ def _regular_period(times: Sequence[int]) -> float | None:
 
 
 def _is_constant(starts: Sequence[PollStart[P]], group: set[P], times: Sequence[int]) -> bool:
-    """True if a poll, sent at `times` (ns), comes equally often, at least once, in nearly each
-    cycle that the polls of `group` form.
+    """True if a poll comes equally often, at least once, in nearly every cycle of the polls in
+    `group`.
+
+    `times` (ns) are the times of the poll's requests; `starts` are the requests of all polls.
     """
     cycles = usual_cycles(_only(starts, group))
     if cycles is None:
@@ -350,8 +372,8 @@ def _is_constant(starts: Sequence[PollStart[P]], group: set[P], times: Sequence[
 
 
 def _irregular_polls(starts: Sequence[PollStart[P]], group: set[P]) -> set[P]:
-    """The polls outside `group` that have no regular period, but come equally often in nearly each
-    cycle that the polls of `group` form.
+    """The polls outside `group` that have no regular period of their own, but come equally often in
+    nearly every cycle of the polls in `group`.
     """
     times: defaultdict[P, list[int]] = defaultdict(list)
     for start in starts:
@@ -365,8 +387,8 @@ def _irregular_polls(starts: Sequence[PollStart[P]], group: set[P]) -> set[P]:
 
 
 def _has_pace(cycles: CutCycles[P]) -> bool:
-    """False if the cycle is a single poll that is sent at irregular times, such as an operator's
-    occasional write.
+    """False if the cycle is a single poll sent at irregular times, such as an operator's occasional
+    write.
     """
     if len(cycles.usual) > 1:
         return True
@@ -380,7 +402,7 @@ def _has_pace(cycles: CutCycles[P]) -> bool:
 
 
 def _asked_often(starts: Sequence[PollStart[P]]) -> set[P]:
-    """The polls that are sent at least half as often as the median poll."""
+    """The polls that are sent at least half as often as the median of all polls."""
     counts = Counter(start.poll for start in starts)
     least = median(counts.values()) / 2
     return {poll for poll, count in counts.items() if count >= least}

@@ -46,7 +46,7 @@ def poll_key(transaction: NamedTransaction, master: str) -> PollKey:
 
 
 class PollStatistics:
-    """Counts the requests of a poll and collects the times between them."""
+    """The statistics of one poll: its transactions, and the times from one request to the next."""
 
     __slots__ = (
         "_last_ns",
@@ -62,7 +62,7 @@ class PollStatistics:
 
     def __init__(self, number: int, key: PollKey, first: NamedTransaction) -> None:
         self.number = number
-        """The index of the poll, from 0, in the order in which polls were first seen."""
+        """The number of the poll, from 0, in the order in which polls were first seen."""
         self.key = key
         self.function_name = first.function_name
         self.reference = first.reference
@@ -71,7 +71,8 @@ class PollStatistics:
         self.period = Distribution(_PERIOD_BUCKETS)
         """The times (ns) from one request of the poll to the next; retries are left out."""
         self.repetitions = 0
-        """The number of retries: requests directly after an equal request that got no answer."""
+        """The number of retries: requests that directly follow an equal request without a
+        response."""
         self._last_ns: int | None = None
 
     def begin(self, at_ns: int) -> None:
@@ -81,19 +82,23 @@ class PollStatistics:
         self._last_ns = at_ns
 
     def begin_all(self, times_ns: Sequence[int]) -> None:
-        """Note several requests of the poll that are no retries. `times_ns` (UTC ns) is sorted."""
+        """Note several requests of the poll that are no retries. `times_ns` (UTC ns) is sorted and
+        not empty.
+        """
         self.begin(times_ns[0])
         self.period.add_all(list(map(sub, times_ns[1:], times_ns)))
         self._last_ns = times_ns[-1]
 
     def cut(self) -> None:
-        """End a capture: the time from its last request to the next capture is no period."""
+        """End a capture: the time from its last request to the first one of the next capture is no
+        period.
+        """
         self._last_ns = None
 
     @property
     def jitter_ns(self) -> int | None:
-        """Half the difference between the 95th and the 5th percentile of the periods, in ns; None
-        if there are no periods.
+        """How much the periods vary: half the difference between their 95th and their 5th
+        percentile, in ns. None if there are no periods.
         """
         if not self.period.count:
             return None

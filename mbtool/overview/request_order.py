@@ -39,8 +39,8 @@ class _AskedColumns(NamedTuple):
 
 
 class RequestOrder:
-    """Sorts requests by time and passes them on to the counts per hour of their link, to the
-    periods of their poll, and to the list of their master's last requests (its tape).
+    """Sorts requests by time and passes each on to three places: the counts per hour of its link,
+    the periods of its poll, and its master's tape (the list of the master's last requests).
     """
 
     def __init__(self, links: Mapping[str, LinkStatistics]) -> None:
@@ -48,22 +48,22 @@ class RequestOrder:
         self.tapes: OrderedDict[tuple[str, str], MasterTape] = OrderedDict()
         """The last requests of each master, by link and the master's host."""
         self.late = 0
-        """The number of transactions that were added too late to be sorted, and so left out."""
+        """The number of requests left out because a later request had already been passed on."""
         self._heap: list[TapedRequest] = []
         self._ordered_ns = 0
-        """The time (UTC ns) of the last request that was sorted and passed on."""
+        """The time (UTC ns) of the last request that was passed on."""
         self._taken = 0
 
     def begin_capture(self) -> None:
-        """Note that the next request belongs to another capture, perhaps of an earlier day."""
+        """Note that the next request belongs to another capture, whose times may be earlier."""
         self.settle()
         self._ordered_ns = 0
         for tape in self.tapes.values():
             tape.cut()
 
     def settle(self, before_ns: int | None = None) -> None:
-        """Pass on the requests in the heap, in order of time: those before `before_ns` (UTC ns), or
-        all.
+        """Pass on the waiting requests in order of time: those before `before_ns` (UTC ns), or all
+        of them if it is None.
         """
         while self._heap and (before_ns is None or self._heap[0].at_ns < before_ns):
             self._order(heappop(self._heap))
@@ -78,7 +78,9 @@ class RequestOrder:
         is_missing: bool,
         is_damaged: bool = False,
     ) -> None:
-        """Add a request. The arguments are the fields of TapedRequest; times are in UTC ns."""
+        """Add a request; the arguments are the fields of the same names in TapedRequest (times in
+        UTC ns).
+        """
         self._taken += 1
         if at_ns < self._ordered_ns:
             self.late += 1
@@ -93,7 +95,7 @@ class RequestOrder:
     def add_run(self, run: AnsweredRun, polls: Sequence[PollStatistics]) -> None:
         """Add a batch of answered TCP requests; `polls[i]` is the poll of the group `run.kinds[i]`.
 
-        The result is the same as that of `add` for each request, but faster.
+        The result is the same as if `add` was called for each request, but it takes less time.
         """
         if len(run.kind) < WINDOW // 4:  # For few requests, sorting the heap takes longer.
             self._add_each(run, polls)
@@ -105,7 +107,7 @@ class RequestOrder:
             [one.end_ns for one in held] + run.response_ns,
         )
         order = sorted(range(len(asked.at_ns)), key=asked.at_ns.__getitem__)
-        # The most positions by which a request arrived later than its place in order of time.
+        # By how many positions, at most, a request arrived later than it comes in order of time.
         behind = max(map(sub, order, count()))
         is_simple = (
             len(order) > WINDOW >= behind
@@ -136,9 +138,9 @@ class RequestOrder:
             self.add(at_ns, polls[kind], end_ns, 0, is_missing=False)
 
     def _order_all(self, asked: _AskedColumns, order: list[int]) -> None:
-        """Pass on answered requests, with the same result as `_order` for each.
+        """Pass on answered requests, with the same result as if `_order` was called for each.
 
-        `order` has their indices in `asked`, in order of time.
+        `order` has the indices in `asked` of the requests to pass on, in order of time.
         """
         by_poll: dict[PollStatistics, list[int]] = {poll: [] for poll in dict.fromkeys(asked.polls)}
         by_tape: dict[tuple[str, str], list[int]] = {}
@@ -162,7 +164,8 @@ class RequestOrder:
                 by_link.setdefault(poll.key.link, []).extend(times)
         for link, times in by_link.items():
             self._links[link].hours.add_answered(times)
-        # Masters are visited by their last request, as `_tape` moves each to the end of `tapes`.
+        # Masters come in the order of their last requests, because `_tape` moves each to the end of
+        # `tapes`.
         used = [(at_ns[last[-1]], last[-1], key) for key, last in by_tape.items() if last]
         for _, _, key in sorted(used):
             places = by_tape[key]
@@ -173,10 +176,10 @@ class RequestOrder:
             )
 
     def _can_tape_all(self, keys: Set[tuple[str, str]]) -> bool:
-        """True if the requests of these masters may be added as a batch.
+        """True if the requests of several masters may be passed on as a batch.
 
-        That is so if MAX_TAPES is not exceeded and no master's last request is unanswered, so that
-        no request of the batch can be a retry. A key is a link and the master's host.
+        That is so if the tapes stay below MAX_TAPES, and if no master's last request is unanswered,
+        so that no request of the batch can be a retry. A key is a pair of link and master's host.
         """
         known = [self.tapes[key] for key in keys if key in self.tapes]
         if len(self.tapes) + len(keys) - len(known) > MAX_TAPES:

@@ -42,16 +42,16 @@ class RequestTally:
         """The number of requests answered with an exception response, by exception code."""
         self.exception_names: dict[int, str] = {}
         self.unsolicited_exceptions = 0
-        """The number of exception responses without a request; `exceptions` excludes them."""
+        """The number of exception responses without a request; these are not in `exceptions`."""
         self.damaged = 0
-        """The number of requests that count as unanswered because the CRC or LRC of the response
-        was wrong."""
+        """The number of requests without a valid response, because the response that came had a
+        wrong CRC or LRC. They are counted as unanswered, too."""
         self.retries = 0
         """The number of requests that repeat an equal request which got no response."""
         self.latency = Distribution()
-        """The times from the end of the request to the start of the response, in ns."""
+        """The latencies (ns): the times from the end of a request to the start of its response."""
         self.request_bytes = 0
-        """The total number of bytes in the ADUs of the requests, as captured."""
+        """The number of bytes of all request ADUs, as captured."""
         self.response_bytes = 0
 
     def add(self, transaction: NamedTransaction) -> None:
@@ -60,7 +60,9 @@ class RequestTally:
             self.latency.add(transaction.latency_ns)
 
     def count_alike(self, transaction: NamedTransaction, number: int) -> None:
-        """Count `transaction` as `number` equal transactions. The caller adds the latencies."""
+        """Count `transaction` as `number` equal transactions. Latencies are not counted; the caller
+        adds them.
+        """
         outcome = transaction.outcome
         self.outcomes[outcome] = self.outcomes.get(outcome, 0) + number
         if transaction.request_ns is not None:
@@ -103,7 +105,7 @@ class RequestTally:
 
     @property
     def wire_bytes(self) -> int:
-        """The total number of bytes in the ADUs of requests and responses, as captured."""
+        """The number of bytes of all request and response ADUs, as captured."""
         return self.request_bytes + self.response_bytes
 
     def count(self, outcome: Outcome) -> int:
@@ -111,7 +113,7 @@ class RequestTally:
 
     @property
     def unanswered(self) -> int:
-        """The number of requests that the slave left without an answer."""
+        """The number of requests that got no response, or none with a right checksum."""
         return self.count(Outcome.NO_ANSWER)
 
 

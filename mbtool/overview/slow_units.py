@@ -25,15 +25,18 @@ _FEW = 0.25
 
 
 def are_many(slow: int, units: int) -> bool:
-    """True if `slow` of the `units` are at least 3 and more than 25 %.
-
-    Then they are probably another kind of device, and not a few faulty ones.
+    """True if `slow` of `units` are so many that they are probably another kind of device and not
+    faulty: at least 3, and more than 25 %.
     """
     return slow >= _MANY and slow > units * _FEW
 
 
 def slow_units(latencies: Mapping[K, Distribution]) -> dict[K, float]:
-    """Find the slow units; return for each the median (ns) of the other units' median latencies."""
+    """Find the slow units; `latencies` has the latencies of each unit.
+
+    The result has the slow units as keys. The values are the medians (ns) of the other units'
+    median latencies, for comparison.
+    """
     medians = {
         unit: one.percentile(50) for unit, one in latencies.items() if one.count >= ENOUGH_ANSWERS
     }
@@ -47,7 +50,9 @@ def slow_units(latencies: Mapping[K, Distribution]) -> dict[K, float]:
 
 
 def _middle_without(in_order: list[int], left_out: int) -> float:
-    """The median of sorted numbers without the one at index `left_out`; 0 if there is no other."""
+    """The median of sorted numbers without the one at index `left_out`; 0 if there is no other
+    number.
+    """
     count = len(in_order) - 1
     if not count:
         return 0

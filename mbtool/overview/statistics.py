@@ -49,18 +49,25 @@ OTHER_LINKS = ""
 
 
 class Statistics:
-    """Counts transactions and events. Its attributes hold the results and can be read any time."""
+    """Collects the statistics of transactions and events. Its attributes hold the results, and can
+    be read at any time.
+    """
 
     def __init__(self, format_of: Callable[[str], SerialFormat | None] = lambda _: None) -> None:
-        """`format_of` returns the baud rate and character format of a link by name, or None."""
+        """Collect the statistics of links.
+
+        `format_of` is called with the name of a link. It returns the baud rate and character format
+        of a serial line, None if they are unknown.
+        """
         self._format_of = format_of
         self.links: dict[str, LinkStatistics] = {}
         self.polls: OrderedDict[PollKey, PollStatistics] = OrderedDict()
         self.polls_seen = 0
-        """The number of polls so far, including those removed because of MAX_POLLS."""
+        """The number of polls seen so far, including those removed because there were more than
+        MAX_POLLS."""
         self.groups: dict[Group, RequestTally] = {}
-        """Counts of transactions without a poll: responses without a request, and the transactions
-        of polls that were removed because of MAX_POLLS."""
+        """The counts of transactions that have no poll: responses without a request, and all
+        transactions of polls that were removed because there were more than MAX_POLLS."""
         self.devices: dict[tuple[str, int], str] = {}
         self.function_names: dict[int, str] = {}
         self.connections: dict[tuple[str, str], ConnectionTally] = {}
@@ -72,25 +79,31 @@ class Statistics:
 
     @property
     def tapes(self) -> Mapping[tuple[str, str], MasterTape]:
-        """The last requests of each master, by link and the master's host."""
+        """The last requests of each master; the key is the link and the master's host."""
         return self._order.tapes
 
     @property
     def late(self) -> int:
-        """The number of transactions that arrived too late to be sorted by the time of their
-        requests; periods, poll cycles and hours lack them.
+        """The number of requests that were added too late to be sorted by time, so that periods,
+        poll cycles and counts by hour lack them.
         """
         return self._order.late
 
     def add(self, record: NamedTransaction | WireEvent) -> PollStatistics | None:
-        """Count a transaction or event. Returns the poll of a transaction, None if it has none."""
+        """Count a transaction or an event.
+
+        Returns the poll of the transaction; None for an event, and for a transaction without a
+        poll.
+        """
         if isinstance(record, WireEvent):
             self._add_event(record)
             return None
         return self._add_transaction(record)
 
     def add_run(self, run: AnsweredRun) -> None:
-        """Add a batch of answered requests at once; the counts are as if added one by one."""
+        """Add a batch of answered requests at once. The counts are the same as if `add` was called
+        for each.
+        """
         if not self._has_room(run):
             for one in run.transactions():
                 self._add_transaction(one)
@@ -103,9 +116,11 @@ class Statistics:
         self._order.add_run(run, polls)
 
     def begin_capture(self) -> None:
-        """Note that the next record belongs to another capture, perhaps of another day.
+        """Note that the next transaction or event belongs to another capture, perhaps of another
+        day.
 
-        The time between two captures is no period of a poll, and no time that a link was watched.
+        The time between two captures is no period of a poll, and no time during which a link was
+        watched.
         """
         self._order.begin_capture()
         for link in self.links.values():
@@ -114,8 +129,8 @@ class Statistics:
             poll.cut()
 
     def settle(self, before_ns: int | None = None) -> None:
-        """Process the requests that still wait to be sorted by time, those before `before_ns` (UTC
-        ns) or all, so that periods, poll cycles and hours include them.
+        """Count the requests that still wait to be sorted by time in periods, poll cycles and
+        hours: those before `before_ns` (UTC ns), or all if it is None.
         """
         self._order.settle(before_ns)
 
@@ -143,8 +158,8 @@ class Statistics:
         return poll
 
     def _has_room(self, run: AnsweredRun) -> bool:
-        """True if all links and polls of a run fit below MAX_LINKS and MAX_POLLS, and none of its
-        links is a serial line whose bytes have no times.
+        """True if all links and polls of the batch `run` fit below MAX_LINKS and MAX_POLLS, and
+        none of its links is a serial line whose bytes have no times.
         """
         likes = [kind.like for kind in run.kinds]
         links = {like.link for like in likes}
@@ -157,16 +172,20 @@ class Statistics:
         return all(link.has_times for link in known)
 
     def _count_alike(self, kind: AlikeRequests) -> PollStatistics:
-        """Count a group of equal requests, but not their latencies. Returns their poll."""
+        """Count a group of equal requests, but not their latencies, and return the poll that they
+        belong to.
+        """
         self._link(kind.like.link).note_span(kind.like, kind.begin_ns, kind.end_ns)
         poll = self._poll(kind.like)
         poll.tally.count_alike(kind.like, kind.count)
         return poll
 
     def _touch(self, run: AnsweredRun, polls: list[PollStatistics]) -> None:
-        """Move the polls of a run to the end of `self.polls`, in the order of their last requests.
+        """Move the polls of a batch to the end of `self.polls`, in the order of their last
+        requests.
 
-        `self.polls` is sorted by last request, as the first one is removed at the limit.
+        `self.polls` is kept in this order, because the first poll is removed at the limit.
+        `polls[i]` is the poll of the group `run.kinds[i]`.
         """
         for kind in reversed(dict.fromkeys(reversed(run.kind))):
             self.polls.move_to_end(polls[kind].key)

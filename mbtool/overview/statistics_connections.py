@@ -37,7 +37,7 @@ class ConnectionTally:
     keep_alives: int = 0
     """The number of TCP keep-alive probes, from both ends."""
     unanswered_keep_alives: int = 0
-    """The number of keep-alive probes, at the ends of connections, that the peer did not answer."""
+    """The number of keep-alive probes that the peer had not answered when a connection closed."""
     most_at_once: int = 0
     """The largest number of connections that were open at the same time."""
     _open: int = 0

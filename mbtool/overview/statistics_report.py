@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FunctionReport:
-    """All requests to one unit with one function."""
+    """The counts of all requests to one unit with one function code."""
 
     unit: int
     device: str | None
@@ -34,17 +34,18 @@ class PollReport:
 
     poll: PollStatistics
     line_time: LineTime | None
-    """None on a network, or if the baud rate or the times of the bytes are unknown."""
+    """How much of the line's time the poll took. None on a network, or if the baud rate or the
+    times of the bytes are unknown."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MasterReport:
-    """The sequences of requests that one master sends in cycles on a link."""
+    """The lists that one master polls in cycles on a link."""
 
     master: str
     """The master's host; empty on a serial line."""
     requests: int
-    """The number of requests, the last ones of the master, that were searched for polled lists."""
+    """The number of requests in which polled lists were searched: the last ones of the master."""
     lists: PollLists[PollStatistics]
 
 
@@ -55,9 +56,10 @@ class LinkReport:
     name: str
     transport: str
     settings: str | None
-    """Baud rate and character format of a serial line."""
+    """Baud rate and character format of a serial line as text; None on a network, or if they are
+    unknown or changed."""
     has_times: bool
-    """False if the capture has no times for the bytes, so that it gives no rates and periods."""
+    """False if the capture has no times of the bytes, so that rates and periods are unknown."""
     begin_ns: int
     end_ns: int
     watched_ns: int
@@ -66,19 +68,19 @@ class LinkReport:
     functions: list[FunctionReport]
     """One entry for each pair of unit and function, sorted by unit, then function."""
     polls: list[PollReport]
-    """The polls in the order in which they were first asked."""
+    """The polls, in the order in which they were first seen."""
     masters: list[MasterReport]
     connections: list[tuple[str, ConnectionTally]]
-    """Pairs of a master's host and the counts of its connections."""
+    """For each master, its host and the counts of its connections to the link's slave."""
     hours: list[HourCount]
 
     def rate(self, count: int) -> float | None:
-        """Return `count` per second of the time watched; None if that time is 0."""
+        """Return `count` divided by the watched time in seconds; None if that time is 0."""
         return count * 1e9 / self.watched_ns if self.watched_ns else None
 
 
 def report(statistics: Statistics) -> list[LinkReport]:
-    """Return a report for each link, in the order in which the links were first heard."""
+    """Return a report for each link, in the order in which the links first appeared."""
     polls: dict[str, list[PollStatistics]] = {}
     for poll in statistics.polls.values():
         polls.setdefault(poll.key.link, []).append(poll)
