@@ -100,8 +100,8 @@ def _cut(starts: Sequence[PollStart[P]], first: P, places: list[int]) -> CutCycl
     usual, count = max(pieces.items(), key=lambda one: (one[1] * len(one[0]), one[1]))
     if count < MIN_CYCLES or count * len(usual) < MIN_REQUESTS:
         return None
-    # The requests before the first cut, and those after the last one, are added to the share if they
-    # are a part of the usual cycle.
+    # The requests before the first cut, and those after the last one, are added to the share if
+    # they are a part of the usual cycle.
     head = cuts[0] if tuple(polls[: cuts[0]]) == usual[-cuts[0] :] else 0
     last = tuple(polls[cuts[-2] :])
     tail = len(last) if len(last) < len(usual) and last == usual[: len(last)] else 0
