@@ -32,7 +32,7 @@ OPTION_DESCRIPTION = 3
 OPTION_SPEED = 8
 OPTION_FLAGS = 2
 SENT, RECEIVED = 2, 1
-"""The direction of a packet in its flags: outbound and inbound."""
+"""The values of the direction in the flags of a pcapng packet: outbound and inbound."""
 CRC_ERROR = 1 << 24
 """The bit of a packet's flags for a wrong CRC."""
 
@@ -75,7 +75,7 @@ class PcapngWriter:
         stream.write(_SECTION)
 
     def write_block(self, kind: int, body: bytes) -> None:
-        """Write a block of any kind, padded to four bytes."""
+        """Write a block with the block type `kind`; its body is padded to a multiple of 4 bytes."""
         body += bytes(-len(body) % 4)
         size = struct.pack("<I", len(body) + 12)
         self._stream.write(struct.pack("<I", kind) + size + body + size)
@@ -90,20 +90,23 @@ class PcapngWriter:
 
     @property
     def has_room(self) -> bool:
-        """False if the file has MAX_INTERFACES interfaces already, the most that mbtool's reader
-        takes.
+        """True if another interface may be added.
+
+        The file has at most MAX_INTERFACES, as mbtool's reader accepts no more.
         """
         return len(self._interfaces) < MAX_INTERFACES
 
     def knows(self, link: str, link_type: int) -> bool:
-        """True if the interface is described already."""
+        """True if the interface for this link and link type is already described in the file."""
         return (link, link_type) in self._interfaces
 
     def add_interface(
         self, link: str, link_type: int, settings: InterfaceSettings | None = None
     ) -> None:
-        """Write the description of an interface; it must come before the interface's first
-        packet.
+        """Write the description of the interface for a link and a link type.
+
+        `write` does this before the interface's first packet, if it was not done before.
+        `settings` of None means no description text and an unknown speed.
         """
         settings = settings or InterfaceSettings()
         options = _option(OPTION_NAME, link.encode(errors="replace"))
@@ -123,10 +126,11 @@ class PcapngWriter:
         flags: int = 0,
         local: Mapping[int, bytes] | None = None,
     ) -> None:
-        """Write a packet.
+        """Write a packet, and before it the description of its interface if that is still missing.
 
-        `flags` has the bits SENT, RECEIVED and CRC_ERROR. `local` holds options for local use,
-        which other programs skip: bytes by option code.
+        Wireshark shows the `comments`. `flags` has the bits SENT, RECEIVED and CRC_ERROR; 0 means
+        none. `local` has options for local use, which other programs skip: the content by the
+        option's code.
         """
         if not self.knows(packet.link, packet.link_type):
             self.add_interface(packet.link, packet.link_type)

@@ -59,18 +59,18 @@ PATIENCE = 3
 """If the capture swapped two packets of a connection, at most this many other packets of the
 connection lie between the two."""
 PATIENCE_NS = 100_000_000
-"""The longest time between two packets which the capture swapped, in ns."""
+"""If the capture swapped two packets, at most this time in ns lies between the two."""
 HOLE_NS = 10_000_000_000
-"""How long a hole may wait for a retransmission, in ns."""
+"""Bytes behind a hole (missing bytes) wait this long, in ns, for a retransmission to fill it."""
 
 _STATE_FLAGS = ACK | FIN | RST | SYN
-"""Of these flags, an ordinary segment in the middle of a connection has only ACK."""
+"""The flags to check: a segment that has only ACK of these neither opens nor ends a connection."""
 
 
 class TcpConnection:
     """Reassembles the two directions of a TCP connection.
 
-    Appends bytes, gaps, events and its own begin and end to `out`, in the order of delivery.
+    It appends the connection's chunks, gaps, events, begin and end to the list `out`, in order.
     """
 
     __slots__ = (
@@ -99,10 +99,10 @@ class TcpConnection:
         self.identity = identity
         self.closed = False
         self.last_ns = ts_ns
-        """The time of the segment taken last, in ns."""
+        """The time of the segment that was taken last, in UTC ns."""
         self.keep_alives = 0
         self.unanswered_probes = 0
-        """The keep-alive probes that one end has sent since the other end last sent anything."""
+        """The number of keep-alive probes of one end since the other end last sent a segment."""
         self._prober: Stream | None = None
         """The stream of the end that sent the last keep-alive probe; None before the first
         probe."""
@@ -120,20 +120,20 @@ class TcpConnection:
 
     @property
     def holds_bytes(self) -> bool:
-        """True if bytes wait for bytes that precede them or that they acknowledge."""
+        """True if bytes are held back because earlier or acknowledged bytes are missing."""
         requests, responses = self._directions[0]
         return bool(requests.held or responses.held)
 
     @property
     def rest(self) -> RestPlace | None:
-        """The next sequence numbers and positions; None if the connection ended or bytes wait."""
+        """Where both directions continue; None if the connection has ended or holds back bytes."""
         ways = self._directions[0]
         if self.closed or not all(way.is_at_rest for way in ways):
             return None
         return RestPlace(*(way.next_sequence for way in ways), *(way.position for way in ways))
 
     def pass_plain(self, requests: PlainBytes, responses: PlainBytes) -> None:
-        """Move both directions past segments that columns/ has decoded from arrays."""
+        """Move both directions past segments that the array decoder has read."""
         asking, answering = self._directions[0]
         asking.pass_plain(requests, self._arrivals)
         answering.pass_plain(responses, self._arrivals)
@@ -148,7 +148,7 @@ class TcpConnection:
         """True if a segment belongs to a new connection between the same ends.
 
         Called for a segment with SYN, or if this connection is closed. `from_lower` is True if the
-        lower end (by port, then address) sent it.
+        segment's sender is the end with the lower port (with equal ports, the lower address).
         """
         sender, _ = self._directions[from_lower != self._master_is_lower]
         return begins_another(segment, sender, is_closed=self.closed)
@@ -158,9 +158,9 @@ class TcpConnection:
     ) -> bool:
         """Take a segment of this connection; a closed connection ignores it.
 
-        The caller sorts the two ends by port and address; `from_lower` is True if the lower end
-        sent the segment. `origin` is the packet that brought the segment. Returns True if bytes
-        wait for earlier bytes.
+        `from_lower` is True if the segment's sender is the end with the lower port (with equal
+        ports, the lower address). `origin` is the packet that brought the segment. Returns True if
+        bytes of the connection are then held back because others have not come.
         """
         self.last_ns = self._now_ns = ts_ns
         if self.closed:
@@ -185,7 +185,10 @@ class TcpConnection:
     def _take(
         self, segment: TcpSegment, sender: Stream, other: Stream, origin: Origin | None
     ) -> None:
-        """Take a segment that has flags, has no bytes or is out of order."""
+        """Take a segment with SYN, FIN or RST, without bytes, or out of order.
+
+        `sender` and `other` are the streams of bytes from the segment's sender and to it.
+        """
         probes, ts_ns = self.keep_alives, self._now_ns
         flags, sequence = segment.flags, segment.sequence
         if flags & ACK and other.syn_end is not None:
@@ -217,7 +220,7 @@ class TcpConnection:
             self.close(ts_ns, CloseReason.FINISHED)
 
     def advance(self, now_ns: int) -> None:
-        """Let capture time pass: treat missing bytes as lost if they were awaited too long."""
+        """Set the capture's time to `now_ns`; treat bytes missing for too long as lost."""
         self._now_ns = now_ns
         self._deliver_held()
         if not self.closed and self._is_finished():
@@ -239,7 +242,7 @@ class TcpConnection:
             )
 
     def _report_missing_end(self, stream: Stream) -> None:
-        """Report a gap if the last bytes of a stream were sent, and are not in the capture."""
+        """Report a gap if a FIN or an acknowledgement shows that the last bytes are missing."""
         end = stream.acknowledged if stream.finish is None else stream.finish
         missing = end - stream.position
         if 0 < missing <= WINDOW and not stream.joining:
@@ -248,9 +251,9 @@ class TcpConnection:
             stream.pass_over(missing)
 
     def _acknowledge(self, stream: Stream, acknowledgement: int) -> int:
-        """Note that the receiver of `stream` has acknowledged its bytes up to a sequence number.
+        """Note that the receiver of `stream` has sent `acknowledgement`, a raw ACK number.
 
-        Returns the position of that number in `stream` if bytes before it have not come, else 0.
+        Returns that number as a byte position in `stream` if bytes before it are missing, else 0.
         """
         position = stream.position_of(acknowledgement)
         if stream.finish is not None:
@@ -261,7 +264,7 @@ class TcpConnection:
         return position
 
     def _reset_reason(self, sender: Stream) -> CloseReason:
-        """REFUSED if the slave resets before either end has sent a byte; otherwise RESET."""
+        """REFUSED if the slave sent the RST before either end had sent a byte; otherwise RESET."""
         requests, _ = self._directions[0]
         is_first_word = sender is not requests and sender.origin is None
         if is_first_word and not requests.position and not requests.held:
@@ -277,14 +280,15 @@ class TcpConnection:
         other: Stream,
         origin: Origin | None,
     ) -> None:
-        """Deliver bytes or keep them until earlier ones come; bytes cut by the snaplen become a
-        gap.
+        """Deliver the segment's bytes, or hold them back; bytes cut by the snaplen become a gap.
+
+        `acknowledged` is the byte position in `other` up to which bytes must come first; 0 if none.
         """
         ts_ns, arrival = self._now_ns, self._arrivals
         if sender.origin is None:
             sender.join(sequence, arrival, ts_ns)
         if other.origin is None and segment.flags & (ACK | SYN) == ACK:
-            # The acknowledged bytes may come later: the capture may have swapped the packets.
+            # The bytes of `other` may come later: the capture may have swapped the packets.
             other.join(segment.acknowledgement, arrival, ts_ns)
             acknowledged = LEAD
         start = sender.position_of(sequence)
@@ -301,9 +305,9 @@ class TcpConnection:
             self._take_piece(sender, other, cut)
 
     def _continue_at(self, stream: Stream, sequence: int) -> int:
-        """Continue a stream at a sequence number more than WINDOW from the expected one.
+        """Continue a stream at a sequence number more than WINDOW bytes from the expected one.
 
-        Returns the position in `stream` that the sequence number now has.
+        Returns the byte position in `stream` that the sequence number now has.
         """
         self._deliver_held(force=True)
         if not stream.joining:
@@ -312,9 +316,9 @@ class TcpConnection:
         return stream.position
 
     def _take_piece(self, sender: Stream, other: Stream, piece: HeldBytes) -> None:
-        """Deliver those bytes of a segment that are new, or keep them until earlier ones have come.
+        """Deliver the new bytes of a segment, or hold them back until earlier ones have come.
 
-        Bytes whose gap was reported before, or that differ from their first copy, become events.
+        Bytes of a reported gap, and bytes that differ from their first copy, become events.
         """
         differs = False
         fresh, behind = piece, sender.position - piece.start
@@ -351,10 +355,10 @@ class TcpConnection:
         self._out.append(StreamEvent(self.identity, event))
 
     def _is_due(self, piece: HeldBytes, other: Stream) -> bool:
-        """True if the bytes that a segment acknowledges are delivered, or given up."""
+        """True if the bytes of `other` that the segment acknowledges are delivered or given up."""
         if piece.acknowledged <= other.position:
             return True
-        # If bytes of the other direction wait behind a hole, its gap is delivered first.
+        # If `other` holds back bytes behind a hole, the gap of that hole is delivered first.
         has_gap_to_come = other.held and other.held[0].start <= piece.acknowledged
         return not has_gap_to_come and self._is_overdue(other, piece.acknowledged)
 
@@ -362,9 +366,9 @@ class TcpConnection:
         return stream.is_overdue(self._arrivals, PATIENCE, self._now_ns, PATIENCE_NS, needed)
 
     def _deliver_held(self, *, force: bool = False) -> None:
-        """Deliver waiting bytes whose turn has come; treat bytes awaited too long as lost.
+        """Deliver bytes that need no longer wait; treat bytes missing for too long as lost.
 
-        `force` treats all missing bytes as lost.
+        With `force` all missing bytes are treated as lost.
         """
         # Each pass of the loop delivers bytes or gives up a hole, so it ends.
         moved = True
@@ -382,9 +386,9 @@ class TcpConnection:
                 moved = any(self._give_up(stream, force) for stream in streams)
 
     def _give_up(self, stream: Stream, force: bool) -> bool:
-        """Treat the bytes missing before the first waiting ones as lost, if they had time to come.
+        """Treat the bytes missing before the first held ones as lost, if they had time to come.
 
-        Returns True if bytes or a gap were delivered.
+        With `force` they need no time. Returns True if bytes or a gap were delivered.
         """
         if not stream.held:
             return False
@@ -416,7 +420,7 @@ class TcpConnection:
         return True
 
     def _has_waited_enough(self, stream: Stream, first: HeldBytes, hole: int) -> bool:
-        """True if a limit of bytes, time or packets ends the wait for the hole before `first`."""
+        """True if a limit of bytes, time or segments ends the wait for the bytes before `first`."""
         if stream.is_overfull():
             return True
         if self._now_ns - min(piece.ts_ns for piece in stream.held) >= HOLE_NS:
@@ -424,7 +428,7 @@ class TcpConnection:
         return hole > 0 and first.start <= stream.acknowledged and self._is_overdue(stream)
 
     def _deliver(self, stream: Stream, piece: HeldBytes) -> None:
-        """Deliver bytes, or a gap where snaplen cut them, at the position of the stream."""
+        """Deliver the next bytes of the stream, or a gap if the snaplen cut them off."""
         if piece.arrival >= stream.latest[0]:
             stream.latest = (piece.arrival, piece.ts_ns)
         if piece.data:
@@ -436,7 +440,7 @@ class TcpConnection:
         self._out.append(StreamGap(ts_ns, self.identity, stream.direction, missing, EventKind.CUT))
 
     def _is_finished(self) -> bool:
-        """True if both ends have sent FIN and all bytes before it are delivered or given up."""
+        """True if both ends have sent FIN, and all bytes before both are delivered or given up."""
         return all(
             stream.finish is not None
             and not stream.held

@@ -1,9 +1,7 @@
-"""The state of a TCP connection that columns/ has decoded from arrays, from its SYN to both
-FINs.
-"""
+"""The state of a TCP connection that the array decoder has read, from its SYN to both FINs."""
 
-# It takes the place of a closed TcpConnection, and is made in a tenth of the time: its Streams are
-# made only if a later segment between the same ends must be compared with them.
+# An EndedConnection takes the place of a closed TcpConnection, and is made in a tenth of the time:
+# it makes a Stream only if a later segment between the same ends must be compared with it.
 
 from __future__ import annotations
 
@@ -19,15 +17,15 @@ if TYPE_CHECKING:
     from mbtool.packets.stream_events import CloseReason
 
 WINDOW = 1024 * 1024
-"""The largest distance, in bytes, between a segment's sequence number and the next expected one; a
-segment further away belongs to another connection, or follows lost bytes."""
+"""The largest distance, in bytes, between a segment's sequence number and the next expected one. A
+segment further away belongs to another connection, or follows an unknown number of lost bytes."""
 
 
 def begins_another(segment: TcpSegment, sender: Stream, *, is_closed: bool) -> bool:
     """True if a segment belongs to a new connection, not to the known one between the same ends.
 
-    Called for a segment with SYN, or if the known connection `is_closed`. `sender` is the known
-    connection's stream in the segment's direction.
+    Called for a segment with SYN, or if the known connection has ended (`is_closed`). `sender` is
+    the known connection's stream in the direction of the segment.
     """
     flags = segment.flags
     if flags & SYN:
@@ -36,9 +34,9 @@ def begins_another(segment: TcpSegment, sender: Stream, *, is_closed: bool) -> b
         return (known and not same) or (is_closed and not flags & ACK)
     if flags & RST or not (segment.payload or segment.missing):
         return False
-    # These bytes come after the end of the known connection. If they are no retransmission, either
-    # the RST that ended it was a stray one, or the SYN of the next connection is not in the
-    # capture.
+    # The segment has bytes, though the known connection has ended. If they are no retransmission,
+    # either the RST that ended that connection was a stray one, or the SYN of the next connection
+    # is not in the capture.
     size = len(segment.payload) + segment.missing
     return sender.is_new(segment.sequence, size, WINDOW)
 
@@ -60,9 +58,10 @@ class EndedConnection:
     ) -> None:
         """Keep what later segments are compared with.
 
-        `last_ns` is the time of its last segment, in UTC ns. `begins` has the sequence numbers of
-        the first request byte and of the first response byte; `sizes` the total bytes of requests
-        and of responses.
+        `last_ns` is the time of the connection's last segment, in UTC ns. `begins` has the sequence
+        numbers of the first request byte and of the first response byte, `sizes` the numbers of
+        bytes of all requests and of all responses. `master_is_lower` is True if the master has the
+        lower port (with equal ports, the lower address).
         """
         self.identity = identity
         self.last_ns = last_ns
@@ -71,7 +70,11 @@ class EndedConnection:
         self._master_is_lower = master_is_lower
 
     def is_replaced_by(self, segment: TcpSegment, *, from_lower: bool) -> bool:
-        """True if a segment belongs to a new connection between the same ends."""
+        """True if a segment belongs to a new connection between the same ends.
+
+        `from_lower` is True if the segment's sender is the end with the lower port (with equal
+        ports, the lower address).
+        """
         is_answer = from_lower != self._master_is_lower
         sender = Stream((Direction.REQUEST, Direction.RESPONSE)[is_answer], self.identity)
         sender.begin(self._begins[is_answer])
@@ -81,7 +84,7 @@ class EndedConnection:
     def feed(
         self, segment: TcpSegment, ts_ns: int, *, from_lower: bool, origin: Origin | None = None
     ) -> bool:
-        """Ignore a segment: the connection has ended."""
+        """Ignore a late segment but note its time; return False, as no bytes are held back."""
         self.last_ns = ts_ns
         return False
 

@@ -54,8 +54,8 @@ _IPV4_HEADER = struct.Struct(">BxHHHBBH")
 _IPV6_HEADER = struct.Struct(">IHBB")
 
 Key = tuple[bytes, bytes, int, int]
-"""The fields that the fragments of one packet have in common: source address, destination address,
-protocol (0 in IPv6) and identification."""
+"""The fields that the fragments of one packet have in common: source and destination address (4 or
+16 bytes each), protocol (0 in IPv6) and identification."""
 _Header = tuple[Key, int, int, bool, int, int]
 """The fields of a fragment's headers: its key, the protocol at the start of the packet's payload,
 the fragment's offset in that payload, True if it is the last fragment, and the offsets in the
@@ -67,7 +67,8 @@ class Fragment(NamedTuple):
 
     key: Key
     following: int
-    """The protocol at the start of the payload of the whole packet."""
+    """The number of the protocol whose header begins the payload of the whole packet, such as 6 for
+    TCP."""
     start: int
     end: int
     last: bool
@@ -80,9 +81,11 @@ class Overlap(Enum):
 
     NONE = 0
     SAME = 1
-    """They have the same bytes where they overlap, but begin or end elsewhere."""
+    """A later fragment has the same bytes as earlier ones where they overlap, but begins or ends
+    elsewhere."""
     DIFFERENT = 2
-    """They have different bytes where they overlap, or contradict the packet's length."""
+    """A later fragment has other bytes than earlier ones where they overlap, or contradicts the
+    packet's length."""
 
 
 class DatagramEnd(Enum):
@@ -92,7 +95,8 @@ class DatagramEnd(Enum):
     INCOMPLETE = 1
     """Some fragments did not come within FRAGMENT_NS."""
     DISCARDED = 2
-    """The packet was dropped because too many were being reassembled."""
+    """The packet was dropped because the packets being reassembled exceeded MAX_DATAGRAMS or
+    MAX_FRAGMENT_BYTES."""
 
 
 @dataclass(slots=True)
@@ -104,9 +108,10 @@ class Datagram:
     first_ns: int
     following: int
     pieces: list[tuple[int, int, bytes]] = field(default_factory=list)
-    """Start, end and bytes of each piece of the payload, in order, without overlaps."""
+    """Start, end (offsets in the payload) and bytes of each piece of the payload that has come, in
+    order, without overlaps."""
     held: int = 0
-    """How many bytes of the packet's payload have come."""
+    """How many bytes of the packet's payload have come, with those that the snaplen cut off."""
     total: int | None = None
     """The length of the packet's payload in bytes; None until its last fragment has come."""
     overlap: Overlap = Overlap.NONE
@@ -118,8 +123,9 @@ class Datagram:
         return b"".join(self._leading())
 
     def packet(self) -> tuple[bytes, int]:
-        """Return an IP packet with `payload`, and the length in bytes that it would have if none
-        were missing.
+        """Return an IP packet with `payload`, and the length in bytes that the whole packet has.
+
+        If the last fragment has not come, the length counts the payload bytes that have.
         """
         payload = self.payload
         source, destination, protocol, _ = self.key
@@ -132,7 +138,7 @@ class Datagram:
         return data, len(data) - len(payload) + length
 
     def add(self, fragment: Fragment) -> int:
-        """Keep the new bytes of a fragment; return the number of pieces added."""
+        """Keep the new bytes of a fragment; return how many entries `pieces` got by this."""
         start, end = fragment.start, fragment.end
         is_behind = not self.pieces or end >= self.pieces[-1][1]
         if self.total is None and fragment.last and is_behind:
@@ -156,9 +162,7 @@ class Datagram:
         return len(added)
 
     def is_copy(self, fragment: Fragment) -> bool:
-        """True if this packet, already whole, contains the bytes of a fragment unchanged: it is a
-        copy.
-        """
+        """True if a fragment repeats bytes of this packet, which is already whole."""
         touching = self._touching(fragment.start, fragment.end)
         return fragment.end <= self.held and not any(_differ(fragment, one) for one in touching)
 
@@ -189,11 +193,12 @@ class Datagram:
 
 
 class Fragments:
-    """The packets that are being reassembled."""
+    """Reassembles IP packets from their fragments."""
 
     def __init__(self) -> None:
         self._datagrams: OrderedDict[tuple[str, Key], Datagram] = OrderedDict()
-        """The packets by scope (see `feed`) and key, in the order of their first fragments."""
+        """The packets by scope (an interface's name, or "" for all interfaces) and Key, in the
+        order of their first fragments."""
         self._cost = 0
 
     @property
@@ -202,10 +207,10 @@ class Fragments:
         return self._cost
 
     def feed(self, fragment: Fragment, ts_ns: int, link: str, scope: str = "") -> list[Datagram]:
-        """Take a fragment; return the packets whose reassembly ended, whole or given up, in order.
+        """Take a fragment; return the packets whose reassembly ended, whole or given up.
 
-        Only fragments with the same `scope` (the interface, or "" for all interfaces) are put
-        together.
+        `link` is the interface that captured the fragment. Only fragments with the same `scope`
+        are put together: the interface, or "" to put fragments from all interfaces together.
         """
         done = self.advance(ts_ns)
         key = (scope, fragment.key)
@@ -260,8 +265,10 @@ class Fragments:
 
 
 def find_fragment(data: bytes, at: int, original_length: int) -> Fragment | None:
-    """Read the IP packet that begins at `at` as a fragment; None if it is none, or cannot
-    hold TCP.
+    """Read the IP packet that begins at offset `at` of `data` as a fragment.
+
+    `original_length` is how many bytes `data` had on the wire. Returns None if the IP packet is no
+    fragment, or cannot hold TCP.
     """
     if len(data) < at + 20:
         return None
@@ -309,7 +316,10 @@ _READERS = {4: _read_ipv4, 6: _read_ipv6}
 def fragment_events(
     datagram: Datagram, ts_ns: int, source_port: int, destination_port: int
 ) -> list[WireEvent]:
-    """The events to report for a packet whose reassembly ended: overlaps and missing fragments."""
+    """Return the events to report for a packet whose reassembly ended at `ts_ns` (UTC ns).
+
+    They report fragments that overlap or are missing.
+    """
     reports = []
     if datagram.overlap is Overlap.SAME:
         reports.append((EventKind.OVERLAP, "fragments of a packet overlap"))
@@ -342,8 +352,9 @@ def _part(fragment: Fragment, start: int, end: int) -> tuple[int, int, bytes]:
 
 
 def _differ(fragment: Fragment, other: tuple[int, int, bytes]) -> bool:
-    """True if a fragment and an earlier piece (start, end, bytes) of its packet have different
-    bytes where they overlap.
+    """True if a fragment differs from an earlier piece of its packet where the two overlap.
+
+    `other` is the start and the end (offsets in the payload) and the bytes of the piece.
     """
     start, _, data = other
     begin = max(start, fragment.start)

@@ -57,35 +57,37 @@ _MAX_NS = 2**63 - 1
 _PAYLOAD_AT = _IPV4.size + _UDP.size
 
 
-# Other programs can write a block with this code too. Its size is bounded by MAX_BLOCK, as that of
-# all pcapng blocks.
+# Another program may have written the LOCAL_BLOCK from which this class is read, so it may hold
+# anything. Its size is at most MAX_BLOCK, as that of all pcapng blocks.
 class CaptureHead(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """Describes the serial lines and taps whose bytes a pcapng file holds, as a log's metadata
-    does.
+    """Describes the serial lines and taps whose bytes a pcapng file holds.
+
+    The fields are the same as in the metadata of a log.
     """
 
     capture: dict[str, str] = {}
     links: dict[str, dict[str, str]] = {}
-    """By link name, the link's settings, such as baud rate and parity."""
+    """The settings of each link, such as its LINK as text, by the link's name."""
     devices: dict[str, str] = {}
     """The name of each device's profile; the key names the device as `--device` does."""
     profiles: dict[str, bytes] = {}
-    """By name, the device profiles, as JSON."""
+    """The device profiles as JSON, by the profile's name."""
 
 
 class WireReads(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """Describes the reads of a port or socket whose bytes a packet holds."""
 
     reads: list[tuple[int, int]]
-    """For each read, how many of its bytes are in this packet, and its time in UTC ns."""
+    """For each read: how many of its bytes are in this packet, and the time of the read in UTC
+    ns."""
     is_open: bool = False
     """True if the last read continues with the first bytes of the next packet."""
     skip: int = 0
-    """The number of payload bytes before the first byte that was on the link (such as an MBAP
-    header)."""
+    """How many bytes at the start of the payload (such as an MBAP header) `convert` has added; the
+    bytes that were on the link begin behind them."""
     raw: bytes | None = None
-    """The bytes as they were on the link, if the packet shows another form of them: an ASCII frame,
-    shown as RTU."""
+    """The bytes as they were on the link, if the payload shows them in another form, as it does for
+    an ASCII frame; None if the payload has them unchanged."""
     direction: Direction = Direction.UNKNOWN
     stamp: Stamp = Stamp.LAST_BYTE
     connection: Connection | None = None
@@ -103,7 +105,7 @@ class LinePacket(Packet):
 
 
 class LineEnds(NamedTuple):
-    """The made-up IP addresses under which a packet shows a master and a slave."""
+    """The made-up IP addresses that stand for a master and a slave in a packet."""
 
     master: bytes
     """The master's IPv4 address, 4 bytes."""
@@ -117,9 +119,9 @@ class LineEnds(NamedTuple):
 
 
 def line_datagram(ends: LineEnds, number: int, payload: bytes, *, is_request: bool) -> bytes:
-    """Return an IPv4 and UDP packet around a payload.
+    """Return an IPv4 packet with a UDP datagram that carries `payload`.
 
-    The lower 16 bits of `number` are its identification.
+    The lower 16 bits of `number` become the identification in the IPv4 header.
     """
     source, destination = ends.master, ends.slave
     ports = [ends.master_port, MODBUS_PORT]
@@ -134,16 +136,19 @@ def line_datagram(ends: LineEnds, number: int, payload: bytes, *, is_request: bo
 
 
 def with_mbap(number: int, body: bytes, check: bytes) -> bytes:
-    """Return the UDP payload for a serial frame: MBAP header, unit and PDU (`body`), then CRC or
-    LRC.
+    """Return the UDP payload for a serial frame: MBAP header, `body`, `check`.
 
-    The lower 16 bits of `number` are the transaction id.
+    `body` is unit and PDU, `check` the CRC or LRC. The lower 16 bits of `number` become the
+    transaction id.
     """
     return struct.pack(">HHH", number & 0xFFFF, 0, len(body)) + body + check
 
 
 def rtac_packet(ts_ns: int, data: bytes, *, by_master: bool) -> bytes:
-    """Return a packet of link type 250 (RTAC_SERIAL) with bytes of a line; `ts_ns` is in UTC ns."""
+    """Return a packet of link type 250 (RTAC_SERIAL) with bytes of a serial line.
+
+    `ts_ns` is their time in UTC ns; `by_master` is True if the master sent them.
+    """
     seconds, ns = divmod(ts_ns, 1_000_000_000)
     sent = 1 if by_master else 2
     return struct.pack(">IIBBH", seconds & 0xFFFFFFFF, ns // 1000, sent, 0, 0) + data
@@ -154,16 +159,17 @@ class OpenReads:
 
     def __init__(self) -> None:
         self._open: dict[tuple[object, ...], Chunk] = {}
-        """By link, direction and connection, the bytes so far of a read that continues in the next
-        packet."""
+        """The bytes that have come of each read that continues in the next packet. The key is the
+        read's link, direction and connection."""
 
     def take(
         self, like: Chunk, data: bytes, reads: Iterable[tuple[int, int]], *, is_open: bool
     ) -> list[Chunk]:
         """Take the bytes of the next packet; return the reads that end in it.
 
-        `like` has the link, direction, stamp, connection and place of the reads. `data`, `reads`
-        and `is_open` are the packet's bytes and the fields of its WireReads.
+        `like` is a Chunk with the link, direction, stamp, connection and place of the reads. `data`
+        are the bytes of the reads that the packet has. `reads` has the number of bytes and the time
+        (UTC ns) of each read; `is_open` is True if the last one continues in a later packet.
         """
         key = (like.link, like.direction, like.connection)
         done: list[Chunk] = []
@@ -181,7 +187,7 @@ class OpenReads:
         return [chunk for chunk in done if chunk.data]
 
     def close(self) -> list[Chunk]:
-        """Return the reads whose last bytes were expected in a packet that never came."""
+        """Return the incomplete reads at the end of the file, with the bytes that have come."""
         held, self._open = [*self._open.values()], {}
         return held
 
@@ -193,9 +199,10 @@ class LineReader:
         self._reads = OpenReads()
 
     def read(self, packet: Packet, mark: bytes) -> Packet:
-        """Return a packet as LinePacket; `mark` is its LOCAL_OPTION, JSON that describes the reads.
+        """Return the packet as LinePacket, with the reads whose last bytes it has.
 
-        A packet whose option cannot be parsed is returned unchanged.
+        `mark` is the packet's LOCAL_OPTION: a WireReads as JSON. A packet whose option cannot be
+        parsed is returned unchanged.
         """
         try:
             wire = msgspec.json.decode(mark, type=WireReads)
@@ -218,7 +225,11 @@ class LineReader:
         return _line_packet(packet, self._reads.take(like, data, wire.reads, is_open=wire.is_open))
 
     def close(self, packet: Packet) -> LinePacket | None:
-        """At the end of the file, return unfinished reads in a copy of the last packet, or None."""
+        """At the end of the file, return the incomplete reads; None if there are none.
+
+        They are returned as the chunks of a LinePacket; `packet`, the last of the file, gives its
+        other fields.
+        """
         held = self._reads.close()
         return _line_packet(packet, held) if held else None
 
@@ -237,9 +248,7 @@ def _line_packet(packet: Packet, chunks: Iterable[Chunk]) -> LinePacket:
 
 
 def reads_of(packets: Iterable[Packet]) -> Iterator[Chunk | Packet]:
-    """Yield the packets of a capture, but the original reads in place of packets made from
-    reads.
-    """
+    """Yield the packets of a capture; for a LinePacket, yield its original reads instead."""
     for packet in packets:
         if isinstance(packet, LinePacket):
             yield from packet.chunks

@@ -13,7 +13,7 @@ from mbtool.core import LinkAddresses
 from mbtool.packets.link_layer import HSR, TAGGED, VLAN
 
 MAX_CACHED_HEADERS = 4096
-"""The addresses of this many headers are kept; beyond that the least recently used are dropped."""
+"""The results for this many headers are cached; then the least recently used one is dropped."""
 
 _MAC = 6
 _ETHERNET, _COOKED, _COOKED_V2 = 1, 113, 276
@@ -21,9 +21,10 @@ _ETHERNET, _COOKED, _COOKED_V2 = 1, 113, 276
 
 @lru_cache(maxsize=MAX_CACHED_HEADERS)
 def link_addresses(link_type: int, header: bytes) -> LinkAddresses | None:
-    """The addresses in the bytes before a packet's IP header; None if they have none.
+    """Return the MAC addresses and the VLAN in a link-layer header; None if it has no addresses.
 
-    `link_type` is a LINKTYPE_ value. Cached, as a connection has the same two headers throughout.
+    `header` are all bytes before the packet's IP header; `link_type` is a LINKTYPE_ value. The
+    results are cached, as all packets of a connection have one of the same two headers.
     """
     if link_type == _ETHERNET and len(header) >= 14:
         return LinkAddresses(_text(header, 6), _text(header, 0), _vlan(header, 12))
@@ -41,9 +42,9 @@ def _text(header: bytes, at: int) -> str | None:
 
 
 def _vlan(header: bytes, at: int) -> int | None:
-    """The id of the innermost VLAN tag; None if there is none.
+    """The id of the innermost VLAN tag; None without a tag, or if the id is 0.
 
-    `at` is the offset of the first EtherType.
+    `at` is the offset of the first EtherType in `header`.
     """
     vlan = 0
     while (kind := header[at : at + 2]) in TAGGED:

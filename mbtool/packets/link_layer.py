@@ -37,7 +37,11 @@ def _ethernet(data: bytes) -> int:
 
 
 def behind_ethernet(data: bytes, at: int) -> int:
-    """The offset of the IP header in an Ethernet frame that begins at an offset, or NOT_IP."""
+    """Return the offset in `data` of the IP header in the Ethernet frame that begins at offset
+    `at`.
+
+    Returns NOT_IP if the frame holds no IP packet.
+    """
     return _behind(data, data[at + 12 : at + 14], at + 14)
 
 
@@ -57,9 +61,10 @@ def _behind(data: bytes, kind: bytes, at: int) -> int:
 
 
 def _behind_labels(data: bytes, at: int) -> int:
-    """The offset of the IP header behind MPLS labels, or NOT_IP.
+    """Return the offset of the IP header behind MPLS labels, which begin at `at`, or NOT_IP.
 
-    Only the first half byte behind the labels, IP's version, shows whether IP follows.
+    MPLS does not name the protocol behind the labels. It counts as IP if its first half byte, IP's
+    version, is 4 or 6.
     """
     while len(data) > at + 4:
         at += 4

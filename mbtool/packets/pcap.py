@@ -94,9 +94,10 @@ def read_pcap(stream: BinaryIO, magic: bytes, name: str) -> Iterator[Packet]:
 
 
 def read_pcap_form(magic: bytes, header: bytes, name: str) -> PcapForm:
-    """Read the file header behind its magic.
+    """Read the file header; `header` are its bytes behind the 4 bytes of the magic.
 
-    Raises InputError for an unknown version, CutError if the header is too short.
+    `name` is the file's name for error messages. Raises InputError for an unknown version, CutError
+    if the header is too short.
     """
     order, unit_ns, extra = _FORMATS[magic]
     if len(header) < PCAP_HEADER - len(magic):
@@ -109,7 +110,10 @@ def read_pcap_form(magic: bytes, header: bytes, name: str) -> PcapForm:
 
 
 def too_long_error(name: str, number: int, captured: int) -> DamageError:
-    """The error for a record behind packet `number` that claims too many bytes."""
+    """The error for a record behind packet `number` that claims to have `captured` bytes.
+
+    That is more than MAX_CAPTURED. `name` is the file's name.
+    """
     return DamageError(
         f"{name}: damaged after packet {number}: the next claims {captured} bytes, "
         f"more than {MAX_CAPTURED}"

@@ -68,14 +68,15 @@ class _Layout:
         self.pair = Struct(order + "HH")  # an option's code and length; a version
         self.interface = Struct(order + "HHI")  # link type, reserved, snaplen
         self.single = Struct(order + "I")  # original length
-        # interface, (drops, obsolete only,) time high, time low, captured length, original length
+        # Fields: interface, drops (only in `obsolete`), time high, time low, captured length,
+        # original length.
         self.enhanced = Struct(order + "IIIII")
         self.obsolete = Struct(order + "H2xIIII")
         self.offset = Struct(order + "q")
 
 
 _LAYOUTS = {bytes.fromhex("4d3c2b1a"): _Layout("<"), bytes.fromhex("1a2b3c4d"): _Layout(">")}
-"""By the four bytes in a section header that show its byte order, the formats of its blocks."""
+"""The formats of a section's blocks, by the four bytes in its header that show its byte order."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,8 +107,8 @@ class _Reader:
         self._name = name
         self._on_head = on_head
         self._lines: LineReader | None = None
-        """Restores the reads of a serial line or tap from packets; None if the file has none of
-        these (no CaptureHead)."""
+        """Restores the reads of a serial line or tap from packets. None as long as no CaptureHead
+        has come, which `convert` writes before such packets."""
         self._last: Packet | None = None
         self._layout: _Layout
         """The formats in the current section's byte order; set by the section header that begins
@@ -157,8 +158,9 @@ class _Reader:
     def _read_body(self, header: bytes, length: int, done: int) -> bytes:
         """Return the body of a block without the second length at its end.
 
-        `header` is the block's type and length; `done` bytes of the block are read already. Raises
-        DamageError if a length is impossible or the two differ, CutError if the file ends before.
+        `header` is the block's type and first length (4 bytes each), `length` the value of that
+        length; `done` bytes of the block are read already. Raises DamageError if the length is
+        impossible or the two lengths differ, CutError if the file ends inside the block.
         """
         if length < done + 4 or length % 4 or length > MAX_BLOCK:
             raise self._damaged(f"a block claims {length} bytes")
@@ -202,8 +204,9 @@ class _Reader:
         return packet if self._lines is None else self._as_line(packet, body, start, captured)
 
     def _as_line(self, packet: Packet, body: bytes, start: int, captured: int) -> Packet:
-        """Return the packet as LinePacket if `convert` made it from reads of a port, else
-        unchanged.
+        """Return the packet as LinePacket if `convert` made it from reads, else unchanged.
+
+        `body` is the packet's block; the packet's `captured` bytes begin at its offset `start`.
         """
         assert self._lines is not None
         self._last = packet
@@ -214,8 +217,9 @@ class _Reader:
         return self._lines.read(packet, mark)
 
     def _read_head(self, body: bytes) -> None:
-        """Read the description of serial lines and taps that `convert` writes; ignore other local
-        blocks.
+        """Read the block in which `convert` describes serial lines and taps.
+
+        A block that another program wrote for local use, with other content, is ignored.
         """
         try:
             head = msgspec.json.decode(body.rstrip(b"\0"), type=CaptureHead)
@@ -256,8 +260,9 @@ class _Reader:
 
 
 def _options(header: Struct, data: bytes) -> dict[int, bytes]:
-    """Return the options of a block by code; if their list is cut off, only those before
-    the cut.
+    """Return the contents of a block's options by option code.
+
+    If the list of options is cut off, only those before the cut are returned.
     """
     options: dict[int, bytes] = {}
     at = 0

@@ -1,6 +1,4 @@
-"""Describes bytes that columns/ has decoded from arrays, so that a TcpConnection can move past
-them.
-"""
+"""Describes bytes that the array decoder has read, so that a TcpConnection can move past them."""
 
 from __future__ import annotations
 
@@ -8,29 +6,32 @@ from typing import NamedTuple
 
 
 class PlainBytes(NamedTuple):
-    """Bytes of one direction that were decoded from arrays: whole segments in order, none missing
-    or sent twice.
+    """Bytes of one direction of a plain stretch, which the array decoder has read.
+
+    They are whole segments in order; none is missing or sent twice. `size` is their number.
     """
 
     size: int
     tail: bytes
-    """The last stream.RECENT_BYTES bytes, or all if fewer, to compare retransmissions with."""
+    """The last RECENT_BYTES (stream.py) of these bytes, or all if there are fewer. Retransmissions
+    are compared with them."""
     last_segment: int
-    """The number of segments of both directions together, up to and including the one with the last
-    byte."""
+    """How many segments of both directions the stretch has up to, and including, the one with this
+    direction's last byte."""
     last_ns: int
     """The time of the segment that brought the last byte, in UTC ns."""
 
 
 class RestPlace(NamedTuple):
-    """Where both directions continue in a connection in which no byte waits for another.
+    """Where both directions of a connection continue, if no byte waits for an earlier one.
 
-    A position counts bytes from the beginning of a direction; it does not wrap.
+    A position is a byte offset from the beginning of the direction; unlike a sequence number it
+    does not wrap.
     """
 
     request_sequence: int
     """The sequence number of the next request byte."""
     response_sequence: int
     request_position: int
-    """The position of the next request byte."""
+    """The byte offset of the next request byte among all request bytes."""
     response_position: int

@@ -61,18 +61,18 @@ MAX_HOLDING = 256
 IDLE_NS = 2 * 3600 * 1_000_000_000
 
 _MAX_REPORTED = 4096
-"""At most this many messages are remembered, so that each is reported only once for an
-interface."""
+"""Messages about what cannot be read are remembered, so that each is reported only once for an
+interface. After this many messages, no further one is reported."""
 _SERIAL_HINT = "; if it holds bytes of a serial line, say which: --link rtu@19200-8E1"
 _TCP_HEADER_SEEN = 14
 """The number of bytes of the TCP header up to and including its flags."""
 
 FlowEnds = tuple[bytes, int, bytes, int]
-"""The two ends of a flow: address and port of the lower end (by port, then address), then those of
-the other."""
+"""The two ends of a TCP connection, as address (4 or 16 bytes) and port: first the end with the
+lower port (with equal ports, the lower address), then the other end."""
 _Key = tuple[str, bytes, int, bytes, int]
-"""The key of a connection: the interface, or "" if flows are followed across interfaces; then
-address and port of the lower end (by port, then address), and those of the other end."""
+"""The key of a connection: the name of the interface, then FlowEnds. The name is "" if packets from
+different interfaces may belong to one connection (`across`)."""
 
 
 class TcpReassembler:
@@ -87,18 +87,18 @@ class TcpReassembler:
         self._across = across
         self._connections: OrderedDict[_Key, TcpConnection | EndedConnection] = OrderedDict()
         self._holding: dict[_Key, TcpConnection] = {}
-        """The connections with bytes that wait for earlier ones, in the order in which the wait
-        began."""
+        """The connections that hold back bytes until earlier ones come, in the order in which their
+        wait began."""
         self._opened = 0
         self._fragments = Fragments()
         self._checked_ns = 0
         self._reported: set[tuple[str, str]] = set()
         self._out: list[StreamItem] = []
         self._packet: Packet | None = None
-        """The packet that is being read."""
+        """The packet that `feed` is reading or read last; None before the first."""
         self._ip_at = 0
-        """The length of the link layer header of `_packet`, which has the MAC addresses; 0 if the
-        IP packet came inside a tunnel."""
+        """The length in bytes of the link-layer header of `_packet`, which has the MAC addresses; 0
+        if the IP packet is inside a tunnel: the MAC addresses are then not those of its ends."""
 
     def feed(self, packet: Packet) -> list[StreamItem]:
         """Take a packet; return the bytes, gaps and events that are complete with it.
@@ -124,26 +124,28 @@ class TcpReassembler:
         return items
 
     def advance(self, now_ns: int) -> list[StreamItem]:
-        """Let capture time pass: treat bytes awaited too long as lost, and close idle
-        connections.
+        """Set the capture's time to `now_ns` (UTC ns); return the items that become due.
+
+        Bytes that are missing for too long are treated as lost, and idle connections are closed.
         """
         self._finish(self._fragments.advance(now_ns), now_ns)
         self._advance(now_ns)
         return self._take_out()
 
     def find(self, ends: FlowEnds) -> TcpConnection | None:
-        """Return the connection between two ends; only with `across`.
+        """Return the connection between two ends; call this only with `across`.
 
-        None if it is unknown, or if columns/ has read it from arrays and it has ended.
+        Returns None if the connection is unknown, or if the array decoder has read it to its end.
         """
         found = self._connections.get(("", *ends))
         return found if isinstance(found, TcpConnection) else None
 
     def may_drop(self, now_ns: int, flows: Iterable[FlowEnds], more: int = 0) -> bool:
-        """True if dropping connections until `now_ns` may change results.
+        """True if dropping connections up to the time `now_ns` (UTC ns) may change results.
 
-        That is so if a dropped connection may be open, or may be one of `flows`, which get more
-        segments. At most `more` further connections will open.
+        A connection is dropped if it is idle or one too many. That may change results if it is
+        still open, or if it is one of `flows`, which get more segments. `more` is the largest
+        number of connections that will open besides `flows`.
         """
         known = self._connections
         used = {("", *ends) for ends in flows}
@@ -158,24 +160,23 @@ class TcpReassembler:
         )
 
     def number_next(self, count: int) -> int:
-        """Reserve numbers for `count` connections that are read from arrays; return the first
-        number.
-        """
+        """Reserve numbers for `count` connections of the array decoder; return the first."""
         first = self._opened
         self._opened += count
         return first
 
     def take_ended(self, ended: Iterable[tuple[FlowEnds, EndedConnection]]) -> None:
-        """Store connections that were read from arrays and have ended; the caller then calls
-        `forget_excess`.
+        """Store connections that the array decoder has read to their end.
+
+        The caller then calls `forget_excess`.
         """
         for ends, connection in ended:
             self._connections[("", *ends)] = connection
 
     def forget_excess(self) -> None:
-        """Drop the least recently used connections above MAX_CONNECTIONS.
+        """If more than MAX_CONNECTIONS connections are stored, drop the least recently used ones.
 
-        The caller has made sure that all of these have ended.
+        The caller has made sure (`may_drop`) that all dropped connections have ended.
         """
         while len(self._connections) > MAX_CONNECTIONS:
             self._connections.popitem(last=False)
@@ -183,10 +184,10 @@ class TcpReassembler:
     def pass_times(
         self, times: Sequence[int], start: int, end: int
     ) -> list[tuple[int, list[StreamItem]]]:
-        """Take the times of packets that columns/ has read from arrays.
+        """Let the capture's time pass over packets that the array decoder has read.
 
         `times[start:end]` are the packets' times in UTC ns, ascending. Returns the items of other
-        connections that become due at these times, each list with the index of its time.
+        connections that become due at these times: the index in `times`, and the items due then.
         """
         delivered = []
         at = start
@@ -201,13 +202,13 @@ class TcpReassembler:
         return delivered
 
     def note_used(self, flows: Iterable[FlowEnds]) -> None:
-        """Mark connections as used, in this order; the one unused for longest is dropped first."""
+        """Mark connections as used, in this order; the least recently used one is dropped first."""
         for ends in flows:
             if ("", *ends) in self._connections:
                 self._connections.move_to_end(("", *ends))
 
     def close(self, ts_ns: int) -> list[StreamItem]:
-        """End all connections, at the end of the capture."""
+        """End all connections at `ts_ns`, the end of the capture; return their last items."""
         self._finish(self._fragments.close(), ts_ns)
         for connection in self._connections.values():
             connection.close(ts_ns, CloseReason.CAPTURE_END)
@@ -221,7 +222,7 @@ class TcpReassembler:
         return items
 
     def _feed_other(self, packet: Packet, at: int) -> None:
-        """Take an IP packet that is a fragment, or may carry another packet."""
+        """Take the IP packet at offset `at`, which is a fragment or may carry another packet."""
         data, length, ts_ns, link = packet.data, packet.original_length, packet.ts_ns, packet.link
         for _ in range(MAX_TUNNELS):
             fragment = find_fragment(data, at, length)
@@ -238,7 +239,10 @@ class TcpReassembler:
                 return
 
     def _feed_ip(self, data: bytes, at: int, length: int, ts_ns: int, link: str) -> bool:
-        """Take an IP packet at an offset. Returns False if it holds no TCP or is a fragment."""
+        """Take the IP packet at offset `at` of `data`; return False if it is a fragment or no TCP.
+
+        `length` is how many bytes the captured packet had on the wire.
+        """
         place = find_tcp(data, at, length)
         if place is None:
             return False
@@ -317,7 +321,7 @@ class TcpReassembler:
             origin = Origin(packet.file, packet.number, addresses)
         holds_bytes = connection.feed(segment, ts_ns, from_lower=from_lower, origin=origin)
         if holds_bytes and isinstance(connection, TcpConnection):
-            # Connections that no longer hold bytes are removed by _advance.
+            # _advance removes a connection from `_holding` when it holds back no more bytes.
             self._holding[key] = connection
             if len(self._holding) > MAX_HOLDING:
                 self._holding.pop(next(iter(self._holding))).flush()
@@ -330,8 +334,9 @@ class TcpReassembler:
         destination: bytes,
         destination_port: int,
     ) -> tuple[_Key, bool]:
-        """Return the key of a connection, equal for both directions, and True if the source is the
-        lower end.
+        """Return the key of a connection, which is equal for both directions, and a bool.
+
+        The bool is True if the source has the lower port (with equal ports, the lower address).
         """
         scope = "" if self._across else link
         if (source_port, source) < (destination_port, destination):

@@ -42,7 +42,7 @@ BEFORE_TCP = IPV6_EXTENSIONS | {IPV6_FRAGMENT, IPV6_AUTHENTICATION}
 
 
 class TcpPlace(msgspec.Struct, frozen=True, gc=False):
-    """The offsets at which the TCP header begins and the TCP payload ends in a packet."""
+    """The offsets in a captured packet at which the TCP header begins and the TCP payload ends."""
 
     start: int
     end: int
@@ -68,7 +68,8 @@ class TcpSegment(msgspec.Struct, frozen=True, gc=False):
 def find_tcp(data: bytes, at: int, original_length: int) -> TcpPlace | None:
     """Find TCP in the IP packet that begins at `at`; None if it holds no TCP, or is a fragment.
 
-    fragments.py reassembles packets that came in fragments.
+    `original_length` is how many bytes `data`, the captured packet, had on the wire. fragments.py
+    reassembles packets that came in fragments.
     """
     if len(data) < at + 20:
         return None
@@ -90,6 +91,7 @@ def find_tcp(data: bytes, at: int, original_length: int) -> TcpPlace | None:
 def walk_ipv6(data: bytes, at: int, original_length: int) -> tuple[int, int, int]:
     """Follow the extension headers of an IPv6 packet up to TCP, a fragment or another protocol.
 
+    The packet begins at offset `at` of `data`, which had `original_length` bytes on the wire.
     Returns the offset of the packet's end, the number of the protocol at which the headers stop,
     and the offset at which that protocol begins.
     """
@@ -114,7 +116,8 @@ def walk_ipv6(data: bytes, at: int, original_length: int) -> tuple[int, int, int
 def read_segment(data: bytes, at: int, place: TcpPlace, original_length: int) -> TcpSegment | None:
     """Read the TCP segment of the IP packet that begins at `at`; None if it is malformed.
 
-    The caller has checked that at least 14 bytes of the TCP header are there.
+    `original_length` is how many bytes `data`, the captured packet, had on the wire. The caller has
+    checked that at least 14 bytes of the TCP header are there.
     """
     source_port, destination_port, sequence, acknowledgement, offset, flags = (
         _TCP_HEADER.unpack_from(data, place.start)

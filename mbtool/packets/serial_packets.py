@@ -21,10 +21,11 @@ from mbtool.core import Chunk, EventKind, Origin, Packet, StreamPlace, WireEvent
 
 RTAC_SERIAL = 250
 SERIAL_LINK_TYPES = frozenset((147, RTAC_SERIAL))
-"""Link types that always hold bytes of a serial line."""
+"""Link types that are read as bytes of a serial line without being told: 147 (USER0),
+RTAC_SERIAL."""
 USER_LINK_TYPES = frozenset(range(147, 163))
-"""Link types (USER0 to USER15) that hold bytes of a serial line only if the user says so with
---link."""
+"""Link types (USER0 to USER15) that are free for any use. Those other than 147 are read as bytes of
+a serial line only if the user says so with --link."""
 
 RTAC_HEADER = 12
 """The length of the header of link type 250, in bytes."""
@@ -41,10 +42,10 @@ begin and the end of data, or control lines."""
 
 
 def serial_pieces(packet: Packet) -> list[Chunk | WireEvent]:
-    """Return the bytes of a serial line in a packet, and the errors that the capturing device
-    recorded.
+    """Return the bytes of a serial line in a packet as a Chunk, and events for errors.
 
-    The packet's link type is RTAC_SERIAL or one of USER_LINK_TYPES.
+    An event reports an error that the capturing device recorded, or bytes that are missing. The
+    packet's link type is RTAC_SERIAL or one of USER_LINK_TYPES.
     """
     pieces: list[Chunk | WireEvent] = []
     data = packet.data

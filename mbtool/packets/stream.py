@@ -1,6 +1,4 @@
-"""Keeps one direction of a TCP connection in order: delivered bytes, waiting bytes, missing
-bytes.
-"""
+"""Puts the bytes of one direction of a TCP connection in order, and tracks which are missing."""
 
 # A position counts the bytes of the stream from its beginning and, unlike a sequence number, does
 # not wrap. A sequence number becomes a position by its distance from the next expected sequence
@@ -36,8 +34,8 @@ RECENT_BYTES = 1024
 MAX_GAPS = 8
 MAX_ACKNOWLEDGEMENTS = 8
 LEAD = 64 * 1024
-"""The position given to the first segment seen of a stream if the capture starts in its middle.
-Earlier positions are for bytes that precede the segment but come after it, because the capture
+"""If the capture starts in the middle of a stream, the first byte seen gets this position, not 0.
+The positions before it are for bytes that the stream has earlier but the capture later, because it
 swapped packets."""
 
 _MASK = 0xFFFFFFFF
@@ -45,8 +43,9 @@ _HALF = 0x80000000
 
 
 class HeldBytes(NamedTuple):
-    """Bytes of one segment that wait for earlier bytes, at the positions `start` to `end`
-    (exclusive).
+    """Bytes of one segment that wait for earlier bytes.
+
+    `start` and `end` (exclusive) are positions: byte offsets from the beginning of the stream.
     """
 
     start: int
@@ -54,15 +53,16 @@ class HeldBytes(NamedTuple):
     data: bytes
     """Empty if the capture did not keep the bytes."""
     acknowledged: int
-    """The position that the other direction must reach before these bytes are delivered, since
-    their segment acknowledges it; 0 if they need not wait for it."""
+    """The byte offset up to which the other direction must be delivered before these bytes, since
+    their segment acknowledges it; 0 if these bytes need not wait for that."""
     ts_ns: int
     arrival: int
     """The number of the segment that brought these bytes, counted from 1 in its connection."""
     receipt: int | None = None
-    """The position in the other direction that the segment acknowledges; None if unknown."""
+    """The byte offset up to which the segment of these bytes acknowledges the other direction,
+    counted from that stream's beginning (not the raw ACK number); None if unknown."""
     origin: Origin | None = None
-    """The packet that brought these bytes."""
+    """The packet that brought these bytes; None if unknown."""
 
     def part(self, start: int, end: int) -> HeldBytes:
         data = self.data[start - self.start : end - self.start]
@@ -70,8 +70,10 @@ class HeldBytes(NamedTuple):
 
 
 class Stream:
-    """One direction of a TCP connection: how far it was delivered, and bytes that wait for earlier
-    ones.
+    """One direction of a TCP connection: how far it was delivered, and bytes that wait.
+
+    A position is a byte offset from the stream's beginning; unlike a sequence number it does not
+    wrap. If the capture starts in the middle of the stream, the first byte seen has position LEAD.
     """
 
     __slots__ = (
@@ -100,29 +102,30 @@ class Stream:
         self.origin: int | None = None
         """The sequence number that position 0 stands for; None until it is known."""
         self.beginning: int | None = None
-        """The sequence number of the first byte to deliver; None until it is decided."""
+        """The sequence number of the first byte to deliver; None until that byte is known."""
         self.joining = False
-        """True if the capture starts in the middle of the stream, and its first byte is still
-        undecided."""
+        """True if the capture starts in the middle of the stream, and earlier bytes than those seen
+        may still come, so that the first byte to deliver is not yet known."""
         self.position = 0
-        """The position of the next byte to deliver."""
+        """The byte offset in the stream of the next byte to deliver."""
         self.finish: int | None = None
-        """The position of the sender's FIN, behind the last byte; None until the FIN has come."""
+        """The byte offset of the stream's end, as the sender's FIN shows; None before the FIN."""
         self.syn_end: int | None = None
-        """The position behind the bytes in the SYN, as long as it is unknown if the sender counts
-        the SYN itself as one sequence number; else None."""
+        """Set if the SYN carried bytes and it is unknown if the sender counts the SYN itself as one
+        sequence number: the position behind these bytes if it does. Otherwise None."""
         self.acknowledged = 0
-        """The highest position that the other end has acknowledged."""
+        """The highest byte offset that the receiver acknowledged before all bytes up to it came."""
         self.held: list[HeldBytes] = []
         self.held_bytes = 0
         self.latest = (0, 0)
-        """Of the latest segment whose bytes were delivered: its number in the connection, and its
-        time in UTC ns."""
+        """The number, counted from 1 in the connection, and the time in UTC ns of the latest
+        segment whose bytes were delivered; both 0 before the first."""
         self._recent = b""
         self._gaps: list[tuple[int, int]] = []
         self._acknowledgements: list[tuple[int, int, int]] = []
-        """Positions that were acknowledged before their bytes came, each with the number and the
-        time (UTC ns) of the acknowledging segment."""
+        """Acknowledgements of bytes that had not come, in order. Each has the position up to which
+        bytes were acknowledged, and the number and the time (UTC ns) of the acknowledging
+        segment."""
 
     def position_of(self, sequence: int) -> int:
         """Convert a sequence number to a position, which does not wrap. `origin` must be known."""
@@ -130,7 +133,7 @@ class Stream:
         return self.position + (distance if distance < _HALF else distance - _MASK - 1)
 
     def begin(self, sequence: int) -> None:
-        """Let the stream begin with the byte that has this sequence number."""
+        """Make the byte with this sequence number the first one to deliver."""
         if self.origin is None:
             self.origin = sequence
         self.position = self.position_of(sequence)
@@ -138,10 +141,10 @@ class Stream:
         self.joining = False
 
     def take_syn(self, sequence: int) -> int:
-        """Let the stream begin behind a SYN, if it has no beginning yet.
+        """Begin the stream behind a SYN, unless its beginning is already known.
 
-        `sequence` is the number of the SYN. Returns the next number, which is that of the first
-        byte.
+        `sequence` is the SYN's sequence number. Returns the sequence number of the first byte
+        behind the SYN.
         """
         sequence = sequence + 1 & _MASK
         if self.beginning is None:
@@ -164,26 +167,29 @@ class Stream:
             self.syn_end = None
 
     def join(self, sequence: int, arrival: int, ts_ns: int) -> None:
-        """Note the first sequence number seen of a stream whose SYN is not in the capture."""
+        """Note the first sequence number seen of a stream whose SYN is not in the capture.
+
+        `arrival` is the number of its segment in the connection, `ts_ns` the segment's time.
+        """
         self.origin = (sequence - LEAD) & _MASK
         self.joining = True
-        # All earlier bytes were acknowledged before the capture; only swapped packets may bring
-        # more.
+        # Bytes before this number count as acknowledged. So the wait for them is short: they come
+        # only if the capture swapped packets.
         self.acknowledge(LEAD, arrival, ts_ns)
 
     def begins_at(self, sequence: int) -> bool:
-        """True if the stream may begin with this sequence number, so that a SYN just before it is
-        its own.
+        """True if the stream begins, or may begin, with the byte of this sequence number.
+
+        A SYN with the sequence number before it is then the stream's own.
         """
         if self.joining:
             return 0 <= self.position_of(sequence) <= (self.held[0].start if self.held else LEAD)
         return self.beginning == sequence
 
     def is_new(self, sequence: int, size: int, window: int) -> bool:
-        """True if `size` bytes from a sequence number on are new, and no retransmission of
-        delivered ones.
+        """True if `size` bytes from a sequence number on are not all a retransmission.
 
-        Bytes more than `window` before the stream's position count as new.
+        Bytes that lie more than `window` bytes before the next byte to deliver count as new.
         """
         if self.origin is None:
             return True
@@ -202,8 +208,10 @@ class Stream:
         return not (undecided or self.held or self.finish is not None)
 
     def awaits(self, sequence: int) -> bool:
-        """True if the next byte has this sequence number, no bytes wait for earlier ones, and no
-        FIN has come.
+        """True if a segment with this sequence number brings the next byte, and nothing is
+        undecided.
+
+        No bytes wait for earlier ones, no FIN has come, and the stream's beginning is known.
         """
         origin = self.origin
         return (
@@ -220,24 +228,26 @@ class Stream:
         return (self.origin or 0) + self.position & _MASK
 
     def pass_plain(self, passed: PlainBytes, arrivals: int) -> None:
-        """Move the stream past bytes that columns/ has decoded from arrays.
+        """Move the stream past bytes that the array decoder has read.
 
-        `arrivals` is the number of segments of the connection before them.
+        `arrivals` is the number of segments of the connection before these bytes.
         """
         self.advance(passed.tail, passed.size)
         self.latest = (arrivals + passed.last_segment, passed.last_ns)
 
     @property
     def holds_a_probe(self) -> bool:
-        """True if the first waiting piece is a single byte, possibly a keep-alive probe, and the
-        next byte has not come.
+        """True if the first waiting bytes may be a keep-alive probe.
+
+        They are then a single byte, and the byte behind it has not come.
         """
         first, *later = self.held
         return len(first.data) == 1 and not (later and later[0].start == first.end)
 
     def note_finish(self, sequence: int, size: int, window: int) -> None:
-        """Note a FIN behind `size` bytes at a sequence number; ignore one more than `window` bytes
-        away.
+        """Note the FIN of a segment that has `size` bytes from a sequence number on.
+
+        A FIN more than `window` bytes from the next byte to deliver is ignored.
         """
         if self.origin is not None:
             finish = self.position_of(sequence) + size
@@ -245,8 +255,9 @@ class Stream:
                 self.finish = finish
 
     def rebase(self, sequence: int) -> None:
-        """Continue with this sequence number after a jump; forget gaps, FIN and
-        acknowledgements.
+        """After a jump of the sequence numbers, give the next byte to deliver this sequence number.
+
+        Gaps, FIN, acknowledgements and the bytes kept for comparison are forgotten.
         """
         self.origin = (sequence - self.position) & _MASK
         self.joining = False
@@ -257,10 +268,10 @@ class Stream:
         self._recent = b""
 
     def acknowledge(self, position: int, arrival: int, ts_ns: int) -> None:
-        """Note that the other end has acknowledged all bytes before `position`.
+        """Note that the receiver has acknowledged the first `position` bytes of the stream.
 
         Some of these bytes have not come yet. `arrival` is the number of the acknowledging segment
-        in the connection, `ts_ns` its time.
+        in the connection, `ts_ns` its time in UTC ns.
         """
         if position > self.acknowledged:
             self.acknowledged = position
@@ -270,14 +281,17 @@ class Stream:
             self._acknowledgements = [*known, (position, arrival, ts_ns)]
 
     def acknowledged_ns(self, position: int) -> int | None:
-        """When the other end first acknowledged all bytes before a position not yet delivered, in
-        UTC ns.
+        """Return when the receiver first acknowledged the first `position` bytes, in UTC ns.
+
+        The byte before `position` is not delivered yet. Returns None if it was not acknowledged.
         """
         return next((ts_ns for end, _, ts_ns in self._acknowledgements if end >= position), None)
 
     def receipt(self, acknowledgement: int, window: int) -> int | None:
-        """The position of an acknowledgement number; None if unknown or more than `window` bytes
-        away.
+        """Convert a raw ACK number to a position: the byte offset up to which it acknowledges.
+
+        Returns None if sequence numbers of the stream are not known yet, or if the position is more
+        than `window` bytes from the next byte to deliver.
         """
         if self.origin is None:
             return None
@@ -289,8 +303,9 @@ class Stream:
     def is_overdue(self, arrival: int, packets: int, ts_ns: int, wait_ns: int, needed: int) -> bool:
         """True if acknowledged bytes have not come within `packets` segments or `wait_ns`.
 
-        `arrival` and `ts_ns` are the number and the time of the newest segment. The wait counts
-        from when the bytes up to the position `needed` were acknowledged.
+        `arrival` is the number and `ts_ns` the time of the connection's newest segment. The wait
+        counts from the first acknowledgement of undelivered bytes that reaches at least the
+        position `needed`. Returns False if there is none.
         """
         for position, since, since_ns in self._acknowledgements:
             if position > self.position and position >= needed:
@@ -302,7 +317,11 @@ class Stream:
         return self.held_bytes > MAX_HELD_BYTES or len(self.held) > MAX_HELD_PIECES
 
     def advance(self, data: bytes, length: int) -> None:
-        """Advance by `length` bytes; `data` are the last of them, empty if they are missing."""
+        """Move the next byte to deliver on by `length` bytes.
+
+        `data` are the last of these bytes, to compare retransmissions with; b"" if they are
+        missing.
+        """
         self.position += length
         if not data:
             self._recent = b""
@@ -312,10 +331,10 @@ class Stream:
             self._recent = (self._recent + data)[-RECENT_BYTES:]
 
     def deliver(self, data: bytes, receipt: int | None, origin: Origin | None) -> Chunk:
-        """Return the next bytes as a chunk with the time of `latest`, and advance behind them.
+        """Return `data`, the next bytes of the stream, as a chunk with the time of `latest`.
 
-        `receipt` is the position in the other direction that their segment acknowledges, `origin`
-        their packet.
+        `receipt` is the byte offset up to which their segment acknowledges the other direction;
+        None if unknown. `origin` is the packet that brought them; None if unknown.
         """
         place = StreamPlace(self.position, receipt, origin)
         self.advance(data, len(data))
@@ -332,7 +351,7 @@ class Stream:
     def pass_over(self, hole: int) -> None:
         """Treat the next `hole` bytes as lost.
 
-        If it is still undecided where the stream begins, it begins behind them.
+        If the first byte to deliver is not known yet (`joining`), it is the one behind them.
         """
         if self.joining:
             self.begin((self.origin or 0) + self.position + hole & _MASK)
@@ -341,10 +360,10 @@ class Stream:
         self.advance(b"", hole)
 
     def take_late(self, piece: HeldBytes) -> bytes:
-        """Return the bytes of a segment that belong to a gap already reported; empty if there are
+        """Return the bytes of a segment that belong to a gap already reported; b"" if there are
         none.
 
-        Bytes are returned only once for each gap.
+        For each gap, bytes are returned only for the first segment that reaches into it.
         """
         for gap in self._gaps:
             start, end = max(gap[0], piece.start), min(gap[1], piece.end)
@@ -354,13 +373,12 @@ class Stream:
         return b""
 
     def differs_from_delivered(self, start: int, data: bytes) -> bool:
-        """True if `data`, a retransmission from position `start` on, differs from what was
-        delivered.
+        """True if `data`, sent again from position `start` on, differs from the delivered bytes.
 
-        Only the last RECENT_BYTES delivered are compared.
+        Only the last RECENT_BYTES bytes that were delivered are compared.
         """
-        # A keep-alive probe may carry any one byte in place of the one before the next expected
-        # (RFC 1122, 4.2.3.6).
+        # A keep-alive probe may carry one byte of any value, with the sequence number of the last
+        # byte delivered (RFC 1122, 4.2.3.6).
         if len(data) == 1 and start == self.position - 1:
             return False
         oldest = self.position - len(self._recent)
@@ -372,9 +390,10 @@ class Stream:
         )
 
     def hold(self, piece: HeldBytes) -> bool:
-        """Keep bytes of a segment until earlier ones have come; bytes already kept are ignored.
+        """Keep bytes of a segment until earlier ones have come.
 
-        Returns True if these differ from their first copy.
+        Where bytes are already kept, the first copy stays. Returns True if the new copy differs
+        from it.
         """
         differs = False
         merged: list[HeldBytes] = []
@@ -396,7 +415,7 @@ class Stream:
         return differs
 
     def release(self) -> HeldBytes:
-        """Remove and return the first of the waiting pieces."""
+        """Remove and return the bytes with the lowest position of those that wait."""
         piece = self.held.pop(0)
         self.held_bytes -= len(piece.data)
         return piece

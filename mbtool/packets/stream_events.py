@@ -1,4 +1,4 @@
-"""What the TCP reassembler returns in addition to bytes: connections' begins and ends, gaps,
+"""The items that the TCP reassembler returns beside chunks: begins and ends of connections, gaps,
 events.
 """
 
@@ -19,9 +19,9 @@ class CloseReason(StrEnum):
     REFUSED = "refused"
     """The slave reset the connection before either end sent a byte."""
     REPLACED = "replaced"
-    """The two ends opened another connection with the same ports."""
+    """The two ends opened another connection with the same addresses and ports."""
     IDLE = "idle"
-    """No packet came for longer than the reassembler keeps a connection."""
+    """No segment came for IDLE_NS (reassembler.py, 2 h); the connection is then forgotten."""
     DISCARDED = "discarded"
     """The reassembler had too many connections, and this was the least recently used one."""
     CROWDED_OUT = "unused, so it made room for another"
@@ -56,13 +56,13 @@ class StreamGap:
     kind: EventKind = EventKind.GAP
     """GAP, or CUT if the capture kept only part of a packet."""
     acknowledged_ns: int | None = None
-    """When the other end first acknowledged all missing bytes, in UTC ns; None if it did not before
-    the bytes behind the gap came."""
+    """When the receiver first acknowledged all missing bytes, in UTC ns; None if it had not done so
+    when the gap was reported."""
 
 
 @dataclass(frozen=True, slots=True)
 class StreamClosed:
-    """The end of a connection. None of its chunks follow."""
+    """The end of a connection. No chunk of the connection follows."""
 
     ts_ns: int
     connection: Connection
@@ -70,7 +70,8 @@ class StreamClosed:
     keep_alives: int = 0
     """The number of keep-alive probes of both ends."""
     unanswered_probes: int = 0
-    """The number of keep-alive probes that one end sent last without getting an answer."""
+    """The number of keep-alive probes of one end to which the other end never replied, at the end
+    of the connection."""
 
 
 @dataclass(frozen=True, slots=True)

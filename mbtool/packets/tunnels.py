@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 GRE_IN_FRAGMENTS = -2
 """The result of find_inner, instead of an offset, for a fragment that carries GRE."""
 MAX_TUNNELS = 4
-"""The most tunnels that are read if each contains the next."""
+"""If tunnels are nested, at most this many of them are followed."""
 
 _VXLAN_PORT = (4789).to_bytes(2)
 _VXLAN_FLAG = 0x08
@@ -49,8 +49,9 @@ _IPV4_HEADER = struct.Struct(">B5xHxB")
 def find_inner(data: bytes, at: int, original_length: int) -> int:
     """Return the offset of the IP packet inside the outer IP packet, which begins at `at`.
 
-    NOT_IP if there is none, GRE_IN_FRAGMENTS if the outer packet is a fragment that carries GRE.
-    `at` and the result may lie behind the end of `data`.
+    Returns NOT_IP if there is no inner packet, GRE_IN_FRAGMENTS if the outer packet is a fragment
+    that carries GRE. `original_length` is how many bytes `data`, the captured packet, had on the
+    wire; so `at` and the result may lie behind the end of `data`.
     """
     if len(data) < at + 20:
         return NOT_IP
