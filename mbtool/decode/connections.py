@@ -38,9 +38,10 @@ class _LostBytes(NamedTuple):
     direction: Direction
     size: int
     end: int | None
-    """Stream position, in bytes, behind the lost bytes; None if unknown."""
+    """The stream position (see AduPlace) of the first byte behind the lost bytes; None if
+    unknown."""
     since_ns: int | None = None
-    """Time (ns) at which the receiver had acknowledged the lost bytes; None if unknown."""
+    """The time (ns) of the segment that acknowledged all of the lost bytes; None if unknown."""
 
 
 class Bus:
@@ -74,9 +75,10 @@ class Bus:
         file is known."""
 
     def feed(self, data: bytes, ts_ns: int, place: StreamPlace | None = None) -> list[Decoded]:
-        """Take the bytes of one read; return what they complete.
+        """Take the bytes of one read; return the ADUs, transactions and events that they complete.
 
-        `ts_ns` is the time of the last byte; `place` is where the bytes stand in a capture file.
+        `ts_ns` is the time of the last byte; `place` is where the bytes stand in a capture file,
+        None if they come from no file.
         """
         if self._origins is not None or place is not None:
             self._note_origin(len(data), place)
@@ -85,16 +87,21 @@ class Bus:
         return self._paired(events) if events else []
 
     def advance(self, now_ns: int) -> list[Decoded]:
-        """Note silence from the last byte until `now_ns`; return the results that it completes."""
+        """Note silence from the last byte until `now_ns`.
+
+        Returns the ADUs, transactions and events that the silence completes, such as a request that
+        has waited too long for its response.
+        """
         decoded = self._paired(self._splitter.advance(now_ns))
-        # Bytes of an incomplete frame in the splitter may be the awaited response. So no request
-        # times out while it has some.
+        # Bytes that the splitter still holds may be the awaited response. So no request times out
+        # while the splitter holds any.
         return [*decoded, *self._pairing.advance(now_ns)] if self._splitter.is_idle else decoded
 
     def close(self, end_ns: int | None = None) -> list[Decoded]:
-        """End the line: return what its buffered bytes and its pending request become.
+        """End the line: return the results of its buffered bytes and of its pending request.
 
-        `end_ns` is when the capture ended; None if no response can come any more.
+        `end_ns` is when the capture ended: a pending request whose response may have come later is
+        not-captured. If `end_ns` is None, the request has no answer.
         """
         events = self._splitter.close()
         end_ns = _until_unread(events, end_ns)
@@ -134,9 +141,10 @@ class ConnectionDecoder:
     def feed(
         self, direction: Direction, data: bytes, ts_ns: int, place: StreamPlace | None = None
     ) -> list[Decoded]:
-        """Take the payload of one TCP segment; return what it completes, in the order of the wire.
+        """Take the payload of one TCP segment, which came at `ts_ns`.
 
-        `place` is its position in the stream; None if the source gives no positions.
+        Returns the ADUs, transactions and events that it completes, in the order of the wire.
+        `place` is the payload's position in the stream; None if the source gives no positions.
         """
         self._last_ns = ts_ns
         origin = None if place is None else place.origin
@@ -166,7 +174,7 @@ class ConnectionDecoder:
     def pass_plain(self, stretch: PlainStretch, place: RestPlace) -> None:
         """Note transactions of this connection that the array decoder (columns/) has decoded.
 
-        `place` gives the stream positions at which they began.
+        `place` gives the stream positions of their first request and first response.
         """
         requests, responses = stretch.requests.size, stretch.responses.size
         before = place.response_position + responses - stretch.last_response_size
@@ -177,7 +185,10 @@ class ConnectionDecoder:
         self._pairing.pass_plain(stretch)
 
     def _lost(self, losses: list[_LostBytes], ts_ns: int) -> list[Decoded]:
-        """Tell the pairing of lost requests, then of lost responses; return what it completes."""
+        """Tell the pairing of lost requests, then of lost responses.
+
+        `ts_ns` is when the loss was noticed. Returns the transactions that the losses complete.
+        """
         return [
             each
             for loss in sorted(losses, key=lambda loss: loss.direction is Direction.RESPONSE)
@@ -197,8 +208,9 @@ class ConnectionDecoder:
     ) -> list[Decoded]:
         """Note that the capture lacks `missing` bytes of one direction; 0 if the number is unknown.
 
-        `kind` is the kind of event to report: GAP or CUT. `acknowledged_ns` is when the receiver
-        had acknowledged the missing bytes; None if that is unknown.
+        `ts_ns` is when the gap was noticed. `kind` is the kind of event to report: GAP if packets
+        are missing, CUT if packets were cut. `acknowledged_ns` is the time of the segment that
+        acknowledged all missing bytes; None if unknown.
         """
         source, destination = self._endpoints[direction]
         lost = WireEvent(
@@ -223,9 +235,10 @@ class ConnectionDecoder:
         return [*self._pairing.advance(now_ns)]
 
     def close(self, end_ns: int | None = None) -> list[Decoded]:
-        """End the connection: return what its buffered bytes and pending requests become.
+        """End the connection: return the results of its buffered bytes and pending requests.
 
-        `end_ns` is when its capture ended; None if the connection itself ended.
+        `end_ns` is when its capture ended: a request whose response may have come later is
+        not-captured. None if the connection itself ended, so that no response can come.
         """
         decoded: list[Decoded] = []
         for direction, splitter in self._splitters.items():
@@ -240,7 +253,12 @@ class ConnectionDecoder:
     def _placed(
         self, events: list[Adu | Skipped], direction: Direction, ts_ns: int
     ) -> list[Decoded]:
-        """Pair the ADUs of one direction, and report the lost bytes that stream positions show."""
+        """Give the ADUs of one direction to the pairing; return ADUs, transactions and events.
+
+        Before each ADU the pairing is told how many bytes the capture lacks there, as the stream
+        positions and acknowledgements show. `ts_ns` is the time of the segment, or of the gap, that
+        completed `events`.
+        """
         other, progress = OTHER[direction], self._progress[direction]
         if progress.captured is None:
             return self._paired(events, direction)
@@ -301,10 +319,10 @@ def _paired(
 
 
 def _until_unread(events: list[Adu | Skipped], end_ns: int | None) -> int | None:
-    """Return the time (ns) up to which the capture shows every response; None if it shows all.
+    """Return the time (ns) from which on the capture may lack responses; None if `end_ns` is None.
 
-    That is `end_ns`, when the capture ended, or the time of unreadable bytes at its end: they may
-    begin a response.
+    `end_ns` is when the capture ended. Skipped bytes among `events`, the last ones of a splitter,
+    may begin a response. So their time is returned if it is earlier.
     """
     if end_ns is None:
         return None
@@ -316,7 +334,8 @@ def skipped_event(
 ) -> WireEvent:
     """Make the event for bytes that were not decoded.
 
-    `endpoints` are their sender and receiver; `speaker` names the sender on a serial line.
+    `endpoints` are their sender and receiver on a network, two "" on a serial line. `speaker` is
+    "the master" or "a slave" if the tap tells who sent them on a serial line, else "".
     """
     amount = counted(len(skipped.raw), "byte") + (f" of {speaker}" if speaker else "")
     return WireEvent(

@@ -1,7 +1,7 @@
 """Decodes packets and serial reads into named transactions and events, one item at a time."""
 
-# Packets, serial reads and a tap's bytes all come in here. The result for a link depends neither on
-# how its bytes were cut into items nor on whether they came live or from a file.
+# The Decoder takes packets, serial reads and the bytes that a tap forwards. The result for a link
+# is the same however its bytes were cut into items, and the same live and from a file.
 #
 # State: one Bus for each serial link (a TapPair if its chunks name a direction), and one
 # ProtocolDetector for each open connection. At most MAX_CONNECTIONS detectors are kept; beyond that
@@ -72,7 +72,7 @@ _DROPPED = (
 _UNSEEN_ENDS = frozenset((CloseReason.CAPTURE_END, CloseReason.DISCARDED))
 """Reasons for which the decoder stops following a connection that may still be open."""
 _LOSS = frozenset((EventKind.DISCARDED, EventKind.GAP, EventKind.CUT))
-"""Events after which bytes of a serial line may be missing."""
+"""Kinds of events that say that bytes of a link are missing. A serial line is then begun anew."""
 
 Evidence = (
     Chunk | Packet | Quiet | StreamOpened | StreamGap | StreamClosed | StreamEvent | WireEvent
@@ -81,7 +81,7 @@ Record = NamedTransaction | WireEvent
 
 
 class RestingConnection(NamedTuple):
-    """A connection with no pending request, no buffered bytes and nothing undecided."""
+    """A connection with no pending request, no buffered bytes and no undecided pairing."""
 
     connection: TcpConnection
     decoder: ConnectionDecoder
@@ -137,7 +137,7 @@ class Decoder:
         self._last_ns = 0
 
     def feed(self, item: Evidence) -> list[Record]:
-        """Take the next packet, serial read or event; return what it completes."""
+        """Take the next packet, serial read or event; return the records that it completes."""
         if isinstance(item, WireEvent):
             return self._wire_event(item)
         self._last_ns = max(self._last_ns, item.ts_ns)
@@ -162,16 +162,16 @@ class Decoder:
         return self._lines.get(link) or self._line.on(link)
 
     def begin_line(self, line: SerialLink) -> None:
-        """Set the settings of a serial link before its bytes are fed."""
+        """Set the settings of the serial link named `line.name`, before its bytes are fed."""
         self._lines[line.name] = line
 
     def end_line(self, link: str) -> list[Record]:
-        """End a serial link, so that later bytes are another line's; return what was incomplete."""
+        """End a serial link; return the results of its buffered bytes and its pending request."""
         bus = self._buses.pop(link, None)
         return [] if bus is None else self._to_records(bus.close(self._last_ns))
 
     def break_lines(self) -> list[Record]:
-        """End all serial links, as bytes may be missing; sequence numbers show this in TCP."""
+        """End all serial links, as bytes of each may be missing; return their last results."""
         return [record for link in [*self._buses] for record in self.end_line(link)]
 
     @property
@@ -182,8 +182,8 @@ class Decoder:
     def at_rest(self, ends: FlowEnds, now_ns: int) -> RestingConnection | None:
         """Return a connection whose next transactions the array decoder (columns/) may decode.
 
-        None if the connection is unknown, or has a pending request, buffered bytes or anything
-        undecided.
+        None if the connection is unknown or not yet known to be Modbus/TCP, or has a pending
+        request, buffered bytes or an undecided pairing. `now_ns` is the time of its next packet.
         """
         connection = self._reassembler.find(ends)
         place = None if connection is None else connection.rest
@@ -197,7 +197,7 @@ class Decoder:
         return RestingConnection(connection, decoder, place)
 
     def opens_modbus_tcp(self, ends: FlowEnds) -> bool:
-        """True if a SYN between these ends opens a Modbus/TCP connection and none is open."""
+        """True if no connection is open between `ends` and neither port is for RTU over TCP."""
         known = self._reassembler.find(ends)
         _, lower, _, upper = ends
         return (known is None or known.closed) and self._rtu_ports.isdisjoint((lower, upper))
@@ -207,8 +207,8 @@ class Decoder:
     ) -> list[tuple[int, list[Record]]]:
         """Advance the time of other connections by packets that the array decoder (columns/) took.
 
-        `times[start:end]` are the packets' times in ns, ascending. Returns the records of other
-        connections that become due, each list with the index of its time in `times`.
+        `times[start:end]` are the packets' times in ns, ascending. Where other connections have
+        records due by such a time, returns the time's index in `times` with these records.
         """
         delivered = self._reassembler.pass_times(times, start, end)
         return [(at, self._dispatch(items)) for at, items in delivered]
@@ -240,7 +240,7 @@ class Decoder:
             if isinstance(bus, TapPair):
                 return self._to_records(bus.feed(chunk.direction, chunk.data, chunk.ts_ns))
             return self._to_records(bus.feed(chunk.data, chunk.ts_ns, chunk.place))
-        # A connection that no StreamOpened announced may have begun in the log's previous file.
+        # Without a StreamOpened before it, the connection may have begun in a log's earlier file.
         detector = self._detectors.get(chunk.connection)
         if detector is None:
             detector = self._detector(chunk.connection, joined=True)
@@ -263,8 +263,8 @@ class Decoder:
         if is_interface:
             records += self._dispatch(self._reassembler.advance(quiet.ts_ns))
         for connection, detector in self._detectors.items():
-            # A tap's Quiet concerns the connections of its own link. An interface's concerns those
-            # of all other links: a captured connection's link is named after its slave.
+            # A Quiet says that nothing was heard until its time. From a tap it concerns connections
+            # of the tap's link. From an interface it concerns those of all other links.
             if (connection.link == quiet.link) is not is_interface:
                 records += self._to_records(detector.advance(quiet.ts_ns))
         return records
@@ -386,7 +386,10 @@ class Decoder:
         return self._to_records(self._foreign_once(detector, detector.close(end_ns)))
 
     def _foreign_once(self, detector: ProtocolDetector, decoded: list[Decoded]) -> list[Decoded]:
-        """Drop a repeated report that an endpoint is not Modbus, unless it is expected to be."""
+        """Drop `decoded` if it reports that an endpoint is not Modbus and an earlier report did so.
+
+        Where Modbus is expected, every report is kept.
+        """
         if not decoded or detector.state is not ProtocolState.FOREIGN:
             return decoded
         if self._is_expected(detector.connection):

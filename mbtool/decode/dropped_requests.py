@@ -1,8 +1,8 @@
 """Remembers requests dropped at the limit of pending requests, to recognise their responses."""
 
 # A slave answers requests of one transaction id and unit in their order, and dropped requests are
-# older than the pending ones. So the next responses with the id and unit of a dropped request
-# belong to it.
+# older than the pending ones. So the next response with the id and unit of a dropped request
+# belongs to that request.
 #
 # Memory: MAX_DROPPED pairs of transaction id and unit; beyond that, the oldest pair is forgotten.
 # All are forgotten when FORGET_NS have passed since a request was dropped.
@@ -16,7 +16,8 @@ if TYPE_CHECKING:
 
 MAX_DROPPED = 1 << 16
 FORGET_NS = 60_000_000_000
-"""Dropped requests are forgotten after this time, in ns: no slave takes so long to respond."""
+"""Dropped requests are forgotten when none was dropped for this time, in ns. No slave takes so long
+to respond."""
 
 _Key = tuple[int | None, int]
 

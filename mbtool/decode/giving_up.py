@@ -21,11 +21,12 @@ def give_up_late(
     now_ns: int,
     after_ns: Callable[[int | None], int],
 ) -> None:
-    """Mark the requests that have waited too long as given up, in each reading.
+    """In each reading, mark the requests that have waited too long at `now_ns` as given up.
 
-    A reading is one way to assign responses to requests. `after_ns` returns the longest wait, in
-    ns, for a function code. A slave handles one request at a time, so a request that was sent while
-    others waited counts its wait from the last response on.
+    A reading is one way to assign responses to requests. `after_ns` takes a request's function code
+    and returns the longest wait in ns; the code is None if the capture lacks the request. A slave
+    handles one request at a time, so the wait of a request that was sent while others waited is
+    counted from the last response on.
     """
     for reading in readings:
         late: list[OpenRequest] = []
@@ -45,7 +46,10 @@ def give_up_late(
 
 
 def give_up_repeated(readings: Sequence[PairReading], request: Adu) -> None:
-    """Mark a request as given up if the master repeats it and waits for no other response."""
+    """In each reading, mark the only awaited request as given up if `request` repeats it.
+
+    `request` must have the same unit and PDU and come at least MIN_LATE_NS later.
+    """
     for reading in readings:
         awaited = [one for one in reading.waiting if reading.awaits(one)]
         if len(awaited) != 1 or request.start_ns - awaited[0].since_ns < MIN_LATE_NS:
@@ -58,10 +62,10 @@ def give_up_repeated(readings: Sequence[PairReading], request: Adu) -> None:
 
 
 def give_up_lost(readings: Sequence[PairReading], *, is_sequential: bool) -> None:
-    """Judge the requests that the capture lacks when the master sends its next request.
+    """Mark the awaited requests that the capture lacks, when the master sends its next request.
 
-    A master that never pipelines (`is_sequential`) has given them up. Those that the lost bytes do
-    not prove are marked `may_not_exist` instead.
+    `is_sequential` is True if the master never pipelines: then it has given these requests up. A
+    request is marked `may_not_exist` instead if the lost bytes do not prove that it was sent.
     """
     for reading in readings:
         lost = [one for one in reading.waiting if one.adu is None and reading.awaits(one)]

@@ -7,9 +7,9 @@
 #     3  the profiles of the devices that can be on the line
 #     4  the standard, from baud rate and character format
 #
-# A profile counts for a line if it was assigned without an address and supports the line's mode
-# (RTU or ASCII). Of several profiles the shortest t3.5 is taken, as any of the devices may pause
-# only that long between frames, and the longest t1.5 that does not exceed this t3.5.
+# A profile counts for a line if it was assigned without a host address and supports the line's mode
+# (RTU or ASCII). Of several profiles the shortest t3.5 is taken, as the device with this t3.5 may
+# pause only that long between frames; and the longest t1.5 that does not exceed this t3.5.
 
 from __future__ import annotations
 
@@ -32,7 +32,8 @@ class LineTiming:
     t1_5: Silence | None = None
     t3_5: Silence | None = None
     response_timeout: Silence | None = None
-    """The time after which the master repeats a request; None if it has to be learned."""
+    """The time after which the master repeats a request, from an option; None if it was not given,
+    so that the decoder learns it from the line."""
 
     @property
     def is_given(self) -> bool:

@@ -11,19 +11,20 @@ if TYPE_CHECKING:
     from mbtool.decode.open_requests import OpenRequest
 
 LATE = 1.5
-"""A request counts as given up if, when the master sends the next one, it has waited for this many
-times the longest latency so far."""
+"""When the master sends its next request, an earlier request counts as given up if it has waited
+LATE times the longest latency so far. If the master never pipelines, one such latency is enough."""
 SILENT = 3
-"""After a silence of this many times the longest latency so far, no response is expected."""
+"""A request that has waited this many times the longest latency so far counts as given up, even if
+the master sends nothing more."""
 UNUSUAL = 3
-"""A response is slow if it takes this many times the usual latency."""
+"""A response is unusually slow if it takes this many times the mean latency of its function."""
 MIN_LATE_NS = 30_000_000
 FIRST_LATE_NS = 100_000_000
-"""The result (ns) of `late_ns` and `silence_ns` before the first response: no master times out
-sooner by default."""
+"""The result (ns) of `late_ns`, `silence_ns` and `slow_ns` before the first response. No master has
+a shorter response timeout by default."""
 FORGET = 20
-"""Each response lowers the longest latency by 1/FORGET of itself. So an outlier fades, such as a
-response whose segment TCP retransmitted."""
+"""Each response lowers the remembered longest latency by 1/FORGET. So a rare long latency, such as
+that of a response which TCP retransmitted, is forgotten."""
 FORGOTTEN = 1024
 """After this many further responses, even a latency of 2^64 ns no longer counts (see FORGET)."""
 ENOUGH_OVERLAPS = 3
@@ -48,7 +49,8 @@ class MasterHabits:
         self.reorders = False
         """True once the slave responded to a request after it had responded to a later one."""
         self._latest_answered = 0
-        """The highest number of a request that got its response; requests are counted from 1."""
+        """The highest number among the requests that got their response; requests are counted from
+        1."""
         self.last_response_ns = 0
         """When the last response was complete, in ns."""
         self._slowest_ns: dict[int | None, int] = {}
@@ -70,19 +72,28 @@ class MasterHabits:
         self._last_id: int | None = None
 
     def late_ns(self, function: int | None) -> int:
-        """The wait, in ns, after which a request counts as given up when the next one is sent."""
+        """The wait in ns after which a request counts as given up once the next request is sent.
+
+        `function` is its function code; None if the capture lacks the request.
+        """
         slowest_ns = self._slowest_of(function)
         if slowest_ns is None:
             return FIRST_LATE_NS
         return slowest_ns if self.is_sequential else max(int(LATE * slowest_ns), MIN_LATE_NS)
 
     def silence_ns(self, function: int | None) -> int:
-        """The silence, in ns, after which no response is expected any more."""
+        """The wait in ns after which a request counts as given up, even if no request follows.
+
+        `function` is its function code; None if the capture lacks the request.
+        """
         slowest_ns = self._slowest_of(function)
         return FIRST_LATE_NS if slowest_ns is None else max(SILENT * slowest_ns, MIN_LATE_NS)
 
     def slow_ns(self, function: int | None) -> int:
-        """The response time, in ns, that the slave rarely exceeds."""
+        """The latency in ns that responses to a function code rarely exceed.
+
+        `function` is None for a request that the capture lacks.
+        """
         slowest_ns = self._slowest_of(function)
         if slowest_ns is None:
             return FIRST_LATE_NS
@@ -95,9 +106,9 @@ class MasterHabits:
         return max(self._slowest_ns.values(), default=None)
 
     def repeats_id(self, transaction_id: int | None) -> bool:
-        """True if ids count up and the id of a new request is the last id plus 1.
+        """True if ids count up and `transaction_id`, of a new request, is the last id plus 1.
 
-        A request that the capture lacks between the two then had one of their ids.
+        If the capture lacks a request between the two, that request then had one of the two ids.
         """
         if not self.ids_count_up or transaction_id is None or self._last_id is None:
             return False
@@ -122,7 +133,8 @@ class MasterHabits:
     def note_plain(self, transaction_ids: Sequence[int], number: int, last_ns: int) -> None:
         """Note requests in a row, each answered before the next one came.
 
-        `number` is the number of the last request, `last_ns` the time of its response.
+        `number` is the number of the last of these requests in its connection, counted from 1;
+        `last_ns` is the time of its response.
         """
         self._in_a_row += len(transaction_ids)
         if self._in_a_row >= ENOUGH_REQUESTS:
@@ -195,7 +207,10 @@ class MasterHabits:
         return 0 <= 2 * latency_ns < self._fastest_ns.get(function, 0)
 
     def has_own_id(self, request: OpenRequest, waiting: Sequence[OpenRequest]) -> bool:
-        """True if no request that the capture lacks can have the id of this waiting request."""
+        """True if no request that the capture lacks can have the transaction id of `request`.
+
+        `waiting` are all requests that wait for a response, `request` among them.
+        """
         if self.ids_count_up:
             return True
         if not self.ids_vary or not waiting or request is not waiting[-1]:

@@ -11,24 +11,23 @@
 #                        the responses of some requests, and bytes of requests that it lacks are
 #                        requests whose responses will come.
 #     form               the number of values, and what the response repeats of its request
-#     the master         If it never sends a request while another one waits, it gives a request up
-#     and time           before it sends the next: it is given up if the master waited longer than
-#                        the slowest response so far took, or LATE times as long until that is
-#                        known. The slave rarely answers a request that was given up, as rarely as
-#                        it leaves another one without a response.
+#     the master         When the master sends its next request, it has given the pending request up
+#     and time           if that waited longer than the slowest response so far took; LATE times as
+#                        long, unless the master is known never to pipeline. The slave answers a
+#                        given-up request as rarely as it leaves another one without a response.
 #
 # pairing_readings.py weighs them. A transaction is returned as soon as no other request is a likely
 # one for its response. Where two readings (ways to give responses to requests) cost about the same,
 # the responses are held back until an ADU or a silence of the connection decides, at most MAX_HELD
 # responses or for HOLD_NS. Then the cheapest reading is taken, and its transactions are ambiguous.
 #
-# A slave may respond with another id than the request's. It then answers the only pending
-# request if it fits, and if either no bytes are missing and this slave never repeated an id
-# correctly, or acknowledgements show that nothing came between the two.
+# A slave may respond with another id than the request's. Its response then belongs to the only
+# pending request if it fits, and if either no bytes are missing and this slave never repeated an id
+# correctly, or acknowledgements show that nothing came between the request and the response.
 #
 # Memory: at most MAX_OPEN_REQUESTS waiting requests, and as many counts of unanswered requests. A
-# request beyond that is dropped with the verdict over-limit, and so is its response; if its master
-# had given it up before it sent the next one, it has no answer.
+# request beyond that is dropped with the verdict over-limit, and so is its response. If the master
+# had given the dropped request up, its transaction has no answer instead.
 
 from __future__ import annotations
 
@@ -80,12 +79,12 @@ response is still paired with its request."""
 MAX_HELD = 32
 """The most responses held back until something decides which request they answer."""
 HOLD_NS = 3_000_000_000
-"""The longest time that a response is held back, in ns: a user may be watching."""
+"""The longest time that a response is held back, in ns. A user who watches sees it that late."""
 DOUBTFUL = 0.5
 """The confidence (0 to 1) of a transaction whose response may as well belong to another request."""
 
 _USUAL_REQUEST = 12
-"""Bytes of a read request's ADU. Lost bytes of requests are counted as read requests."""
+"""Bytes of a read request's ADU. The number of lost requests is estimated as if all were reads."""
 
 
 class NetworkPairing:
@@ -100,13 +99,13 @@ class NetworkPairing:
         self._unanswered = UnansweredCounts()
         self._dropped = DroppedRequests()
         self.response_is_cut = False
-        """True while the capture has only the start of a response, and that is not decoded yet."""
+        """True while the splitter holds the start of a response whose end the capture lacks."""
         self._is_shifted = False
         """True while each response may belong to the request before the one that it is paired with.
         That begins with a choice between ways to pair of equal cost. It ends with a silence, or
         with a response that fits its request and not the request before."""
         self._last_two: tuple[OpenRequest | None, OpenRequest | None] = (None, None)
-        """The request before the last one, and the last one."""
+        """The last but one captured request, and the last one; None where there is none yet."""
 
     def feed(self, adu: Adu, place: AduPlace | None = None) -> list[Transaction]:
         """Take the next ADU, in order of time; return the transactions that it decides."""
@@ -141,10 +140,10 @@ class NetworkPairing:
     def note_loss(
         self, direction: Direction, lost: int, at_ns: int, end: int | None = None
     ) -> list[Transaction]:
-        """Note that the capture lacks `lost` bytes of one direction here (0: number unknown).
+        """Note at `at_ns` that the capture lacks `lost` bytes of a direction (0: number unknown).
 
-        `end` is the position behind the lost bytes, if that is known. Returns the transactions of
-        requests whose responses are lost.
+        `end` is the stream position behind the lost bytes; None if unknown. Returns the
+        transactions that this decides, as of requests whose responses are lost.
         """
         done: list[Transaction] = []
         if direction is Direction.REQUEST:
@@ -165,9 +164,9 @@ class NetworkPairing:
         return done
 
     def advance(self, now_ns: int) -> list[Transaction]:
-        """Note that nothing came until `now_ns`; return the transactions that this decides.
+        """Note that no ADU came until `now_ns`; return the transactions that this decides.
 
-        Requests that have waited longer than the timeout are closed.
+        Requests that have waited longer than TIMEOUT_NS are closed without a response.
         """
         done: list[Transaction] = []
         if len(self._readings) > 1:
@@ -183,9 +182,9 @@ class NetworkPairing:
         return done
 
     def close(self, end_ns: int | None = None) -> list[Transaction]:
-        """End the connection: requests that are still pending get no response.
+        """End the connection: return the transactions of the requests that got no response.
 
-        `end_ns` is when its capture ended; None if the connection itself ended.
+        `end_ns` is when its capture ended (a response may have come later), None if it closed.
         """
         done: list[Transaction] = []
         unfinished = {id(one): unfinished_in(one, self._habits, end_ns) for one in self._readings}
@@ -254,7 +253,7 @@ class NetworkPairing:
             reading.waiting.append(one)
 
     def _drop_oldest(self, now_ns: int, done: list[Transaction]) -> None:
-        """Close the oldest waiting request, as MAX_OPEN_REQUESTS requests wait."""
+        """Remove the oldest of too many waiting requests, and add its transaction to `done`."""
         self._decide(done)
         oldest = self._readings[0].waiting.pop(0)
         if oldest.adu is None or (
@@ -332,7 +331,7 @@ class NetworkPairing:
         runs = [
             (reading.cost + cost, cost, start, count, reading)
             for reading in self._readings
-            # If ids differ, the responses that still come show which ones are lost.
+            # If all ids differ, the ids of later responses show which responses are lost.
             if not reading.has_different_ids(self._habits)
             for cost, start, count in lost_runs(reading, lost)
         ]
@@ -350,7 +349,7 @@ class NetworkPairing:
                 one.may_be_lost |= not lost or may_be_among(lost, one, reading.waiting)
 
     def _settle(self, done: list[Transaction]) -> None:
-        """Drop costly ways to pair. If one is left, add its transactions to `done`."""
+        """Drop costly ways to pair. If only one is left, add its transactions to `done`."""
         if len(self._readings) > 1:
             self._readings = without_costly(self._readings)
         first = self._readings[0]
@@ -361,7 +360,7 @@ class NetworkPairing:
             self._decide(done)
 
     def _decide(self, done: list[Transaction]) -> None:
-        """Keep the cheapest way to pair; a pair that ways of like cost lack becomes ambiguous."""
+        """Keep the cheapest way to pair. Pairs that another remaining way lacks are ambiguous."""
         best, *others = sorted(self._readings, key=likely_cost)
         steps = best.steps
         for other in others:
@@ -439,7 +438,7 @@ class NetworkPairing:
         return retries
 
     def _close(self, one: OpenRequest, done: list[Transaction]) -> None:
-        """Close a request without a response; one that the capture lacks gives no transaction."""
+        """Add the transaction of request `one` without response, if it was captured, to `done`."""
         if one.adu is None:
             return
         if one.may_be_lost or one.adu.missing or self.response_is_cut:

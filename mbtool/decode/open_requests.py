@@ -28,13 +28,13 @@ class OpenRequest(msgspec.Struct, gc=False, eq=False, kw_only=True):
     """Time (ns) of the request's last byte; if the capture lacks the request, when that was
     noticed."""
     adu: Adu | None
-    """None if the capture lacks the request."""
+    """The request's ADU; None if the capture lacks the request."""
     place: AduPlace | None = None
     is_pipelined: bool = False
     """True if the master sent this request while others waited for their responses."""
     exists: bool = True
     """False if the capture lacks this request and the number of lost bytes does not prove that it
-    was sent."""
+    was sent: 30 lost bytes may be one request or two."""
     may_not_exist: bool = False
     """True if the capture lacks this request and it is doubtful that it was ever sent."""
     may_be_lost: bool = False
@@ -55,7 +55,11 @@ class OpenRequest(msgspec.Struct, gc=False, eq=False, kw_only=True):
         return None if self.adu is None else self.adu.pdu[0]
 
     def can_get(self, response: Adu, place: AduPlace | None) -> bool:
-        """False if unit, function or acknowledgements prove that it got another response."""
+        """True if `response`, which stands at `place`, can answer this request.
+
+        False if its unit or function differ, if its sender had not received this request, or if the
+        master had received the response before it sent this request.
+        """
         request = self.adu
         if request is not None and not (
             request.unit == response.unit and is_response_code(request.pdu[0], response.pdu[0])
@@ -69,7 +73,7 @@ class OpenRequest(msgspec.Struct, gc=False, eq=False, kw_only=True):
         return received is None or received < place.end
 
     def fits(self, response: Adu) -> bool:
-        """True if the response has the length and repeated fields that this request asks for."""
+        """True if a response has the length, and repeats the fields, that this request demands."""
         if self.adu is None or self.adu.missing:
             return True  # The capture lacks bytes of the request: any form is possible.
         expected = ExpectedResponse.of(self.adu.pdu)  # Cached, so faster than parse_pdu below.
@@ -81,7 +85,10 @@ class OpenRequest(msgspec.Struct, gc=False, eq=False, kw_only=True):
         return is_response_to(parse_pdu(self.adu.pdu, Direction.REQUEST), response.pdu)
 
     def is_next_to(self, response: Adu, place: AduPlace | None) -> bool:
-        """True if acknowledgements show that no byte came between this request and a response."""
+        """True if acknowledgements show that no byte was sent between this request and `response`.
+
+        False if a position is unknown, as when `place` is None.
+        """
         if place is None or self.place is None:
             return False
         start = place.end - response.size

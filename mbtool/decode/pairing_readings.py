@@ -9,8 +9,9 @@
 # Costs are in units of one request that the slave leaves unanswered or answers after its master has
 # given it up: both are rare, and about equally so.
 #
-# Readings that cost MARGIN more than the cheapest one are dropped. Two that leave the same requests
-# waiting can never be told apart: one is kept, and the pairs in which they differ are ambiguous.
+# Readings that cost MARGIN more than the cheapest one are dropped. If two readings leave the same
+# requests waiting, no later ADU can tell them apart: the cheaper one is kept, and the pairs that
+# only one of them has are ambiguous.
 #
 # Memory: at most MAX_READINGS readings, each with the requests that wait and MAX_PASSED earlier
 # ones that got no response.
@@ -32,9 +33,10 @@ if TYPE_CHECKING:
 LATE = 1.0
 """The cost of a request that its master gives up: the unit of all costs here."""
 UNANSWERED = 1.2
-"""The cost (in units of LATE) of one request without a response in time. More than LATE: if a
-request was given up and the next one has no response in time either, the next response may still
-belong to the first."""
+"""The cost (in units of LATE) of a request that gets no response before a later request gets its
+own. It must exceed 2 * LATE - MARGIN: if the late response to request A comes after request B, and
+B is then given up too, this reading costs 2 * LATE and must not be dropped in favour of the reading
+in which the response answers B (cost UNANSWERED)."""
 UNLIKELY = 0.25
 """Extra cost (in units of LATE) of a response to a given-up request. Only used to choose between
 ways to pair that cost about the same."""
@@ -47,8 +49,8 @@ OUT_OF_ORDER = 2.0
 """Extra cost (in units of LATE) of a response to a request when a later request already has its
 response."""
 UNASKED = 6.0
-"""The cost (in units of LATE) of a response that no request asked for: more than all other costs
-together."""
+"""The cost (in units of LATE) of a response that no request asked for. It is high, so that a
+response goes to any request that it can answer."""
 TOO_EARLY = 1.0
 """Extra cost (in units of LATE) of a response in less than half the shortest latency of this slave
 so far."""
@@ -59,37 +61,41 @@ OTHER_ID = 4.0
 """The cost (in units of LATE) of a response to a request that the capture lacks, although a
 captured request with the same id waits."""
 NOT_LIKELY = 0.95
-"""The cost (in units of LATE) of a response to a request that the capture lacks, if possibly there
-was no such request. Above MARGIN, so that a captured request gets the response if it can."""
+"""The cost (in units of LATE) of a response to a request that the capture lacks, if it is doubtful
+that this request was sent. More than MARGIN, so that a captured request gets the response if it
+can."""
 
 MAX_LATE = 4
-"""At most this many given-up requests, the newest ones, may get a late response. Together with the
-request that waits they allow fewer than MAX_READINGS ways to pair, so that none of equal cost is
-dropped."""
+"""A response may go to one of at most this many given-up requests, the newest ones. With the
+request that waits this gives fewer than MAX_READINGS ways to pair, so that no reading of equal cost
+is dropped."""
 MAX_READINGS = 8
 MAX_PASSED = 64
 MAX_LOST_RESPONSES = 8
-"""Lost bytes are divided into at most this many responses; this bounds the combinations of
-lengths."""
+"""Lost bytes are taken for at most this many responses. This limits the number of combinations of
+response lengths that are tried."""
 
 
 class PairStep(NamedTuple):
-    """One step of a way to pair: a response, or lost response bytes, and the requests answered."""
+    """One step of a reading: a response, or lost response bytes, and the requests they answer."""
 
     at_ns: int
     response: Adu | None
-    """None if the capture lacks the response."""
+    """The response; None for lost bytes."""
     requests: tuple[OpenRequest, ...]
     """Empty if no request asked for the response; several only if the capture lacks responses."""
     since_ns: int = 0
-    """When the response before this one was complete."""
+    """The time (ns) at which the response before this one was complete; 0 if there was none."""
     is_sure: bool = True
     is_late: bool = False
     """True if the request was given up before the response came."""
 
 
 class PairOption(NamedTuple):
-    """A request that a response may answer (None if nobody asked for it), and what that costs."""
+    """A request that a response may answer, and the cost (in units of LATE) of this choice.
+
+    The request is None if no request asked for the response.
+    """
 
     cost: float
     request: OpenRequest | None
@@ -121,15 +127,15 @@ class PairReading:
         gave_up_ns: int = 0,
     ) -> None:
         self.waiting = waiting
-        """Requests that may still be answered, in order."""
+        """Requests that wait for a response, in the order in which they were sent."""
         self.passed = passed
-        """Requests without a response that were sent before an answered one; a late response may
-        come."""
+        """Requests without a response that were sent before an answered request. A late response to
+        them may still come."""
         self.steps = steps
         self.cost = cost
         self.newest = newest
-        """The highest number of a request that was answered while other requests waited; 0 if none
-        was."""
+        """The highest number of a request that got its response from `waiting` while another
+        request had none yet; 0 if there was none. Requests of a connection are counted from 1."""
         self.given_up = given_up
         """The numbers of the requests for whose responses the master waits no longer, or whose
         responses are overdue."""
@@ -160,7 +166,10 @@ class PairReading:
         return is_known and len(ids) > 1 and len(set(ids)) == len(ids)
 
     def is_only_answered_by(self, response: Adu, place: AduPlace | None) -> bool:
-        """True if just one request waits, and the response can belong to it."""
+        """True if only one request has no response yet, and `response` can belong to it.
+
+        `place` is where the response stands in the connection; None if unknown.
+        """
         if len(self.waiting) != 1 or self.passed:
             return False
         (one,) = self.waiting
@@ -179,7 +188,10 @@ class PairReading:
         )
 
     def take(self, option: PairOption, response: Adu, habits: MasterHabits, since_ns: int) -> None:
-        """Assign the response to the request of an option, and add the option's cost."""
+        """Assign a response to the request of an option, and add the option's cost.
+
+        `since_ns` is when the response before this one was complete.
+        """
         self.cost += option.cost
         request = option.request
         if request is None:
@@ -196,7 +208,11 @@ class PairReading:
             self.newest = max(request.number, self.newest)
 
     def lose(self, start: int, count: int, cost: float, at_ns: int) -> None:
-        """Suppose that lost bytes answered `count` waiting requests, from index `start` on."""
+        """Suppose that lost bytes answered the requests `waiting[start : start + count]`.
+
+        `cost` (in units of LATE) is added to the reading's cost; `at_ns` is when the loss was
+        noticed.
+        """
         lost = tuple(self.waiting[start : start + count])
         self.cost += cost
         self.steps += (PairStep(at_ns, None, lost),)
@@ -204,14 +220,14 @@ class PairReading:
         self.waiting = self.waiting[start + count :]
         if any(one.adu is None for one in lost):
             for one in self.waiting:
-                # It is unknown how many of the lost responses answered requests that are lost, too.
+                # The lost bytes may have answered more, or fewer, requests that the capture lacks.
                 one.may_not_exist = one.may_not_exist or not one.exists
 
     def pass_all(self, habits: MasterHabits) -> None:
-        """Expect no response in time to the waiting requests, as their responses may be lost.
+        """Move the waiting requests to `passed`, as the capture may lack their responses.
 
-        They move to `passed`, where a late response still finds them. Requests whose id no lost
-        request can have go on waiting.
+        A late response can still be assigned to them there. A request stays in `waiting` if no lost
+        request can have its transaction id.
         """
         kept = [one for one in self.waiting if habits.has_own_id(one, self.waiting)]
         self.passed += [one for one in self.waiting if one.adu is not None and one not in kept]
@@ -230,7 +246,10 @@ class PairReading:
 
 
 def is_before(one: OpenRequest, other: OpenRequest, habits: MasterHabits) -> bool:
-    """True if a slave that answers `other` has answered the earlier `one` or never will."""
+    """True if a slave that answers request `other` will not answer the earlier request `one` later.
+
+    A slave answers requests with the same transaction id in their order.
+    """
     if one.adu is None or other.adu is None:
         return not habits.ids_vary
     return one.adu.transaction_id == other.adu.transaction_id
@@ -239,7 +258,10 @@ def is_before(one: OpenRequest, other: OpenRequest, habits: MasterHabits) -> boo
 def options(
     reading: PairReading, response: Adu, place: AduPlace | None, habits: MasterHabits
 ) -> Iterator[PairOption]:
-    """Yield the requests that a response may answer in one way to pair, each with its cost."""
+    """Yield the requests of a reading that a response may answer, each with the cost of that.
+
+    `place` is where the response stands in the connection; None if unknown.
+    """
     too_late = _too_late(reading, response, place)
     skipped: list[OpenRequest] = []
     best = UNASKED
@@ -275,9 +297,9 @@ def _has_id(one: OpenRequest, response: Adu) -> bool:
 def _cost_of_passing_all(
     reading: PairReading, skipped: list[OpenRequest], chosen: OpenRequest, habits: MasterHabits
 ) -> float:
-    """Return the cost of `skipped` requests without a response, if `chosen` has one.
+    """Return the cost if request `chosen` gets a response and the earlier `skipped` ones do not.
 
-    `chosen` was sent after them.
+    The cost is in units of LATE.
     """
     same = others = 0.0
     late = 0
@@ -319,7 +341,11 @@ def _cost(one: OpenRequest, response: Adu, reading: PairReading, habits: MasterH
 
 
 def may_be_among(lost: int, one: OpenRequest, waiting: list[OpenRequest]) -> bool:
-    """True if `lost` missing bytes can contain the response to a waiting request."""
+    """True if `lost` missing bytes can be the response to request `one`, alone or with others.
+
+    `waiting` are all waiting requests, `one` among them. The sum of response lengths must be equal
+    to `lost`.
+    """
     if len(waiting) > MAX_LOST_RESPONSES:
         return True
     sums = {0}
@@ -333,9 +359,10 @@ def may_be_among(lost: int, one: OpenRequest, waiting: list[OpenRequest]) -> boo
 
 
 def lost_runs(reading: PairReading, lost: int) -> Iterator[tuple[float, int, int]]:
-    """Find waiting requests in a row whose responses can have `lost` bytes together.
+    """Find waiting requests in a row whose responses can have `lost` bytes in total.
 
-    Yields the cost, the index of the first request, and the number of requests.
+    For each such row, yields the cost of the earlier requests that it passes over (in units of
+    LATE), the index in `waiting` of its first request, and the number of its requests.
     """
     cost = 0.0
     waiting = reading.waiting
@@ -348,7 +375,10 @@ def lost_runs(reading: PairReading, lost: int) -> Iterator[tuple[float, int, int
 
 
 def _counts_in(waiting: list[OpenRequest], lost: int) -> Iterator[int]:
-    """Yield each n for which the first n requests' responses can have `lost` bytes together."""
+    """Yield each n for which the responses to the first n requests can have `lost` bytes in total.
+
+    A request that the capture lacks has a response of any length from SMALLEST_RESPONSE on.
+    """
     sums = {0}
     any_size = 0
     for count, one in enumerate(waiting, 1):
@@ -363,7 +393,8 @@ def _counts_in(waiting: list[OpenRequest], lost: int) -> Iterator[int]:
 def without_costly(readings: list[PairReading]) -> list[PairReading]:
     """Return the readings (ways to pair) that cost at most MARGIN more than the cheapest one.
 
-    Of readings with the same waiting requests only the cheapest one is returned.
+    Of several readings with the same waiting requests only the cheapest one is returned; its pairs
+    that the other readings lack become ambiguous. At most MAX_READINGS are returned.
     """
     limit = min(reading.cost for reading in readings) + MARGIN
     kept: dict[tuple[int, ...], PairReading] = {}
@@ -379,12 +410,15 @@ def without_costly(readings: list[PairReading]) -> list[PairReading]:
 
 
 def likely_cost(reading: PairReading) -> float:
-    """Return the cost by which the best way to pair is chosen: late responses count extra."""
+    """Return a reading's cost, plus UNLIKELY for each response to a given-up request.
+
+    The reading with the lowest such cost is chosen among readings of about the same cost.
+    """
     return reading.cost + UNLIKELY * sum(step.is_late for step in reading.steps)
 
 
 def _mark_differences(kept: PairReading, other: PairReading) -> None:
-    """Mark as unsure the steps in which two ways to pair differ."""
+    """In `kept`, mark as unsure the steps that have other requests in the reading `other`."""
     steps = []
     for one, two in zip(kept.steps, other.steps, strict=True):
         if one.requests == two.requests:

@@ -4,8 +4,8 @@
 # Modbus/TCP, in order; a response follows each request, with its transaction id, unit and function,
 # in at most TIMEOUT_NS; each segment acknowledges all bytes that came before it; and times do not
 # go back. If no request is pending before it, such a stretch can be decoded in one way only,
-# whatever was learned about the master. So its transactions can be read from arrays (columns/), and
-# afterwards the decoder is told what it would have learned from them.
+# whatever was learned about the master. So the array decoder (columns/) can decode it. Afterwards
+# the Decoder is told what it would have learned from the stretch: ids, latencies and positions.
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ if TYPE_CHECKING:
 
 
 class PlainStretch(NamedTuple):
-    """Transactions in a row that were read from arrays, from first request to last response."""
+    """A plain stretch: transactions in a row that the array decoder (columns/) decoded."""
 
     requests: PlainBytes
     responses: PlainBytes
     last_requests: Sequence[bytes]
-    """The ADUs of the last two requests, or of the only one; the last one last."""
+    """The ADUs of the last two requests, in order; of the only request if there is one."""
     last_response_size: int
     """The length of the last response in bytes."""
     transaction_ids: Sequence[int]

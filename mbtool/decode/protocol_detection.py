@@ -83,7 +83,7 @@ class ProtocolState(Enum):
 
 
 class ProtocolDetector:
-    """Decodes a connection into transactions, or reports once that it is not Modbus."""
+    """Decodes a connection into transactions, or reports once that it does not carry Modbus."""
 
     def __init__(
         self,
@@ -97,9 +97,9 @@ class ProtocolDetector:
     ) -> None:
         """Prepare a candidate for each possible protocol and assignment of roles.
 
-        `tcp` and `rtu` are True if the connection may carry Modbus/TCP or RTU over TCP, `expected`
-        if its port is one of Modbus. `joined` is True if the capture lacks its beginning, `swapped`
-        if the end that `connection` calls the slave is the master.
+        `tcp` is True if the connection may carry Modbus/TCP, `rtu` if RTU over TCP, `expected` if
+        its port is 502 or one that the user named. `joined` is True if the capture lacks its
+        beginning, `swapped` if the end that `connection` calls the slave is the master.
         """
         self.state = ProtocolState.UNDECIDED
         self.connection = connection
@@ -137,7 +137,7 @@ class ProtocolDetector:
     def feed(
         self, direction: Direction, data: bytes, ts_ns: int, place: StreamPlace | None = None
     ) -> list[Decoded]:
-        """Take the payload of one segment; return nothing until the protocol is decided."""
+        """Take the payload of one segment; return no result until the protocol is decided."""
         if self.state is ProtocolState.MODBUS:
             (accepted,) = self._candidates
             return accepted.decoder.feed(accepted.roles[direction], data, ts_ns, place)
@@ -171,7 +171,7 @@ class ProtocolDetector:
         kind: EventKind = EventKind.GAP,
         acknowledged_ns: int | None = None,
     ) -> list[Decoded]:
-        """Note that the capture lacks `missing` bytes of one direction; 0 if unknown how many."""
+        """Note that the capture lacks `missing` bytes (0: number unknown) of one direction."""
         if self.state is ProtocolState.MODBUS:
             (one,) = self._candidates
             return one.decoder.gap(one.roles[direction], missing, ts_ns, kind, acknowledged_ns)
@@ -199,9 +199,9 @@ class ProtocolDetector:
         return []
 
     def close(self, end_ns: int | None = None) -> list[Decoded]:
-        """End the connection: decide if still undecided, and return the remaining results.
+        """End the connection: decide its protocol if undecided, and return the remaining results.
 
-        `end_ns` is when its capture ended; None if the connection itself ended.
+        `end_ns` is when its capture ended (a response may have come later), None if it closed.
         """
         if self.state is ProtocolState.MODBUS:
             return self._candidates[0].decoder.close(end_ns)
@@ -221,7 +221,7 @@ class ProtocolDetector:
         return self._reject()
 
     def plain_decoder(self) -> ConnectionDecoder | None:
-        """The decoder of a connection that is Modbus/TCP with the expected master; else None."""
+        """The decoder if Modbus/TCP was detected, with `connection.master` as master; else None."""
         return self._candidates[0].plain_decoder if self.state is ProtocolState.MODBUS else None
 
     def in_detected_roles(self, event: WireEvent) -> WireEvent:
@@ -230,11 +230,11 @@ class ProtocolDetector:
 
     @property
     def _expected(self) -> _ProtocolCandidate | None:
-        """The candidate for the protocol that is expected at the port."""
+        """The candidate for the protocol that is expected at the port; None if there is none."""
         return next((one for one in self._candidates if one.is_expected), None)
 
     def _check_beginning(self, direction: Direction, data: bytes) -> None:
-        """Drop the candidates whose ADUs cannot begin with a direction's first bytes."""
+        """Add `data` to a direction's first bytes; drop candidates that cannot begin with them."""
         self._heads[direction] = _head(self._heads[direction], data)
         beginning = self._beginnings[direction]
         if beginning is None or not self._checks_beginning:
@@ -251,7 +251,7 @@ class ProtocolDetector:
         return all(begins_tls_record(head) for head in self._heads.values())
 
     def _decide(self, *, is_last: bool = False) -> list[Decoded]:
-        """Accept a confirmed candidate, or reject the connection if all are ruled out.
+        """Accept a confirmed candidate, or call the connection foreign if all are ruled out.
 
         `is_last` is True if no more bytes will be examined.
         """
@@ -268,7 +268,7 @@ class ProtocolDetector:
 
     @property
     def _has_rtu_frames(self) -> bool:
-        """True if frames with correct CRCs were found although Modbus/TCP is expected."""
+        """True if a candidate for a protocol not expected at the port has well-formed ADUs."""
         return any(one.well_formed for one in self._candidates if not one.is_expected)
 
     def _accept(self, candidate: _ProtocolCandidate) -> list[Decoded]:
@@ -313,7 +313,7 @@ class ProtocolDetector:
 
 
 class _ProtocolCandidate:
-    """One possible protocol and choice of master and slave, with the evidence for them."""
+    """One possible protocol, with one of the two ends as master, and the evidence for it."""
 
     def __init__(self, connection: Connection, *, rtu: bool, swapped: bool, expected: bool) -> None:
         if swapped:
@@ -331,20 +331,20 @@ class _ProtocolCandidate:
         self._is_rtu = rtu
         self._is_swapped = swapped
         self.roles = OTHER if swapped else {direction: direction for direction in OTHER}
-        """Maps a direction in the connection's roles to the direction in this candidate's roles."""
+        """Maps a direction of the connection to this candidate's, which may exchange the roles."""
         self.is_expected = expected
         """True if this is the protocol expected at the port."""
         self.well_formed = 0
         """The number of ADUs in a row that had the structure of their function."""
         self._wrong_beginnings: set[Direction] = set()
-        """Directions whose first bytes cannot begin an ADU."""
+        """The directions whose first bytes cannot begin an ADU of this candidate's protocol."""
         needs_frame = rtu and not expected
         self._noise = {Direction.REQUEST: 0, Direction.RESPONSE: 0} if needs_frame else {}
-        """By direction, the number of bytes before the first RTU frame; no entry after it."""
+        """By direction, the number of bytes without an RTU frame; no entry once one was found."""
 
     @property
     def plain_decoder(self) -> ConnectionDecoder | None:
-        """The candidate's decoder if it reads Modbus/TCP in the connection's roles; else None."""
+        """The decoder if it reads Modbus/TCP and master and slave are not exchanged; else None."""
         return None if self._is_rtu or self._is_swapped else self.decoder
 
     def feed_undecided(
@@ -368,9 +368,9 @@ class _ProtocolCandidate:
             self.is_ruled_out = not self.is_confirmed
 
     def check_beginning(self, head: bytes, direction: Direction) -> None:
-        """Rule out the candidate if a direction's first bytes cannot begin an ADU.
+        """Rule out the candidate if `head`, a direction's first bytes, cannot begin an ADU.
 
-        If Modbus is expected, this must be true of both directions.
+        An expected candidate is ruled out only if that is true of both directions.
         """
         if not self._may_begin_adu(head, direction):
             self._wrong_beginnings.add(direction)
@@ -378,7 +378,7 @@ class _ProtocolCandidate:
                 self.is_ruled_out = True
 
     def may_begin_with(self, heads: Mapping[Direction, bytes]) -> bool:
-        """True if no bytes came, or bytes that may be an incomplete or damaged ADU."""
+        """True if `heads`, the first bytes by direction, are empty or may begin an ADU."""
         if any(_has_bad_check(one) for one in self.decoded) or not any(heads.values()):
             return True
         if not self._is_rtu:
@@ -391,7 +391,7 @@ class _ProtocolCandidate:
         return (LONG_HEADER if len(head) >= _MBAP_SIZE else _MBAP_PREFIX).match(head) is not None
 
     def add(self, decoded: list[Decoded]) -> None:
-        """Keep results, and count the evidence in them for or against this candidate."""
+        """Append to `self.decoded`, and count the evidence for or against this candidate."""
         self.decoded += decoded
         for one in decoded:
             if isinstance(one, Adu):

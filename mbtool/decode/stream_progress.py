@@ -1,10 +1,10 @@
 """Follows which bytes of a TCP connection were captured, and which the capture lacks."""
 
 # Two things show that the capture lacks bytes: a gap between two ADUs of one direction, and a
-# segment that acknowledges more of the other direction than was captured. The lost bytes begin
-# behind the last ADU. If unit and function of an ADU were captured, its missing bytes do not count
-# as lost, because the ADU is known. Without unit and function, the captured part of an ADU is of no
-# use.
+# segment that acknowledges more of the other direction than was captured. Bytes count as lost from
+# the end of the last ADU on. If the start of an ADU with its unit and function was captured, the
+# ADU can be paired, and its missing bytes do not count as lost. A start without unit and function
+# cannot be paired, so it counts as lost like the bytes behind it.
 
 from __future__ import annotations
 
@@ -26,13 +26,17 @@ OTHER = {Direction.REQUEST: Direction.RESPONSE, Direction.RESPONSE: Direction.RE
 
 
 class AduPlace(msgspec.Struct, frozen=True, gc=False):
-    """Where an ADU stands in its TCP connection. A position counts the bytes of one direction."""
+    """Where an ADU stands in its TCP connection.
+
+    A stream position counts the bytes of one direction: from the connection's beginning or, if the
+    capture lacks that, from LEAD bytes before the first captured byte.
+    """
 
     end: int
-    """The position behind the ADU's last byte, in the ADU's direction."""
+    """The stream position of the first byte behind the ADU, in the ADU's direction."""
     acknowledged: int | None
-    """The position up to which the ADU's sender had received the other direction; None if
-    unknown."""
+    """The stream position in the opposite direction up to which the ADU's sender had received all
+    bytes; None if unknown."""
 
 
 class StreamProgress:
@@ -43,32 +47,37 @@ class StreamProgress:
         """The stream position behind the last captured byte; None before the first byte, and if the
         source gives no positions."""
         self.unread = 0
-        """The number of bytes since the last ADU or skipped bytes that the splitter still holds."""
+        """The number of bytes that the splitter still holds: those captured behind the last ADU and
+        behind the last skipped bytes."""
         self.received: int | None = None
-        """The position in the other direction that the last segment acknowledged; None if
-        unknown."""
+        """The stream position in the opposite direction that this direction's last segment
+        acknowledged; None if unknown."""
         self.has_part = False
-        """True while the capture has the start of a response but lacks its end."""
+        """True while the splitter holds the start of a response whose end the capture lacks."""
         self.lost_ns: int | None = None
         """When the receiver acknowledged all lost bytes behind the last ADU, in ns; None if
         unknown."""
         self._missing = 0
-        """The number of missing bytes that gaps behind the last ADU reported."""
+        """The number of missing bytes in the gaps behind the last ADU, as they were reported."""
         self._known = 0
-        """The position up to which all bytes belong to ADUs or were reported as lost."""
+        """The stream position up to which all bytes belong to ADUs or were reported as lost."""
         self._acknowledged = 0
-        """The highest position acknowledged while the splitter held a response's first bytes, up to
-        its function code."""
+        """The highest stream position that was acknowledged while the splitter held the first bytes
+        of a response, with its function code."""
 
     def is_at_rest(self, position: int) -> bool:
-        """True if all bytes before a position were captured and read, and no later byte came."""
+        """True if all bytes before a stream position were captured and cut into ADUs.
+
+        False also if a later byte came.
+        """
         is_open = self.unread or self._missing or self.has_part
         return not is_open and self.captured == position
 
     def pass_plain(self, size: int, received: int) -> None:
-        """Note `size` bytes of whole ADUs that were decoded elsewhere.
+        """Note `size` bytes of whole ADUs that the array decoder (columns/) decoded.
 
-        `received` is the position in the other direction that their last segment acknowledged.
+        `received` is the stream position in the opposite direction that their last segment
+        acknowledged.
         """
         assert self.captured is not None
         self.captured += size
@@ -76,7 +85,7 @@ class StreamProgress:
         self.received = received
 
     def take(self, place: StreamPlace, size: int) -> None:
-        """Note a segment with `size` bytes of payload."""
+        """Note a segment of this direction with `size` bytes of payload, which begin at `place`."""
         if self.captured is None:
             self._begin(place.position)
         self.captured = place.position + size
@@ -84,11 +93,12 @@ class StreamProgress:
         self.received = place.acknowledged
 
     def acknowledge(self, received: int | None, *, of_responses: bool = False) -> int:
-        """Note that the receiver has all bytes before a position; return the number of lost bytes.
+        """Note that the receiver has all bytes before the stream position `received`.
 
-        Returns 0 while the splitter holds a response's first bytes, up to its function code: the
-        gap that follows will show what is lost. `of_responses` is True if this direction is the
-        slave's.
+        Returns the number of bytes that this shows to be lost; 0 if `received` is None. Returns 0
+        also while the splitter holds the first bytes of a response, with its function code: the gap
+        that follows will show what is lost. `of_responses` is True if this is the slave's
+        direction.
         """
         if received is None:
             return 0
@@ -104,7 +114,10 @@ class StreamProgress:
         return self._tell(received, received)
 
     def read(self, start: int, end: int) -> int:
-        """Note an ADU; return the number of bytes lost between the last ADU and this one."""
+        """Note an ADU; return the number of bytes lost between the ADU before it and this one.
+
+        `start` and `end` are the stream positions of its first byte and of the byte behind it.
+        """
         lost = self._tell(start, end) if self._missing else 0
         self._known = max(end, self._known)
         self._missing = 0
@@ -112,9 +125,9 @@ class StreamProgress:
         return lost
 
     def skip(self, missing: int, known: int, acknowledged_ns: int | None = None) -> None:
-        """Note a gap. `known` of the `missing` bytes belong to an ADU that was read.
+        """Note a gap of `missing` bytes; `known` of them belong to an ADU whose start was captured.
 
-        `acknowledged_ns` is when the receiver had acknowledged all of them; None if unknown.
+        `acknowledged_ns` is when the receiver had acknowledged all missing bytes; None if unknown.
         """
         self.lost_ns = acknowledged_ns
         self.unread = 0
@@ -123,23 +136,23 @@ class StreamProgress:
             self.captured += missing
 
     def end(self) -> int:
-        """End the stream; return the number of bytes lost at its end."""
+        """End this direction; return the number of bytes lost behind its last ADU."""
         if self.captured is None:
             return 0
         end = max(self.captured, self._acknowledged)
         return self._tell(end, end) if self._missing or end > self.captured else 0
 
     def without_places(self) -> int:
-        """Return the number of bytes that gaps reported since the last call.
+        """Return the number of bytes that are missing in the gaps since the last call.
 
-        Used for a source whose segments have no stream positions.
+        Used if the source gives its segments no stream positions.
         """
         missing, self._missing = self._missing, 0
         return missing
 
     def _begin(self, position: int) -> int:
-        # Positions are this low only if the capture has the connection's beginning; then they count
-        # from 0.
+        # A position below LEAD // 2 is possible only if the capture has the connection's beginning.
+        # Then positions count from 0.
         self.captured = self._known = 0 if position < LEAD // 2 else position
         return self.captured
 

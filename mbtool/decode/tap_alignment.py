@@ -1,7 +1,7 @@
 """Aligns the requests of one tap with the responses of another, whose times differ."""
 
 # Each of the two adapters delivers bytes with its own delay, so a response can seem to begin before
-# its request has ended. These rules hold on every line:
+# its request has ended. These rules hold on every line, within the difference of the delays:
 #
 #     1  a response follows its request         the response may seem up to SKEW_NS too early
 #     2  the next request follows the response  the request may seem up to SKEW_NS too early
@@ -11,10 +11,10 @@
 # Among all alignments that keep rules 1 to 3, the one with the lowest cost is taken. A cost is a
 # time in ns: by how much a response is too early for its request or too late for the next one, plus
 # the constants below for a pair whose contents do not fit, a request without a response (rule 4)
-# and a response without a request. So a pair that is off by less than the skew is still aligned. If
-# a capture begins with a response whose request is missing, that response stays alone; otherwise
-# every later response of a fast poll would be assigned to the wrong request. If earlier responses
-# seemed early, a later one costs nothing for being early by the same time.
+# and a response without a request. So a pair whose times are wrong by less than SKEW_NS is still
+# aligned. If a capture begins with a response whose request is missing, that response stays alone;
+# otherwise every later response of a fast poll would be assigned to the wrong request. If earlier
+# responses seemed early, a later one costs nothing for being early by the same time.
 #
 # At most MAX_ALIGNED requests and responses are examined; later ones do not affect the first.
 
@@ -35,17 +35,17 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 SKEW_NS = 50_000_000
-"""The delays of two adapters differ by at most this, in ns: three times as long as an FTDI
-adapter's latency timer holds bytes back (16 ms)."""
+"""The largest difference in ns between the delays of two adapters: three times the 16 ms for which
+the latency timer of an FTDI adapter holds bytes back."""
 
 MAX_ALIGNED = 8
 
 _MISMATCH_NS = 4 * SKEW_NS
-"""Cost (ns) of aligning a request and a response of the same unit and function that differ in, for
-instance, the quantity: that is rarer than a lost response."""
+"""Cost (ns) of aligning a request and a response of the same unit and function of which the
+response does not fit, for instance because of its quantity. That is rarer than a lost response."""
 _IMPATIENCE = 8
-"""Cost (ns) for each ns by which a master waited less than SKEW_NS for a response before its next
-request: masters wait longer."""
+"""Cost (ns) of a request without a response, for each ns by which the master waited less than
+SKEW_NS before its next request. Masters wait longer for a response."""
 _UNSOLICITED_NS = MAX_ALIGNED * SKEW_NS
 """Cost (ns) of a response without a request: slaves do not send on their own."""
 _FIRST_UNSOLICITED_NS = SKEW_NS
@@ -67,7 +67,7 @@ class TapRequest:
 
 
 def can_answer(request: Adu, response: Adu) -> bool:
-    """True if both have the same unit and function."""
+    """True if `response` has the unit and the function of `request`; it may be an exception."""
     return request.unit == response.unit and is_response_code(request.pdu[0], response.pdu[0])
 
 
@@ -81,10 +81,10 @@ def request_of_first(
 ) -> int | None:
     """Return the index of the request that the first response belongs to; None if it has none.
 
-    `requests` and `responses` are all that began until `until_ns`, each in order of time; the first
-    request may be older and still pending. `ahead_ns` is by how much responses are already known to
-    seem early. `at_start` is True if the capture begins here, so that the request of the first
-    response may be missing.
+    `requests` and `responses` are all ADUs of the two taps that began until `until_ns`, in order of
+    time; the first request may be an older, pending one. `ahead_ns` is the time by which earlier
+    responses seemed to begin before their request ended. `at_start` is True if the capture begins
+    here, so that the request of the first response may be missing.
     """
     if len(requests) > MAX_ALIGNED:
         until_ns = min(until_ns, requests[MAX_ALIGNED].adu.start_ns)
@@ -93,10 +93,10 @@ def request_of_first(
         return 0  # The usual case; no alignment can cost less.
 
     def costs(request: int, response: int) -> tuple[int, int, int]:
-        """Return the lowest costs (ns) of aligning everything from these two indices on.
+        """Return the lowest costs (ns) of aligning all requests and responses from two indices on.
 
-        The three costs: the two are a pair, the request has no response, the response has no
-        request.
+        The first cost is that of making the two a pair, the second that of leaving the request
+        without a response, the third that of leaving the response without a request.
         """
         has_request, has_response = request < len(requests), response < len(responses)
         paired = unanswered = unsolicited = _IMPOSSIBLE_NS
@@ -128,7 +128,7 @@ def request_of_first(
 def _pairs_in_order_cost_nothing(
     requests: Sequence[TapRequest], responses: Sequence[Adu], ahead_ns: int
 ) -> bool:
-    """True if pairing the first response with the first request, and so on, has no cost."""
+    """True if there is no cost in pairing the n-th response with the n-th request, for every n."""
     answered = len(responses)
     return (
         0 < answered <= len(requests)

@@ -5,15 +5,18 @@
 # to one pairing. Times alone do not give that order, as each adapter has its own delay; the
 # alignment of requests with responses does (tap_alignment.py). If no alignment decides, times do.
 #
-# A side is known up to the time of its last read, up to the time until which it was silent, or up
-# to the first byte that its splitter still holds. The earliest event goes to the pairing when both
-# sides are known up to LOOKAHEAD_NS after it; what began later has no influence. So the result
-# depends neither on how the bytes were cut into reads nor on which side was read first. A read
-# arrives at most MAX_CLOCK_STEP_NS after a read of the other side with the same time. So reads of
-# one side also show how long the other was silent: a log does not record it.
+# A side is known up to a time if all its events that began before that time were found. That is the
+# time of the first byte that its splitter still holds. If the splitter holds none, it is the time
+# of the side's last read, or the time until which the side was silent. The earliest event goes to
+# the pairing when both sides are known up to LOOKAHEAD_NS after it; what began later has no
+# influence. So the result depends neither on how the bytes were cut into reads nor on which side
+# was read first. A log does not record silence; but a read arrives at most MAX_CLOCK_STEP_NS after
+# a read of the other side with the same time, so the reads of one side show how long the other side
+# was silent at least.
 #
-# A time more than MAX_CLOCK_STEP_NS before what is known means that the clock was set back. All
-# waiting events then go to the pairing, and both sides start again, as at the start of a capture.
+# If a read is more than MAX_CLOCK_STEP_NS older than the time up to which its side is known, the
+# clock was set back. All waiting events then go to the pairing, and both sides start again, as at
+# the start of a capture.
 #
 # If the first MISPLACED_FRAMES frames that fit one direction only are all on the wrong side, one
 # MISPLACED event reports that the two ports are exchanged.
@@ -55,15 +58,15 @@ if TYPE_CHECKING:
 
 LOOKAHEAD_NS = 2 * SKEW_NS
 MAX_HELD = 512
-"""The most events that wait for the pairing: a line at 115200 baud carries so many of the shortest
-frames in a second."""
+"""The most events that wait for the pairing. A line at 115200 baud carries so many frames in a
+second, if they are the shortest ones."""
 MISPLACED_FRAMES = 4
 
 _SPEAKERS = {Direction.REQUEST: "the master", Direction.RESPONSE: "a slave"}
 
 
 class TapPair:
-    """Takes the bytes of both taps; returns ADUs, transactions and events, as `Bus` does."""
+    """Takes the bytes of both taps of one serial line; returns ADUs, transactions and events."""
 
     def __init__(self, link: str, line: SerialFormat, *, ascii: bool = False) -> None:  # noqa: A002
         self._link = link
@@ -75,24 +78,25 @@ class TapPair:
         self._master = self._sides[Direction.REQUEST]
         self._slaves = self._sides[Direction.RESPONSE]
         self._pending: TapRequest | None = None
-        """The last request that went to the pairing; None once its response went there too, and for
-        a broadcast."""
+        """The last request that went to the pairing. None before the first one, after its response
+        went there too, and after a broadcast."""
         self._has_request = False
         """False until the first request goes to the pairing."""
         self._answered_ns: int | None = None
-        """When the last response ended, in ns; None if a request has followed."""
+        """When the last response ended, in ns; None before it, and once a request has followed."""
         self._ahead_ns = 0
-        """The time, in ns, by which responses seem early (negative: late), learned from earlier
-        ones."""
+        """The time in ns by which responses seem to begin before their request ends, because the
+        two adapters differ in delay. It is learned from earlier responses; negative if responses
+        seem to end after the next request begins."""
         self._misplaced = 0
-        """The number of frames so far whose form fits only the other tap's direction; -1 once it is
-        known whether the ports are exchanged."""
+        """The number of frames so far whose form fits only the other tap's direction; -1 once a
+        frame fitted its own tap only, or exchanged ports were reported."""
 
     def feed(self, direction: Direction, data: bytes, ts_ns: int) -> list[Decoded]:
-        """Take the bytes of one read; `ts_ns` is the time of the last one.
+        """Take the bytes of one read; return what they complete.
 
-        Direction.RESPONSE means the tap that hears the slaves, every other direction the tap that
-        hears the master.
+        `direction` names the tap: RESPONSE the one that hears the slaves, every other direction the
+        one that hears the master. `ts_ns` is the time of the last byte.
         """
         speaker = Direction.RESPONSE if direction is Direction.RESPONSE else Direction.REQUEST
         decoded = self._restart_if_set_back(ts_ns, self._sides[speaker].until_ns)
@@ -104,7 +108,9 @@ class TapPair:
         return decoded + self._take_known()
 
     def advance(self, now_ns: int) -> list[Decoded]:
-        """Note that all bytes that the taps heard until `now_ns` were fed."""
+        """Note that all bytes that the taps heard until `now_ns` were fed; return what that
+        completes, such as a request that has waited too long.
+        """
         known_ns = min(side.until_ns for side in self._sides.values())
         decoded = self._restart_if_set_back(now_ns, known_ns)
         for side in self._sides.values():
@@ -115,14 +121,19 @@ class TapPair:
         return decoded
 
     def close(self, end_ns: int | None = None) -> list[Decoded]:
-        """End the line: return all events and transactions that still wait.
+        """End the line: return all ADUs, transactions and events that still wait.
 
-        `end_ns` is when the capture ended; None if no response can come any more.
+        `end_ns` is when the capture ended: a pending request whose response may have come later is
+        not-captured. If `end_ns` is None, the request has no answer.
         """
         return [*self._take_all(), *self._pairing.close(end_ns)]
 
     def _restart_if_set_back(self, ts_ns: int, known_ns: int) -> list[Decoded]:
-        """If the clock was set back, return all waiting events and forget all times."""
+        """If the clock was set back, give all waiting events to the pairing and forget all times.
+
+        `ts_ns` is the latest time, `known_ns` the time up to which all bytes were fed before.
+        Returns the results of the waiting events; nothing if the clock was not set back.
+        """
         if ts_ns >= known_ns - MAX_CLOCK_STEP_NS:
             return []
         decoded = self._take_all()
@@ -142,7 +153,11 @@ class TapPair:
         return decoded
 
     def _take_known(self) -> list[Decoded]:
-        """Give the pairing the events before which no event of either tap can still arrive."""
+        """Give the pairing the waiting events that both taps are known up to LOOKAHEAD_NS after.
+
+        Returns their results. If more than MAX_HELD events wait, the earliest ones do not wait
+        longer.
+        """
         known_ns = min(side.known_ns for side in self._sides.values())
         decoded: list[Decoded] = []
         while self._held and (self._first_ns + LOOKAHEAD_NS <= known_ns or self._held > MAX_HELD):
@@ -207,7 +222,11 @@ class TapPair:
     def _check_ports(
         self, event: Adu | Skipped, speaker: Direction, decoded: list[Decoded]
     ) -> None:
-        """Report exchanged ports once enough frames fit only the other tap's direction."""
+        """Count `event` if its form fits only the other tap's direction.
+
+        After MISPLACED_FRAMES such events, append an event to `decoded` that reports exchanged
+        ports. `speaker` is the direction of the tap that heard `event`.
+        """
         if self._misplaced < 0:
             return
         fitting = _only_speaker(event)
@@ -228,7 +247,7 @@ class TapPair:
 
 
 class _TapSide:
-    """One tap: its splitter, and its events that the pairing has not got yet."""
+    """One tap of a TapPair: its splitter, and its events that wait for the pairing."""
 
     def __init__(self, speaker: Direction, line: SerialFormat, *, ascii: bool) -> None:  # noqa: A002
         self.speaker = speaker
@@ -239,7 +258,7 @@ class _TapSide:
         self.until_ns = 0
         """All bytes of this tap up to this time, in ns, were fed."""
         self._held: deque[_Read] = deque()
-        """The reads whose last bytes the splitter still holds."""
+        """The reads of which the splitter still holds bytes, the oldest read first."""
 
     @property
     def known_ns(self) -> int:
@@ -264,12 +283,12 @@ class _TapSide:
         self._add(self._splitter.close())
 
     def adus(self, until_ns: int) -> Iterator[Adu]:
-        """Yield the ADUs that wait here and began by `until_ns`, at most MAX_ALIGNED + 1."""
+        """Yield the waiting ADUs that began by the time `until_ns`, at most MAX_ALIGNED + 1."""
         began = takewhile(lambda event: _start_ns(event) <= until_ns, self.events)
         return islice((event for event in began if isinstance(event, Adu)), MAX_ALIGNED + 1)
 
     def _add(self, events: list[Adu | Skipped]) -> None:
-        """Append events, and forget the reads whose bytes they contain."""
+        """Append events of the splitter; forget the reads of which it then holds no bytes."""
         self.events += events
         released = sum(len(event.raw) for event in events)
         while released and self._held:
@@ -292,7 +311,7 @@ class _Read:
 
     @property
     def start_ns(self) -> int:
-        """When the first byte that the splitter still holds began, in ns."""
+        """The time (ns) at which the first of the `size` bytes began on the line."""
         return self.ts_ns - self.size * self.character_ns
 
 
@@ -301,7 +320,10 @@ def _start_ns(event: Adu | Skipped) -> int:
 
 
 def _only_speaker(event: Adu | Skipped) -> Direction | None:
-    """Return the only direction whose form an event fits; None if it fits both or neither."""
+    """Return REQUEST or RESPONSE if the bytes of an event have the length of only this direction.
+
+    None if they fit both directions or neither.
+    """
     speakers = (Direction.REQUEST, Direction.RESPONSE)
     if isinstance(event, Adu):
         fitting = [each for each in speakers if pdu_length(event.pdu, each) == len(event.pdu)]

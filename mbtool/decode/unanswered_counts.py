@@ -21,7 +21,9 @@ class UnansweredCounts(dict[tuple[int, bytes], int]):
     __slots__ = ()
 
     def add(self, request: Adu) -> int:
-        """Count a request without an answer; return the number of equal ones before it."""
+        """Count a request without an answer; return the number counted before with equal unit and
+        PDU.
+        """
         before = self.take(request)
         if len(self) >= MAX_OPEN_REQUESTS:
             del self[next(iter(self))]

@@ -1,8 +1,8 @@
 """Tells if the capture of a link ends too early to know that a request has no answer."""
 
-# A request counts as not answered only if the capture goes on for USUAL_NS after it, and for SLOWER
-# times the longest latency of its link; the second condition does not apply if the master gave the
-# request up. USUAL_NS leaves time for TCP to send a lost segment again.
+# A request counts as not answered only if the capture goes on for USUAL_NS after it, and also for
+# SLOWER times the longest latency of its link. The second condition does not apply if the master
+# gave the request up. Within USUAL_NS, TCP can send a lost segment again.
 
 from __future__ import annotations
 
@@ -30,8 +30,9 @@ def may_be_answered(waited_ns: int, slowest_ns: int, *, is_given_up: bool = Fals
 def unfinished_in(reading: PairReading, habits: MasterHabits, end_ns: int | None) -> set[int]:
     """Return the numbers of the waiting requests that may be answered after `end_ns`.
 
-    Returns none if `end_ns` is None. A slave handles one request at a time, so a request that was
-    sent while others waited counts its wait from the last response on.
+    `end_ns` is when the capture ended; if it is None, the set is empty. A slave handles one request
+    at a time, so the wait of a request that was sent while others waited is counted from the last
+    response on. The numbers count the connection's requests from 1.
     """
     if end_ns is None:
         return set()
