@@ -38,7 +38,9 @@ _PORTS = range(0x10000)
 
 @dataclass(frozen=True, slots=True)
 class Who:
-    """A pattern that matches slaves by host, port and unit. A field with None fits all slaves."""
+    """A pattern that matches slaves by host, port and unit. A field that is None matches every
+    slave.
+    """
 
     host: str | None = None
     port: int | None = None
@@ -46,7 +48,10 @@ class Who:
 
     @classmethod
     def of_slave(cls, destination: str | None, unit: int) -> Who:
-        """The pattern for exactly one slave. `destination` is HOST:PORT; None on a serial line."""
+        """Return the pattern that matches only the slave `unit` at `destination`.
+
+        `destination` is HOST:PORT; None on a serial line.
+        """
         host, port = _split_endpoint(destination) if destination is not None else (None, None)
         return cls(host, int(port) if port is not None and port.isdecimal() else None, unit)
 
@@ -135,17 +140,19 @@ class Assignments:
     def __init__(
         self, assignments: Iterable[Assignment] = (), applied: set[Who] | None = None
     ) -> None:
-        """Raises UsageError if one pattern has two profiles, or two profiles have one name.
+        """Take the user's assignments.
 
-        The patterns that match slaves are added to the set `applied`, if it is given.
+        When a pattern first matches a slave, the pattern is added to the set `applied`; None stands
+        for a new set. Raises UsageError if one pattern has two profiles, or two profiles have one
+        name.
         """
         self.applied = set() if applied is None else applied
         """The patterns (WHO) that have matched at least one slave so far."""
         # Put the most specific assignment first: the first one that matches a slave applies.
         self._assignments = sorted(assignments, key=lambda each: -each.who.specificity)
         self._cache: dict[tuple[str | None, int, Transport], Profile | None] = {}
-        # Make each profile for ASCII mode once, because Namer, which names transactions, caches
-        # by the id() of a profile.
+        # Make each profile for ASCII mode only once. Namer, which names transactions, caches what
+        # it compiles from a profile by the profile's id(), which a second copy would not share.
         self._in_ascii = {
             each.profile.name: each.profile.in_mode(Transport.ASCII) for each in self._assignments
         }
@@ -208,7 +215,7 @@ class Assignments:
         return profile
 
     def profiles_at(self, destination: str) -> list[Profile]:
-        """The profiles that are assigned to any unit at `destination`, which is HOST:PORT."""
+        """The profiles that are assigned to some unit at `destination`, which is HOST:PORT."""
         return [
             each.profile
             for each in self._assignments

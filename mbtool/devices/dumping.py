@@ -36,10 +36,10 @@ _WRITTEN_IN_HEX = (
 
 
 def dump_profile(profile: Profile, comments: Mapping[str, Sequence[str]] | None = None) -> str:
-    """The TOML text of a profile.
+    """Return the TOML text of a profile.
 
-    `comments` holds sentences to write as comments before a part of the file. The key names the
-    part: "" for the whole file, `functions`, `areas "NAME"` or `points "NAME"`.
+    `comments` has sentences to write as comments before a part of the file. Its keys name the
+    parts: "" for the whole file, `functions`, `areas "NAME"` or `points "NAME"`.
     """
     about = comments or {}
     blocks = [
@@ -77,7 +77,8 @@ def _comment(sentences: Iterable[str]) -> list[str]:
 
 
 def _functions(functions: Mapping[str, FunctionRule]) -> Iterator[list[str]]:
-    """Give the lines of each TOML table about functions.
+    """Yield the lines of each TOML table about functions; the keys of `functions` are function
+    codes as two hexadecimal digits.
 
     The first table lists all functions whose rule has no key `answer`. Each rule with an `answer`
     (the meaning of the response of a vendor's own function) gets a table of its own.
@@ -127,7 +128,9 @@ def _in_hex(texts: Texts, digits: int) -> dict[str, str]:
 
 
 def _keys(part: msgspec.Struct, leave_out: Iterable[str] = ()) -> dict[str, Any]:
-    """The keys and values of a part of a profile, such as a point, that differ from defaults."""
+    """The keys and values of a part of a profile, such as a point. Keys with default values and the
+    keys `leave_out` are left out.
+    """
     keys = {name: getattr(part, name) for name in part.__struct_fields__ if name not in leave_out}
     defaults = _defaults(type(part))
     return {
@@ -147,7 +150,8 @@ def _defaults(part: type[msgspec.Struct]) -> dict[str, Any]:
 
 
 def _lines(keys: Mapping[str, Any], within: str = "", in_hex: Iterable[str] = ()) -> list[str]:
-    """Return a TOML line for each key. Long lists take several lines; long tables get a section.
+    """Return a TOML line for each key. A long list takes several lines; a long dictionary gets a
+    TOML table of its own.
 
     `within` is the name of the TOML table that contains the keys. The values of the keys `in_hex`
     are written in hexadecimal.

@@ -13,9 +13,9 @@ if TYPE_CHECKING:
 
 
 def identity_points(transaction: Transaction) -> list[PointValue]:
-    """A point value for each part of the identity (such as the vendor's name) in a response.
+    """Return a point value for each part of the identity (such as the vendor's name) in a response.
 
-    Empty for a response that reports no identity.
+    Empty if the response reports no identity.
     """
     return [
         PointValue(
@@ -30,9 +30,10 @@ def identity_points(transaction: Transaction) -> list[PointValue]:
 
 
 def answer_word(transaction: Transaction) -> int | None:
-    """The 16-bit word after the function code, if the response has nothing else; otherwise None.
+    """The 16-bit word after the response's function code. None if the response has other data, or
+    is an exception response.
 
-    This is how FA3 modules report their model code.
+    FA3 modules report their model code in this form.
     """
     if transaction.exception is not None:
         return None

@@ -23,11 +23,12 @@ class CaptureContext:
 
     assignments: Assignments = field(default_factory=Assignments)
     line_of: Callable[[str], SerialFormat | None] = _no_line
-    """Returns the settings (baud rate, character format) of the serial link with a name.
+    """Returns the settings (baud rate, character format) of a serial link, given the link's name.
 
     None if the times of the link's bytes are unknown."""
     has_exact_times: Callable[[str], bool] = lambda _: False
-    """True for a serial link if the time of every byte is exact, as from a logic analyser."""
+    """Returns True if the time of every byte of a serial link is exact, as from a logic analyser;
+    takes the link's name."""
     ports: frozenset[int] | None = None
     """TCP ports that should carry Modbus; None for all ports."""
     limits: SecurityLimits = field(default_factory=SecurityLimits)

@@ -1,9 +1,9 @@
 """Checks the transactions and events of a capture against all rules of `mbtool check`."""
 
 # Each rule gets the records (transactions and events) that concern it in the order in which they
-# are decoded, which is the order in which they end. Rules do not read the clock. Their memory is
-# bounded; each module states its bounds. Findings that summarise many transactions come at the end
-# of the capture.
+# are decoded. A record is decoded when it ends: a transaction with its response or its timeout.
+# Rules do not read the clock. Their memory is bounded; each module states its bounds. Findings that
+# summarise many transactions come at the end of the capture.
 #
 # Rules about content do not apply to an ambiguous frame (Verdict.AMBIGUOUS), because it may have
 # been misread (naming.py gives it no finding codes). A remark says how many transactions are
@@ -34,8 +34,9 @@ if TYPE_CHECKING:
 
 
 _ONE_BY_ONE = 64
-"""Number of rows (answered reads) that are checked one by one when the rules cannot check all rows
-at once. Then the rules are asked again; after each refusal, twice as many rows follow."""
+"""If a rule cannot check many rows (answered reads) together, this many rows are checked one by
+one. Then the rules are asked again about the remaining rows; after each further refusal, twice as
+many rows as before are checked one by one."""
 
 
 class Checker:
@@ -68,10 +69,11 @@ class Checker:
             yield from self._transaction(record)
 
     def feed_rows(self, rows: QuietRows) -> Iterator[Finding]:
-        """Check many answered reads of slaves without profiles, with the same result as `feed`.
+        """Check many answered reads of slaves without profiles, with the same result as `feed` for
+        each.
 
-        Transactions at the beginning are checked one by one, until every rule can check the
-        remaining ones together, which is much faster.
+        The first reads are checked one by one, until every rule can check the remaining ones
+        together. That is much faster.
         """
         begin, count = 0, _ONE_BY_ONE
         while begin < len(rows):
@@ -114,8 +116,8 @@ class Checker:
         yield from self._transactions.check(one, profile)
         is_serial = one.transport.is_serial
         format_ = self._context.line_of(one.link) if is_serial else None
-        # A response to a broadcast is reported as MB-301. It must not also be reported as MB-403,
-        # a response without a request.
+        # A response to a broadcast is reported as MB-301. The rule MB-403 (a response without a
+        # request) must not report it a second time.
         if not self._lines.is_response_to_broadcast(one):
             yield from self._responses.transaction(one, profile)
         if is_serial:

@@ -10,8 +10,9 @@
 # in normal operation. Every other command counts as one that stops the device: start and stop, the
 # load of a program, and unknown commands.
 #
-# Memory: the times of recent cases (sliding_window.py) for each of the last MAX_WRITERS pairs of a
-# master and a slave that it writes to, and for each of as many masters that send such commands.
+# Memory: the times of recent cases (sliding_window.py). For SEC-102, each pair of a master and a
+# slave that it writes to has its own times; for SEC-103, each master that sends such commands. At
+# most MAX_WRITERS pairs and MAX_WRITERS masters are kept, those used last.
 
 from __future__ import annotations
 
@@ -43,7 +44,8 @@ _STOPPING_DIAGNOSTICS = {  # Application Protocol V1.1b3, 6.8.1
 }
 _UMAS = 0x5A
 _UMAS_COMMAND = 2
-"""The offset of the command in the PDU, after the function code and the session key."""
+"""The offset of the command in the PDU, in bytes. Before it come the function code and the session
+key, one byte each."""
 _UMAS_HARMLESS = frozenset((
     0x01, 0x02, 0x03, 0x04, 0x06, 0x0A,  # opens a session, reads the identity, echoes
     0x10, 0x11, 0x12,  # takes, releases and keeps the right to change the device
@@ -75,7 +77,8 @@ class CommandRules:
     def transaction(self, transaction: NamedTransaction, source: str, slave: str) -> None:
         """Count the next transaction if it writes or stops a device. It must have a request.
 
-        `source` is the IP address of the master, or the name of the serial line.
+        `source` is the IP address of the master and `slave` the slave's HOST:PORT. On a serial
+        line, both are the name of the line.
         """
         known = FUNCTIONS.get(transaction.function)
         if known is not None and known.writes:
@@ -107,7 +110,9 @@ class CommandRules:
 
 
 def stop_command(transaction: NamedTransaction) -> str | None:
-    """The name of the command, if a request stops or restarts a device; otherwise None."""
+    """What a request that stops or restarts a device tells the device to do, for a message; None
+    for any other request.
+    """
     if transaction.function == _DIAGNOSTICS:
         name = _STOPPING_DIAGNOSTICS.get(transaction.sub_function or 0)
         return None if name is None else f"{name} (08/{transaction.sub_function:04X})"

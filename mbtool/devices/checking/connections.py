@@ -39,7 +39,8 @@ MAX_PENDING = 256
 EDGE_NS = 1_000_000_000
 
 _LENGTH_END = 6
-"""Number of bytes of an MBAP header up to and including the length field."""
+"""Number of bytes of an MBAP header up to and including the length field, which does not count
+them."""
 
 
 @dataclass(slots=True)
@@ -119,7 +120,9 @@ class ConnectionRules:
             connection.recent.extend(one.recent)
 
     def event(self, event: WireEvent) -> Iterator[Finding]:
-        """Check the next event of a network. Yields each finding as soon as it is certain."""
+        """Check the next event of a TCP connection. Yields each finding as soon as it is
+        certain.
+        """
         yield from self._advance(event.ts_ns)
         match event.kind:
             case EventKind.FOREIGN:
@@ -164,10 +167,10 @@ class ConnectionRules:
         )
 
     def _note_loss(self, event: WireEvent) -> None:
-        """Remember that the capture misses bytes of a connection.
+        """Remember that the capture misses bytes of the connection that `event` is about.
 
         Unreadable bytes of this connection from the last EDGE_NS are no finding, because they
-        probably belong to the incomplete ADU.
+        probably belong to an ADU of which the missing bytes are a part.
         """
         for key in _keys(event):
             if key in self._connections:
@@ -184,9 +187,10 @@ class ConnectionRules:
 
 
 def _keys(event: WireEvent) -> tuple[tuple[str, str | None], ...]:
-    """The two keys that the event's connection may have: its source may be the master or the slave.
+    """The two keys that the connection of an event may have in ConnectionRules.
 
-    A key is the link and the HOST:PORT of the master.
+    A key is the link and the HOST:PORT of the master. The master may be the event's source or its
+    destination.
     """
     return (event.link, event.source), (event.link, event.destination)
 

@@ -99,7 +99,9 @@ class Fa3Rules:
         self._modules: LruDict[str, _Module] = LruDict(_Module)
 
     def transaction(self, transaction: NamedTransaction, profile: Profile) -> Iterator[Finding]:
-        """Check the next transaction of a module. Yields each finding as soon as it is certain."""
+        """Check the next transaction of an FA3 module with this profile. Yields each finding as
+        soon as it is certain.
+        """
         module = self._modules[transaction.destination or transaction.link]
         source, at_ns = transaction.source or "", transaction.start_ns
         if source in module.connections:
@@ -157,10 +159,11 @@ class Fa3Rules:
                 yield from self._attempt(module, attempt_ns, finding)
 
     def _attempt(self, module: _Module, at_ns: int, finding: Finding) -> Iterator[Finding]:
-        """Report a request or connection attempt at `at_ns` if it came too soon after a reset.
+        """Yield `finding` (FA3-X4) if a request or connection attempt at `at_ns` came too soon
+        after a reset: less than RESET_NS. It is yielded once for each master.
 
-        Too soon means less than RESET_NS. `finding` (FA3-X4) is reported once for each master. If
-        no reset came before, remember it, because the transaction of a reset can be decoded later.
+        Otherwise remember `finding`, because the transaction of a reset before it can be decoded
+        later.
         """
         since_ns = module.reset_ns
         if since_ns is not None and since_ns < at_ns < since_ns + RESET_NS:

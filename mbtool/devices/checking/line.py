@@ -37,13 +37,16 @@ TURNAROUND_NS = 100_000_000
 """The shortest silence, in ns, that must follow a broadcast. The standard gives 100 to 200 ms as
 the usual turnaround delay."""
 RESPONSE_TO_BROADCAST_NS = 1_000_000_000
-"""A response that begins at most so many ns after a broadcast is a response to the broadcast."""
+"""A response of the same function at most so many ns after a broadcast counts as a response to
+it."""
 _DIAGNOSTICS = 0x08
 
 
 @dataclass(slots=True)
 class _Cases:
-    """A summary of the requests to one unit that break one rule by coming too soon."""
+    """A summary of the requests to one unit that come too soon after another frame and so break one
+    rule, RTU-301 or RTU-302.
+    """
 
     first: NamedTransaction
     number: int = 0
@@ -57,15 +60,15 @@ class _Cases:
 class _Line:
     silences: LineSilences = field(default_factory=LineSilences)
     pace: dict[tuple[str, int], _Cases] = field(default_factory=dict)
-    """The requests that came too soon after the frame before. The key is the code of the finding
-    (RTU-301 or RTU-302) and the unit; there are at most 256 units."""
+    """The requests that came too soon after the frame before. The key is the code of the rule
+    (RTU-301 or RTU-302) and the unit."""
     stray: WireEvent | None = None
     """The unreadable bytes after the last frame; None if there are none. They are the finding
     RTU-202 if another frame follows."""
     format: SerialFormat | None = None
     """The settings of the line; None if the times of its bytes are unknown."""
     end_ns: int | None = None
-    """When the last frame ended, in ns."""
+    """When the last frame ended, in ns; None before the first frame."""
     broadcast: NamedTransaction | None = None
     """The last transaction, if it was a broadcast; otherwise None."""
 
@@ -73,23 +76,27 @@ class _Line:
 class LineRules:
     """Checks transactions and events of serial lines.
 
-    Findings that count cases come at the end of the capture.
+    Findings that have a number of cases come at the end of the capture.
     """
 
     def __init__(self, has_exact_times: Callable[[str], bool] = lambda _: False) -> None:
-        """`has_exact_times` returns True for a link if the time of every byte is exact."""
+        """Take a function that returns True for the name of a serial link if the time of every byte
+        is exact, as from a logic analyser.
+        """
         self._has_exact_times = has_exact_times
         self._lines: LruDict[str, _Line] = LruDict(_Line)
         self.remarks: list[str] = []
-        """Sentences about wrong silences that are too few for a finding. Complete after `close`."""
+        """Sentences for the user about wrong silences that are too few for a finding; complete
+        after `close`."""
 
     def transaction(
         self, transaction: NamedTransaction, profile: Profile | None, format_: SerialFormat | None
     ) -> Iterator[Finding]:
-        """Check the next transaction. Yields each finding as soon as it is certain.
+        """Check the next transaction of a line. Yields each finding as soon as it is certain.
 
-        `format_` are the settings of the line. None means that the times of its bytes are unknown;
-        then no request is found to come too soon.
+        `profile` is the slave's; None if it has none. `format_` has the settings of the line; if it
+        is None, the times of the line's bytes are unknown, and no request is found to come too
+        soon.
         """
         line = self._lines[transaction.link]
         line.silences.note(transaction, format_, line.end_ns)
@@ -141,7 +148,7 @@ class LineRules:
     def close(self) -> Iterator[Finding]:
         """Give the findings about wrong silences and about requests that come too soon.
 
-        Each has a number of cases. Call it at the end of the capture.
+        Each finding has a number of cases. Call this method at the end of the capture.
         """
         for link, line in self._lines.items():
             silences = line.silences
@@ -170,7 +177,8 @@ class LineRules:
         required = profile.timing.request_interval if profile is not None else None
         if required is not None:
             required_ns = Silence.parse(required).ns(format_.baud, format_.character_bits)
-            # Allow an error of one character, because time stamps are only exact to that.
+            # The time of a frame is exact to about one character, so allow an error of one
+            # character.
             if silence_ns < required_ns - format_.character_ns:
                 _add_pace(line, "RTU-301", transaction, silence_ns, required)
 
@@ -201,8 +209,8 @@ def _summary(code: str, cases: _Cases, text: str) -> Finding:
 def _responds_to(broadcast: NamedTransaction, transaction: NamedTransaction) -> bool:
     """True if `transaction` is the response to `broadcast`, the frame right before it.
 
-    The response to a write of one value equals its request. So it may have been decoded as a
-    request that got no response.
+    The response to a write of one value equals its request. So the decoder may have taken the
+    response for a request that got no response.
     """
     if broadcast.request_ns is None or transaction.function != broadcast.function:
         return False

@@ -2,12 +2,14 @@
 
 # SEC-101  a second master writes to a slave. Of two hosts that send requests to one slave, the
 #          first master is the host that began earlier. The other host is the second master in two
-#          cases: it began when the first had already sent requests for at least the limit's time;
-#          or both write, less than that time apart. If both began at about the same time and only
-#          one writes, the capture does not show who is the usual master, and there is no finding.
+#          cases: it began when the first had already sent requests for at least the time of the
+#          rule's limit (security_limits.py); or both write, less than that time apart. If both
+#          began at about the same time and only one writes, the capture does not show who is the
+#          usual master, and there is no finding.
 # SEC-205  a host reads the identification of a slave (2B/0E, 11H, or 42H, the model code of the FA3
-#          modules), and sent nothing within the limit's time from the beginning of the capture. The
-#          usual masters of a plant do send something then; one that restarts later is still known.
+#          modules), and sent nothing in the first minutes of the capture: the time of the rule's
+#          limit. The usual masters of a plant do send something then; one that restarts later is
+#          still known.
 #
 # Hosts are identified by IP address, without port. So nothing is found on serial lines, or between
 # masters that share an address.
@@ -54,14 +56,13 @@ class _Master:
     predecessor: str | None
     """IP address of a host that was already a master of the slave when this host began.
 
-    That host had sent requests for at least the time of the limit, and had not stopped. None if
-    there was no such host.
-    """
+    That host had sent requests for at least the time of the limit of SEC-101, and had not stopped.
+    None if there was no such host."""
     window: SlidingWindow
     """Counts this host's writes as the second master of the slave (SEC-101)."""
     uncounted_ns: deque[int]
-    """The times (ns) of this host's last writes that are not in `window`, because no other host
-    was known to be the first master."""
+    """The times (ns) of this host's last writes that were not added to `window`, because no other
+    host was known to be the first master."""
     last_write: NamedTransaction | None = None
 
 
@@ -78,13 +79,16 @@ class MasterRules:
         self._first_time_ns = limits.identification.window_ns
         self._began_ns: int | None = None
         self._known: set[str] = set()
-        """IP addresses of the hosts that sent something at the beginning of the capture."""
+        """IP addresses of the hosts that sent something in the first minutes of the capture (the
+        time of the limit of SEC-205)."""
         late = SecurityLimit(limits.identification.number, _EVER_NS)
         self._identifications = LruDict[str, SlidingWindow](lambda: SlidingWindow(late), MAX_HOSTS)
         """Counts the reads of an identification by each host that is not in `_known`."""
 
     def heard(self, host: str, at_ns: int) -> None:
-        """Note that a host sent something, or opened a connection, at the time `at_ns`."""
+        """Note that a host (an IP address) sent something, or opened a connection, at the time
+        `at_ns`.
+        """
         if self._began_ns is None:
             self._began_ns = at_ns
         if at_ns - self._began_ns <= self._first_time_ns and len(self._known) < MAX_HOSTS:
@@ -164,10 +168,10 @@ class MasterRules:
         return abs(write.start_ns - other.start_ns) <= self._writes.window_ns
 
     def _count(self, second: _Master, first: str) -> None:
-        """Count the writes of the master `second` as those of a second master (SEC-101).
+        """Count the writes of the host `second` as those of a second master (SEC-101), except those
+        that were counted earlier.
 
-        `first` is the IP address of the first master. Writes that were counted earlier do not
-        count again.
+        `first` is the IP address of the first master, for the message.
         """
         counted = 0
         while second.uncounted_ns:

@@ -37,12 +37,12 @@ if TYPE_CHECKING:
 MAX_POLLS = 4096
 MAX_PERIODS = 256
 MIN_PERIODS = 20
-"""A poll gets a finding only if it has at least so many periods (times from one request to the
-next). The median of fewer periods is too uncertain."""
+"""A poll with fewer periods (times from one request to the next) gets no finding: the median of so
+few is too uncertain."""
 MIN_IRREGULAR = 5
 MIN_IRREGULAR_SHARE = 0.03
-"""A poll gets a finding only if at least this share of its periods, 0 to 1, is irregular. Every
-capture has a few irregular periods, as masters pause occasionally."""
+"""A poll with a smaller share of irregular periods, 0 to 1, gets no finding: every capture has a
+few of them, because masters pause occasionally."""
 MAX_SPREAD = 0.2
 MIN_PERIOD_NS = 20_000_000
 
@@ -58,7 +58,8 @@ class _Poll:
     """The sampled periods: the hash of the period's number, and the period in ns."""
     count: int = 0
     hash_limit: int = _HASHES
-    """The sample contains the periods whose hashes are below this limit."""
+    """The sample has those periods whose numbers have hashes below this limit; it is halved when
+    the sample is full."""
     shortest: int = 0
     longest: int = 0
 
@@ -131,7 +132,10 @@ class PollRules:
         return self._polls.has_room(map(_key, run.polls))
 
     def run(self, run: QuietRun) -> None:
-        """Add many transactions together, with the same result as `transaction` for each."""
+        """Add many transactions together, with the same result as `transaction` for each.
+
+        `run` has the times of the requests, grouped by poll.
+        """
         for one in run.polls:
             poll, times = self._polls[_key(one)], one.request_ns
             if poll.first is None:

@@ -47,7 +47,8 @@ PATIENCE_NS = 5_000_000_000
 that comes within this time of the beginning of the capture may have a request before the
 capture."""
 EDGE_NS = 1_000_000_000
-"""A request in the last so many ns of the capture may have a response after its end."""
+"""If the capture ends less than so many ns after a request, a response may have come after its
+end."""
 
 _DIAGNOSTICS, _FORCE_LISTEN_ONLY = 0x08, 0x04
 _LOST = frozenset((EventKind.GAP, EventKind.CUT, EventKind.DISCARDED))
@@ -90,18 +91,21 @@ class ResponseRules:
     def __init__(self) -> None:
         self._states: LruDict[_Connection, _ConnectionState] = LruDict(_ConnectionState)
         self._has_responded: LruDict[tuple[str, int], list[bool]] = LruDict(lambda: [False])
-        """For each link and unit, a list of one flag: True if the unit has responded."""
+        """By link and unit: a list with one element, which is True if the unit has responded."""
         self._pending: OrderedDict[_Request, deque[NamedTransaction]] = OrderedDict()
         self._pending_count = 0
         self._retries: LruDict[_Request, deque[_Retry]] = LruDict(lambda: deque(maxlen=MAX_RETRIES))
-        """For each request, its retries that had a response. The transaction of an earlier copy
-        of the request can be decoded after them."""
+        """For each request, its retries that had a response. They are kept because the transaction
+        of an earlier copy of the request, which had no response, can be decoded after them."""
         self._last_ns = 0
 
     def transaction(
         self, transaction: NamedTransaction, profile: Profile | None
     ) -> Iterator[Finding]:
-        """Check the next transaction. Yields each finding as soon as it is certain."""
+        """Check the next transaction. Yields each finding as soon as it is certain.
+
+        `profile` is the slave's; None if it has none.
+        """
         connection = (transaction.link, transaction.source)
         state = self._states[connection]
         at_ns = transaction.start_ns
@@ -141,7 +145,7 @@ class ResponseRules:
 
     @property
     def has_pending(self) -> bool:
-        """True if a request without response waits for the response to a retry."""
+        """True if a request without a response still waits: a retry of it may get one."""
         return bool(self._pending)
 
     def takes(self, run: QuietRun) -> bool:
@@ -196,7 +200,8 @@ class ResponseRules:
         """Report the requests that are still pending at the end of the capture.
 
         A request in the last EDGE_NS is not reported, because its response may come after the end
-        of the capture. On a serial line it is reported if the master has sent another request.
+        of the capture. But on a serial line it is reported if the master has sent another request
+        after it, because the master then no longer waited.
         """
         pending, self._pending = self._pending, OrderedDict()
         for (connection, _, _), transactions in pending.items():
@@ -261,10 +266,10 @@ def _retry_finding(first: NamedTransaction, answered: NamedTransaction, times: i
 
 
 def _is_surely_unsolicited(state: _ConnectionState, at_ns: int) -> bool:
-    """True if a response at `at_ns` certainly had no request.
+    """True if a response at the time `at_ns` certainly had no request.
 
-    That is so if the capture would contain the request: no bytes before the response are lost or
-    damaged.
+    That is so if the capture would contain the request, because no bytes before the response are
+    lost or damaged.
     """
     if state.is_damaged:
         return False
@@ -291,6 +296,6 @@ def _needs_no_response(transaction: NamedTransaction, profile: Profile | None) -
 
 
 def _request_bytes(transaction: NamedTransaction) -> bytes:
-    """The PDU of the request. If the PDU cannot be read, all bytes of the request."""
+    """Return the PDU of the request; all bytes of the request if the PDU in them cannot be read."""
     raw = transaction.request_raw
     return whole_pdu(transaction.transport, raw) or raw or b""

@@ -19,14 +19,14 @@ from enum import StrEnum
 
 
 class Severity(StrEnum):
-    """How serious a finding is. The values are levels of SARIF."""
+    """How serious a finding is. The values are the levels of SARIF, a file format for findings."""
 
     ERROR = "error"
-    """For a request that cannot have a correct response, and for an incorrect response."""
+    """A request cannot have a correct response, or a response is incorrect."""
     WARNING = "warning"
-    """For behaviour that may work in one case and fail in another."""
+    """Something may work in one case and fail in another."""
     NOTE = "note"
-    """For a fact that is worth knowing, but need not be a fault."""
+    """A fact is worth knowing, but need not be a fault."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +38,7 @@ class Rule:
     rule in devices' manuals."""
     severity: Severity
     meaning: str
-    """A sentence that says how a transaction or event breaks the rule."""
+    """A sentence for the user that says what breaks the rule."""
     source: str
 
     @property
@@ -170,9 +170,10 @@ _OF_A_DEVICE = re.compile(r"(?P<prefix>.+)-(?P<letter>[A-Z])(?P<number>\d{1,3})"
 
 @dataclass(frozen=True, slots=True)
 class DeviceCode:
-    """The parts of the code of a finding about a device's manual, such as FT1A-Q16.
+    """The parts of the code of a finding about a device's manual.
 
-    They are the prefix FT1A, the rule of the letter Q, and the function or exception code 16.
+    In FT1A-Q16 they are the profile's prefix FT1A, the kind of rule with the letter Q, and the
+    function code 16 (for the letter E, an exception code).
     """
 
     prefix: str

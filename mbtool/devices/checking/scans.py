@@ -54,7 +54,8 @@ class ScanRules:
     ) -> None:
         """Count the next transaction for the rules about scans. It must have a request.
 
-        `source` is the master's IP address, or the name of the serial line.
+        `source` is the master's IP address and `slave` the slave's HOST:PORT. On a serial line,
+        both are the name of the line.
         """
         if not self._units.is_polled((source, slave), transaction.unit):
             self._note_unit(transaction, source, slave)
@@ -64,7 +65,9 @@ class ScanRules:
             self._note_function(transaction, source, slave)
 
     def takes(self, run: QuietRun) -> bool:
-        """True if all units in these transactions are polled: then no rule need count them."""
+        """True if the masters poll all units in these transactions, so that no rule about scans
+        needs to count them.
+        """
         return all(
             self._units.is_polled((host_of(one.source), one.destination), unit)
             for one in run.connections
@@ -82,9 +85,10 @@ class ScanRules:
         )
 
     def close(self) -> None:
-        """Count the IP addresses, units, functions and registers that no master polled.
+        """Count the IP addresses, units, functions and registers that a master requested but did
+        not poll.
 
-        Call it at the end of the capture.
+        Call this method at the end of the capture.
         """
         for things in (self._hosts, self._units, self._functions, self._registers):
             things.close()
@@ -153,9 +157,10 @@ class ScanRules:
 
 
 def _finding(code: str, transaction: NamedTransaction, text: str) -> Finding:
-    """Make a finding about several units, functions or registers from the first case.
+    """Make a finding about several units, functions or registers from the first case of a scan.
 
-    It leaves out the unit, function and reference, which belong to the first case only.
+    The finding has no unit, function and reference, because these belong to the first case only.
+    `text` is its message.
     """
     one = transaction_finding(code, transaction, text)
     return replace(one, unit=None, function=None, reference=None)

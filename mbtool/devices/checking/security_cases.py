@@ -60,7 +60,8 @@ class SecurityCases:
     def add(self, source: str, finding: Finding, count: int, examples: Iterable[str] = ()) -> None:
         """Add `count` cases of one source (a host or serial line) to those of the same rule.
 
-        Only the finding that is passed with the first of these cases is used.
+        The first call for a rule and source decides which `finding` the summary uses; later ones
+        are ignored. `examples` are short texts, such as addresses, of which the message shows some.
         """
         key = (finding.code, source)
         cases = self._cases.get(key)
@@ -82,12 +83,12 @@ def host_of(end: str) -> str:
 
 
 def master_text(transaction: NamedTransaction) -> str:
-    """Text for a message: the master's host; on a serial line, where it has no address, `the
-    master`.
+    """Return who sends the request, for a message: the master's host, or `the master` on a serial
+    line, where it has no address.
     """
     return "the master" if transaction.source is None else host_of(transaction.source)
 
 
 def place_text(transaction: NamedTransaction) -> str:
-    """Text for a message: the slave's HOST:PORT, or its serial line, as in `the line rs485`."""
+    """Return where the slave is, for a message: its HOST:PORT, or its line as `the line rs485`."""
     return transaction.destination or f"the line {transaction.link}"

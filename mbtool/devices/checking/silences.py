@@ -35,8 +35,8 @@ if TYPE_CHECKING:
 
 MIN_TRANSACTIONS = 8
 ADAPTER_SHARE = 0.25
-"""If at least this share of a line's transactions, 0 to 1, is glued (no silence between frames) or
-split (a silence inside a frame), the reason is an adapter that delivers bytes in blocks."""
+"""If at least this share of a line's transactions, 0 to 1, has no silence between frames or a
+silence inside a frame, an adapter that delivers bytes in blocks is taken to be the reason."""
 MIN_SILENCES = 3
 MIN_SILENCES_SHARE = 0.2
 """A finding needs a wrong silence in at least this share of a unit's transactions, 0 to 1. Late
@@ -53,7 +53,10 @@ _T3_5_CHARACTERS = 3.5
 
 @dataclass(slots=True)
 class _Silences:
-    """A summary of all transactions of one unit that have one kind of wrong silence."""
+    """A summary of all transactions of one unit that have one kind of wrong silence.
+
+    The kinds are the rules RTU-101 to RTU-103.
+    """
 
     first: NamedTransaction
     number: int = 0
@@ -74,21 +77,23 @@ class LineSilences:
     transactions: int = 0
     in_blocks: int = 0
     """Number of transactions that are glued (no silence between frames) or split (a silence inside
-    a frame)."""
+    a frame), as if an adapter delivered bytes in blocks."""
     of_unit: Counter[int] = field(default_factory=Counter)
     """Number of transactions of each unit."""
     wrong: dict[tuple[Verdict, int], _Silences] = field(default_factory=dict)
-    """The transactions with a wrong silence, by the kind of silence and the unit."""
+    """The transactions with a wrong silence. The key is the verdict that names the kind of silence,
+    and the unit."""
     too_soon: dict[tuple[bool, int], _Silences] = field(default_factory=dict)
     """The transactions whose request or response comes too soon after the frame before it. The key
-    is True for a request, False for a response, and the unit."""
+    is a flag (True if it is the request) and the unit."""
 
     def note(
         self, transaction: NamedTransaction, format_: SerialFormat | None, end_ns: int | None
     ) -> None:
         """Count the wrong silences of the line's next transaction.
 
-        `end_ns` is the time (ns) at which the frame before it ended.
+        `format_` has the settings of the line; None if the times of its bytes are unknown. `end_ns`
+        is the time (ns) at which the frame before the transaction ended; None if there is none.
         """
         self.transactions += 1
         self.of_unit[transaction.unit] += 1
@@ -124,9 +129,10 @@ class LineSilences:
 
     @property
     def are_in_blocks(self) -> bool:
-        """True if an adapter delivers bytes in blocks, so that the silences say nothing.
+        """True if an adapter probably delivers bytes in blocks, so that the silences in the capture
+        say nothing about the line.
 
-        It is assumed if the share of transactions without silence between their frames, or with a
+        That is assumed if the share of transactions without silence between their frames, or with a
         silence inside a frame, is at least ADAPTER_SHARE.
         """
         share = self.in_blocks / max(self.transactions, 1)
@@ -148,7 +154,8 @@ class LineSilences:
     def findings(self, remarks: list[str], format_: SerialFormat | None) -> Iterator[Finding]:
         """Give findings about wrong silences, for times from an adapter, a driver or packets.
 
-        Wrong silences that are too few for a finding are told in a sentence, added to `remarks`.
+        Adds a sentence to `remarks` about wrong silences that are too few for a finding. `format_`
+        has the settings of the line; None if they are unknown.
         """
         few: Counter[str] = Counter()
         for (sign, unit), cases in self.wrong.items():
@@ -168,7 +175,10 @@ class LineSilences:
         ]
 
     def exact_findings(self, format_: SerialFormat) -> Iterator[Finding]:
-        """Give findings about wrong silences, for a line with exact times of every byte."""
+        """Give findings about wrong silences, for a line whose bytes all have exact times.
+
+        `format_` has the settings of the line.
+        """
         for (sign, unit), cases in self.wrong.items():
             code, text = _SILENCES[sign]
             if sign is not Verdict.GLUED:
@@ -182,7 +192,8 @@ class LineSilences:
 def silence_before(
     transaction: NamedTransaction, format_: SerialFormat, end_ns: int | None
 ) -> int | None:
-    """The silence, in ns, from `end_ns` to the request's first byte; None if it is unknown.
+    """Return the silence, in ns, between `end_ns`, the end of the frame before, and the request's
+    first byte; None if it is unknown.
 
     The time of the first byte is computed from the end and the length of the request, so it is
     exact to about the duration of one character.
@@ -204,9 +215,11 @@ def _too_soon_text(is_request: bool, cases: _Silences, total: int, format_: Seri
 
 
 def _which_t3_5(format_: SerialFormat | None, *, keeps_characters: bool = False) -> str:
-    """A text that says how long t3.5 is if the standard fixes it (above 19200 baud); else empty.
+    """Return a text for a message that says how long t3.5 is, if the standard fixes its length
+    (above 19200 baud); else an empty text.
 
-    `keeps_characters` is True if the silence is at least 3.5 characters long all the same.
+    `keeps_characters` is True if a silence is shorter than that, but not shorter than 3.5
+    characters.
     """
     if format_ is None or not format_.has_fixed_silences:
         return ""

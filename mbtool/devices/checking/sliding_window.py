@@ -1,4 +1,4 @@
-"""Counts the cases of a rule that come close together: so many within so much time."""
+"""Counts the cases of a rule that come close together: at least a number of cases within a time."""
 
 # A limit says how many cases must come within how much time. A window is any span of time of at
 # most that length, its ends included. It is full if it contains at least that number of cases. The
@@ -31,15 +31,17 @@ class SlidingWindow:
         self._times: list[int] = []
         """The times of the last cases, in ns, sorted."""
         self._counted_to_ns: int | None = None
-        """The time of the last case that was counted, in ns."""
+        """The time of the last case that was counted, in ns; None if none was."""
         self.first_ns: int | None = None
-        """The time (ns) of the first case of those that first reached the limit; None if it was not
-        reached yet."""
+        """The time (ns) of the first case in the first full window; None if no window was full
+        yet."""
 
     def add(self, at_ns: int) -> int:
-        """Add a case at a time (ns), and return how many cases are counted for the first time now.
+        """Add a case at the time `at_ns`, and return how many cases are counted for the first time
+        now.
 
-        A case is counted if it is one of the limit's number of cases within the limit's time.
+        A case is counted if it is in a full window: one of at least the limit's number of cases
+        within the limit's time.
         """
         times, number = self._times, self._limit.number
         place = bisect_right(times, at_ns)
@@ -56,10 +58,9 @@ class SlidingWindow:
         return counted
 
     def _full_window(self, place: int) -> int | None:
-        """Find the limit's number of cases within the limit's time, among them the case `place`.
+        """Find a full window with the case at the index `place` in `_times`.
 
-        `place` is an index in `_times`. Returns the index of the first of these cases. Returns
-        None if there are not so many within this time.
+        Returns the index of the window's first case; None if there is no such window.
         """
         times, number, window_ns = self._times, self._limit.number, self._limit.window_ns
         for begin in range(max(0, place - number + 1), min(place, len(times) - number) + 1):
@@ -68,7 +69,7 @@ class SlidingWindow:
         return None
 
     def _count(self, begin: int) -> int:
-        """Count the limit's number of cases, from the index `begin` in `_times` on.
+        """Count the cases of a full window that begins at the index `begin` in `_times`.
 
         Returns how many of them were not counted before.
         """

@@ -1,8 +1,8 @@
 """Makes findings from the finding codes of transactions, with figures in their messages."""
 
-# Each finding has a code that naming.py has put into the transaction. `mbtool check` names every
-# transaction again, so that today's rules also apply to a log from an older version, or to a log
-# without the slave's profile.
+# naming.py has put the codes of these findings into the transactions. `mbtool check` names every
+# transaction again before it checks them, so that today's rules also apply to a log from an older
+# version, or to a log without the slave's profile.
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _READS_OR_WRITES = TABLE_FUNCTIONS - {0x16, 0x17}
 class TransactionRules:
     """Turns the finding codes of transactions into findings.
 
-    Caches the ranges of values that each profile allows.
+    Caches the ranges of values that each profile allows, by the profile's name.
     """
 
     def __init__(self) -> None:
@@ -85,9 +85,10 @@ class TransactionRules:
     def _manual_message(
         self, letter: str, text: str, transaction: NamedTransaction, profile: Profile | None
     ) -> str:
-        """The message of a finding about the device's manual.
+        """Return the message of a finding about a rule in the device's manual.
 
-        `letter` is the kind of rule, such as Q; `text` is a text about the rule for this device.
+        `letter` is the kind of rule, such as Q; `text` says what the manual demands: `limit is
+        100`.
         """
         if letter == "F":
             return text
@@ -126,7 +127,7 @@ class TransactionRules:
 
 
 def request_text(transaction: NamedTransaction) -> str:
-    """A request in a few words: `write registers HR400001..400110`."""
+    """Describe a request in a few words: `write registers HR400001..400110`."""
     function = transaction.function
     name = short_name(function, transaction.function_name)
     if not transaction.reference:

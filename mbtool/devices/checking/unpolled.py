@@ -36,7 +36,7 @@ MAX_ATTEMPTS = 4
 three retries."""
 
 OPENED = 0
-"""Stands for the opening of a connection, where otherwise the hash of a request is used."""
+"""Stands for the opening of a connection in the place of a request's hash."""
 
 _Scope = tuple[Hashable, ...]
 _Thing = tuple[_Scope, Hashable]
@@ -44,7 +44,7 @@ _Thing = tuple[_Scope, Hashable]
 
 @dataclass(slots=True)
 class _Attempts:
-    """The requests of a master to one thing that it does not poll as far as is known.
+    """The requests of a master to one thing that it does not poll, as far as is known by now.
 
     A thing is an IP address, unit, function or register.
     """
@@ -63,9 +63,10 @@ class _Attempts:
     """Number of times that the remembered request was repeated."""
 
     def is_poll(self, request: int, *, is_answered: bool) -> bool:
-        """Take the next request into account; `request` is its hash.
+        """Take the master's next request to the thing into account.
 
-        Returns True if the master is now known to poll, because it repeated a request.
+        `request` is the hash of the request, `is_answered` is True if it has a response. Returns
+        True if the master is now known to poll, because it repeated a request.
         """
         if request == OPENED and self.request != OPENED:
             return False
@@ -84,9 +85,10 @@ class _Attempts:
 
 
 class _UnpolledThings:
-    """The things that one source requests from one slave and does not poll.
+    """The things in one scope (such as one source and one slave) that the source does not poll.
 
-    A thing is an IP address, unit, function or register. `window` counts them over time.
+    A thing is an IP address, unit, function or register. `window` counts them over time; `recent`
+    has the last ones, for examples.
     """
 
     def __init__(self, limit: SecurityLimit) -> None:
@@ -95,7 +97,8 @@ class _UnpolledThings:
 
 
 class Unpolled:
-    """Counts for one rule what masters request but do not poll, and adds it to `cases`.
+    """Counts for one rule the things that masters request but do not poll, and adds them to
+    `cases`.
 
     A thing is an IP address, unit, function or register. A scope is the source, slave and unit
     within which things are counted together; its first item is the source.
@@ -113,7 +116,9 @@ class Unpolled:
         return (scope, item) in self._polled
 
     def set_polled(self, scope: _Scope, item: Hashable) -> None:
-        """Count a thing (an IP address, unit ...) no longer, because the master polls it."""
+        """Remember that the master polls a thing (an IP address, unit ...), so that it is not
+        counted.
+        """
         self._attempts.pop((scope, item), None)
         self._polled[scope, item] = None
         if len(self._polled) > MAX_THINGS:
@@ -130,9 +135,10 @@ class Unpolled:
     ) -> bool:
         """Take a request to a thing (an IP address, unit, function or register) into account.
 
-        Returns True if the thing is now known to be polled. `request` is the hash of the request.
-        `describe` is called for the first request to a thing. It returns the thing as text, for an
-        example in a message, and the finding to use if this is the first case of a scan.
+        Returns True if the thing is now known to be polled. `request` is the hash of the request;
+        `is_answered` is True if it has a response. `describe` is called for the first request to a
+        thing. It returns the thing as text, for an example in a message, and the finding to use if
+        this is the first case of a scan.
         """
         thing = (scope, item)
         if thing in self._polled:
@@ -148,9 +154,9 @@ class Unpolled:
         return False
 
     def close(self) -> None:
-        """Count all IP addresses, units, functions or registers that no master polled.
+        """Count all things (IP addresses, units ...) that are not known to be polled.
 
-        Call it at the end of the capture.
+        Call this method at the end of the capture.
         """
         left, self._attempts = self._attempts, OrderedDict()
         for thing, attempts in sorted(left.items(), key=lambda one: one[1].finding.ts_ns):

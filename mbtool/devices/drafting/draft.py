@@ -45,10 +45,10 @@ _PREFIXES = {
     Table.HOLDING_REGISTERS: "HR",
     Table.INPUT_REGISTERS: "IR",
 }
-"""By table, the letters before the address in the names of drafted areas and points: HR10."""
+"""For each table, the letters before the address in the names of drafted areas and points: HR10."""
 
 _READ, _WRITTEN, _NO_RESPONSE = 1, 2, 4
-"""Flags of an address, in this order: a request read it; a request wrote it; no request for it had
+"""Bits of an address's flags: a request read the address; a request wrote it; no request for it had
 a response."""
 
 
@@ -63,7 +63,7 @@ class Draft:
 def draft_profile(seen: ObservedSlave, name: str, file: str) -> Draft:
     """Draft a profile of the slave. Never raises.
 
-    `name` is the name of the profile. `file` is the path of the capture, for comments.
+    `name` becomes the name of the profile. `file` is the path of the capture, which comments name.
     """
     file = PurePath(file).name
     flags = _address_flags(seen)
@@ -137,7 +137,7 @@ def _address_flags(seen: ObservedSlave) -> dict[Table, bytearray]:
 
 
 def _combined(known: int, flag: int) -> int:
-    """Combine the flags of one address from two requests.
+    """Combine the flags of one address that follow from two requests: `known` and `flag`.
 
     _NO_RESPONSE stays only if neither request had a response.
     """
@@ -237,6 +237,9 @@ class _Function:
 def _functions(seen: ObservedSlave) -> tuple[dict[str, FunctionRule], list[str]]:
     """Return rules for the functions that the slave may have, and comments on all requested
     functions.
+
+    The key of a rule is the function code as two hexadecimal digits. A function is left out if the
+    slave refused it with exception 01 and never accepted it.
     """
     rules: dict[str, FunctionRule] = {}
     comments: list[str] = []
@@ -284,8 +287,10 @@ def _about_function(code: int, one: _Function) -> Iterator[str]:
 
 
 def _limit(code: int, one: _Function) -> int | None:
-    """The limit of a function's quantity: the largest accepted one, if the slave refused a larger
-    one; otherwise None.
+    """Return the limit of the quantity in requests with the function `code`.
+
+    It is the largest quantity that the slave accepted, if the slave refused a larger one; otherwise
+    None.
     """
     known = FUNCTIONS.get(code)
     if known is None or not 0 < one.most < one.least_refused < known.limit:
@@ -300,9 +305,11 @@ def _exceptions(seen: ObservedSlave) -> set[int]:
 def _points(
     profile: Profile, seen: ObservedSlave, comments: dict[str, list[str]]
 ) -> tuple[list[Point], int]:
-    """Return points for the registers whose values were sampled, at most MAX_POINTS.
+    """Return points for the registers whose values were sampled, at most MAX_POINTS, and the number
+    of registers that get no point because of this limit.
 
-    The second result is the number of registers that get no point because of this limit.
+    Adds the reason for the type of each point to `comments`, by the point's place in the TOML file
+    (dump_profile).
     """
     points: list[Point] = []
     left_out = 0

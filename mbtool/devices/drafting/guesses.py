@@ -30,14 +30,14 @@ if TYPE_CHECKING:
     from mbtool.devices.observed_slave import Samples
 
 MAGNITUDES = (1e-4, 1e8)
-"""Measurements usually have an absolute value from the first number to below the second. Registers
-that would be a float beyond that are probably no float."""
+"""A measurement, except 0, usually has an absolute value from the first number up to the second. If
+two registers, read as a float, have another value, they are probably no float."""
 _FEW_DIGITS = 5
 _MIN_TEXT_WORDS = 4
 _NEAR_ZERO = 0x1000
 _MAX_LISTED = 6
 _UNAVAILABLE = (0x7FFF, 0x8000, 0xFFFF)
-"""Numbers in a register that often mean that the device has no value."""
+"""Numbers in a register that often mean "no value"."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,10 +62,11 @@ class Guess:
 def guess_registers(
     first: int, samples: Samples, pairs: Collection[int], plural: str = "answers"
 ) -> list[Guess]:
-    """Guess the types of all registers of a range that begins at address `first`.
+    """Guess the types of all registers of a range that begins at the address `first`.
 
-    `samples` are observed values of these registers. `pairs` are the addresses from which a request
-    asked for exactly two registers. `plural` is the word for the samples in reasons: "writes".
+    `samples` has observed values of these registers. `pairs` are the addresses from which some
+    request asked for exactly two registers. `plural` says in the reasons where the values come
+    from: "answers" or "writes".
     """
     columns = list(zip(*samples.rows, strict=False))
     guesses: list[Guess] = []
@@ -92,7 +93,8 @@ def _text(first: int, columns: Sequence[Sequence[int]], at: int, samples: Sample
     letters = sum(chr(byte).isalnum() for byte in data)
     if letters * 10 < len(data) * 6:
         return None
-    # Registers with zeros or spaces after a text are padding, so they belong to the string.
+    # Zeros or spaces in the registers after a text are padding, so these registers belong to the
+    # string.
     while end < len(columns) and not samples.changes[end] and columns[end][0] in (0, 0x2020):
         end += 1
     words = min(end - at, READ_LIMIT)
@@ -133,10 +135,12 @@ def _pair(
 def _float_reason(
     pairs: Sequence[tuple[int, int]], *, is_alone: bool, is_beside: bool
 ) -> str | None:
-    """The reason to guess that two registers hold a 32-bit float; None if there is none.
+    """Return the reason, for a comment, to guess that two registers hold a 32-bit float; None if
+    there is no reason.
 
-    `pairs` are their values as (high word, low word). `is_alone` is True if a request asked for
-    just these two; `is_beside` is True if another float comes right before them.
+    `pairs` has the observed values of the two registers, as (high word, low word). `is_alone` is
+    True if a request asked for just these two registers; `is_beside` is True if another float comes
+    right before them.
     """
     values = [_float(*pair) for pair in pairs]
     low, high = MAGNITUDES
@@ -169,9 +173,11 @@ def _has_few_digits(value: float) -> bool:
 
 
 def _carries(pairs: Sequence[tuple[int, int]]) -> bool:
-    """True if pairs of (high word, low word) look like a 32-bit counter.
+    """True if two registers look like a 32-bit counter; `pairs` has their observed values as (high
+    word, low word), in the order of time.
 
-    The high word goes up by one exactly when the low word goes down, and does so at least once.
+    That is so if the high word goes up by one exactly when the low word goes down, and does so at
+    least once.
     """
     carries = 0
     for (high, low), (next_high, next_low) in pairwise(pairs):

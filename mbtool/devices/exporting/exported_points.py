@@ -1,4 +1,4 @@
-"""Used by every export of a profile: lists its points one by one, and collects losses.
+"""Helps all exports of a profile: lists the profile's values one by one, and collects losses.
 
 A loss is something that the profile says, but the other program's format cannot express.
 """
@@ -30,7 +30,8 @@ class ExportedMap:
 
     text: str
     lacking: tuple[str, ...] = ()
-    """Sentences for the user about what the profile says and `text` cannot express."""
+    """Sentences for the user, each about something that the profile says and `text` cannot
+    express."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,13 +39,16 @@ class SinglePoint:
     """One value of a profile: a point, or one value of a point that stands for a series."""
 
     point: Point
-    """The profile's point, but with the name and address of this one value, and a count of 1."""
+    """A copy of the profile's point with the name and address of this one value, and a count of
+    1."""
     reference: str
     access: Access
 
     @property
     def letters(self) -> str:
-        """The order of the value's bytes on the wire, as letters: ABCD is big-endian."""
+        """The order of the value's bytes on the wire, as the letters A (highest byte) to D: ABCD is
+        big-endian.
+        """
         swaps = self.point.byte_order is ByteOrder.LOW_FIRST
         words = ["BA" if swaps else "AB", "DC" if swaps else "CD"]
         if self.point.word_order is WordOrder.LOW_FIRST and self.point.words > 1:
@@ -53,7 +57,7 @@ class SinglePoint:
 
 
 class Lacking:
-    """Collects what an export cannot express, with the names of the points that it concerns."""
+    """Collects losses: what an export cannot express, with the names of the points that lose it."""
 
     def __init__(self) -> None:
         self._names: dict[str, list[str]] = {}
@@ -67,9 +71,9 @@ class Lacking:
 
 
 def single_points(profile: Profile) -> Iterator[SinglePoint]:
-    """The values of a profile, sorted by table and address.
+    """Yield the values of a profile, sorted by table and address.
 
-    A point that stands for a series gives one value for each of its addresses.
+    A point that stands for a series gives one value for each address in `Point.addresses`.
     """
     for point in sorted(profile.points, key=lambda one: (one.table, one.address)):
         for address in point.addresses:

@@ -36,7 +36,9 @@ _TYPES = {
 
 
 def export_home_assistant(profile: Profile, unit: int = 1) -> ExportedMap:
-    """Write the values of a profile as YAML. `unit` is the number of the slave to poll."""
+    """Write the values of a profile as YAML for Home Assistant. `unit` is the unit of the slave to
+    poll.
+    """
     lacking = Lacking()
     platforms: dict[str, list[dict[str, str]]] = {
         "sensors": [], "binary_sensors": [], "switches": []

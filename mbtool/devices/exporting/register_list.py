@@ -32,7 +32,7 @@ _TYPES = {
     PointType.BIT_FIELD: "hex16",
     PointType.NIBBLE_FIELD: "hex16",
 }
-"""What a register list calls a type of point. A type that is not here keeps its name."""
+"""The word for a type of point in a register list. A type that is not here keeps its name."""
 _ACCESS = {Access.READ: "R", Access.WRITE: "W", Access.READ_WRITE: "RW"}
 _ABOUT_FIELDS = "a field of channels or octets is a hexadecimal number"
 

@@ -1,9 +1,9 @@
 """Writes a profile as a SunSpec model in JSON."""
 
-# A SunSpec model describes consecutive holding registers, of which the first has the model's number
-# (ID) and the second its length (L). So only a profile with these two points can be exported. The
-# model has no groups of points, as a profile has none. A SunSpec scale is a power of ten, or a
-# register of the device (a scale factor) holds that power.
+# A SunSpec model describes consecutive holding registers. The first one has the model's number
+# (ID), the second one its length (L). So only a profile with these two points can be exported. The
+# model has no groups of points, as a profile has none. In SunSpec, a scale is a power of ten: the
+# exponent is in the model, or in another register of the device (a scale factor).
 
 from __future__ import annotations
 
@@ -119,7 +119,9 @@ def _type(point: Point) -> str:
 
 
 def _power(scale: float) -> int | None:
-    """The exponent if a scale is a power of ten (-1 for 0.1); otherwise None."""
+    """Return the exponent of a scale that is a power of ten (-1 for 0.1); None for another
+    scale.
+    """
     if scale <= 0:
         return None
     power = round(math.log10(scale))

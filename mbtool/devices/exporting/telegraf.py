@@ -40,9 +40,9 @@ _TYPES = {
 
 
 def export_telegraf(profile: Profile, unit: int = 1) -> ExportedMap:
-    """Write the values of a profile that a master may read as TOML for Telegraf.
+    """Write as TOML for Telegraf all values of a profile that a master may read.
 
-    `unit` is the number of the slave to poll.
+    `unit` is the unit of the slave to poll.
     """
     lacking = Lacking()
     requests: dict[tuple[Table, str], list[str]] = {}
@@ -73,7 +73,9 @@ def export_telegraf(profile: Profile, unit: int = 1) -> ExportedMap:
 
 
 def _can_be_read(one: SinglePoint, lacking: Lacking) -> bool:
-    """True if Telegraf can read a value. Notes in `lacking` what Telegraf cannot express of it."""
+    """True if Telegraf can read the value `one`. Notes in `lacking` what Telegraf cannot express of
+    it.
+    """
     point = one.point
     if one.access is Access.WRITE:
         lacking.note("left out, as they can only be written", point.name)
@@ -110,5 +112,5 @@ def _field(point: Point) -> str:
 
 
 def _quoted(text: str) -> str:
-    """A text in quotes, as TOML needs it."""
+    """Return a text as a quoted TOML string."""
     return json.dumps(text)

@@ -1,5 +1,7 @@
 """Reads the addresses in a register list, and decides how they are counted."""
 
+# Ways in which a list writes addresses, and how each is read:
+#
 #   4x0012, HR12      the text before the number names the table; 4x0001 is address 0
 #   0x0BB7, 0BB7H     hexadecimal: the address on the wire
 #   40001, 300012     references, if every number of the list can be one and fits its table
@@ -87,10 +89,11 @@ _DECIMAL = re.compile(
 def read_addresses(
     cells: Sequence[str], heading: str, style: AddressStyle | None, report: ImportReport
 ) -> list[AddressCell | None]:
-    """Read the cells of the address column; the result has None for a cell without an address.
+    """Read the cells of the address column. The result has an element per cell, None for a cell
+    without an address.
 
-    `heading` is the column's heading in lower case (columns.fold()). `style` is how the
-    numbers are counted, if the user says it; otherwise None.
+    `heading` is the column's heading in lower case (columns.fold()). `style` is how the user says
+    that numbers are counted; None if the user does not say it. Adds remarks on guesses to `report`.
     """
     is_hex = style is AddressStyle.HEXADECIMAL or (style is None and _is_bare_hex(cells, heading))
     in_front = any(re.match(r"\s*[134][xX]", cell) for cell in cells)
@@ -110,7 +113,8 @@ def read_addresses(
 
 
 def _is_bare_hex(cells: Sequence[str], heading: str) -> bool:
-    """True if the addresses are hexadecimal numbers without a mark such as 0x or H: `0BB7`.
+    """True if the addresses in `cells` are hexadecimal numbers without a mark such as 0x or H:
+    `0BB7`.
 
     `heading` is the column's heading in lower case.
     """
@@ -153,8 +157,8 @@ def _address(match: re.Match[str], prefix: str, suffix: str, radix: Radix) -> Ad
     last = (match["last"] or "").upper().removeprefix("0X")
     try:
         number = int(first, 16) if radix is Radix.HEX else int(first)
-        # A range may shorten its last number: `40001-2` is 40001 to 40002. So try the number as it
-        # stands, and with the leading digits of the first number.
+        # The last number of a range may be shortened: `40001-2` is 40001 to 40002. So try two
+        # numbers: the one in the cell, and the same with the leading digits of the first number.
         whole = first[: max(len(first) - len(last), 0)] + last
         ends = [int(one, 16) if radix is Radix.HEX else int(one) for one in (last, whole) if last]
     except ValueError:
@@ -198,9 +202,10 @@ def _can_be_reference(address: AddressCell, table: Table | None) -> bool:
 
 
 def reference_table(number: int, digits: int) -> Table | None:
-    """The table that the first digit of a five- or six-digit reference names: 40001, 300012.
+    """Return the table that the first digit of a five- or six-digit reference names: 40001, 300012.
 
-    None if the number is no such reference. `digits` is its number of digits.
+    `digits` is the number of digits with which the list writes `number`. None if `number` is no
+    such reference.
     """
     if digits not in (5, 6):
         return None
@@ -209,11 +214,11 @@ def reference_table(number: int, digits: int) -> Table | None:
 
 
 def table_and_base(address: AddressCell, style: AddressStyle) -> tuple[Table | None, int]:
-    """Return two things: the table that an address names (or None), and the number that the list
+    """Return the table that an address names (None if it names none), and the number that the list
     writes for address 0 on the wire, such as 40001.
 
-    `style` says how decimal numbers are counted. Raises ValueError if they are references, and this
-    number is not a reference.
+    `style` says how decimal numbers are counted. If they are references, raises ValueError for an
+    address that is no reference.
     """
     if not address.is_decimal:
         return None, 0
@@ -221,8 +226,8 @@ def table_and_base(address: AddressCell, style: AddressStyle) -> tuple[Table | N
         return address.table, 1
     if style is not AddressStyle.REFERENCES:
         return address.table, int(style is AddressStyle.ONE_BASED)
-    # Spreadsheets remove leading zeros, so that the reference 00001 becomes 1. Take fewer digits
-    # for five.
+    # Spreadsheets remove leading zeros: the reference 00001 becomes 1. So read a number of fewer
+    # than five digits as one of five.
     digits = max(address.digits, 5)
     table = reference_table(address.number, digits)
     if table is None:

@@ -1,8 +1,8 @@
 """Makes a profile's areas (ranges of addresses) from the points of a register list."""
 
-# An area covers neighbouring addresses of the list. If the list leaves out fewer than MAX_HOLE
-# addresses between two points, the area includes them, since masters read over such holes and most
-# devices allow it.
+# An area covers consecutive addresses of the list. If the list leaves out fewer than MAX_HOLE
+# addresses between two points, the area includes them, because masters read such holes together
+# with the points, and most devices allow it.
 
 from __future__ import annotations
 
@@ -20,8 +20,7 @@ if TYPE_CHECKING:
     from mbtool.devices.importing.points import RowPoint
 
 MAX_HOLE = 16
-"""An area does not include a hole of this many addresses that the list leaves out; it ends there
-instead."""
+"""An area ends before a hole of this many or more addresses that the list leaves out."""
 
 _READ_FUNCTIONS = {
     known.table: code
@@ -32,7 +31,8 @@ _WRITE_FUNCTIONS = {Table.COILS: (0x05, 0x0F), Table.HOLDING_REGISTERS: (0x06, 0
 
 
 def make_areas(made: Sequence[RowPoint]) -> tuple[list[Area], list[Point], dict[str, FunctionRule]]:
-    """Return the areas, the points, and the rules of functions by code.
+    """Return the areas, the points, and a rule for each function, by its code as two hexadecimal
+    digits.
 
     A point gets a key `access` only if its access differs from that of its area. The functions are
     those that the list names, and those that read and write the tables of the list.
@@ -62,9 +62,11 @@ def _goes_on(last: RowPoint, one: RowPoint) -> bool:
 
 
 def _area(run: Sequence[RowPoint], taken: Collection[str]) -> Area:
-    """Make one area from consecutive rows, named after its table and the list's numbers.
+    """Make one area from consecutive points. Its name is the table and the range as the list writes
+    it.
 
-    `taken` are the names of other areas. If the name is among them, the address is added to it.
+    `taken` are the names of other areas. If one of them is the same, the first address is added to
+    the name of this area.
     """
     rights = {one.area.access for one in run}
     access = rights.pop() if len(rights) == 1 else Access.READ_WRITE

@@ -1,7 +1,7 @@
 """Makes a profile from points whose addresses are known; derives its areas and functions."""
 
 # If fewer than MAX_HOLE addresses lie between two points, one area includes both points and these
-# addresses. The import of register lists does the same.
+# addresses, as in the import of register lists (areas.py).
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class PlacedPoint:
 
 @dataclass(frozen=True, slots=True)
 class ImportedDevice:
-    """A device as a file of another program describes it."""
+    """What a file of another program says about a device, as the material for a profile."""
 
     name: str
     title: str
@@ -48,16 +48,17 @@ class ImportedDevice:
     remarks: Sequence[str]
     vendor: str = "unknown"
     span: range | None = None
-    """Addresses of all holding registers of the device. None if it has only the registers of its
-    points."""
+    """The addresses of all holding registers of the device. If None, only the registers of its
+    points are known."""
     finding_prefix: str | None = None
 
 
 def assemble(device: ImportedDevice, file: str) -> ImportedList:
-    """Make the profile, and its TOML text with the remarks in a comment at the top.
+    """Make the profile of a device, and the profile's TOML text with the remarks in a comment at
+    the top.
 
-    Of points that overlap, only the one with the lowest address is used. Raises UsageError if
-    there is no point. `file` is the name of the file that was read, for messages.
+    Of points that overlap, only the one with the lowest address is used. Raises UsageError if the
+    device has no point. `file` is the name of the file that was read, for messages.
     """
     remarks = list(device.remarks)
     points = _apart(device.points, remarks)

@@ -85,7 +85,10 @@ class BodyReader:
         return merge_bits(good, self._report)
 
     def _read(self, number: int, row: Sequence[str], address: AddressCell | None) -> bool:
-        """Read a row. Returns True if it has a value, or adds to the value in the row above."""
+        """Read the row with the number `number` in the file. `address` is the address in its cell.
+
+        Returns True if the row has a value, or adds bits or texts to the value in the row above.
+        """
         column, report = self._sheet.addresses, self._report
         cell = column.of(row)
         texts = [each.strip() for each in row if not is_nothing(each)]
@@ -123,7 +126,10 @@ class BodyReader:
         self._report.tell(f'"{text}": the rows below are {table}', number)
 
     def _add_to_row_above(self, text: str) -> bool:
-        """Add `Bit 3: Alarm` or `1 = Auto` to the row above; False if `text` is something else."""
+        """Add the text of a row such as `Bit 3: Alarm` or `1 = Auto` to the row above.
+
+        Returns False if `text` is something else.
+        """
         bits = parse_bits(text) or {}
         texts = (parse_texts(text) or {}) if re.match(r"-?\w+\s*=", text) else {}
         if not bits and not texts:
@@ -134,10 +140,12 @@ class BodyReader:
 
 
 def _section(texts: Sequence[str], cell: str, *, is_address: bool) -> TableCell | None:
-    """The table that a row names as a heading for the rows below it; None if it is no such heading.
+    """Return the table that a row names as a heading for the rows below it; None if it is no such
+    heading.
 
-    `texts` are all cells of the row that have text; `cell` is the cell in the address column. A
-    heading has one such cell, or a second one with function codes.
+    `texts` are the texts of all cells of the row that are not empty; `cell` is the text in the
+    address column. `is_address` is True if that text is an address. A heading has only one cell
+    with text, or a second one with function codes.
     """
     distinct = list(dict.fromkeys(texts))
     text = " ".join(distinct)

@@ -18,7 +18,7 @@ from mbtool.modbus.tables import Table
 NOTHING = frozenset(
     ("", "-", "--", "---", "\u2013", "\u2014", "n/a", "n.a.", "na", "none", "/", "null", "nil", "*")
 )
-"""The texts, in lower case, that mean that a cell has no value."""
+"""The texts, in lower case, with which a list says that a cell has no value."""
 
 MAX_DIGITS = 8
 REGISTER_BITS = range(16)
@@ -137,7 +137,9 @@ _ONLY_CODES = re.compile(rf"\(?(?P<codes>{_CODES})\)?")
 
 @dataclass(frozen=True, slots=True)
 class TableCell:
-    """The table that a cell names, and its function codes if the cell names the table by codes."""
+    """The table that a cell names, and the function codes in the cell if it names the table by
+    codes.
+    """
 
     table: Table | None
     """The table; None if the function codes belong to several tables, or to none of the four."""
@@ -166,7 +168,7 @@ def _table_of(codes: list[str]) -> TableCell:
         else int(code)
         for code in codes
     ]
-    # Take the code 10 as 10H, which writes registers, because decimal 10 (0AH) is no function that
+    # A list that says 10 means 10H, which writes registers; decimal 10 (0AH) is no function that
     # reads or writes a table.
     numbers = [16 if number == 10 else number for number in numbers]
     known = {FUNCTIONS[number].table if number in FUNCTIONS else None for number in numbers}
@@ -199,8 +201,9 @@ def parse_bits(text: str) -> dict[int, str] | None:
 def _parse_pairs(text: str, number: str, next_one: str) -> dict[int, str] | None:
     """Read pairs of a number and a text, such as `0=off, 1=on`; None if the text is no such list.
 
-    `number` is the pattern of the number. Pairs are separated by a line end or one of `;|,`, or the
-    pattern `next_one` finds the beginning of each further pair.
+    `number` is the regular expression of the number in a pair. A line end or one of `;|,` separates
+    pairs; where there is none, the regular expression `next_one` finds the beginning of a further
+    pair.
     """
     pair = re.compile(rf"\s*{number}{_IS}\s*", re.IGNORECASE)
     splits = [text.split(sign) for sign in ("\n", ";", "|", ",")]

@@ -186,10 +186,11 @@ def find_sheet(text: str, file: str, named: Mapping[Meaning, str] | None = None)
 
 
 def _likeness(sheet: Sheet) -> tuple[int, int, bool, int]:
-    """A measure of how likely a row is the row of headings; the greatest is the most likely.
+    """Return a measure of how likely the sheet's row of headings is the right one. The greatest
+    measure, compared element by element, is the most likely.
 
-    It has the number of headings that the user names, the number of known headings, True if one is
-    of addresses, and the number of cells.
+    The elements: the number of headings that the user names, the number of known headings, True if
+    one of these heads a column of addresses, and the number of cells.
     """
     named = sum(column.is_named for column in sheet.columns)
     has_address = sheet.column(Meaning.ADDRESS) is not None
@@ -253,9 +254,9 @@ def meaning_of(heading: str) -> Meaning | None:
 
 
 def fold(text: str) -> str:
-    """A text in lower case, without accents and marks and with single spaces.
+    """Return a text in lower case, without accents and marks and with single spaces.
 
-    This allows a comparison of different spellings.
+    So different spellings of a heading become equal.
     """
     lowered = text.lower().translate(str.maketrans("äöüéèêà", "aoueeea")).replace("ß", "ss")
     return " ".join(re.sub(r"[^a-z0-9/]+", " ", lowered).split())

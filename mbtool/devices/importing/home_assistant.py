@@ -62,9 +62,9 @@ def import_home_assistant(
 ) -> ImportedList:
     """Make the profile of one device from a configuration of Home Assistant.
 
-    `data` is the content of the file, `file` its name, `name` that of the profile. `unit` chooses
-    among several devices of the file. Raises UsageError if the file is no such configuration, or
-    has several devices and `unit` is None.
+    `data` is the content of the file, `file` its name, and `name` the name of the profile. `unit`
+    chooses one of the devices in the file; None if there is only one. Raises UsageError if the file
+    is no such configuration, or has several devices and `unit` is None.
     """
     entries = _entries(_hubs(_parsed(data, file), file), file)
     units = sorted({one.unit for one in entries})
@@ -89,7 +89,9 @@ def import_home_assistant(
 
 @dataclass(frozen=True, slots=True)
 class _HubEntry:
-    """An entity (such as a sensor) of a hub, which is Home Assistant's word for a connection."""
+    """An entry of a hub: a sensor, a switch and so on. A hub is Home Assistant's word for a
+    connection.
+    """
 
     platform: str
     unit: int
@@ -112,7 +114,11 @@ def _parsed(data: bytes, file: str) -> Any:
 
 
 def _hubs(parsed: Any, file: str) -> list[dict[str, Any]]:
-    """The hubs (connections) in a whole configuration, or in its part below `modbus:` alone."""
+    """Return the hubs (connections) of a configuration.
+
+    `parsed` is the whole configuration, or only its part below `modbus:`. Raises UsageError if it
+    has no hubs.
+    """
     hubs = parsed.get("modbus", parsed) if isinstance(parsed, dict) else parsed
     if isinstance(hubs, dict):
         hubs = [hubs]
@@ -205,7 +211,10 @@ class _EntityReader:
             self.points.append(PlacedPoint(_replaced(point, fields), Access.READ_WRITE))
 
     def _add_series(self, point: Point, count: int) -> None:
-        """Add `count` points with consecutive addresses, of which `point` is the first."""
+        """Add `count` points with consecutive addresses; `point` is the first of them.
+
+        Raises ValueError if the addresses go beyond 65535, or if there are too many points.
+        """
         if point.address + count * point.words > ADDRESSES:
             raise ValueError("leaves the addresses that there are")
         if len(self.points) + count > MAX_VALUES:
@@ -217,7 +226,8 @@ class _EntityReader:
 
 
 def _told(point: Point, values: dict[str, Any]) -> Point:
-    """Return the point with the scale, unit, word order and byte order of its entry.
+    """Return the point with the scale, unit, word order and byte order in the keys of its entry,
+    `values`.
 
     Raises ValueError if one of them is impossible.
     """
@@ -264,9 +274,11 @@ def _whole(number: object, greatest: int = MAX_VALUES) -> int:
 
 
 def _no_value(told: object, allowed: range) -> int:
-    """Read the number in the register that means that there is no value (`nan_value`).
+    """Return the number in the register that means "no value", from `told`, the value of the key
+    `nan_value`.
 
-    It may be a number, or hexadecimal digits as text. Raises ValueError if it is not in `allowed`.
+    `told` may be a number, or hexadecimal digits as text. Raises ValueError if the number is not in
+    `allowed`, also when read as two's complement.
     """
     number = told
     with suppress(ValueError):
@@ -288,7 +300,7 @@ def _length(values: dict[str, Any]) -> int:
 
 
 def _text(value: object) -> str | None:
-    """A text on one line, at most 200 characters; None if it is empty.
+    """Return a value as a text on one line, at most 200 characters; None if it is empty.
 
     Parentheses replace braces, because a brace in a point's name begins a placeholder such as {n}.
     """

@@ -45,7 +45,7 @@ def locate_rows(
 ) -> list[LocatedRow]:
     """Find the table and the address on the wire of each row. `column` is the column of addresses.
 
-    A row whose table or address is impossible is left out, and becomes a problem in the report.
+    A row is left out if its table or address is impossible. It becomes a problem in the report.
     """
     style = _style(rows, column, options, report)
     digits: dict[object, set[int]] = {}
@@ -78,7 +78,10 @@ def locate_rows(
 def _style(
     rows: Sequence[ListRow], column: Column, options: ImportOptions, report: ImportReport
 ) -> AddressStyle:
-    """Return how the decimal addresses are counted: from 0, from 1, or as references (40001)."""
+    """Return how the decimal addresses are counted: from 0, from 1, or as references (40001).
+
+    It is what the user says in `options`, or else a guess, which becomes a remark in the report.
+    """
     decimal = [
         (row.address, _said_table(row, options.table))
         for row in rows
@@ -101,11 +104,11 @@ def _said_table(row: ListRow, table: Table | None) -> Table | None:
 
 
 def _place(row: ListRow, style: AddressStyle, table: Table | None) -> tuple[Table | None, int]:
-    """Return two things: the row's table (None if nothing names one), and the number that the list
-    writes for address 0.
+    """Return the row's table (None if nothing names one), and the number that the list writes for
+    address 0 on the wire.
 
-    Raises ValueError if the address is not 0 to 65535, if two different tables are named, or if the
-    row can be written but its table cannot.
+    `table` is the table that the user names. Raises ValueError if the address is not 0 to 65535, if
+    two different tables are named, or if the row can be written but its table cannot.
     """
     by_number, base = table_and_base(row.address, style)
     address = row.address.number - base

@@ -51,8 +51,8 @@ def make_points(
 ) -> list[RowPoint]:
     """Make the points of the rows, sorted by table and address.
 
-    `word_order` applies to values for which the register list names none. A row that cannot be a
-    point is left out, and becomes a problem in the report.
+    `word_order` is the user's, for values for which the register list names none. A row that cannot
+    be a point is left out, and becomes a problem in the report.
     """
     made: list[RowPoint] = []
     is_named = False
@@ -117,9 +117,11 @@ def _point(row: ListRow, area: Area, word_order: WordOrder | None, report: Impor
 
 
 def _size(row: ListRow, area: Area, words: int) -> int:
-    """Number of addresses that a row takes; `words` is the number for one value of its type.
+    """Return the number of addresses that a row takes; `words` is the number for one value of its
+    type.
 
-    Raises ValueError if it is no multiple of `words`, or if the row ends beyond address 65535.
+    Raises ValueError if the row's number is no multiple of `words`, or if the row ends beyond
+    address 65535.
     """
     size = row.address.registers or (None if area.table.is_bits else row.registers) or words
     if size % words:
@@ -130,7 +132,9 @@ def _size(row: ListRow, area: Area, words: int) -> int:
 
 
 def _type(row: ListRow, table: Table, report: ImportReport) -> TypeSpelling:
-    """The type of a row's value. Raises ValueError if `table` cannot hold values of that type."""
+    """Return the type of a row's value. Raises ValueError if `table` cannot hold values of this
+    type.
+    """
     type_ = row.type
     if table.is_bits:
         if type_ is not None and not type_.is_switch:
@@ -164,9 +168,11 @@ def _string_words(row: ListRow, type_: TypeSpelling, report: ImportReport) -> in
 
 
 def _texts(row: ListRow, type_: TypeSpelling) -> tuple[dict[int, str], list[str]]:
-    """Return the meanings of the value's numbers; none if the type cannot have all these numbers.
+    """Return the meanings of the value's numbers, and notes about the meanings that the point
+    cannot have.
 
-    The second result has a note for each meaning that the point cannot have, such as that of a bit.
+    If the type cannot have one of the numbers, all meanings become notes. The meanings of bits
+    become notes if the point has no named bits.
     """
     kind, texts = type_.type, dict(row.texts)
     if type_.is_switch:
@@ -183,7 +189,8 @@ def _texts(row: ListRow, type_: TypeSpelling) -> tuple[dict[int, str], list[str]
 
 
 def _limits(row: ListRow, kind: PointType, words: int) -> tuple[dict[str, float], list[str]]:
-    """Return the keys `minimum`, `maximum` and `default` of a point, and notes in place of others.
+    """Return the keys `minimum`, `maximum` and `default` of a point, and notes about those of them
+    that the point cannot have.
 
     If a value is scaled, the list does not say whether its range and default are before or after
     scaling. Then they become notes.
@@ -232,7 +239,8 @@ def _without_overlaps(made: Sequence[RowPoint], report: ImportReport) -> list[Ro
 def _with_unique_names(made: Sequence[RowPoint]) -> list[RowPoint]:
     """Give every point a name of its own.
 
-    If another point has the name, the point's reference (such as HR12) is appended to it.
+    If an earlier point has the same name, the point's reference (such as HR12) is appended to the
+    name.
     """
     taken: set[str] = set()
     named = []

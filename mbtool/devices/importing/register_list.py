@@ -61,10 +61,10 @@ class ImportedList:
 def import_register_list(
     data: bytes, file: str, options: ImportOptions | None = None, name: str | None = None
 ) -> ImportedList:
-    """Make a profile from a register list; `data` is the file's content, `file` its name.
+    """Make a profile from a register list. `data` is the file's content, `file` its name.
 
-    Without `name`, the profile is named after the file. Raises BadRowsError if rows cannot be read
-    and the options do not skip them, and UsageError if the file is no register list.
+    If `name` is None, the profile is named after the file. Raises BadRowsError if rows cannot be
+    read and the options do not skip them, and UsageError if the file is no register list.
     """
     options, report = options or ImportOptions(), ImportReport()
     sheet = find_sheet(_decode(data, file, report), file, options.columns)

@@ -30,9 +30,10 @@ class ImportReport:
         self._remarks.setdefault(remark, []).extend(() if row is None else (row,))
 
     def add_problem(self, row: int, heading: str | None, text: str, problem: str) -> None:
-        """Add a problem with a row, which the profile then lacks.
+        """Add a problem with a row. The profile lacks this row.
 
-        `problem` says what is wrong with the cell `text` in the column `heading`.
+        `problem` says what is wrong with the cell `text` in the column `heading`; `heading` is None
+        if the problem concerns no single column.
         """
         self.bad_rows.add(row)
         shown = " ".join(text.split())
@@ -46,7 +47,9 @@ class ImportReport:
 
     @property
     def problem_lines(self) -> list[str]:
-        """Lines about the problems, in the order of the rows; each row with a problem is named."""
+        """Lines about the problems, in the order of the rows. The number of each row with a problem
+        is in one of them.
+        """
         known = sorted(self._problems.items(), key=lambda one: min(one[1]))
         lines = [f"{_rows(rows)}{problem}" for problem, rows in known[:MAX_PROBLEMS]]
         others = set[int]().union(*(rows for _, rows in known[MAX_PROBLEMS:]))

@@ -53,8 +53,8 @@ class ListRow:
     name: str
     address: AddressCell
     table: TableCell | None
-    """The table that the row's cell names; if it names none, the one that the heading above the
-    row names; None if neither names one."""
+    """The table that the row's own cell names. If the cell names none, the one that the heading
+    above the row names; None if neither names one."""
     type: TypeSpelling | None
     registers: int | None
     order: Order | None
@@ -154,9 +154,10 @@ class RowReader:
         self._report.add_problem(self._number, heading, text, problem)
 
     def _read(self, meaning: Meaning, parse: Callable[[str], T | None], problem: str) -> T | None:
-        """Read the row's cell in the column with a meaning, using `parse`; None if it is empty.
+        """Read the row's cell in the column with a meaning, using `parse`; None if the cell is
+        empty.
 
-        If `parse` returns None, the cell is reported as a problem with the text `problem`.
+        If `parse` returns None, the text `problem` is reported as what is wrong with the cell.
         """
         text = self._text(meaning)
         value = parse(text) if text else None
@@ -181,7 +182,8 @@ class RowReader:
         column = self._sheet.column(Meaning.WORD_ORDER)
         if order is None or column is None or "word" not in column.hint:
             return order
-        # In a column headed "word order", "little" is only about words, not about bytes.
+        # In a column headed "word order", "little" means the order of the words only. The bytes of
+        # each word are then in the usual order.
         return order[0], ByteOrder.HIGH_FIRST
 
     def _access(self) -> Access | None:
@@ -193,10 +195,12 @@ class RowReader:
         return self._read(Meaning.ACCESS, parse_access, _ACCESS_WANTED)
 
     def _scaled(self, type_: TypeSpelling | None) -> tuple[float, int | None, str | None]:
-        """Return the scale, the number of decimals, and the unit of the row's value.
+        """Return the scale, the number of decimals, and the unit of measure of the row's value; the
+        last two are None if unknown.
 
-        The scale is the product of the row's factors. If the row has none, it is the factor in the
-        cell of the unit. If that has none, it follows from the number of decimals.
+        The scale is the product of the row's factors. If the row has no factor, the scale is the
+        factor in the cell of the unit (0.1 in `0.1 V`). If that cell has none, it follows from the
+        number of decimals.
         """
         unit_factor, unit = parse_unit(self._text(Meaning.UNIT))
         places = self._number_of(Meaning.DECIMALS)
@@ -226,10 +230,11 @@ class RowReader:
         return 1 / factor.number if divides else float(factor.number)
 
     def _values(self) -> tuple[dict[int, str], dict[int, str], str | None]:
-        """Return the meanings by number, the names by bit, and the text of the cell with them.
+        """Return the meanings of the value's numbers, the names of its bits, and the text of the
+        cell that lists them (None if no cell does).
 
-        They may be in a column of values, of ranges or of descriptions. In the last two, a single
-        number with a text does not count, because it may be prose.
+        The cell may be in a column of values, of ranges or of descriptions. In a column of ranges
+        or descriptions, a single number with a text does not count, because it may be prose.
         """
         for meaning in (Meaning.TEXTS, Meaning.RANGE, Meaning.DESCRIPTION):
             for text in (column.of(self._row) for column in self._sheet.all(meaning)):
@@ -243,9 +248,10 @@ class RowReader:
         return {}, {}, None
 
     def _notes(self, used: str | None) -> list[str]:
-        """The row's texts to keep as notes of the point.
+        """The row's texts that are kept as notes of the point.
 
-        They are all texts except the name and `used`, the text that lists the meanings of numbers.
+        They are all texts of the row except its name and `used`, the text of the cell that lists
+        the meanings of numbers or bits.
         """
         notes = [
             text for text in self._words(self._row) if text not in (self.name(self._row), used)
@@ -288,8 +294,8 @@ class RowReader:
 def merge_bits(rows: Sequence[ListRow], report: ImportReport) -> list[ListRow]:
     """Merge all rows that name bits of one register into one row.
 
-    If the list has a row of the whole register, the bits are added to that row; otherwise to a new
-    row without a name.
+    If the list has a row for the whole register, the bits are added to that row. If it has none, a
+    new row without a name gets them.
     """
     merged = [row for row in rows if row.address.bit is None]
     places = {_register(row): at for at, row in enumerate(merged)}
@@ -331,8 +337,8 @@ _THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}")
 """Matches a number whose comma may be a decimal comma or a thousands separator: 1,000."""
 
 _UNITS_OF_LENGTH = {Meaning.LENGTH: 1, Meaning.LENGTH_IN_BYTES: 2, Meaning.LENGTH_IN_BITS: 16}
-"""For each kind of length column, how many of its units make one register: 1 register, 2 bytes or
-16 bits."""
+"""For each kind of length column, the number of its units that make one register: 1 register, 2
+bytes or 16 bits."""
 
 _PROSE: tuple[tuple[Meaning, Callable[[str], object], str], ...] = (
     (Meaning.TEXTS, lambda _: None, ""),

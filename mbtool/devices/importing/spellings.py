@@ -140,8 +140,8 @@ def parse_type(text: str, registers: int | None = None) -> TypeSpelling | None:
 def _number(name: str, bits: int | None, order: Order | None) -> TypeSpelling | None:
     """Read the name of a numeric type: `uint32`, `32bitfloat`, `dword`.
 
-    `bits` is the size of the value if the number of registers is known; it decides if the name
-    implies no size. Returns None if the name is not known.
+    `bits` is the size of the value in bits, if its number of registers is known; else None. It
+    decides if the name itself implies no size. Returns None if the name is not known.
     """
     numbers = set(re.findall(r"\d+", name))
     letters = re.sub(r"\d+(?:bits?)?", "", name)
@@ -157,10 +157,11 @@ def _number(name: str, bits: int | None, order: Order | None) -> TypeSpelling | 
 
 
 def _family(letters: str, *, has_bits: bool) -> tuple[dict[int, PointType], int | None]:
-    """Return the types of a family (such as all signed integers) by their number of bits.
+    """Return the types of a family (such as all signed integers) by their number of bits, and the
+    usual number of bits for this name (None if it has none).
 
-    The second result is the usual number of bits of this name; None if it has none. If the name is
-    not known, there are no types. `has_bits` is True if a number of bits stands beside the letters.
+    `letters` is the name without digits; if it is not known, there are no types. `has_bits` is True
+    if the name has a number of bits beside the letters.
     """
     if letters in _NAMES:
         return _NAMES[letters]

@@ -2,8 +2,8 @@
 
 # The register map of a SunSpec device begins with the text "SunS" in two registers, at 40000, 0 or
 # 50000. The device's models (tables of registers) follow one another. The registers of the device
-# tell the number and length of each model (devices/sunspec_map.py). If the device was not read,
-# each model is taken to be as long as its file says.
+# tell the number and length of each model (devices/sunspec_map.py). If these registers were not
+# read, each model is taken to be as long as its file says.
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ def import_sunspec(
     """Make the profile of a device with these SunSpec models, one after the other.
 
     `files` are the names and contents of the models' files. `base` is the address of the text
-    "SunS". `repeat` says how often a group of points occurs if only the device knows it. Raises
-    UsageError if a file is no model, or if the models need too many addresses.
+    "SunS". `repeat` is the number of copies of each group of points whose count only the device
+    knows. Raises UsageError if a file is no model, or if the models need too many addresses.
     """
     models = [read_model(file, data) for file, data in files]
     layout = ModelLayout(base)
@@ -113,9 +113,9 @@ def _titles(models: Sequence[SunModel]) -> str:
 
 
 def _prefixes(models: Sequence[SunModel]) -> list[str]:
-    """For each model, the beginning of the names of its points: `inverter.`, `inverter[2].`.
+    """Return for each model the beginning of the names of its points: `inverter.`, `inverter[2].`.
 
-    A single model has an empty one.
+    If there is only one model, it is empty.
     """
     if len(models) == 1:
         return [""]
@@ -131,7 +131,7 @@ def _prefixes(models: Sequence[SunModel]) -> list[str]:
 def _repeat(file: str, model: SunModel, place: FoundModel) -> int:
     """Compute how often the repeating groups of a model occur in a device.
 
-    It follows from the length of the model that the device tells (`place.words`).
+    It follows from the length of the model in the device, which `place` has.
     """
     once, none = words_of(file, model, 1), words_of(file, model, 0)
     if once <= none:

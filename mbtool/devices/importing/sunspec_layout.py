@@ -98,8 +98,8 @@ class SunModel(msgspec.Struct, frozen=True):
 
 
 def words_of(file: str, model: SunModel, repeat: int) -> int:
-    """Number of registers of a SunSpec model, with `repeat` copies of each group whose count only
-    the device knows.
+    """Return the number of registers of a SunSpec model that has `repeat` copies of each group
+    whose count only the device knows.
     """
     layout = ModelLayout(0)
     begin = layout.at
@@ -114,7 +114,8 @@ class _Unscaled:
     index: int
     factor: str
     scopes: tuple[str, ...]
-    """For each group around the point, the prefix of the names in it; the innermost is last."""
+    """For each group that contains the point, the prefix of the names in this group, from the
+    outermost group to the innermost."""
 
 
 @dataclass(slots=True)
@@ -171,7 +172,10 @@ class ModelLayout:
             yield f"{what}: {few}{f' and {more} more' if more > 0 else ''}"
 
     def _add_group(self, place: _Place, group: SunGroup, scopes: tuple[str, ...]) -> None:
-        """Give the points of a group their addresses, then those of the groups in it."""
+        """Give the points of a group their addresses, then the points of the groups in it.
+
+        `scopes` has the prefix of names in each group from the outermost one to this one.
+        """
         if len(scopes) > MAX_DEPTH + 1:
             raise UsageError(f"{place.file}: groups in more than {MAX_DEPTH} groups")
         for point in group.points:
@@ -245,9 +249,9 @@ class ModelLayout:
         )
 
     def _scale(self, points: Sequence[_Unscaled]) -> None:
-        """Set `scale_from` of points whose scale another point holds.
+        """Set `scale_from` of points whose scale factor is in another point.
 
-        That point is in the same group or in a group around it.
+        That point is in the same group, or in a group that contains it.
         """
         for one in points:
             names = (f"{scope}{one.factor}" for scope in reversed(one.scopes))
