@@ -48,7 +48,7 @@ _T = TypeVar("_T", bound=msgspec.Struct)
 
 
 def builtin_profiles() -> list[str]:
-    """The names of the built-in profiles, sorted. Lists their folder, but opens no file."""
+    """Return the names of the built-in profiles, sorted. Lists their folder, but opens no file."""
     # Leave out files whose name begins with an underscore: they describe no device, and only serve
     # other profiles as a common base.
     return sorted(path.stem for path in _BUILT_IN.glob("[!_]*.toml"))
@@ -69,7 +69,9 @@ def load_profile(name_or_path: str) -> Profile:
 
 
 def profile_to_json(profile: Profile) -> bytes:
-    """Write a profile as JSON, for the attachment of a log. The JSON needs no other profile."""
+    """Write a profile as JSON, to attach it to a log. The JSON is complete: it needs no other
+    profile.
+    """
     return msgspec.json.encode(profile)
 
 
@@ -126,7 +128,7 @@ def _guess(name: str) -> str:
 def _read(path: Path, extending: tuple[Path, ...] = ()) -> dict[str, Any]:
     """Read the keys of a file, merged with those of all files that it extends.
 
-    `extending` are the files that led to this one by their key `extends`, the user's file first.
+    `extending` has the files that lead to this one by their keys `extends`, the user's file first.
     Raises InputError if a file cannot be read, and ProfileError for mistakes in it.
     """
     file = str(path)
@@ -175,8 +177,8 @@ def _merge(extended: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
             merged[key] = extended[key] | own[key]
     for key in ("areas", "points"):
         if key in extended and key in own:
-            # Replace the area or point of the same name once only. If `own` has two of one name,
-            # keep both, so that validation reports the mistake.
+            # If `own` has two areas or points of one name, only the first replaces the one of that
+            # name in the extended file. The second is kept, too, so that validation reports it.
             indices = {part.name: index for index, part in enumerate(extended[key])}
             merged[key] = list(extended[key])
             for part in own[key]:
@@ -188,7 +190,8 @@ def _merge(extended: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
 
 
 def _parse_parts(keys: dict[str, Any], file: str) -> dict[str, Any]:
-    """Check the keys of a file, and convert its areas, points and functions to their classes.
+    """Check the keys of the file `file`, and convert its areas, points and functions to their
+    classes.
 
     All other keys keep their TOML values; they are converted after the file is merged with the one
     that it extends.
@@ -259,7 +262,7 @@ def _parse_functions(value: Any, file: str) -> dict[str, FunctionRule]:
 
 
 def _convert(cls: type[_T], value: Any, file: str, key: str) -> _T:
-    """Convert the keys of one part of a profile to `cls`.
+    """Convert one part of a profile to the class `cls`; `value` is the part's TOML table.
 
     `key` is the part's name for messages. Raises ProfileError for the first wrong key.
     """
@@ -333,9 +336,10 @@ _WORDS = {
 
 
 def _explain(message: str, cls: type[msgspec.Struct], value: Any) -> tuple[str, str]:
-    """Return the key that an error message of msgspec is about, and a text for the user.
+    """Return the key that an error message of msgspec is about, and the mistake in words for the
+    user.
 
-    `value` is the table that was to be converted to `cls`.
+    `value` is the TOML table that was to be converted to `cls`.
     """
     match = _MESSAGE.fullmatch(message)
     if match is None or not match["path"]:
@@ -364,7 +368,10 @@ def _expected_list(value: object, choices: list[str], *, of_numbers: bool = Fals
 
 
 def _choices(cls: type[msgspec.Struct], path: str) -> list[str]:
-    """The texts that a key of `cls` can have if its type is an enumeration; otherwise none."""
+    """Return the texts that a key of `cls` can have if its type is an enumeration; otherwise none.
+
+    `path` is the place of the key in msgspec's message, such as `transports[0]`.
+    """
     hint = typing.get_type_hints(cls)[re.split(r"[.\[]", path)[0]]
     for kind in (hint, *typing.get_args(hint)):
         if isinstance(kind, type) and issubclass(kind, StrEnum):

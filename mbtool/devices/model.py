@@ -125,9 +125,10 @@ class Area(_Part, frozen=True, kw_only=True):
         return f"{self.prefix}{self.number(address)}{self.suffix}"
 
     def span(self, first: int, last: int) -> str:
-        """Write a range in the vendor's notation: HR400001..400002, X0..XF, 0105H..010EH.
+        """Write the range from `first` to `last` (both included) in the vendor's notation:
+        HR400001..400002, X0..XF, 0105H..010EH.
 
-        The last address has no prefix unless it is hexadecimal. A hexadecimal number such as F
+        The last address has no prefix unless it is hexadecimal: a hexadecimal number such as F
         could be read as a word without its prefix.
         """
         if last <= first:
@@ -298,7 +299,8 @@ class Point(_Part, frozen=True, kw_only=True):
         return self.type.words or self.length or 1
 
     def allows(self, *, writing: bool) -> bool:
-        """True if the key `access` of the point allows a master to write (or read) it.
+        """True if the key `access` of the point allows a master to write it, or to read it if
+        `writing` is False.
 
         The area of the point may still forbid it.
         """
@@ -363,8 +365,8 @@ class Profile(_Part, frozen=True, kw_only=True):
         return self.functions.get(f"{function:02X}")
 
     def value_exception(self, function: int) -> int:
-        """The code with which the device refuses a request with this function because of a wrong
-        quantity, byte count or value.
+        """The exception code with which the device refuses a request with this function because of
+        a wrong quantity, byte count or value.
         """
         rule = self.rule(function)
         return self.exceptions.value if rule is None or rule.value is None else rule.value
@@ -377,7 +379,9 @@ class Profile(_Part, frozen=True, kw_only=True):
         return rule.documented
 
     def in_mode(self, transport: Transport) -> Profile:
-        """The profile with the limits for a transport; ASCII mode may have other limits."""
+        """The profile with the limits that hold for a transport. Only ASCII mode may have limits of
+        its own.
+        """
         ascii_rules = {
             code: msgspec.structs.replace(rule, limit=rule.ascii_limit)
             for code, rule in self.functions.items()
@@ -405,7 +409,8 @@ class Profile(_Part, frozen=True, kw_only=True):
         return holding[0] if holding else None
 
     def allows(self, table: Table, span: range, *, writing: bool = False) -> bool:
-        """True if a master may read (or write) all addresses of a range.
+        """True if a master may write all addresses of the range `span`, or read them if `writing`
+        is False.
 
         The range may extend over several areas.
         """

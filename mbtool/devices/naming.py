@@ -68,14 +68,14 @@ class Namer:
     def __init__(self, assignments: Assignments | None = None) -> None:
         self._assignments = assignments or Assignments()
         self._vocabularies = {id(None): _Vocabulary(None)}
-        """The vocabularies by the id() of their profile, because that look-up is fast. An id()
-        stays valid, because the assignments keep every profile alive."""
+        """The vocabularies by the id() of their profile, as an id() is found faster than a profile.
+        It stays valid, because the assignments keep every profile alive."""
 
     def name(self, transaction: Transaction) -> NamedTransaction:
-        """Return a transaction with its device, reference, points and findings.
+        """Return a copy of a transaction with its device, reference, points and findings.
 
-        They replace any that it has. Never raises, not even for numbers that are impossible on a
-        wire.
+        They replace those that the transaction has. Never raises, not even for numbers that are
+        impossible on a wire.
         """
         profile = self._assignments.profile_for(transaction)
         vocabulary = self._vocabularies.get(id(profile)) or self._vocabulary(profile)
@@ -110,9 +110,10 @@ class _Meaning:
     findings: tuple[str, ...] = ()
 
     def scaled(self, powers: Mapping[str, int]) -> _Meaning:
-        """Return a copy whose points are scaled; `powers` are powers of ten by name of a point.
+        """Return a copy whose points are scaled, where a point has its scale in a register of the
+        device (`scale_from`).
 
-        They apply to points that another register of the device scales (`scale_from`).
+        `powers` has the power of ten in such a register, by the name of the register's point.
         """
         return replace(
             self,
@@ -135,8 +136,8 @@ class _Vocabulary:
         self.profile = profile
         self._device = profile.name if profile is not None else None
         self._points: dict[tuple[Table, bool], list[PointInstance]] = {}
-        """The points sorted by address. The key is the table, and True for the points that a write
-        may contain, False for those that a read may contain."""
+        """The points sorted by address. The key is the table and a flag: True for the points that a
+        write may contain, False for those that a read may contain."""
         self._addresses: dict[tuple[Table, bool], list[int]] = {}
         """The first address of each point in `_points`, in the same order."""
         self._cache: dict[tuple[object, ...], _Meaning] = {}
@@ -274,10 +275,11 @@ class _Vocabulary:
     def _points_in(
         self, table: Table, address: int, quantity: int, *, writing: bool
     ) -> tuple[tuple[int, PointInstance], ...]:
-        """The points that are completely in a range, each with the index of its first value.
+        """Return the points that are completely in a range of addresses, each with the index of its
+        first value in the range.
 
         If there are any, each address of the range without a point gets one, named by its
-        reference.
+        reference. `writing` is True for the points that a write may contain.
         """
         addresses = self._addresses.get((table, writing), [])
         first = bisect_left(addresses, address)

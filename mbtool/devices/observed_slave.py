@@ -1,13 +1,13 @@
 """Observes one slave: which requests it got, how it responded, and samples of register values."""
 
 # The observations are used to find the profile that fits a slave (profile_match.py), and to draft a
-# profile (drafting/). Equal requests are counted together.
+# profile (drafting/). Requests that are equal except for written values are counted together.
 #
 # Limits for each slave: MAX_REQUESTS different requests; further different requests are only
-# counted, in `forgotten`. Register values are sampled for the first MAX_SAMPLED requests, at most
-# MAX_ROWS rows each; a row has the values of one transaction. When there are more rows, every
-# second row is dropped, and from then on only half as many transactions give a row. So the sample
-# is spread over the whole time.
+# counted, in `forgotten`. Register values are sampled for the first MAX_SAMPLED different requests,
+# at most MAX_ROWS rows each; a row has the values of one transaction. When there are more rows,
+# every second row is dropped, and from then on only half as many transactions give a row. So the
+# sample is spread over the whole time.
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class ObservedRequest:
 
     @property
     def span(self) -> range:
-        """The addresses of the request; none beyond FFFFH."""
+        """The addresses that the request reads or writes, without any beyond FFFFH."""
         first = self.address or 0
         return range(first, min(first + max(self.quantity, 1), 1 << 16))
 
@@ -71,7 +71,8 @@ class Samples:
     """Samples of the register values that one kind of request reads or writes."""
 
     rows: list[tuple[int, ...]] = field(default_factory=list)
-    """The register values of each sampled transaction, one row for each."""
+    """One tuple for each sampled transaction: the values of its registers, in the order of their
+    addresses."""
     count: int = 0
     """Number of transactions that had values, also of those that are not in `rows`."""
     changes: list[int] = field(default_factory=list)
@@ -117,7 +118,8 @@ class ObservedSlave:
         and word."""
         self.transactions = 0
         self.forgotten = 0
-        """Number of requests that are not in `requests`, because it has MAX_REQUESTS others."""
+        """Number of transactions whose requests are not in `requests`, because that already has
+        MAX_REQUESTS others."""
         self._with_values = with_values
 
     @property
@@ -182,7 +184,8 @@ class ObservedSlave:
 
 
 def _requests(transaction: Transaction) -> list[tuple[ObservedRequest, Sequence[int] | None]]:
-    """Return the request of a transaction with its register or bit values (None if it has none).
+    """Return the kind of request of a transaction, with the values of the registers or bits that it
+    reads or writes (None if it has none).
 
     For function 17H, return two: the read and the write.
     """

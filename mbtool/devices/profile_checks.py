@@ -25,10 +25,11 @@ if TYPE_CHECKING:
     from mbtool.modbus.transaction import Transaction
 
 _WRITE_QUANTITY = slice(7, 9)
-"""The position of the quantity to write in the PDU of a request with function 17H."""
+"""The bytes of the PDU that have the quantity to write, in a request with function 17H."""
 
 Ranges = dict[str, tuple[float | None, float | None]]
-"""For the name of a point, its least and its greatest value; None where there is no limit."""
+"""By the name of a point: the least and the greatest value that its manual allows; None where there
+is no limit."""
 
 
 def finding_text(code: str, profile: Profile | None = None) -> str:
@@ -79,7 +80,10 @@ def finding_text(code: str, profile: Profile | None = None) -> str:
 
 
 def request_findings(profile: Profile | None, transaction: Transaction) -> Iterator[str]:
-    """Give the finding codes for the function, the addresses and the quantities of a request."""
+    """Yield the finding codes for the function, the addresses and the quantities of a request.
+
+    Without a profile, only the standard's rules are checked.
+    """
     function = transaction.function
     written = written_by_17h(transaction)
     standard = list(request_codes(function, transaction.address, transaction.quantity, written))
@@ -104,9 +108,8 @@ def request_findings(profile: Profile | None, transaction: Transaction) -> Itera
 
 
 def exception_finding(profile: Profile, function: int, exception: int) -> str | None:
-    """The finding code if the device's manual does not list an exception code for a function.
-
-    None if it lists the exception code.
+    """Return the finding code if the device's manual does not list the exception code `exception`
+    for a function; None if it lists it.
     """
     if exception in profile.documented_exceptions(function):
         return None
@@ -114,7 +117,9 @@ def exception_finding(profile: Profile, function: int, exception: int) -> str | 
 
 
 def value_ranges(profile: Profile) -> Ranges:
-    """The ranges of values in the manual, for all points that can be written and have a range."""
+    """Return the range of values that the manual states, for each point that has one and can be
+    written.
+    """
     return {
         instance.name: (point.minimum, point.maximum)
         for point in profile.points
@@ -129,12 +134,14 @@ def values_outside(ranges: Ranges, points: Sequence[PointValue]) -> list[PointVa
 
 
 def value_finding(profile: Profile, function: int) -> str:
-    """The finding code for a written value that is outside the range in the manual."""
+    """Return the finding code for a value that a request with this function writes, outside the
+    range in the manual.
+    """
     return f"{finding_prefix(profile)}-V{function}"
 
 
 def fixed_data(profile: Profile) -> dict[int, bytes]:
-    """The bytes that must follow the function code of a request, by function code.
+    """Return, by function code, the bytes that must follow the function code of a request.
 
     Only functions for which the manual fixes such bytes are included.
     """
@@ -146,7 +153,9 @@ def fixed_data(profile: Profile) -> dict[int, bytes]:
 
 
 def has_other_data(transaction: Transaction, fixed: bytes) -> bool:
-    """True if the data of a request do not begin with `fixed`, as the manual demands."""
+    """True if the bytes after the function code of a request do not begin with `fixed`, as the
+    manual demands.
+    """
     data = request_data(transaction)
     return data is not None and not data.startswith(fixed)
 
@@ -158,15 +167,18 @@ def request_data(transaction: Transaction) -> bytes | None:
 
 
 def data_finding(profile: Profile, function: int) -> str:
-    """The finding code for a request whose data differ from those that the manual fixes."""
+    """Return the finding code for a request whose bytes after the function code differ from those
+    that the manual fixes.
+    """
     return f"{finding_prefix(profile)}-D{function}"
 
 
 def written_by_17h(transaction: Transaction) -> tuple[int, int] | None:
-    """The first address and the quantity of registers that a request with function 17H writes.
+    """Return the first address and the quantity of registers that a request with function 17H
+    writes.
 
     None for other functions. The quantity comes from the request's quantity field, even if the
-    number of values differs.
+    request has another number of values.
     """
     if transaction.write_address is None:
         return None
@@ -180,7 +192,9 @@ def written_by_17h(transaction: Transaction) -> tuple[int, int] | None:
 
 
 def unit_finding(profile: Profile | None, unit: int) -> str:
-    """The finding code for a unit that a slave cannot have on a serial line."""
+    """Return the finding code for a unit number that a slave, or a slave with this profile, cannot
+    have on a serial line.
+    """
     if profile is None or profile.last_unit is None or unit > LAST_UNIT:
         return "MB-108"
     return f"{finding_prefix(profile)}-U{unit}"
@@ -193,7 +207,10 @@ def finding_prefix(profile: Profile) -> str:
 def _is_quantity_wrong(
     rule: FunctionRule, transaction: Transaction, written: tuple[int, int] | None
 ) -> bool:
-    """True if a quantity is 0, or above the limit that the manual states for it."""
+    """True if a quantity in a request is 0, or above the limit that the manual states for it.
+
+    `written` is the first address and the quantity that function 17H writes; otherwise None.
+    """
     quantity = transaction.quantity
     if rule.limit is not None and quantity is not None and not 1 <= quantity <= rule.limit:
         return True
@@ -222,7 +239,7 @@ def _form_text(rule: FunctionRule) -> str:
 def _address_letter(
     profile: Profile, transaction: Transaction, written: tuple[int, int] | None
 ) -> str | None:
-    """The letter of the finding about a request's addresses; None if there is no finding.
+    """Return the letter of the finding about a request's addresses; None if there is no finding.
 
     A means that the device does not have the addresses, W that a master can only read them.
     `written` is the first address and the quantity that function 17H writes; otherwise None.

@@ -1,7 +1,7 @@
 """Finds the profiles that fit the observed traffic of a slave, with a score and reasons."""
 
-# For every different request, the profile predicts that the device accepts or refuses it. This is
-# compared with what the slave did.
+# For every different request, the profile predicts that the device accepts or refuses it. The
+# prediction is compared with what the slave did.
 #
 # For the profile:      the slave responds as predicted; the identity that it reports (2B/0E, 11H)
 #                       names the profile's vendor or model
@@ -13,8 +13,8 @@
 #                       quantity (a state, a gateway, a vendor's own code); a write refused for its
 #                       value; a refused 17H, because either its read or its write may be the reason
 #
-# A model code decides alone, whatever else speaks for or against: an FA3 module responds to 42H
-# with the code of its model.
+# If the slave reports a model code, this alone decides: an FA3 module responds to 42H with the code
+# of its model.
 #
 # The number of addresses that have names in a profile is no evidence, because a longer manual has
 # more names. It only sorts profiles that explain a slave equally well; these are reported as a tie.
@@ -104,9 +104,9 @@ class ProfileMatch:
 
     @property
     def rank(self) -> tuple[bool, bool, float]:
-        """The quality of the match, for comparison: a greater rank is better; equal ones are a tie.
+        """The quality of the match, for comparison: `is_model`, `has_name` and `share`.
 
-        It has `is_model`, `has_name` and `share`.
+        Of two matches, the one with the greater rank is better; equal ranks are a tie.
         """
         return self.is_model, self.has_name, self.share
 
@@ -158,7 +158,8 @@ def match_profiles(slave: ObservedSlave, profiles: Iterable[Profile]) -> MatchRe
         _match(slave, profile.in_mode(Transport.ASCII) if in_ascii else profile, known)
         for profile in profiles
     ]
-    # Put profiles with another model code than the slave's last, even if everything else fits.
+    # If the slave reported a model code, put the profiles of other models last, even if everything
+    # else fits.
     matches.sort(
         key=lambda one: (
             one.is_other_model,
@@ -205,10 +206,10 @@ def _match(slave: ObservedSlave, profile: Profile, known: dict[Table, bytearray]
 def _compare_requests(
     slave: ObservedSlave, profile: Profile, against: list[str]
 ) -> tuple[int, int, list[str]]:
-    """Return how many different requests ended as the profile predicts, and how many did not.
+    """Return the number of different requests that ended as the profile predicts, the number of
+    those that did not, and a sentence for each request that the slave refused as predicted.
 
-    The third result has a sentence for each request that the slave refused as predicted. Adds a
-    sentence to `against` for each request that ended otherwise.
+    Adds a sentence to `against` for each request that ended otherwise.
     """
     explained, before = 0, len(against)
     refusals: list[str] = []
@@ -236,7 +237,8 @@ def _compare_requests(
 def _observed(
     profile: Profile, request: ObservedRequest, replies: Replies, *, is_predicted: bool
 ) -> bool | None:
-    """True if the slave accepts a request, False if it refuses it, None if neither is certain.
+    """Return True if the slave accepts a request, False if it refuses it, None if its replies show
+    neither for certain.
 
     `is_predicted` is True if the profile predicts that the slave accepts it.
     """
@@ -253,10 +255,10 @@ def _observed(
 
 
 def _other_refusal(profile: Profile, request: ObservedRequest, replies: Replies) -> str:
-    """Return the exception codes as text if they contradict the profile's reason for a refusal.
+    """Return the exception codes in `replies` as text, such as `01 and 02`, if they contradict the
+    profile's reason for a refusal; otherwise an empty text.
 
-    The reason is either the function, or the addresses and the quantity. The text is empty if the
-    codes fit the profile's reason.
+    The profile's reason is either the function, or the addresses and the quantity.
     """
     no_function = profile.exceptions.function
     others = {profile.exceptions.address, profile.exceptions.value} - {no_function}
@@ -271,8 +273,8 @@ def _other_refusal(profile: Profile, request: ObservedRequest, replies: Replies)
 def _predict(profile: Profile, request: ObservedRequest) -> tuple[str, bool]:
     """Predict what a device with the profile does with a request.
 
-    Returns the profile's rule in words, and True if the device accepts the request, False if it
-    refuses it.
+    Returns the reason in words (`its limit is 100`), and True if the device accepts the request,
+    False if it refuses it.
     """
     function, table, span = request.function, request.table, request.span
     rule = profile.rule(function)
@@ -311,7 +313,8 @@ def _compare_models(
 ) -> tuple[bool, bool]:
     """Compare the model code that the slave reported with the profile's.
 
-    Returns two flags: the slave reported the profile's code; it reported only other codes.
+    Returns two flags: True if the slave reported the profile's code; True if it reported only other
+    codes. Adds a sentence to `reasons` or `against` if it reported any.
     """
     function = model_function(profile)
     if function is None or profile.model_code is None:
@@ -330,7 +333,8 @@ def _compare_models(
 
 
 def model_function(profile: Profile) -> int | None:
-    """The function with which a master asks for the model code; None if the profile has none.
+    """Return the code of the function with which a master asks for the model code; None if the
+    profile has no such function.
 
     It is the function for whose response the profile lists the model code with a meaning.
     """
@@ -341,7 +345,9 @@ def model_function(profile: Profile) -> int | None:
 
 
 def _compare_names(slave: ObservedSlave, profile: Profile, reasons: list[str]) -> bool:
-    """True if the identity that the slave reports names the profile's vendor or device."""
+    """True if the identity that the slave reports names the profile's vendor or device. Then adds a
+    sentence to `reasons`.
+    """
     known = _words(f"{profile.vendor} {profile.title} {profile.name}")
     matching = {name: text for name, text in slave.identity.items() if known & _words(text)}
     if matching:
@@ -364,7 +370,9 @@ def _words(text: str) -> set[str]:
 
 
 def _compare_exceptions(slave: ObservedSlave, profile: Profile, against: list[str]) -> int:
-    """Count the exception codes of the slave that the profile's manual does not list."""
+    """Count the exception codes of the slave that the profile's manual does not list. Adds a
+    sentence to `against` for each.
+    """
     codes = {code for one in slave.requests.values() for code in one.exceptions}
     undocumented = sorted(codes - set(profile.exceptions.documented))
     against += [f"exception {code:02X} is none of its manual's" for code in undocumented]
@@ -372,10 +380,10 @@ def _compare_exceptions(slave: ObservedSlave, profile: Profile, against: list[st
 
 
 def _compare_transports(slave: ObservedSlave, profile: Profile, against: list[str]) -> int:
-    """Return a number of contradictions if the profile lacks the transport of the slave, else 0.
+    """Return the number of contradictions between the transports of the slave and of the profile.
 
-    A serial device on a network counts as 1, because it may be behind a gateway. Any other case
-    counts as so many that no number of explained requests can outweigh them.
+    It is 0 if they have one in common, and 1 for a serial device on a network, which may be behind
+    a gateway. In any other case it is so large that the explained requests cannot outweigh it.
     """
     spoken = set(profile.transports)
     if slave.transports & spoken or not slave.transports:
@@ -390,9 +398,10 @@ def _compare_transports(slave: ObservedSlave, profile: Profile, against: list[st
 
 
 def _compare_unit(slave: ObservedSlave, profile: Profile, against: list[str]) -> int:
-    """Return a number of contradictions if the device cannot have the slave's unit, else 0.
+    """Return the number of contradictions about the slave's unit: 0 if the device can have this
+    unit.
 
-    They are so many that no number of explained requests can outweigh them.
+    Otherwise the number is so large that the explained requests cannot outweigh it.
     """
     last = profile.last_unit
     on_line = any(one.is_serial for one in slave.transports)
@@ -405,7 +414,7 @@ def _compare_unit(slave: ObservedSlave, profile: Profile, against: list[str]) ->
 def _count_named(known: dict[Table, bytearray], profile: Profile) -> int:
     """Count the addresses with a name in the profile that the slave accepted in a read or write.
 
-    `known` has 1 at the index of each address that the slave accepted, by table.
+    `known` has for each table one byte per address: 1 if the slave accepted the address, else 0.
     """
     return sum(
         known[point.table].count(1, address, address + point.words)
@@ -415,8 +424,8 @@ def _count_named(known: dict[Table, bytearray], profile: Profile) -> int:
 
 
 def models_of(profiles: Iterable[Profile]) -> dict[tuple[int, int], Profile]:
-    """The profiles that have a model code. The key is the function that reads the code, and the
-    code.
+    """Return the profiles that have a model code. The key is the code of the function that reads
+    the model code, and the model code.
     """
     return {
         (function, profile.model_code): profile

@@ -37,9 +37,10 @@ def write_reference(
     *,
     writing: bool = False,
 ) -> str:
-    """Write a range in the notation of its device: `HR400001..400002`, `X0..XF`, `holding 107`.
+    """Write a range of addresses in the notation of its device: `HR400001..400002`, `X0..XF`;
+    without a profile as `holding 107`.
 
-    With a quantity of 0 or None, only the address is written. If one area at an address is for
+    If `quantity` is 0 or None, only the address is written. If one area at an address is for
     reading and another for writing, `writing` chooses between them.
     """
     last = address + max(quantity or 1, 1) - 1
@@ -57,7 +58,9 @@ def write_reference(
 
 
 def is_neutral(reference: str) -> bool:
-    """True if a reference is in the neutral notation, as `holding 107` is, not in a vendor's."""
+    """True if a reference is in the neutral notation, such as `holding 107`, and not in a
+    vendor's.
+    """
     return reference.partition(" ")[0] in _NEUTRAL.values()
 
 
@@ -81,17 +84,19 @@ def parse_reference(profile: Profile, text: str) -> tuple[Table, int]:
 
 
 def _notation(profile: Profile, table: Table, address: int, *, writing: bool) -> Area | None:
-    """The area in whose notation to write an address; None if `holding 107` is to be written.
+    """Return the area in whose notation to write an address; None for the neutral notation, such as
+    `holding 107`.
 
     It is the area that contains the address. If none does, it is the nearest area whose notation
-    can be extended to the address.
+    can be extended to the address. If one area is for reading and another for writing, `writing`
+    chooses between them.
     """
     area = profile.area(table, address, writing=writing)
     if area is not None:
         return area
     areas = [area for area in profile.areas if area.table is table]
-    # Put areas that allow the access first. The areas are then sorted by distance from the address;
-    # among those at the same distance, this order stays.
+    # Put areas that allow the access first. The sorts by distance below keep this order among areas
+    # at the same distance.
     areas.sort(key=lambda area: not area.access.allows(writing=writing))
     below = sorted((area for area in areas if area.last < address), key=lambda area: -area.last)
     above = sorted((area for area in areas if area.first > address), key=lambda area: area.first)

@@ -6,8 +6,8 @@
 #     the request has none, and every address of the areas exists        any refusal is wrong
 #
 # There is no finding if the manual leaves the code open (Exceptions.causes,
-# Profile.complete_areas), nor for exception codes other than those for a wrong function, address or
-# value: their reasons may not be visible in a capture.
+# Profile.complete_areas). There is none either for exception codes other than those for a wrong
+# function, address or value: their reasons may not be visible in a capture.
 
 from __future__ import annotations
 
@@ -37,15 +37,17 @@ _CAUSES = {
     "MB-104": ExceptionCause.VALUE,
     "MB-105": ExceptionCause.VALUE,
 }
-"""The reason for which a device refuses a request. The key is the finding about the request: its
-code, or its letter if it is about the device's manual."""
+"""The reason for which a device refuses a request that has a finding. The key is the code of the
+finding, or only its letter if the finding is about the device's manual."""
 _WORD_BYTES = 3
 
 
 def response_findings(
     profile: Profile, transaction: Transaction, request_codes: Collection[str]
 ) -> Iterator[str]:
-    """Give the finding codes of a response; `request_codes` are those of its request."""
+    """Yield the finding codes of a response. `request_codes` are the finding codes of its
+    request.
+    """
     prefix = finding_prefix(profile)
     if transaction.exception is not None:
         if is_wrong_exception(profile, transaction, request_codes):
@@ -64,7 +66,8 @@ def response_findings(
 def is_wrong_exception(
     profile: Profile, transaction: Transaction, request_codes: Collection[str]
 ) -> bool:
-    """True if the device should have given another exception code for the request, or none.
+    """True if the device should have responded with another exception code, or without an
+    exception.
 
     `request_codes` are the finding codes of the request.
     """
@@ -80,7 +83,7 @@ def is_wrong_exception(
 
 
 def causes_in(profile: Profile, request_codes: Collection[str]) -> set[ExceptionCause]:
-    """The reasons for which a device refuses a request that has these finding codes."""
+    """Return the reasons for which a device refuses a request with these finding codes."""
     prefix = f"{finding_prefix(profile)}-"
     keys = [
         code.removeprefix(prefix)[0] if code.startswith(prefix) else code for code in request_codes

@@ -32,17 +32,18 @@ class ScaleFactors:
     """Remembers the powers of ten that slaves with one profile hold in registers."""
 
     def __init__(self, names: Collection[str]) -> None:
-        """`names` are the names of the points that hold a power of ten."""
+        """Take the names of the points that hold a power of ten."""
         self._names = names
         self._slaves: dict[_Slave, dict[str, int]] = {}
 
     def after(
         self, transaction: Transaction, read: Sequence[tuple[int, PointInstance]]
     ) -> Mapping[str, int]:
-        """Take a transaction into account, and return the slave's powers of ten by point name.
+        """Take a transaction into account, and return the slave's powers of ten, by the name of the
+        point that holds them.
 
-        `read` are the points in the response, each with the index of its first value. If a point
-        holds no exponent from -10 to 10, its power is unknown again.
+        `read` are the points in the response, each with the index of its first value. If a point of
+        `names` has a value that is no exponent from -10 to 10, its power becomes unknown.
         """
         key = (transaction.link, transaction.destination, transaction.unit)
         powers = self._slaves.pop(key, None)

@@ -67,7 +67,9 @@ def description(part: type[msgspec.Struct], key: str) -> str:
 
 
 def _demand(type_: PointType, key: str) -> dict[str, Any]:
-    """The part of the JSON Schema that says that points of one type must have a key."""
+    """Return the part of the JSON Schema that says that a point of the type `type_` must have the
+    key `key`.
+    """
     return {
         "if": {"properties": {"type": {"const": type_.value}}, "required": ["type"]},
         "then": {"required": [key]},
@@ -75,9 +77,9 @@ def _demand(type_: PointType, key: str) -> dict[str, Any]:
 
 
 def _inlined(node: Mapping[str, Any], parts: dict[str, Any]) -> dict[str, Any]:
-    """Return a schema in which each `$ref` is replaced by the part that it refers to.
+    """Return the schema `node` with each `$ref` replaced by the part that it refers to.
 
-    The type null is left out, because TOML lacks it. `parts` are the parts by name.
+    `parts` has the schemas of all parts by name. The type null is left out, because TOML lacks it.
     """
     inlined = {key: value for key, value in node.items() if key not in ("$ref", "anyOf", "default")}
     if node.get("default") not in (None, [], {}):

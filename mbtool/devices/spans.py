@@ -51,7 +51,8 @@ class Span:
 
 
 def parse_span(text: str, profiles: Iterable[Profile] = ()) -> Span:
-    """Parse a reference or a range: `HR400010..400020` as a profile writes it, or `holding 7..9`.
+    """Parse a reference or a range: `HR400010..400020` as one of the profiles writes it, or
+    `holding 7..9`.
 
     Raises UsageError if the text is neither, or a range ends before it begins or after 65535.
     """

@@ -36,8 +36,8 @@ LAST_UNIT = 247
 _WRITE_BITS = 0x0F
 _HAS_PADDING = READ_BITS | {_WRITE_BITS}
 _BYTE_COUNT_END = {0x0F: 6, 0x10: 6, 0x17: 10}
-"""For each function whose requests have a byte count: the length of the request's PDU up to and
-including the byte count, in bytes."""
+"""By function code: the number of bytes of a request's PDU up to and including its byte count.
+Functions whose requests have no byte count are missing."""
 _RESPONSE_HAS_BYTE_COUNT = READ_BITS | READ_REGISTERS
 _RESPONSE_REPEATS_REQUEST = WRITE_ONE | WRITE_SEVERAL
 _MALFORMED = frozenset((Verdict.MALFORMED_REQUEST, Verdict.MALFORMED_RESPONSE))
@@ -79,7 +79,11 @@ def is_quantity_wrong(
 
 
 def form_codes(transaction: Transaction) -> list[str]:
-    """The finding codes for malformed PDUs and for padding bits that are not 0. Never raises."""
+    """Return the finding codes for a malformed request or response and for padding bits that are
+    not 0.
+
+    Never raises.
+    """
     if transaction.verdicts and not _MALFORMED.isdisjoint(transaction.verdicts):
         return _malformed_codes(transaction)
     if transaction.function in _HAS_PADDING and padding_of(transaction) is not None:
@@ -155,5 +159,7 @@ def padding_of(transaction: Transaction) -> tuple[int, int] | None:
 
 
 def _pdu(transaction: Transaction, raw: bytes | None) -> bytes:
-    """The PDU in the bytes of an ADU; empty if `raw` is None or has no readable PDU."""
+    """Return the PDU in `raw`, the bytes of an ADU; empty if `raw` is None or has no readable
+    PDU.
+    """
     return whole_pdu(transaction.transport, raw) or b""

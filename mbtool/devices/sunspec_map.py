@@ -63,8 +63,8 @@ class SunSpecMap:
         cannot be a model."""
         self._at = base + 2
         self._known: dict[int, int] = {}
-        """Registers that were read, by address: the number and length of the next model, and the
-        texts of maker and device."""
+        """The registers that were read, by address. Only those needed are kept: the number and
+        length of the next model, and the texts of maker and device."""
 
     def note(self, address: int, values: Sequence[int]) -> None:
         """Add registers that a master read from the slave, from `address` on."""
@@ -85,7 +85,9 @@ class SunSpecMap:
 
     @property
     def device(self) -> str:
-        """Maker and device, from the registers of model 1; empty if they were not read."""
+        """The names of maker and device, from the registers of model 1; empty if they were not
+        read.
+        """
         return f"{self.maker} {self._text(self.base + 4 + _TEXT_WORDS)}".strip()
 
     def _take_head(self, address: int, values: Sequence[int]) -> bool:

@@ -21,7 +21,8 @@ _ADVICE = (
     ("Invalid statement", "; write key = value, or [table]"),
     ("Expected '=' after a key", "; write key = value, and quotes around a key with spaces"),
 )
-"""Pairs of the beginning of an error message of the TOML parser, and advice to append to it."""
+"""Pairs of two texts: the beginning of an error message of the TOML parser, and advice for the user
+to append to the message."""
 
 
 class TomlError(InputError):
@@ -30,8 +31,8 @@ class TomlError(InputError):
     def __init__(self, file: str, place: str, problem: str) -> None:
         super().__init__(": ".join(part for part in (file, place, problem) if part))
         self.place = place
-        """The position of the mistake: a line, byte or key of the file. Empty if the file cannot be
-        opened."""
+        """Where the mistake is: a line, byte or key of the file, or a word such as `size`. Empty if
+        the file cannot be read."""
         self.problem = problem
 
 

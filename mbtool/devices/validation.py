@@ -90,8 +90,8 @@ def _validate_areas(profile: Profile, file: str) -> None:
 
 
 def _collide(area: Area, other: Area) -> bool:
-    # Areas may overlap if one can only be read and the other only written. Then the function of a
-    # request tells which of them it addresses.
+    # Two areas may overlap if one can only be read and the other only written: the function of a
+    # request then tells which of the two areas it means.
     apart = {area.access, other.access} == {Access.READ, Access.WRITE}
     overlap = area.first <= other.last and other.first <= area.last
     return area.table is other.table and overlap and not apart
@@ -159,9 +159,11 @@ def _validate_codes(profile: Profile, rule: FunctionRule, code: int, errors: Par
 
 
 def _meant_in_decimal(profile: Profile, digits: str, limit: int) -> str:
-    """A hint for the user who probably wrote a function code in decimal; otherwise empty.
+    """Return a hint for the user who probably wrote a function code in decimal; otherwise an empty
+    text.
 
-    There is a hint if the digits, read as a decimal number, are a function that may have `limit`.
+    There is a hint if `digits`, read as a decimal number, are a function that allows quantities up
+    to `limit`, the limit that the user gives the function.
     """
     code = int(digits) if digits.isdecimal() else 0
     known = FUNCTIONS.get(code)
@@ -244,7 +246,9 @@ def _validate_points(profile: Profile, file: str) -> None:
 
 
 def _validate_scale_points(profile: Profile, file: str) -> None:
-    """Check that each `scale_from` names a point of one register with an unscaled number."""
+    """Check that each key `scale_from` names a point of a single register whose number is not
+    scaled.
+    """
     named = {point.name: point for point in profile.points}
     for point in profile.points:
         if point.scale_from is None:
@@ -260,9 +264,11 @@ def _validate_scale_points(profile: Profile, file: str) -> None:
 
 
 def _access(profile: Profile, point: Point, address: int, errors: PartErrors) -> Access:
-    """Return a master's access to a point: the point's key `access`, or else that of its area.
+    """Return the access that a master has to the value of a point at `address`: the point's key
+    `access`, or else that of its area.
 
-    Raises ProfileError if the point is in no area, or if the area does not allow its access.
+    Raises ProfileError if this value is in no area, or if the area does not allow the point's
+    access.
     """
     areas = [area for area in profile.areas if area.holds(point.table, address, point.words)]
     if not areas:

@@ -27,7 +27,10 @@ _ALLOWED_IN_NOTES = "\n\r\t"
 
 
 def validate_characters(profile: Profile, file: str) -> None:
-    """Raise ProfileError for the first text that has a control character."""
+    """Raise ProfileError for the first text of a profile that has a control character.
+
+    `file` is the name of the profile's file, for the message.
+    """
     for key, text in _texts("", profile):
         allowed = _ALLOWED_IN_NOTES if key.rpartition(".")[2] in _NOTES else ""
         for one in text:
@@ -38,7 +41,7 @@ def validate_characters(profile: Profile, file: str) -> None:
 
 
 def _texts(key: str, value: Any) -> Iterator[tuple[str, str]]:
-    """Give the key and the text of every text in `value` that has unprintable characters.
+    """Yield each text in `value` that has unprintable characters, with its key.
 
     `value` is the value of the key `key`: a profile, a part of one, a list, a dictionary or a text.
     """

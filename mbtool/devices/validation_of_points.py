@@ -16,7 +16,7 @@ _PLACEHOLDER = re.compile(r"\{(n|reference)\}")
 
 
 class PartErrors:
-    """Raises errors about the keys of one part of a profile, such as one point.
+    """Raises ProfileError for wrong keys of one part of a profile, such as one point.
 
     `file` and `key` name the profile's file and the part, for messages.
     """
@@ -30,7 +30,8 @@ class PartErrors:
 
 
 def validate_point(point: Point, errors: PartErrors) -> None:
-    """Check the keys of a point by themselves, without the areas of the profile.
+    """Check that the keys of a point fit together; does not compare them with the areas of the
+    profile.
 
     Raises ProfileError for the first mistake.
     """

@@ -44,8 +44,8 @@ _FORMATS = {
     PointType.FLOAT32: ">f",
     PointType.FLOAT64: ">d",
 }
-"""The formats of `struct` for signed and float types. The other types are unsigned numbers, which
-need none."""
+"""The formats of Python's module struct for signed and float types. All other types are unsigned
+numbers, which are read without struct."""
 _BCD = (PointType.BCD16, PointType.BCD32)
 # The number of significant digits to show: a 32-bit float has 7, a 64-bit float at least 15.
 _FLOAT32_DIGITS = 7
@@ -102,10 +102,10 @@ class PointInstance:
         self.name = point.name.replace("{n}", str(number)).replace("{reference}", reference)
 
     def scaled_by(self, power: int | None) -> PointInstance:
-        """Return the point with a fixed scale, multiplied by 10 to the power of `power`.
+        """Return the point with a fixed scale: its own scale times 10 to the power of `power`.
 
-        `power` is the number in the register that `scale_from` names. None, if it is unknown,
-        returns the point unchanged.
+        `power` is the number in the register that `scale_from` names. If it is None, because it is
+        unknown or there is no such register, the point is returned unchanged.
         """
         if power is None:
             return self
@@ -165,10 +165,10 @@ class PointInstance:
 def point_values(
     points: Iterable[tuple[int, PointInstance]], values: Sequence[int]
 ) -> list[PointValue]:
-    """Decode points from the registers or bits `values`.
+    """Decode points from `values`, the registers or bits of a request or response.
 
-    Each point comes with the index of its first value there. Points that are not completely in
-    `values` are left out, because a response can be too short.
+    `points` has each point with the index in `values` at which it begins. Points that are not
+    completely in `values` are left out, because a response can be too short.
     """
     count = len(values)
     decoded = []
@@ -199,11 +199,12 @@ def point_values(
 def point_instances(
     profile: Profile, table: Table, *, writing: bool = False
 ) -> list[PointInstance]:
-    """The points of a table that a read (or a write) can contain, sorted by address.
+    """Return the points of a table that a read can contain (a write if `writing`), sorted by
+    address.
 
-    A read has no points that can only be written. A write has points that can only be read where no
-    writable point has the address, because a master may try to write them. It has no points in
-    blocks (registers that are only read from the block's first address on).
+    A read has no points that can only be written. A write has a point that can only be read, if no
+    writable point has its address: a master may try to write it. A write has no points in blocks
+    (registers that are only read, from the block's first address on).
     """
     points = [point for point in profile.points if point.table is table]
     if writing:
@@ -267,7 +268,9 @@ def _is_number_of_one_register(point: Point) -> bool:
 
 
 def _ratio(point: Point) -> tuple[int, int, int] | None:
-    """Return integers (a, b, c) for value = (number * a + b) / c; None if value = number."""
+    """Return three integers (a, b, c) with which value = (number * a + b) / c, where `number` is
+    the one in the register; None if value = number.
+    """
     if point.scale == 1 and point.offset == 0:
         return None
     scale, offset = (Fraction(Decimal(str(one))) for one in (point.scale, point.offset))
@@ -409,7 +412,8 @@ def _flags_text(point: Point, word: int) -> str:
 
 
 def _field_text(point: Point, word: int) -> str:
-    """The text of a register with bits for each channel, grouped by the meaning of the bits.
+    """Return the text for a register with one or four bits for each channel. Channels whose bits
+    have the same meaning stand together.
 
     Examples: `CH1 CH2 CH6 enabled`, `CH1 HOLD, CH2 CLEAR`.
     """
@@ -419,8 +423,8 @@ def _field_text(point: Point, word: int) -> str:
     by_text: dict[str, list[str]] = {}
     for index in range(channels):
         value = word >> index * bits & (1 << bits) - 1
-        # If a channel has one bit and only one of its two values has a text, leave out the channels
-        # with the other value.
+        # If each channel has one bit, and only one of its two values has a text, leave out the
+        # channels with the other value.
         text = texts.get(value, None if bits == 1 else str(value))
         if text is not None:
             by_text.setdefault(text, []).append(f"{point.channel}{point.first_channel + index}")

@@ -21,7 +21,9 @@ if TYPE_CHECKING:
 
 
 def describe(transaction: NamedTransaction) -> str:
-    """The addresses of a transaction and its named values in one line; empty if it has neither."""
+    """Describe the addresses of a transaction and its named values in one line; empty if it has
+    neither.
+    """
     if transaction.write_address is None:
         return _describe(transaction.reference or "", transaction.points)
     read = "; ".join(describe_points(transaction.read_points))
@@ -30,7 +32,7 @@ def describe(transaction: NamedTransaction) -> str:
 
 
 def describe_written(transaction: NamedTransaction) -> str:
-    """The addresses of a transaction and the named values that it writes, in one line."""
+    """Describe the addresses of a transaction and the named values that it writes, in one line."""
     return _describe(transaction.reference or "", transaction.written_points)
 
 
