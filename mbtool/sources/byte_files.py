@@ -36,7 +36,8 @@ class SerialBytes(NamedTuple):
     """The bytes of a serial line that a file of any kind contains."""
 
     line: LineSettings
-    """The line's settings: those that the user gave, else those that were found from the file."""
+    """The line's settings: those that the user gave, else those found from the times of the bytes
+    or from the signal."""
     pieces: Iterator[Chunk]
     """The bytes in the order of the file, as consecutive chunks.
 
@@ -45,12 +46,20 @@ class SerialBytes(NamedTuple):
 
 
 def read_raw(stream: BinaryIO, name: str, link: str, line: LineSettings) -> SerialBytes:
-    """Read a file that contains nothing but the bytes of the line."""
+    """Read a file that contains nothing but the bytes of the line, without times.
+
+    `name` is the file's name, `link` the name of the line. `line` has the settings that the user
+    gave; its baud rate gives the invented times.
+    """
     return SerialBytes(line, _back_to_back(_blocks(stream), name, link, line))
 
 
 def read_hex(stream: BinaryIO, name: str, link: str, line: LineSettings) -> SerialBytes:
-    """Read a text file that contains the bytes of the line in hexadecimal."""
+    """Read a text file that contains the bytes of the line in hexadecimal, without times.
+
+    `name` is the file's name, `link` the name of the line. `line` has the settings that the user
+    gave; its baud rate gives the invented times.
+    """
     return SerialBytes(line, _back_to_back(_from_hex(stream, name), name, link, line))
 
 
@@ -78,7 +87,8 @@ def _from_hex(stream: BinaryIO, name: str) -> Iterator[bytes]:
     row = 1
     in_comment = False
     rest = b""
-    """The unfinished word at the end of the last read: the next read may continue it."""
+    """The last digits of the previous read if no white space or comma follows them: the next read
+    may continue them."""
     while piece := stream.readline(READ_BYTES):
         is_whole = piece.endswith(b"\n")
         text, sharp, _ = (b"" if in_comment else rest + piece).partition(b"#")
@@ -87,8 +97,8 @@ def _from_hex(stream: BinaryIO, name: str) -> Iterator[bytes]:
         words = _PARTED.split(text)
         last = words.pop()
         if not is_whole and not in_comment:
-            # The next read may continue the last word, so it is kept for then. If it is long, its
-            # complete pairs of digits are decoded now, so that only a short text is kept.
+            # The next read may continue the last digits, so they are kept for it. If they are
+            # many, the complete pairs are decoded now, so that only a short text is kept.
             even = len(last) // 2 * 2 if len(last) > _SHOWN else 0
             words.append(last[:even])
             rest = last[even:]

@@ -44,9 +44,9 @@ if TYPE_CHECKING:
 
 START, END, BYTE = "t_start_s", "t_end_s", "byte_hex"
 LOOKED_AT = 1000
-"""The number of rows at the beginning from which the line's settings are found."""
+"""The line's settings are found from the first rows of the CSV file, at most this many."""
 MAX_ROW = 4096
-"""The most bytes that a row may have."""
+"""The most bytes that a row (a line of the CSV file) may have. A longer one raises InputError."""
 
 _BYTE = re.compile(r"(?:0[xX])?[0-9A-Fa-f]{2}", re.ASCII)
 _MAX_NS = 2**63 - 1
@@ -71,10 +71,11 @@ class _Row(NamedTuple):
 def read_byte_times(
     stream: BinaryIO, name: str, link: str, line: LineSettings | None
 ) -> SerialBytes:
-    """Read the header and the first rows, which give the line's settings if `line` is None.
+    """Read the header and the first rows of a CSV file; return the line's settings and bytes.
 
-    A wrong header or row raises InputError, but only after the iterator has returned the bytes of
-    the rows before it.
+    `name` is the file's name, `link` the name of the line. `line` has the settings that the user
+    gave; if it is None, they are found from the times of the first rows. If the header or a row is
+    wrong, the iterator over the bytes raises InputError after the bytes of all rows before it.
     """
     rows = _rows(stream, name)
     first: list[_Row] = []
@@ -107,7 +108,7 @@ def _chunks(
 
 
 def _format(rows: Sequence[_Row]) -> SerialFormat:
-    """Return the line settings that fit the times of the rows, else the default settings."""
+    """Return the line settings that fit the times of the rows; if none fit, the default ones."""
     width_ns = median_low([row.end_ns - row.start_ns for row in rows]) if rows else 0
     if not width_ns:
         return SerialFormat()
@@ -120,8 +121,8 @@ def _format(rows: Sequence[_Row]) -> SerialFormat:
         return SerialFormat()
     steps = (after.start_ns - before.start_ns for before, after in pairwise(rows))
     shortest_ns = min((step for step in steps if step >= width_ns), default=0)
-    # A character of 10 bits is told from one of 11 bits by a limit of 10.5 bit times: no clock is
-    # off by half a bit time within one character.
+    # If two characters start less than 10.5 bit times apart, a character has 10 bits, otherwise 11.
+    # No UART's clock is off by half a bit time within one character.
     is_short = bits == 10 or 0 < shortest_ns * baud < 10.5e9
     return SerialFormat(baud, 8, "N" if is_short else "E", 1)
 
@@ -165,9 +166,10 @@ def _rows(stream: BinaryIO, name: str) -> Iterator[_Row]:
 
 
 def _cells(stream: BinaryIO, name: str, number: int) -> tuple[list[str], bool]:
-    """Read a row; return its cells, and True if it ends with a line feed.
+    """Read a row (line) of the CSV file; return its cells, and True if it ends with a line feed.
 
-    Returns no cells at the end of the file. Raises InputError if the row is too long.
+    `number` is the row's number, from 1, and `name` the file's name, both for error messages. At
+    the end of the file the list of cells is empty. Raises InputError for more than MAX_ROW bytes.
     """
     line = stream.readline(MAX_ROW)
     if not line:

@@ -48,8 +48,8 @@ MAX_WINDOW = 128 * 1024 * 1024
 MAX_RATIO = 100
 FREE_BYTES = 64 * 1024 * 1024
 FREE_BYTES_OF_LOG = 4 * 1024 * 1024
-"""The number of bytes to which a compressed log may unpack whatever its size. It is less than
-FREE_BYTES, as the chunks inside a log are unpacked once more."""
+"""A compressed log may unpack to this many bytes, however small it is. That is less than
+FREE_BYTES, the limit for other files, as the chunks inside a log are unpacked once more."""
 
 _HEAD = 64
 _BUFFER = 64 * 1024
@@ -107,8 +107,8 @@ class CaptureFile:
         its end mark, and OSError if the system cannot read the file.
         """
         self.head: CaptureHead | None = None
-        """The settings of links and devices that a pcapng file itself contains. They are known once
-        the first packet is read; None if the file contains none."""
+        """The settings of links and devices that `convert` wrote into a pcapng file. None before
+        the first packet is read, and if the file has none."""
         self._file = file
         self._size = _size(file)
 
@@ -191,7 +191,10 @@ class CaptureFile:
 
 
 def place_of(path: str) -> tuple[object, bool]:
-    """Return a key that is the same for all paths to one file, and True if the file is a pipe."""
+    """Return a key that is equal for all paths to one file, and True if the file is a pipe.
+
+    Standard input (`-`) counts as a pipe. If the file cannot be found, the key is `path` itself.
+    """
     if path == STANDARD_INPUT:
         return path, True
     try:
@@ -211,7 +214,7 @@ def shown_name(path: str) -> str:
 def open_capture(path: str | Path, line: LineSettings | None = None) -> CaptureFile:
     """Open a capture file, or standard input for `-`.
 
-    If `line` is given, a file of no known kind holds the bytes of a serial line; it may be empty.
+    If `line` is given, a file of no known kind is read as bytes of this line; it may be empty.
     Raises UsageError for an empty path, InputError for a file that cannot be read or is no capture,
     CutError for one that ends inside its header.
     """
@@ -270,7 +273,7 @@ def _peek(stream: io.BufferedIOBase) -> tuple[bytes, io.BufferedIOBase]:
 
 
 class _Rejoined(io.RawIOBase):
-    """A stream that cannot seek, with its first bytes, already read, put back in front."""
+    """A stream that cannot seek, whose first bytes were read already and are returned again."""
 
     def __init__(self, head: bytes, rest: io.BufferedIOBase) -> None:
         self._head = head
@@ -314,7 +317,7 @@ class _Unpacked(io.RawIOBase):
         self._unpacker: _Unpacker | None = None
         self._ready = memoryview(b"")
         self._left = FREE_BYTES
-        """The number of bytes that may still be unpacked before the limit is reached."""
+        """The number of bytes that may still be unpacked; it grows with the packed bytes read."""
 
     def is_log(self) -> None:
         """Lower the limit on unpacked bytes to that of a compressed log."""

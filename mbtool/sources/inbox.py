@@ -45,7 +45,8 @@ if TYPE_CHECKING:
 DEFAULT_LIMIT = 64 * 2**20
 STANDSTILL_S = 0.05
 ITEM_COST = 256
-"""Bytes that each item counts in addition to its data: about the memory of its Python objects."""
+"""Each item counts this many bytes more than its data, against the limit of the inbox: about the
+memory of its Python objects."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +68,10 @@ class Sink(Protocol):
 
 
 class PatientSink(Sink, Protocol):
-    """A sink whose consumer waits while a source fetches data from the kernel."""
+    """A sink whose consumer waits while a source is inside the context of `first`.
+
+    So the source gets the interpreter while it fetches data from the kernel.
+    """
 
     def first(self) -> AbstractContextManager[None]: ...
 
@@ -76,10 +80,11 @@ class Inbox:
     """A bounded queue from many sources to one consumer. Any thread may use it."""
 
     def __init__(self, limit: int = DEFAULT_LIMIT, *, behind: Inbox | None = None) -> None:
-        """`behind` is another inbox, whose items are put into this one once they are in the log.
+        """`limit` is the size in bytes up to which the inbox takes items (see `held`).
 
-        Then the items that this inbox discards are in the log, and its DISCARDED events say so and
-        count no lost bytes.
+        `behind` is another inbox, whose items are put into this one once they are in the log.
+        Items that this inbox discards are then in the log nevertheless; its DISCARDED events say
+        so and count no lost bytes. None means that sources fill this inbox.
         """
         self._limit = limit
         self._filled_by_sources = self if behind is None else behind
@@ -89,8 +94,8 @@ class Inbox:
         self._losses: dict[str, _Loss] = {}
         self._changed = Condition()
         self._first = 0
-        """The number of sources that are inside a context of `first`, so that the consumer
-        waits."""
+        """The number of sources that are inside the context of `first` now. While it is not 0, the
+        consumer waits."""
         self._calm = Event()
         self._calm.set()
 
@@ -156,7 +161,10 @@ class Inbox:
             return item
 
     def take(self, timeout: float, most: int) -> list[Item]:
-        """Take out up to `most` items, at least one; none if no item comes in `timeout` seconds."""
+        """Take out and return up to `most` items; wait for the first one if there is none.
+
+        Returns an empty list if no item comes in `timeout` seconds.
+        """
         self._let_sources_go_first()
         with self._changed:
             if not self._items:
@@ -240,7 +248,8 @@ class _Loss:
     packets: int = 0
     """The number of lost items that were packets of a network interface."""
     dropped: int = 0
-    """The number of packets that the kernel dropped, as lost DISCARDED events reported them."""
+    """The number of packets that the kernel dropped. DISCARDED events reported them, but these
+    events were lost, too."""
     streams: dict[tuple[Connection, Direction], int] = field(default_factory=dict)
 
     @property
@@ -248,7 +257,10 @@ class _Loss:
         return f"; the kernel dropped {self.dropped} packets" if self.dropped else ""
 
     def take_gaps(self, connection: Connection) -> list[StreamGap]:
-        """Remove a connection's losses, and return a StreamGap for each direction that has any."""
+        """Return a StreamGap for each direction of a connection that lost bytes.
+
+        The counts of these bytes are then removed.
+        """
         lost = [
             (direction, self.streams.pop((connection, direction), 0))
             for direction in (Direction.REQUEST, Direction.RESPONSE)

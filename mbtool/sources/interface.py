@@ -62,7 +62,8 @@ _MAX_PACKET = 2**17
 """The most bytes that are read of a packet. Even a TCP segment that the card has yet to split to
 the MTU has only 64 KiB."""
 _BUFFER = 32 * 2**20
-"""Size in bytes of the kernel's buffer for one interface, if the process has the privilege."""
+"""Size in bytes of the kernel's buffer for one interface. Without the privilege CAP_NET_ADMIN the
+kernel limits it to net.core.rmem_max."""
 _FETCH = 1000
 """The most packets of one interface that are fetched before the loop reads the clock again."""
 _LAST_FETCHES = 100
@@ -70,12 +71,13 @@ _LAST_FETCHES = 100
 many rounds of up to _FETCH packets."""
 _TICK_S = 0.1
 _SOON_S = 0.002
-"""The longest wait for packets, in seconds, while packets of other interfaces are held back."""
+"""The longest wait for packets, in seconds, while fetched packets of an interface are held back."""
 _SETTLE_NS = 1_000_000
 """The longest time in ns between a packet's time stamp and the moment at which it can be
 fetched."""
 _AHEAD_NS = 1_000_000_000
-"""If a packet's time stamp is this many ns ahead of the clock, the clock has been set back."""
+"""If a packet's time stamp is more than this many ns ahead of `now_ns`, the system's clock was set
+back after the kernel noted the time stamp."""
 _STATISTICS_NS = 1_000_000_000
 
 # Constants of linux/if_ether.h, asm-generic/socket.h and linux/if_packet.h that Python's socket
@@ -103,9 +105,9 @@ class _Capture:
     of their times."""
 
     def release(self, horizon_ns: int | None = None) -> list[Packet]:
-        """Take out and return the packets held back.
+        """Remove packets from `held` and return them: those up to the time `horizon_ns` (UTC ns).
 
-        Only packets up to the time `horizon_ns` (UTC ns) are taken out, or all if it is None.
+        None means all packets.
         """
         count = len(self.held)
         if horizon_ns is not None:
@@ -162,10 +164,10 @@ class InterfaceSource(LiveSource[InterfaceLink]):
             each.socket.close()
 
     def _prepare(self, name: str, listener: socket.socket) -> int | None:
-        """Set the kernel's packet filter.
+        """Set the kernel's packet filter for the interface `name`; `listener` is its socket.
 
-        Returns the link type of all packets, None if each has its own. Raises LinkError if packets
-        of this interface cannot be read.
+        Returns the link type (LINKTYPE_) of the interface's packets; None for net:any, where each
+        packet has its own. Raises LinkError if packets of this interface cannot be read.
         """
         if name == ANY_INTERFACE:
             _prepare(listener, port_filter(self._ports, is_loopback=None))
@@ -206,7 +208,10 @@ class InterfaceSource(LiveSource[InterfaceLink]):
             self._inbox.put(Ended(self.link, error))
 
     def _fetch(self) -> bool:
-        """Fetch waiting packets of all interfaces; return True if more may be waiting."""
+        """Fetch packets of all interfaces from the kernel; return True if it may have more.
+
+        Packets that no other interface can precede go into the inbox; the others are held back.
+        """
         if len(self._captures) == 1:
             (capture,) = self._captures
             packets, more = self._receive(capture)
@@ -237,7 +242,10 @@ class InterfaceSource(LiveSource[InterfaceLink]):
             self._inbox.put(packet)
 
     def _receive(self, capture: _Capture) -> tuple[list[Packet], bool]:
-        """Fetch at most _FETCH packets of an interface; also return True if more may be waiting."""
+        """Fetch at most _FETCH packets of an interface from the kernel, and return them.
+
+        The second value is True if the kernel may have more.
+        """
         packets: list[Packet] = []
         asked_ns, from_system = now_ns(), self._clocks.from_system
         with suppress(BlockingIOError):
@@ -370,12 +378,12 @@ def _open(link: InterfaceLink, name: str) -> Any:
 
 
 def _called(link: InterfaceLink, name: str) -> str:
-    """Return an interface's name for messages: the link, plus the name if the link has several."""
+    """Return the link as text, with the interface's name behind it if the link has several."""
     return f"{link}: {name}" if len(link.interfaces) > 1 else str(link)
 
 
 def _hearing_all() -> socket.socket:
-    """Open a socket that receives from all interfaces, with the options that scapy would set."""
+    """Open a packet socket that receives from all interfaces; set the options that scapy sets."""
     listener = socket.socket(socket.AF_PACKET, socket.SOCK_RAW, socket.htons(_ETH_P_ALL))
     listener.setsockopt(_SOL_PACKET, _PACKET_AUXDATA, 1)
     listener.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
@@ -383,7 +391,10 @@ def _hearing_all() -> socket.socket:
 
 
 def _prepare(listener: socket.socket, program: Sequence[bytes]) -> None:
-    """Enlarge the kernel's buffer, set the filter, and drop packets that came before the filter."""
+    """Prepare a packet socket: set the size of the kernel's buffer and the filter `program`.
+
+    Packets that the socket received before it had the filter are dropped.
+    """
     _attach(listener, drop_everything())
     listener.setblocking(False)
     with suppress(BlockingIOError):

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 LISTEN_S = 10
 """The longest time for which a setting is tried, in seconds."""
 SKIPPED = 300
-"""The most bytes that are skipped, with each setting, before the first silence."""
+"""The most bytes that are skipped before the first silence, with each setting that is tried."""
 
 
 def guess_line(
@@ -95,9 +95,9 @@ class _Listener:
         far."""
 
     def listen(self, heard_as: SerialFormat) -> SettingsTrial | None:
-        """Read the port with a setting, and return how well the bytes fit it.
+        """Read the port with the setting `heard_as`; return how well the bytes fit it.
 
-        Returns None if the driver does not support the setting.
+        Returns None if the setting cannot be applied to the port.
         """
         try:
             self._port.tune(heard_as)
@@ -125,9 +125,10 @@ class _Listener:
 
 
 def _how_sure(heard_as: SerialFormat, listener: _Listener) -> str:
-    """Say how certain the settings are.
+    """Return a text for the user that says how certain the settings `heard_as` are.
 
-    If the driver marks no damaged bytes, parity is uncertain.
+    A setting with parity is certain only if the driver marks damaged bytes. If it has not marked
+    any yet, the port is read once more with the other parity, which should give marked bytes.
     """
     if heard_as.parity == "N" or listener.marked:
         return "sure"

@@ -25,7 +25,7 @@ MAX_HELD = 2**20
 
 
 class Outbox:
-    """A sink that hands its items to another sink a few milliseconds later."""
+    """A sink that hands its items to the sink `inbox` a few milliseconds later (HOLD_S)."""
 
     def __init__(self, inbox: Sink, loop: asyncio.AbstractEventLoop) -> None:
         self._inbox = inbox

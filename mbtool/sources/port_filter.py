@@ -54,9 +54,10 @@ _WHOLE_PACKET = 0x40000
 
 @dataclass(frozen=True, slots=True)
 class Instruction:
-    """One instruction of a BPF program. A jump has two labels: where it goes if true, if false.
+    """One instruction of a BPF program: its code and its operand `k`.
 
-    An empty label stands for the next instruction.
+    A conditional jump goes to the label `then` if its condition is true, else to `otherwise`. The
+    label "" means the next instruction.
     """
 
     code: int
@@ -68,9 +69,9 @@ class Instruction:
 def port_filter(ports: Sequence[int], *, is_loopback: bool | None) -> list[bytes]:
     """Assemble the filter that keeps the packets of some TCP ports, or of all if `ports` is empty.
 
-    Returns each instruction as the kernel's struct sock_filter. `is_loopback` says if the interface
-    is the loopback; None stands for a capture of all interfaces. Raises UsageError for more than
-    MAX_PORTS ports.
+    Returns each instruction as the kernel's struct sock_filter. `is_loopback` is True if the filter
+    is for the loopback interface, None if it is for a capture of all interfaces. Raises UsageError
+    for more than MAX_PORTS ports.
     """
     if len(ports) > MAX_PORTS:
         raise UsageError(f"at most {MAX_PORTS} ports can be named, not {len(ports)}")

@@ -37,11 +37,11 @@ if TYPE_CHECKING:
 
 MAX_WAITING = 256
 READING = frozenset((0x01, 0x02, 0x03, 0x04, 0x07, 0x0B, 0x0C, 0x11, 0x14, 0x18))
-"""The functions that change nothing in the slave, whatever else the request contains."""
+"""The function codes whose requests change nothing in the slave, whatever else they contain."""
 DIAGNOSTICS, READING_DIAGNOSTICS = 0x08, frozenset((0x00, 0x02, *range(0x0B, 0x13)))
-"""The sub-functions of diagnostics (08) that change nothing: return query data, return the
-diagnostic register and the counters. The others restart the slave, silence it, or clear its
-counters (V1.1b3, 6.8.1)."""
+"""The function code of diagnostics (08), and its sub-functions that change nothing: return query
+data, return the diagnostic register and the counters. The others restart the slave, silence it, or
+clear its counters (V1.1b3, 6.8.1)."""
 ENCAPSULATED, READ_DEVICE_IDENTIFICATION = 0x2B, 0x0E
 
 
@@ -52,13 +52,17 @@ class Screened:
     onward: bytes = b""
     """The requests, whole ADUs, that are passed on to the slave."""
     refused: list[str] = field(default_factory=list)
-    """A line for the user for each request that is not passed on."""
+    """For each request that is not passed on, a line for the user: the unit and the function."""
     is_broken: bool = False
-    """True if the connection must end: the bytes are no requests, or too many exceptions wait."""
+    """True if the connection must end: the bytes are no whole requests, or more than MAX_WAITING
+    exceptions wait to be sent."""
 
 
 class ReadOnlyScreen:
-    """Filters the requests of one connection through a read-only tap, and refuses the others."""
+    """Sorts the requests of one connection through a read-only tap.
+
+    Those that only read are passed on to the slave; the master gets an exception for each other.
+    """
 
     def __init__(self, *, is_rtu: bool) -> None:
         splitter = RtuStreamSplitter if is_rtu else MbapSplitter
@@ -67,7 +71,10 @@ class ReadOnlyScreen:
         self._waiting: list[bytes] = []
 
     def ask(self, data: bytes, ts_ns: int) -> Screened:
-        """Take bytes that the master sent, and say which of them are passed on."""
+        """Take bytes that the master sent, and return which of them are passed on.
+
+        `ts_ns` is when they were read, in UTC ns.
+        """
         result = Screened()
         for event in self._requests.feed(data, ts_ns):
             if not isinstance(event, Adu):
@@ -83,11 +90,14 @@ class ReadOnlyScreen:
         return result
 
     def respond(self, data: bytes, ts_ns: int) -> None:
-        """Take bytes that the slave sent, to know when a response is complete."""
+        """Take bytes of the slave, to know when a response is complete; `ts_ns` is in UTC ns."""
         self._responses.feed(data, ts_ns)
 
     def due(self) -> bytes:
-        """Remove and return the exceptions to send to the master now; none inside a response."""
+        """Return the bytes of the waiting exceptions, to send them to the master now.
+
+        Returns b"" if none wait, or while a response of the slave is not complete.
+        """
         if not self._waiting or not self._responses.is_idle:
             return b""
         due, self._waiting = b"".join(self._waiting), []

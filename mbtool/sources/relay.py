@@ -47,8 +47,8 @@ CONNECT_S = 10.0
 handshake."""
 MAX_PIECE = 2**13
 """The most bytes of a chunk; a larger read is split. One read may bring 256 KiB, that is 20,000
-pipelined requests, which take the decoder a second; the decoder can do nothing else, such as end
-the run, within a chunk."""
+pipelined requests, which take the decoder a second. The decoder looks only between two chunks if
+the user wants to end the run, so chunks are kept small."""
 MAX_WAITING = 2**16
 """While more bytes than this wait to be sent to one side, the relay does not read the other side.
 
@@ -76,10 +76,11 @@ class TcpRelay:
     ) -> None:
         """Prepare a relay for the connection of one master.
 
-        `target_tls` is the TLS context for the target, and the name its certificate must have.
-        `on_accept` gets the relay, the master's transport and address; it returns True to keep the
-        connection. `on_end` is called when both sides are closed. `screen` chooses the requests
-        that are passed on; None passes on all bytes.
+        `link` is the link's name and `number` the connection's number in it. `listen_tls` is the
+        TLS context for masters, `target_tls` that for the target, and the name that the target's
+        certificate must have; None means no TLS. `on_accept` gets the relay, the master's transport
+        and address; it returns True to keep the connection. `on_end` is called when both sides are
+        closed. `screen` chooses the requests that are passed on; None passes on all bytes.
         """
         self._link = link
         self._target = target
@@ -94,7 +95,7 @@ class TcpRelay:
         self._reason: CloseReason | None = None
         self.screen = screen
         self._has_answered = False
-        """True once the slave has sent any bytes."""
+        """True once any bytes were sent to the master, by the slave or by a read-only tap."""
         self._is_open = False
         self.active_s = 0.0
         """When bytes last arrived from either side, in seconds on the event loop's clock."""
@@ -103,7 +104,10 @@ class TcpRelay:
         self.master.peer, self.slave.peer = self.slave, self.master
 
     def abort(self, reason: CloseReason) -> None:
-        """Close both sides at once, and discard bytes not yet sent. `reason` is recorded."""
+        """Close both connections at once, and discard bytes not yet sent.
+
+        `reason` is recorded as the reason why the connection ended, unless there already is one.
+        """
         self._reason = self._reason or reason
         if self._connecting is not None:
             self._connecting.cancel()
@@ -115,7 +119,7 @@ class TcpRelay:
                     side.transport.abort()
 
     def is_unused(self, now_s: float) -> bool:
-        """True if the slave never answered, or a side has ended, and no byte came for SPARE_S.
+        """True if no byte came for SPARE_S, and either the slave never answered or a side ended.
 
         `now_s` is the time on the event loop's clock, in seconds.
         """
@@ -123,10 +127,11 @@ class TcpRelay:
         return now_s - self.active_s >= SPARE_S and (is_ending or not self._has_answered)
 
     def screened(self, ts_ns: int, data: bytes) -> bytes:
-        """Record bytes of the master; return those that a read-only tap passes on.
+        """Record bytes that the master sent at `ts_ns`; return those that a read-only tap passes
+        on.
 
-        The other requests are answered with an exception. Bytes that are no requests end the
-        connection.
+        The tap answers each other request with an exception. Bytes that are no whole requests end
+        the connection.
         """
         assert self.screen is not None
         self.received(self.master, ts_ns, data)
@@ -284,7 +289,10 @@ class TcpRelay:
 
 
 class _RelaySide(asyncio.Protocol):
-    """The relay's end of its connection with the master, or of that with the slave."""
+    """The relay's end of one of its two connections: with the master, or with the slave.
+
+    `peer` is the end of the other connection.
+    """
 
     peer: _RelaySide
 
@@ -297,7 +305,7 @@ class _RelaySide(asyncio.Protocol):
         self.has_ended = False
         self._is_told_to_close = False
         self._early = b""
-        """Bytes that arrived before the other side was connected; they are not yet passed on."""
+        """Bytes that arrived here before the other side was connected, to be passed on later."""
 
     @property
     def tls(self) -> ssl.SSLObject | None:
@@ -309,9 +317,9 @@ class _RelaySide(asyncio.Protocol):
             self.transport.set_write_buffer_limits(MAX_WAITING)
 
     def close(self) -> None:
-        """Send pending bytes, then close.
+        """Send pending bytes, then close this connection. A second call does nothing.
 
-        A second call does nothing, as TLS would not permit it.
+        TLS does not permit a second close.
         """
         if self.transport is not None and not self._is_told_to_close:
             self._is_told_to_close = True
@@ -342,9 +350,9 @@ class _RelaySide(asyncio.Protocol):
             self._relay.answer_refused()
 
     def pass_on_early(self) -> None:
-        """Pass on the bytes that came before the other side was connected.
+        """Pass on the bytes that arrived here before the other side was connected.
 
-        They are recorded with the present time.
+        They are recorded with the present time, not with that of their arrival.
         """
         early, self._early = self._early, b""
         if early:
@@ -366,8 +374,8 @@ class _RelaySide(asyncio.Protocol):
         if self.is_lost:  # A failed TLS handshake has called this already.
             return
         self.is_lost = True
-        # asyncio reports an error if the peer does not answer our closing of TLS. This counts as a
-        # normal end nevertheless.
+        # asyncio reports an error if the other program does not answer when the relay closes TLS.
+        # This counts as a normal end nevertheless.
         is_over = self._is_told_to_close and isinstance(exc, ssl.SSLError | TimeoutError)
         self._relay.lost(self, None if is_over else exc)
 
@@ -376,8 +384,8 @@ class _RelaySide(asyncio.Protocol):
             self.peer.transport.pause_reading()
 
     def resume_writing(self) -> None:
-        # A transport that has already read the end of file would report the end a second time if it
-        # resumed reading.
+        # If the peer has ended, its transport has already reported the end of file. If it resumed
+        # reading, it would report the end a second time.
         if self.peer.transport is not None and not self.peer.has_ended:
             self.peer.transport.resume_reading()
 

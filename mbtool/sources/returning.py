@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from mbtool.sources.inbox import Inbox, Item
 
     MakeSource = Callable[[Any, Mapping[str, str]], LiveSource[Any]]
-    """A function that creates a source. Its arguments are the sink for the source's items, and the
-    present paths of ports, by the paths in the link."""
+    """A function that creates a source. Its first argument is the sink for the source's items. The
+    second gives the present path of a port for each path in the link; it is empty at first."""
 
 FIRST_LOOK_S = 0.25
 ABSENT_LOOK_S = 1.0
@@ -58,7 +58,7 @@ class ReturningSource(LiveSource[SerialLink | InterfaceLink]):
 
     @property
     def current(self) -> LiveSource[Any]:
-        """The source that captures now, or did so until the link was lost."""
+        """The source that captures now; while the link is lost, the one that captured last."""
         return self._source
 
     def open(self) -> None:
@@ -80,9 +80,10 @@ class ReturningSource(LiveSource[SerialLink | InterfaceLink]):
             self._inbox.put(Ended(self.link))
 
     def put(self, item: Item) -> None:
-        """Take an item of the present source.
+        """Take an item of the present source, and put it into the inbox.
 
-        An Ended with an error makes the thread look for the link again.
+        An Ended is not put into the inbox. If it has an error, the link was lost: the thread then
+        tries to open it again.
         """
         if not isinstance(item, Ended):
             self._inbox.put(item)
@@ -97,7 +98,7 @@ class ReturningSource(LiveSource[SerialLink | InterfaceLink]):
         self._wanted.set()
 
     def first(self) -> AbstractContextManager[None]:
-        """A context in which the consumer of the inbox waits while a source fetches data."""
+        """Return the context in which the consumer of the inbox waits while the source fetches."""
         return self._heard.first()
 
     def _keep(self) -> None:
@@ -111,7 +112,10 @@ class ReturningSource(LiveSource[SerialLink | InterfaceLink]):
                 return
 
     def _reopen(self) -> bool:
-        """Try to open the link until that succeeds; return False if the source must end first."""
+        """Try to open the link again until that succeeds, and return True.
+
+        Returns False as soon as this source is to end.
+        """
         pause_s = FIRST_LOOK_S
         while not self._must_end_within(pause_s):
             places = self._places()
@@ -143,7 +147,10 @@ class ReturningSource(LiveSource[SerialLink | InterfaceLink]):
         return True
 
     def _places(self) -> dict[str, str] | None:
-        """The present path of each port of a serial link; None if a port is not there."""
+        """Return the present path of each port of a serial link, by its path in the link.
+
+        Returns None if a port is not there, an empty dictionary for a network interface.
+        """
         if not isinstance(self._link, SerialLink):
             return {}
         places = {}

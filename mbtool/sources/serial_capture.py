@@ -71,7 +71,10 @@ class SerialSource(LiveSource[SerialLink]):
             raise self._error or LinkError(f"serial port {self._port}: opening takes too long")
 
     def tell_to_end(self) -> None:
-        """Tell the reading process to end. Its last bytes, and Ended, still go into the inbox."""
+        """Tell the reading process to end, without waiting for it.
+
+        The last bytes that it reads, and Ended, still go into the inbox.
+        """
         self._is_closing = True
         if self._child is not None:
             tell_to_end(self._child)

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from threading import Event
 
 LAST_S = 0.5
-"""At the end, pending bytes of each direction are sent for at most this many seconds."""
+"""At the end of the run, unsent bytes of each direction are sent for at most this many seconds."""
 
 
 class Port(Protocol):
@@ -105,9 +105,9 @@ class SerialRelay:
             self._finish()
 
     def _wait_and_pass(self, wait_s: float) -> float:
-        """Wait once for bytes, pass them on and record them.
+        """Wait at most `wait_s` seconds for bytes at both ports, pass them on and record them.
 
-        Returns how long the next call is to wait, in seconds.
+        Returns the `wait_s` for the next call.
         """
         asked_ns = now_ns()
         waiting = [side for side in self._sides if side.unsent]
@@ -154,7 +154,10 @@ class _SerialDirection:
         self._errors = LineErrors(port.counts, format_.character_ns, now_ns())
 
     def take(self, records: RecordWriter) -> bool:
-        """Read the port, pass the bytes on and record them; return True if there were any."""
+        """Read the port without waiting, pass the bytes on and record them.
+
+        Returns True if there were any.
+        """
         data = self.port.read(0)
         read_ns = now_ns()
         if not data:
@@ -172,9 +175,10 @@ class _SerialDirection:
         self.unsent = self.unsent[self.onward.write(self.unsent) :]
 
     def finish(self, records: RecordWriter) -> None:
-        """Send pending bytes, then read the port a last time and send those bytes, too.
+        """Send the unsent bytes; then read the port a last time, and send what it returned.
 
-        Each of the two steps may take at most LAST_S seconds.
+        Each sending takes at most LAST_S seconds. If the first one does not succeed in that time,
+        the port is not read.
         """
         self._send_rest()
         if not self.unsent:
@@ -188,7 +192,10 @@ class _SerialDirection:
             self.send()
 
     def tell(self, records: RecordWriter, at_ns: int) -> None:
-        """Record the driver's reports of damaged and lost bytes, if a report is due."""
+        """Record the driver's reports of damaged and lost bytes, if they are due.
+
+        `at_ns` is the present time in UTC ns.
+        """
         put_troubles(records, self._errors.tell(at_ns), self._prefix)
 
     def tell_all(self, records: RecordWriter) -> None:

@@ -44,15 +44,16 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
 LOOKED_AT = 20_000
-"""The channels and the line's settings are chosen once one channel has this many edges."""
+"""The channels and the line's settings are chosen from the beginning of the recording, which ends
+where one channel has this many edges (changes of level)."""
 MAX_CHANNELS = 64
 MAX_EDGES = 5_000_000
-"""The most edges of all channels together; for each byte of the file EDGES_A_BYTE more are
-allowed."""
+"""The most edges (changes of level) of all channels together, plus EDGES_A_BYTE for each byte of
+the file. A recording with more raises InputError."""
 EDGES_A_BYTE = 20
 _MAX_RATIO = 1100
-"""The samples may unpack to this many times the size of the file. deflate can compress to 1/1032 at
-best."""
+"""A recording is refused if its samples unpack to more than this many times the size of the file.
+deflate compresses to 1/1032 at best, so no true file does."""
 _BLOCK = 1 << 16
 _MAX_METADATA = 1 << 20
 _HEAD = re.compile(rb"PK\x03\x04.{22}\x07\0.{2}version", re.DOTALL)
@@ -64,11 +65,11 @@ _MAX_WRONG = 0.2
 or stop bit."""
 _FEW = 20
 _LEAST_KINDS = 3
-"""In more than _FEW characters, at least this many byte values must occur: a clock signal looks
-like one character that repeats."""
+"""A channel with _FEW characters or more counts as carrying characters only if at least this many
+different byte values occur: a clock signal looks like one character that repeats."""
 _SAME = 0.9
-"""A channel counts as a repetition of another if the other has this share of its characters (0 to
-1) at the same time."""
+"""A channel counts as a copy of another one if at least this share of its characters (0 to 1) is in
+the other one at the same time."""
 
 
 def is_sigrok(head: bytes) -> bool:
@@ -79,9 +80,10 @@ def is_sigrok(head: bytes) -> bool:
 def read_sigrok(stream: BinaryIO, name: str, link: str, line: LineSettings | None) -> SerialBytes:
     """Read the characters of a recording; find the line's settings if `line` is None.
 
-    Raises InputError for a file that is damaged, has no logic samples, or fewer than MIN_SAMPLES
-    for each bit, and for one in which no channel carries characters of these settings. The iterator
-    over the bytes raises InputError, too.
+    `name` is the file's name and `link` the name of the line. Raises InputError for a file that is
+    damaged, has no logic samples, or fewer than MIN_SAMPLES for each bit, and for one in which no
+    channel carries characters of these settings. The iterator over the bytes raises InputError,
+    too.
     """
     recording = _Recording.open(stream, name)
     heads = recording.heads()
@@ -105,7 +107,10 @@ def read_sigrok(stream: BinaryIO, name: str, link: str, line: LineSettings | Non
 
 @dataclass(slots=True)
 class _Head:
-    """The beginning of one channel of a recording."""
+    """The beginning of one channel of a recording.
+
+    `edges` are the numbers of the samples at which the level changes.
+    """
 
     first: int
     """The level of the first sample, 0 or 1."""
@@ -115,7 +120,7 @@ class _Head:
 
     @property
     def is_inverted(self) -> bool:
-        """True if the channel is low most of the time, as only an inverted line would be."""
+        """True if the channel is low most of the time: an idle line is high, so it is inverted."""
         times = [0, *self.edges, self.end]
         high = sum(times[at + 1] - times[at] for at in range(1 - self.first, len(times) - 1, 2))
         return 2 * high < self.end
@@ -182,7 +187,11 @@ class _Recording:
         return cls(archive, name, rate, unit, channels, parts, most_edges)
 
     def heads(self) -> dict[int, _Head]:
-        """Return the beginning of each channel, up to the first LOOKED_AT edges of one of them."""
+        """Return the beginning of each channel, by the channel's number.
+
+        Reading stops at the block of samples in which a channel exceeds LOOKED_AT edges. Of that
+        channel only the first LOOKED_AT edges are returned.
+        """
         heads: dict[int, _Head] = {}
         for block in self.blocks(self.channels):
             for number, (first, edges) in block.edges.items():
@@ -199,7 +208,7 @@ class _Recording:
         return heads
 
     def blocks(self, channels: Sequence[int]) -> Iterator[_Block]:
-        """Yield the edges of some channels, one block of samples after the other."""
+        """Yield the edges of the channels with these numbers, block by block of the samples."""
         levels: dict[int, int] = {}
         at = count = 0
         for data in self._data():
@@ -234,8 +243,8 @@ class _Recording:
 
 class _Block(NamedTuple):
     edges: dict[int, tuple[int, list[int]]]
-    """For each channel its level before the block, and the numbers of the samples at which the
-    level changes."""
+    """For each channel, by its number: its level before the block, and the numbers of the samples,
+    counted from the start of the recording, at which the level changes."""
     end: int
     """The number of samples from the beginning of the recording to the end of the block."""
 
@@ -249,7 +258,10 @@ _LEVELS = [bytes(byte >> bit & 1 for byte in range(256)) for bit in range(8)]
 
 
 def _demand_plain(archive: zipfile.ZipFile, parts: Sequence[str], size: int) -> None:
-    """Raise ValueError if the samples are not compressed as sigrok does it, or too many."""
+    """Raise ValueError if the samples are packed in another way than sigrok does, or too many.
+
+    `parts` are the names of the files with samples in the archive, which has `size` bytes.
+    """
     infos = [archive.getinfo(part) for part in parts]
     if any(one.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) for one in infos):
         raise ValueError("its samples are not packed with deflate")
@@ -258,7 +270,10 @@ def _demand_plain(archive: zipfile.ZipFile, parts: Sequence[str], size: int) -> 
 
 
 def _logic_keys(text: str) -> dict[str, str]:
-    """Return the keys of the first section of the metadata that names logic samples."""
+    """Return keys and values of the first section of the metadata that names logic samples.
+
+    `text` is the content of the file `metadata`. Raises KeyError if no section has `capturefile`.
+    """
     parser = configparser.RawConfigParser(strict=False)
     parser.read_string(text)
     for section in parser.sections():
@@ -289,7 +304,11 @@ def _edges(levels: bytes, level: int, offset: int) -> tuple[list[int], int]:
 
 
 def _format(heads: dict[int, _Head], rate: int) -> SerialFormat | None:
-    """Find the settings that fit the channel with the most edges; if none fit, the next channel."""
+    """Find the line settings that fit a channel; try the channels with the most edges first.
+
+    `heads` are the beginnings of the channels, `rate` is in samples per second. Returns None if no
+    channel carries characters.
+    """
     for head in sorted(heads.values(), key=lambda one: -len(one.edges)):
         found = find_format(head.edges, head.end, rate, head.level)
         if found is not None and _are_sent(head.characters(found, rate)):
@@ -298,7 +317,11 @@ def _format(heads: dict[int, _Head], rate: int) -> SerialFormat | None:
 
 
 def _choose(heads: dict[int, _Head], line: SerialFormat, rate: int) -> list[_Channel]:
-    """Return the channels that carry characters, without those that only repeat another channel."""
+    """Return the channels that carry characters with the settings `line`, without mere copies.
+
+    A copy is a channel that repeats the characters of another one at the same time, as the second
+    wire of RS-485 does. `rate` is in samples per second.
+    """
     found = {number: head.characters(line, rate) for number, head in heads.items()}
     by_count = sorted(
         (number for number, one in found.items() if _are_sent(one)),
@@ -313,7 +336,7 @@ def _choose(heads: dict[int, _Head], line: SerialFormat, rate: int) -> list[_Cha
 
 
 def _are_sent(found: Sequence[Character]) -> bool:
-    """True if the characters look like characters that a UART sent, not like another signal."""
+    """True if a UART probably sent these characters: few are wrong, and they are not all alike."""
     if not found or wrong_share(found) > _MAX_WRONG:
         return False
     return len(found) < _FEW or len({one.byte for one in found}) >= _LEAST_KINDS
@@ -343,7 +366,10 @@ def _chunks(
     origin: Origin,
     link: str,
 ) -> Iterator[Chunk]:
-    """Yield the characters of all channels in the order of time, each with the time of its end."""
+    """Yield the characters of all channels in the order of time, each as a chunk of one byte.
+
+    The chunk's time is that of the character's end.
+    """
     decoders = {one.number: UartChannel(line, recording.rate, one.level) for one in channels}
     offset = 0
     for block in recording.blocks([*decoders]):

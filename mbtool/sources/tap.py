@@ -76,7 +76,11 @@ class TapSource(LiveSource[TapLink]):
         idle_s: float = IDLE_S,
         waits: bool = False,
     ) -> None:
-        """If `waits` is True, the tap accepts no connection before `accept` is called."""
+        """If `waits` is True, the tap accepts no connection before `accept` is called.
+
+        `max_connections` (at once) and `idle_s` (seconds without a byte, after which a connection
+        is closed) apply if the user has set no limits in `allowed`.
+        """
         super().__init__(link, inbox)
         self._listener = TcpListener(link, link.listen, allowed)
         self._max_connections = allowed.limits.connections or max_connections
@@ -97,7 +101,7 @@ class TapSource(LiveSource[TapLink]):
     def endpoint(self) -> Endpoint:
         """The endpoint at which the tap listens.
 
-        After `open` it has the port that the system chose in place of port 0.
+        If the user gave port 0, `open` replaces it by the free port that the system chose.
         """
         return self._listener.endpoint
 
@@ -168,7 +172,10 @@ class TapSource(LiveSource[TapLink]):
         )
 
     def _admit(self, relay: TcpRelay, transport: asyncio.Transport, master: Endpoint) -> bool:
-        """Keep a master's new connection, or reset it; return True if it is kept."""
+        """Keep a master's new connection and return True, or reset it and return False.
+
+        It is reset if the master's address is not allowed or a limit is reached.
+        """
         refusal = self._listener.refusal(master.host)
         if refusal is not None:
             self._tell(EventKind.REFUSED, refusal, str(master))
@@ -182,7 +189,10 @@ class TapSource(LiveSource[TapLink]):
         return False
 
     def _make_room(self) -> bool:
-        """Close the connection that has been unused longest; return False if none is unused."""
+        """Close the unused connection (`TcpRelay.is_unused`) without a byte for the longest time.
+
+        Returns False if no connection is unused.
+        """
         unused = [relay for relay in self._relays if relay.is_unused(self._loop.time())]
         if unused:
             min(unused, key=lambda relay: relay.active_s).abort(CloseReason.CROWDED_OUT)

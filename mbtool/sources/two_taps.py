@@ -44,11 +44,11 @@ class TwoTapsSource(LiveSource[SerialLink]):
             for speaker in (Direction.REQUEST, Direction.RESPONSE)
         }
         self._known_ns = dict.fromkeys(self._taps, 0)
-        """For each port, by the side it listens to (REQUEST: the master): the time in ns up to
-        which all its bytes are in the inbox."""
+        """For the port that hears the master (REQUEST) and the one that hears the slaves
+        (RESPONSE): the time in UTC ns up to which all its bytes are in the inbox."""
         self._quiet_ns = 0
-        """The time in ns of the last Quiet item: all bytes of both ports up to this time are in the
-        inbox."""
+        """The time in UTC ns of the last Quiet item, 0 before the first: all bytes of both ports up
+        to this time are in the inbox."""
         self._listening = set(self._taps)
         self._error: LinkError | None = None
         self._opened = ExitStack()
@@ -73,7 +73,10 @@ class TwoTapsSource(LiveSource[SerialLink]):
         self._opened.close()
 
     def put(self, item: Item, speaker: Direction) -> None:
-        """Take an item from the port that listens to `speaker`; any thread may call this."""
+        """Take an item from one of the two ports; any thread may call this.
+
+        `speaker` says whose bytes this port receives: REQUEST the master's, RESPONSE the slaves'.
+        """
         with self._lock:
             if isinstance(item, Ended):
                 self._end(item, speaker)
@@ -104,12 +107,19 @@ class TwoTapsSource(LiveSource[SerialLink]):
 
 
 def _known(until_ns: int, ts_ns: int) -> int:
-    """Return the later of two times, or `ts_ns` if it is so early that the clock was set back."""
+    """Return the time (UTC ns) up to which all bytes of a port are known.
+
+    `until_ns` is that time so far and `ts_ns` a new one; the later one is returned. If `ts_ns` is
+    more than MAX_CLOCK_STEP_NS earlier, the clock was set back, and `ts_ns` is returned.
+    """
     return ts_ns if ts_ns < until_ns - MAX_CLOCK_STEP_NS else max(until_ns, ts_ns)
 
 
 class _Tap:
-    """The sink for the items of one of the two ports; it passes them on with the port's side."""
+    """The sink for the items of one of the two ports.
+
+    It passes them on to `source`, together with `speaker`: whose bytes the port receives.
+    """
 
     def __init__(self, source: TwoTapsSource, speaker: Direction) -> None:
         self._source = source

@@ -29,10 +29,11 @@ BAUDS = (
 MIN_SAMPLES = 4
 """The least number of samples for one bit at which characters can be decoded."""
 _PARITIES = "ENO"
-"""The parities in the order in which they are tried. 8E1 comes first, as the standard demands it. A
-second stop bit need not be tried: it looks like silence."""
+"""The parities (even, none, odd) in the order in which they are tried. Even comes first, as 8E1 is
+the standard's default. A second stop bit need not be tried: it looks like silence."""
 _SHORTEST = 0.02
-"""The share of pulses, 0 to 1, that may be shorter than a bit time, as disturbances are."""
+"""The share of pulses (times between two edges), 0 to 1, that are left out as disturbances when the
+shortest pulse is looked for."""
 _LEAST_BIT, _MOST_BIT = 0.7, 1.4
 """A baud rate is tried if its bit time is between these multiples of the length of the shortest
 pulses."""
@@ -57,15 +58,17 @@ class UartChannel:
         self._data_bits = line.data_bits
         self._parity = line.parity
         self._level = level
-        """The level, 0 or 1, before the first edge in `_edges`."""
+        """The level of the signal, 0 or 1, before the first edge in `_edges`."""
         self._edges: list[int] = []
         self._free = 0.0
-        """The number of the sample from which on the next character may begin."""
+        """The sample, counted from the start of the recording, from which on the next character may
+        begin."""
 
     def feed(self, edges: Sequence[int], end: int) -> Iterator[Character]:
-        """Take the samples at which the level changes, and yield the complete characters.
+        """Take the next edges of the channel; yield the characters that are complete.
 
-        All samples up to the sample `end` are known.
+        `edges` are the numbers of the samples at which the level changes, ascending. There are no
+        further edges before the sample `end`.
         """
         self._edges.extend(edges)
         at = 0
@@ -85,7 +88,10 @@ class UartChannel:
         self._drop(at)
 
     def _start_at(self, at: int) -> int:
-        """The index, `at` or later, of the next falling edge at which a character may begin."""
+        """Return the index in `_edges` of the next falling edge at which a character may begin.
+
+        The search begins at index `at`. Returns len(_edges) if there is none.
+        """
         while at < len(self._edges) and (
             not self._level ^ (at & 1) or self._edges[at] < self._free
         ):
@@ -93,10 +99,10 @@ class UartChannel:
         return at
 
     def _levels(self, at: int, bits: int) -> tuple[list[int], int]:
-        """Sample `bits` bits from the edge `at` on.
+        """Sample `bits` bits; the first one begins at the edge with index `at` in `_edges`.
 
-        Returns the level in the middle of each bit, and the index of the first edge after the
-        middle of the last bit.
+        Returns the level in the middle of each bit, and the index in `_edges` of the first edge
+        after the middle of the last bit.
         """
         levels = []
         start = self._edges[at]
@@ -146,7 +152,11 @@ def wrong_share(characters: Sequence[Character]) -> float:
 
 
 def _likely_bauds(edges: Sequence[int], rate: int) -> list[int]:
-    """The baud rates whose bit time is about the length of the shortest pulses."""
+    """The baud rates whose bit time is about the length of the shortest pulses.
+
+    `edges` are the numbers of the samples at which the level changes; `rate` is in samples per
+    second.
+    """
     pulses = sorted(after - before for before, after in pairwise(edges))
     if not pulses:
         return []

@@ -62,7 +62,10 @@ class Sender:
 
     @property
     def next_ns(self) -> int | None:
-        """When the next character is due, in ns of the monotonic clock; None if none is pending."""
+        """When the next character is due at the other ends, in ns of the monotonic clock.
+
+        None if no character is pending.
+        """
         return self._next_ns if self._pending else None
 
     def put(self, data: bytes, now_ns: int) -> None:
@@ -71,7 +74,7 @@ class Sender:
         self._pending += data
 
     def take(self, now_ns: int) -> bytes:
-        """Take out and return the characters that are due at `now_ns`, on the monotonic clock."""
+        """Remove and return the characters that are due at `now_ns` of the monotonic clock."""
         if not self._pending or now_ns < self._next_ns:
             return b""
         count = min((now_ns - self._next_ns) // self._character_ns + 1, len(self._pending))
@@ -146,9 +149,10 @@ def _deliver(data: bytes, ends: Sequence[int]) -> None:
 
 
 def _make_link(link: str, port: str) -> None:
-    """Make a symbolic link. It replaces one whose target is gone, as a killed line leaves it.
+    """Make the symbolic link `link`, which leads to the terminal `port`.
 
-    Raises OSError if any other file has this name, such as the link of a running line.
+    A link of this name whose target is gone is replaced: a line that was killed leaves such links.
+    Raises OSError if another file has this name, such as the link of a running line.
     """
     if os.path.islink(link) and not os.path.exists(link):
         os.unlink(link)
