@@ -29,7 +29,7 @@ ANSWERED_OUTCOMES = (Outcome.OK, Outcome.BROADCAST)
 
 
 def transport_of(link: LinkSpec) -> Transport:
-    """The transport (RTU, ASCII, TCP or RTU over TCP) on a master's link."""
+    """The transport (RTU, ASCII, TCP or RTU over TCP) that a master uses on this link."""
     if isinstance(link, TcpLink):
         return Transport.RTU_TCP if link.rtu else Transport.TCP
     is_ascii = isinstance(link, SerialLink) and link.ascii
@@ -47,14 +47,14 @@ class Asker:
         self._assignments = Assignments(own)
         self._namer = Namer(self._assignments)
         self._ahead_ns = steady_clock()() - time.monotonic_ns()
-        """The difference (ns) between UTC and the monotonic clock, measured once, so that the times
-        of transactions never go back if the system's clock is set."""
+        """UTC minus the monotonic clock, in ns. It is measured only once, so that the times of
+        transactions never go back if the system's clock is set."""
 
     def profile_for(self, transaction: NamedTransaction) -> Profile | None:
         return self._assignments.profile_for(transaction)
 
     def ask(self, pdu: bytes) -> tuple[NamedTransaction, list[WireEvent]]:
-        """Send one request and wait for its response.
+        """Send a request (its PDU) to the unit and wait for the response.
 
         Returns the transaction, and events about received bytes that are no response. Raises
         LinkError if a serial port is lost.
@@ -94,13 +94,15 @@ class PollTally:
 
     @property
     def failed(self) -> int:
-        """The number of requests that got an exception response, or no usable response."""
+        """The number of requests that got an exception response, a malformed response, or none."""
         return sum(
             count for outcome, count in self.outcomes.items() if outcome not in ANSWERED_OUTCOMES
         )
 
     def sentence(self) -> str:
-        """A summary: `asked 12, answered 10, failed 2 (1 exception, 1 no-answer); latency ...`."""
+        """A summary for the user: `asked 12, answered 10, failed 2 (1 exception, 1 no-answer);
+        latency ...`.
+        """
         asked, failed = self.outcomes.total(), self.failed
         text = f"asked {asked:,}, answered {asked - failed:,}, failed {failed:,}"
         if failed:
@@ -116,19 +118,21 @@ class PollTally:
 
 
 class Changes:
-    """Remembers the last result of each polled request, and finds changes in the next one."""
+    """Remembers the last result of each polled request, and finds what changed in the next
+    result.
+    """
 
-    # Memory: one transaction for each request, at most as many as a command line can name.
+    # Memory: the last transaction of each request, at most as many as a command line can name.
 
     def __init__(self, profile: Profile | None) -> None:
         self._profile = profile
         self._last: dict[bytes, NamedTransaction] = {}
 
     def since_last(self, pdu: bytes, now: NamedTransaction) -> NamedTransaction | None:
-        """Return the transaction if its result differs from that of the last equal request; else
-        None.
+        """Return the transaction `now` if its result differs from that of the last request with
+        this PDU, or if there was none before; None if the result is the same.
 
-        If both requests were answered with values, the points of the returned transaction are those
+        If both requests were answered with values, the returned transaction has only the points
         that changed, with texts for a table: `27.5 (was 27.3)`.
         """
         before = self._last.get(pdu)
@@ -150,10 +154,11 @@ class Changes:
         ]
 
     def _points(self, transaction: NamedTransaction) -> list[PointValue]:
-        """Return the points (named values) of a transaction; if the profile names none, make one
-        for each register or bit, named by its reference.
+        """Return the points (named values) of a transaction. If the profile names none, make one
+        for each register or bit, named by its reference such as HR400001.
 
-        The `reference` of such a point is empty, so that the table does not write it twice.
+        The field `reference` of such a point is empty, so that a table does not show the reference
+        twice.
         """
         if transaction.points:
             return transaction.points

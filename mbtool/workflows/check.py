@@ -51,19 +51,25 @@ _CONNECTIONS = frozenset((EventKind.OPENED, EventKind.CLOSED))
 
 @dataclass(frozen=True, slots=True)
 class CodeFilter:
-    """Chooses findings: the codes that begin with a text in `select`, but not with one in `ignore`.
+    """Chooses findings by their codes: those that begin with a text in `select`, but not with one
+    in `ignore`.
 
     If a code begins with a text of both, the longer text decides. If both are equally long, the
-    code is ignored.
+    finding is ignored.
     """
 
     select: tuple[str, ...] = ()
-    """The texts with which chosen codes begin; if empty, all codes are chosen."""
+    """The beginnings of the codes to choose, such as `RTU-1`; if it is empty, all codes are
+    chosen."""
     ignore: tuple[str, ...] = ()
 
     @classmethod
     def parse(cls, select: Sequence[str], ignore: Sequence[str]) -> CodeFilter:
-        """Parse the values of --select and --ignore, such as `RTU-1,MB`, in any case."""
+        """Make a filter from the values of --select and --ignore.
+
+        Each value is one or more beginnings of codes, separated by commas, in upper or lower case:
+        `RTU-1,MB`.
+        """
         return cls(_codes(select), _codes(ignore))
 
     def takes(self, code: str) -> bool:
@@ -71,12 +77,14 @@ class CodeFilter:
         return chosen is not None and chosen > (_longest(code, self.ignore) or -1)
 
     def demand_known(self, profiles: Sequence[Profile]) -> None:
-        """Raise UsageError if a text of the filter is not the beginning of any code."""
+        """Raise UsageError if no code begins with some text of the filter. The known codes are
+        those of the standard's rules and of the rules in `profiles`.
+        """
         prefixes = {f"{finding_prefix(profile)}-" for profile in profiles}
         letters = [rule.code for rule in RULES.values() if rule.is_of_devices]
         codes = [rule.code for rule in RULES.values() if not rule.is_of_devices]
-        # The codes of rules in profiles cannot all be listed: behind the prefix of the profile and
-        # the letter of the kind of rule, they have for example a function code.
+        # The codes of rules in profiles cannot all be listed. They consist of the profile's prefix,
+        # a letter for the kind of rule, and then for example a function code.
         of_devices = tuple(f"{prefix}{letter}" for prefix in prefixes for letter in letters)
         for text in (*self.select, *self.ignore):
             is_known = any(each.startswith(text) for each in (*codes, *prefixes))
@@ -98,13 +106,15 @@ class FileFinding:
 
 
 class CheckedRecord(NamedTuple):
-    """A transaction or event, and the findings that the rules reported when they got it."""
+    """A transaction or event, with the findings that the rules reported when it was passed
+    to them.
+    """
 
     record: Record | None
-    """The record as it was read. None at the end of a capture, for findings about the whole
-    capture, and for a record outside of the time that is checked."""
+    """The transaction or event as it was read. None at the end of a capture, when findings about
+    the whole capture come, and for a record outside of the time that is checked."""
     named: Record | None
-    """The same record; a transaction of a log with names from the present profiles."""
+    """The same as `record`, but a transaction of a log has names from the profiles in use now."""
     findings: list[FileFinding]
 
 
@@ -134,24 +144,27 @@ class CheckRun:
         if options.any_port:
             self._ports = frozenset((*options.ports, *options.rtu_ports, MODBUS_PORT))
         self._checker: Checker | None = None
-        """The rules, with their state in the current capture; None before and after a capture."""
+        """The rules, with what they remember of the current capture; None before the first and
+        after the last record of a capture."""
         self._lines: UnreadableLines | None = None
-        """Finds the serial lines in the current capture that cannot be read."""
+        """Finds the serial lines in the current capture whose bytes are mostly unreadable; None
+        outside of a capture."""
         self._namer: Namer | None = None
-        """Names the transactions of a log again, with the user's and the log's profiles; None if no
-        log is read."""
+        """Gives the transactions of a log names from the profiles in use now; None if no log is
+        read."""
         self._formats: dict[str, SerialFormat] = {}
-        """The settings of the serial lines in the current capture, by link name."""
+        """The baud rate and character format of each serial line in the current capture, by link
+        name."""
         self._captures = 0
         self._file = ""
         self._remarks: list[str] = []
         self._hints = ModelHints(self.reading.profile_for)
         self.transactions = 0
         self.counts: Counter[str] = Counter()
-        """The number of findings for each code that the filter chooses."""
+        """By code, the number of findings that the filter has chosen."""
 
     def demand_codes(self) -> None:
-        """Raise UsageError if there is a text in the filter with which no code begins.
+        """Raise UsageError if no code begins with some text of the filter.
 
         The codes are those of the standard's rules, of built-in profiles, of the user's profiles,
         and of profiles in the logs.
@@ -164,7 +177,9 @@ class CheckRun:
 
     @property
     def remarks(self) -> list[str]:
-        """Lines for the user about the files, such as cut packets; findings are not among them."""
+        """Lines for the user about the files, for example about cut packets. Findings are not among
+        them.
+        """
         outside = self._window.why_empty
         remarks = [*self.reading.remarks, *self._remarks, *self._hints.remarks]
         return remarks if outside is None else [*remarks, outside]
@@ -175,10 +190,10 @@ class CheckRun:
         return self._window.why_empty is not None
 
     def findings(self, watch: WatchRows = unwatched) -> Iterator[FileFinding]:
-        """Yield the findings whose codes the filter chooses, capture by capture.
+        """Yield the findings that the filter chooses, capture by capture.
 
-        `watch` may show the progress. Raises InputError for a file that cannot be read; for a file
-        that is cut or damaged, after all findings.
+        `watch` passes on the records as they are read, and may show the progress. Raises InputError
+        for a file that cannot be read, and, after all findings, for a file that is cut or damaged.
         """
         columns = self._columns if self._window.is_whole else None
         parts = self.reading.records() if columns is None else columns.quiet_parts()
@@ -186,10 +201,11 @@ class CheckRun:
             yield from found
 
     def checked(self) -> Iterator[CheckedRecord]:
-        """Yield each record with its findings, and at the end of a capture those about the whole.
+        """Yield each transaction or event with its findings, and at the end of each capture the
+        findings about the whole capture.
 
-        Raises InputError for a file that cannot be read; for a file that is cut or damaged, after
-        all findings.
+        Raises InputError for a file that cannot be read, and, after all findings, for a file that
+        is cut or damaged.
         """
         return self._checked(self.reading.records())
 
@@ -208,7 +224,7 @@ class CheckRun:
         yield CheckedRecord(None, None, list(self._end_capture()))
 
     def _find_first_request(self) -> None:
-        """If --start or --end count from the first request, read the files until it is known."""
+        """Read the files up to the first request, if --start or --end count from it."""
         if not self._window.is_relative:
             return
         if STANDARD_INPUT in self._paths:
@@ -251,7 +267,7 @@ class CheckRun:
             self.transactions += len(record)
             return CheckedRecord(None, None, list(self._chosen(self._checker.feed_rows(record))))
         if record not in self._window:
-            # Rules about connections need to know which are open when the window begins.
+            # Rules about connections need to know which are open when the checked time begins.
             if isinstance(record, WireEvent) and record.kind in _CONNECTIONS:
                 for _ in self._checker.feed(record):
                     pass
@@ -266,9 +282,10 @@ class CheckRun:
         return CheckedRecord(record, named, list(self._chosen(self._checker.feed(named))))
 
     def _format_of(self, link: str) -> SerialFormat | None:
-        """Return the settings of a line in the current capture; None if they are not known yet.
+        """Return the baud rate and character format of a line in the current capture; None if they
+        are not known yet.
 
-        Known settings are cached, as the rules need them for each transaction.
+        Once known, they are cached, as the rules ask for them for each transaction.
         """
         format_ = self._formats.get(link)
         if format_ is None:
@@ -289,5 +306,7 @@ def _codes(texts: Sequence[str]) -> tuple[str, ...]:
 
 
 def _longest(code: str, beginnings: Sequence[str]) -> int | None:
-    """The length of the longest of `beginnings` with which `code` begins; None if none does."""
+    """The length of the longest text in `beginnings` with which `code` begins; None if there is no
+    such text.
+    """
     return max((len(each) for each in beginnings if code.startswith(each)), default=None)

@@ -61,12 +61,12 @@ T = TypeVar("T")
 
 CAPTURE_SUFFIXES = frozenset((".pcap", ".pcapng", ".mcap"))
 _REORDER_NS = 2_000_000_000
-"""For a line with two taps, frames are held back for this time (ns) to sort them: the response of
-one tap may be recorded before the request of the other."""
+"""Frames of a line with two taps are held back for this time (ns) to sort them. The tap of the
+slave may record a response before the tap of the master records the request."""
 
 
 class Conversion:
-    """Reads captures and logs, selects a part of them, and writes it as one file."""
+    """Reads captures and logs, chooses a part of their content, and writes it to one file."""
 
     def __init__(
         self,
@@ -78,9 +78,9 @@ class Conversion:
     ) -> None:
         """Open the files and group them by capture.
 
-        `where` returns True for the transactions to write; None to write all. `watch` may show the
-        progress. Raises InputError for a file that cannot be read, UsageError for a file of a kind
-        that cannot be converted.
+        `where` returns True for the transactions to write; None to write all. `watch` passes on the
+        items as they are read, and may show the progress. Raises InputError for a file that cannot
+        be read, UsageError for a file of a kind that cannot be converted.
         """
         self._options = options
         self._window = window
@@ -90,11 +90,13 @@ class Conversion:
 
     @property
     def remarks(self) -> list[str]:
-        """Lines for the user about the files; empty until they have been read."""
+        """Lines for the user about the files; there are none until the files have been read."""
         return [text for group in self._groups for text in group.remarks]
 
     def demand_whole(self) -> None:
-        """Raise the error of the first file that was found to be cut or damaged."""
+        """Raise the error of the first file that was found cut or damaged; do nothing if there is
+        none.
+        """
         for group in self._groups:
             if group.broken is not None:
                 raise group.broken
@@ -111,9 +113,10 @@ class Conversion:
     def write(
         self, out: str, *, overwrite: bool = False, topic_per_point: bool = False
     ) -> Converted:
-        """Write the file `out`, a capture or a log, as its suffix says.
+        """Write the file `out`. Its suffix gives the format: `.mcap` for a log, `.pcap` or
+        `.pcapng`.
 
-        With `topic_per_point`, each named value (point) gets a topic of its own in the log. Raises
+        With `topic_per_point`, each named value (point) gets a topic of its own in a log. Raises
         UsageError if the file cannot be created, or if its format cannot hold the input;
         OutputError if writing fails.
         """
@@ -129,7 +132,9 @@ class Conversion:
         return done
 
     def _write_new(self, out: str, place: Path, *, topic_per_point: bool) -> Converted:
-        """Write a file that does not exist yet; delete it if its format cannot hold the input."""
+        """Write to the path `place`, at which no file exists yet. Delete the new file if its format
+        cannot hold the input. `out` is the path in messages.
+        """
         try:
             return self._write_to(out, place, topic_per_point=topic_per_point)
         except UsageError:
@@ -138,7 +143,9 @@ class Conversion:
             raise
 
     def _write_to(self, out: str, place: Path, *, topic_per_point: bool) -> Converted:
-        """Write to the path `place`. `out` is the path in messages; its suffix gives the format."""
+        """Write to the path `place`. `out` is the path in messages, and its suffix gives the
+        format.
+        """
         suffix = PurePath(out).suffix.lower()
         if suffix == ".mcap":
             is_begun = place != Path(out)  # `replacing` has created a temporary file.
@@ -164,7 +171,8 @@ class Conversion:
 
     def _read_marks(self) -> None:
         if not self._window.is_whole:
-            # Read on until the window knows the first request, from which relative times count.
+            # Read until the time window knows the first request, from which --start and --end may
+            # count.
             next(self._window.begun(self._all_records()), None)
         first = 1
         heard: dict[str, tuple[int, InputGroup]] = {}
@@ -181,7 +189,9 @@ class Conversion:
                 heard[link] = end_ns, group
 
     def _shown(self) -> Iterator[Shown]:
-        """The chosen packets, frames and bytes between frames of all captures, in order of time."""
+        """Yield what is written: the chosen packets, frames and bytes between frames of all
+        captures, in the order of time.
+        """
         return _merged([self._pieces(group) for group in self._groups], lambda one: one.ts_ns)
 
     def _pieces(self, group: InputGroup) -> Iterator[Shown]:
@@ -257,8 +267,8 @@ class Conversion:
         return done
 
     def _log_items(self) -> Iterator[LogItem]:
-        """The packets and reads, and the transactions and events, in the order for a log: a record
-        comes after the evidence from which it was decoded.
+        """Yield the packets and reads, and the transactions and events, in the order for a log: a
+        transaction or event comes after the packets or reads from which it was decoded.
         """
         evidence: Iterator[LogItem] = _reads(self._shown())
         records: Iterator[LogItem] = self.records()
@@ -269,11 +279,14 @@ class Conversion:
 class _Cut(NamedTuple):
     item: Shown
     number: int
-    """The number of the packet in its capture, from 1; 0 for a frame or other bytes."""
+    """The number of the packet in its capture, from 1; 0 if `item` is a frame or other serial
+    bytes."""
 
 
 def _cut(group: InputGroup) -> Iterator[_Cut]:
-    """Yield the packets of a capture with their comments, and its serial reads cut into frames."""
+    """Yield the packets of a capture with their comments, and the bytes of its serial reads cut
+    into frames.
+    """
     marks = group.marks
     streams: dict[StreamKey, WireStream] = {}
     number = 0
@@ -293,7 +306,9 @@ def _cut(group: InputGroup) -> Iterator[_Cut]:
 
 
 def _in_time_order(pieces: Iterable[_Cut]) -> Iterator[Shown]:
-    """Sort items by time; an item may come up to _REORDER_NS (ns) after a later one."""
+    """Yield the items sorted by time. An item may come after a later one if it is at most
+    _REORDER_NS (ns) earlier.
+    """
     held: list[tuple[int, int, Shown]] = []
     for number, one in enumerate(pieces):
         heapq.heappush(held, (one.item.ts_ns, number, one.item))
@@ -304,7 +319,9 @@ def _in_time_order(pieces: Iterable[_Cut]) -> Iterator[Shown]:
 
 
 def _reads(shown: Iterable[Shown]) -> Iterator[Packet | Chunk]:
-    """Yield the packets unchanged, and the reads of ports from which the frames were cut."""
+    """Yield the packets unchanged, and put the frames and other bytes together again to the reads
+    that they were cut from.
+    """
     open_reads = OpenReads()
     for one in shown:
         if isinstance(one, NumberedPacket):
@@ -315,7 +332,9 @@ def _reads(shown: Iterable[Shown]) -> Iterator[Packet | Chunk]:
 
 
 def _merged(parts: Sequence[Iterator[T]], time_of: Callable[[T], int]) -> Iterator[T]:
-    """Merge several iterators by time; the items of each one keep their order."""
+    """Merge several iterators by time; items of the same iterator keep their order. `time_of`
+    returns the time (ns) of an item.
+    """
     if len(parts) == 1:
         return parts[0]
     keyed = [_keyed(part, time_of, index) for index, part in enumerate(parts)]
@@ -325,7 +344,9 @@ def _merged(parts: Sequence[Iterator[T]], time_of: Callable[[T], int]) -> Iterat
 def _keyed(
     items: Iterable[T], time_of: Callable[[T], int], index: int
 ) -> Iterator[tuple[int, int, T]]:
-    """Yield a sort key with each item: the latest time (ns) so far, and `index` for equal times."""
+    """Yield each item with a sort key: the latest time (ns) of the items so far, and `index`, the
+    number of this iterator, which orders equal times.
+    """
     latest_ns = 0
     for item in items:
         latest_ns = max(latest_ns, time_of(item))
@@ -337,15 +358,17 @@ def _record_ns(record: Record) -> int:
 
 
 def _known_ns(item: LogItem) -> int:
-    """The time (UTC ns) at which an item was complete: for a transaction, that of its response."""
+    """The time (UTC ns) at which an item of a log was complete: for a transaction, the time of its
+    response, or of its request without one.
+    """
     if isinstance(item, WireEvent | Packet | Chunk):
         return item.ts_ns
     return item.start_ns if item.response_ns is None else item.response_ns
 
 
 def _joined_heads(groups: Sequence[InputGroup], options: ReadingOptions) -> CaptureHead:
-    """Return one description of the links, devices and profiles of all captures; the user's options
-    have priority.
+    """Return one description of the links, devices and profiles of all captures. The ports, devices
+    and profiles that the user gave replace those in the captures.
     """
     links: dict[str, dict[str, str]] = {}
     devices = {str(one.who): one.profile.name for one in options.assignments}
@@ -372,7 +395,9 @@ def _joined_heads(groups: Sequence[InputGroup], options: ReadingOptions) -> Capt
 
 
 def _spec(group: InputGroup, link: str) -> str:
-    """Make the LINK text, as `rtu:COM3@9600-8N1`, of a serial line that no log describes."""
+    """Make the LINK text, such as `rtu:COM3@9600-8N1`, of a serial line that no log describes.
+    Unknown settings become the standard's, 19200-8E1.
+    """
     line = group.line_of(link)
     if line is None:
         return f"rtu:{link}@19200-8E1"

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JobOptions:
-    """The TCP ports to decode, and which of the captures to decode."""
+    """The TCP ports to decode, and which of the captures this job decodes."""
 
     ports: Sequence[int] = ()
     rtu_ports: Sequence[int] = ()
@@ -48,13 +48,15 @@ class JobOptions:
     is_anew: bool = False
     """True to decode again also the captures that an earlier job has decoded."""
     share: tuple[int, int] | None = None
-    """To divide a job among machines: the index (from 0) of the part to decode here, and the number
-    of parts; None to decode all."""
+    """For a job that several machines share: the number of this machine's part, from 0, and the
+    number of all parts. None to decode all captures."""
 
     @property
     def text(self) -> str:
-        """A text with the options that change the result. The names of the records that mark
-        captures as decoded contain its hash, so a job with other options decodes them again.
+        """A text with the options that change the result.
+
+        Each record that marks a capture as decoded has the hash of this text in its name. So a job
+        with other options decodes the captures again.
         """
         return f"{sorted(self.ports)} {sorted(self.rtu_ports)} {self.any_port}"
 
@@ -67,10 +69,10 @@ class DecodeJob:
     output: str
     options: JobOptions
     files: int = 0
-    """The number of captures found; with `options.share`, of those in this part of the job."""
+    """The number of captures found; with `options.share`, only those of this machine's part."""
     done_before: int = 0
     failed_before: list[FileOutcome] = field(default_factory=list)
-    """The captures that an earlier job decoded, but could not read to their ends."""
+    """The outcomes of captures that an earlier job decoded, but could not read to their ends."""
 
     def run(self, executor: Executor) -> Iterator[FileOutcome]:
         """Decode the captures that are not decoded yet, and yield the outcome of each.
@@ -94,8 +96,9 @@ class DecodeJob:
     def _tasks(self, processes: int) -> list[DecodeTask]:
         files = {one.path: one for pattern in self.patterns for one in list_inputs(pattern)}
         share = self.options.share
-        # Several machines that share a job may start at different times and find different files,
-        # but must divide them into the same runs. So the size of a run may not depend on the count.
+        # Several machines that share a job may start at different times and find a different number
+        # of files, but must divide the files into the same runs. So the size of a run may not
+        # depend on that number.
         most = files_each(len(files), processes) if share is None else MAX_FILES
         runs = plan(files.values(), most)
         if share is not None:
@@ -111,8 +114,8 @@ class DecodeJob:
         return tasks
 
     def _records(self) -> dict[str, list[str]]:
-        """The names of all records in the output, by the beginning of the name, which stands for
-        the path of a capture.
+        """The names of all records in the output. They are grouped by the part of the name before
+        `-`, which stands for the path of a capture.
         """
         records: dict[str, list[str]] = {}
         for name in OutputStore(self.output).names(RECORDS):
@@ -148,28 +151,30 @@ class DecodeJob:
         )
 
     def _folder(self, file: InputFile) -> str:
-        """The folder of a capture's Parquet file in the output: the folders of the capture's path
-        without those that all patterns have in common.
+        """The folder for a capture's Parquet file, below the output: the folders in the capture's
+        path, without the leading ones that all patterns share.
         """
         base = _shared(self.patterns)
         return "/".join(file.path.split("/")[len(base) : -1])
 
 
 def local_processes(processes: int) -> LocalProcesses:
-    """An executor with `processes` processes of this machine."""
+    """Return an executor that starts `processes` processes on this machine."""
     return LocalProcesses(lambda: start_child("mbtool.workflows.decode_run"), processes)
 
 
 def dask_cluster(address: str) -> DaskCluster:
-    """An executor with the workers of the Dask scheduler at `address`.
+    """Return an executor that uses the workers of the Dask scheduler at `address`.
 
-    Raises UsageError or LinkError if there are none.
+    Raises LinkError or UsageError if the scheduler or its workers cannot be used.
     """
     return DaskCluster(address, decode_run)
 
 
 def _shared(patterns: Sequence[str]) -> list[str]:
-    """The names of the folders, from the root on, that all patterns share and that have no `*`."""
+    """The names of the leading folders, from the root on, that are the same in all patterns and
+    contain no `*`.
+    """
     folders = []
     for pattern in patterns:
         parts = (pattern if is_address(pattern) else abspath(pattern)).split("/")[:-1]

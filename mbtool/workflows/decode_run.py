@@ -1,7 +1,8 @@
 """Decodes several files of a rotated capture, with a Parquet file as the result for each.
 
-Run as a program, it reads a task (a DecodeTask in hexadecimal digits) from each line of standard
-input, and writes the outcomes to a line of standard output.
+Run as a program, it reads a line of standard input for each task: a DecodeTask as JSON, written in
+hexadecimal digits. It answers each with a line of standard output: the list of the task's
+FileOutcomes, one for each file, as JSON in hexadecimal digits.
 """
 
 # A job (decode_job.py) divides its files into runs: consecutive files that one process decodes. The
@@ -47,9 +48,9 @@ if TYPE_CHECKING:
     from mbtool.devices import NamedTransaction
 
 RECORDS = "_mbtool"
-"""The folder in the output for the records that say which files were decoded."""
+"""The folder in the output that has the records, which say which files were decoded."""
 DONE, FAILED = ".json", ".failed.json"
-"""The suffixes of records; FAILED for a file that was not read, or not to its end."""
+"""The suffixes of records: DONE for a file that was read to its end, FAILED for any other."""
 
 
 class DecodeTask(msgspec.Struct, frozen=True, kw_only=True):
@@ -57,11 +58,11 @@ class DecodeTask(msgspec.Struct, frozen=True, kw_only=True):
 
     run: FileRun
     output: str
-    """The folder, or the prefix in an object store, for all results."""
+    """The folder for all results, or their prefix in an object store."""
     folders: list[str]
-    """For each file, the folder of its Parquet file, below `output`."""
+    """For each file, the folder of its Parquet file, relative to `output`."""
     records: list[str]
-    """For each file, the name of the record that says it was decoded, without the suffix."""
+    """For each file, the name (without suffix) of the record to write when the file was decoded."""
     older: list[list[str]]
     """For each file, the names of the records that earlier jobs wrote for the same path."""
     ports: list[int] = []
@@ -80,11 +81,13 @@ class FileOutcome(msgspec.Struct, kw_only=True, omit_defaults=True):
     """The path of the file's Parquet file, below the output folder; empty if there is none."""
     transactions: int = 0
     error: str = ""
-    """Why the file was not read, or not to its end; empty if it was read."""
+    """Why the file was not read, or not to its end; empty if it was read to its end."""
 
 
 def decode_run(task: bytes) -> bytes:
-    """Decode the files of `task`, a DecodeTask as JSON. Returns a list of FileOutcome as JSON."""
+    """Decode the files of `task`, a DecodeTask as JSON. Returns the outcomes, one for each file, as
+    JSON.
+    """
     decoded = msgspec.json.decode(task, type=DecodeTask)
     with TemporaryDirectory(prefix="mbtool-") as folder:
         work = _RunWork(decoded, Path(folder))
@@ -97,14 +100,16 @@ def decode_run(task: bytes) -> bytes:
 
 @dataclass(slots=True)
 class _Input:
-    """An input file of a task that can be read."""
+    """An input file that was opened successfully: one of the task's files, or one just before or
+    after them.
+    """
 
     file: InputFile
     number: int | None
-    """The index of the file among those that the task decodes. None for a file before or after
-    them, which is only read for the state of connections."""
+    """The index of the file among those of the task. None for a file just before or after these,
+    which is read only to know the open connections and late responses."""
     path: str
-    """The path at which the file is read: its own, or that of a copy."""
+    """The path from which the file is read: its own, or that of a copy on this machine's disk."""
     digest: str
 
 
@@ -122,7 +127,9 @@ class _RunWork:
         ]
 
     def do(self) -> None:
-        """Decode all files. Raises MbtoolError if results cannot be written."""
+        """Decode all files, and write the results. Raises MbtoolError if results cannot be
+        written.
+        """
         inputs = self._inputs()
         with ExitStack() as files:
             tables = {
@@ -140,16 +147,19 @@ class _RunWork:
                 self._write(one, tables[one.number].transactions)
 
     def fail(self, why: str) -> None:
-        """Set the error of all files that are not finished to `why`."""
+        """Set the error of all files whose results are not written yet to `why`, unless they have
+        one.
+        """
         for number, outcome in enumerate(self.outcomes):
             if number not in self._done:
                 outcome.error = outcome.error or why
                 outcome.parquet, outcome.transactions = "", 0
 
     def _inputs(self) -> list[_Input]:
-        """Return the files that can be read: those to decode, and those before and after them.
+        """Return the files that can be read: those of the task, and those just before and after
+        them.
 
-        If a file to decode cannot be read, note the error in its outcome.
+        If a file of the task cannot be read, its outcome gets the error.
         """
         run = self._task.run
         inputs = []
@@ -177,9 +187,11 @@ class _RunWork:
         return inputs
 
     def _decode(self, inputs: list[_Input], tables: dict[int, _FileTable]) -> list[_Input]:
-        """Decode files with one decoder, and add their transactions to `tables`.
+        """Decode files with one decoder, and add their transactions to `tables`, whose keys are
+        indices of the task's files.
 
-        If a file cannot be read, decoding stops there; return the files behind it.
+        If a file cannot be read, decoding stops there. Returns the files after it, for another
+        call.
         """
         task = self._task
         options = ReadingOptions(ports=task.ports, rtu_ports=task.rtu_ports, any_port=task.any_port)
@@ -204,7 +216,9 @@ class _RunWork:
         return inputs[read + 1 :]
 
     def _write(self, one: _Input, transactions: int) -> None:
-        """Copy the finished Parquet file of an input file to the output, and write its record."""
+        """Copy the finished Parquet file of the input file `one` to the output, and write its
+        record.
+        """
         assert one.number is not None
         outcome, folder = self.outcomes[one.number], self._task.folders[one.number]
         outcome.sha256, outcome.transactions = one.digest, transactions
@@ -214,7 +228,9 @@ class _RunWork:
         self._record(one.number)
 
     def _record(self, number: int) -> None:
-        """Write the record of a file; delete its older records and their Parquet files."""
+        """Write the record of the task's file with this index; delete its older records and their
+        Parquet files.
+        """
         outcome = self.outcomes[number]
         name = f"{self._task.records[number]}{FAILED if outcome.error else DONE}"
         self._output.put(f"{RECORDS}/{name}", msgspec.json.encode(outcome))
@@ -224,7 +240,7 @@ class _RunWork:
         self._done.add(number)
 
     def _forget(self, record: str, kept: str) -> None:
-        """Delete an older record, and the Parquet file that it names, unless that is `kept`."""
+        """Delete an older record, and the Parquet file that it names unless that path is `kept`."""
         with suppress(msgspec.DecodeError):
             data = self._output.read(f"{RECORDS}/{record}")
             parquet = msgspec.json.decode(data, type=FileOutcome).parquet
@@ -233,7 +249,9 @@ class _RunWork:
         self._output.delete(f"{RECORDS}/{record}")
 
     def _parquet(self, number: int) -> Path:
-        """The temporary path at which the Parquet file of an input file is written."""
+        """The temporary path at which the Parquet file of the task's file with this index is
+        written.
+        """
         return self._folder / f"{number}.parquet"
 
 
@@ -250,9 +268,10 @@ class _FileTable:
 
 
 def _tables(reading: PartReading) -> Iterator[Table]:
-    """Yield the transactions of files as tables.
+    """Yield the transactions of the files as Arrow tables.
 
-    Raises InputError for a file that cannot be read, or is cut or damaged, after its transactions.
+    Raises InputError for a file that cannot be read, is cut or damaged, after the transactions
+    before that place.
     """
     if isinstance(reading, ColumnReading):
         for batch in reading.batches():
@@ -273,8 +292,8 @@ def _tables(reading: PartReading) -> Iterator[Table]:
 
 
 def _names(inputs: Sequence[_Input]) -> dict[str, str]:
-    """The names that the user gave to the files, by the names under which they are read; these
-    differ for copies of files.
+    """The names of the files as the user gave them, by the names under which they are read; the two
+    differ for copies.
     """
     return {shown_name(one.path): shown_name(one.file.path) for one in inputs}
 
@@ -286,7 +305,9 @@ def _renamed(text: str, inputs: Sequence[_Input]) -> str:
 
 
 def main() -> None:
-    """Read tasks from standard input and write their outcomes, until standard input ends."""
+    """Read tasks from standard input, one a line, and write the outcomes of each, until standard
+    input ends.
+    """
     for line in sys.stdin.buffer:
         sys.stdout.buffer.write(decode_run(bytes.fromhex(line.decode())).hex().encode() + b"\n")
         sys.stdout.buffer.flush()

@@ -57,7 +57,7 @@ slave did not respond."""
 
 _ANY = Endpoint("127.0.0.1", 0)
 _QUIET_NS = 300_000_000
-"""The time (ns) for which the sniffer listens after the masters have ended, for the last bytes."""
+"""After the masters have ended, the sniffer listens for this time (ns) to hear the last bytes."""
 
 _TIMEOUT_NS = 5_000_000_000
 """The response timeout of the demo's masters, in ns. It is long because a busy machine may be slow;
@@ -70,11 +70,14 @@ class Agreement:
 
     asked: int
     differences: tuple[Exchange, ...]
-    """The requests that got another response than recorded, each with the replayed response."""
+    """The requests whose replayed responses differ from the recorded ones; each item holds the
+    replayed response."""
 
 
 class Demo:
-    """One run of the demo: `record`, then `replay`. `assignments` has the devices' profiles."""
+    """One run of the demo: call `record`, then `replay`. `assignments` tells which device has which
+    profile.
+    """
 
     def __init__(self, log_path: str, *, overwrite: bool = False) -> None:
         self._log_path = log_path
@@ -84,7 +87,9 @@ class Demo:
         self.assignments = Assignments()
 
     def record(self) -> Iterator[Record]:
-        """Run devices, masters and the sniffer; yield the records that the sniffer decodes."""
+        """Start two simulated devices, two masters and the sniffer, and yield what the sniffer
+        decodes.
+        """
         with ExitStack() as stack:
             folder = stack.enter_context(TemporaryDirectory(prefix="mbtool-"))
             names = [f"{folder}/{name}" for name in ("touch", "master", "rs485")]
@@ -118,7 +123,9 @@ class Demo:
             raise self._failure
 
     def replay(self) -> Agreement:
-        """Replay the slaves from the log, send all requests again, and compare the responses."""
+        """Replay the slaves from the log, send them all requests again, and compare the responses
+        with those of `record`.
+        """
         records = Reading([self._log_path], ReadingOptions()).records()
         recording = Recording.of(one for one in records if not isinstance(one, WireEvent))
         slave = TcpSlave(TcpLink(_ANY), RecordedSlave(recording, rate=None))
@@ -151,9 +158,11 @@ class Demo:
 
 
 def _answer(master: MasterLink, unit: int, pdu: bytes) -> bytes | None:
-    """Send a request, at most three times, until there is a response; None if there is none.
+    """Send a request, at most three times, until a response comes; return its PDU, None if none
+    came.
 
-    On a busy machine the virtual line may deliver a response in parts, so that it is not accepted.
+    On a busy machine the virtual line may deliver a response in parts, which the master does not
+    accept.
     """
     return next((one for _ in range(3) if (one := master.ask(unit, pdu)) is not None), None)
 
@@ -178,8 +187,8 @@ def touch_requests() -> list[bytes]:
 
 
 def module_requests() -> list[bytes]:
-    """The PDUs of requests that set up an FA3-AT1M8X (manual, 10.5), and one that reads undefined
-    registers.
+    """The PDUs of requests to an FA3-AT1M8X: they set the module up (manual, 10.5) and read it; the
+    last one reads undefined registers.
     """
     averaging = (0x0000, 0x2010, 0, 0, 0, 0, 0, 5000, 0, 100)
     return [
@@ -219,9 +228,10 @@ def _module(link: TcpLink) -> Responder:
 
 
 def _when_done(masters: threading.Thread) -> Callable[[int], bool]:
-    """Return a function that tells the sniffer when to stop.
+    """Return a function that the sniffer calls to know if it shall stop.
 
-    It takes the time in ns, and returns True once the masters have ended and _QUIET_NS has passed.
+    Its argument is the time in ns. It returns True when the masters have ended at least _QUIET_NS
+    ago.
     """
     since: list[int] = []
 

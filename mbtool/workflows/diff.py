@@ -25,19 +25,22 @@ class DiffOptions:
     reading: ReadingOptions
     wanted: Callable[[NamedTransaction], bool] = lambda _: True
     ignore: Sequence[str] = ()
-    """Ranges of registers whose values may differ, such as HR400001..400010 or `holding 0..9`."""
+    """Ranges of registers and bits whose values may differ, as texts such as `HR400001..400010` or
+    `holding 0..9`."""
     latency: bool = True
 
 
 class Comparison(msgspec.Struct, frozen=True, kw_only=True):
-    """The result of comparing two captures: their names, numbers of transactions, differences."""
+    """The result of comparing the captures `a` and `b`: their names, numbers of transactions, and
+    differences.
+    """
 
     a: str
     b: str
     a_transactions: int
     b_transactions: int
     is_whole: bool
-    """False if some transactions were not compared, as they exceeded the memory limits of
+    """False if some transactions were not compared, because their number exceeded a memory limit of
     replay/traffic.py."""
     differences: list[Difference]
 
@@ -49,11 +52,12 @@ def compare(
     on_remark: Callable[[str], None] = lambda _: None,
     watch: Watch = unwatched,
 ) -> Comparison:
-    """Read both files and compare them.
+    """Read the files `a` and `b`, and compare them.
 
     A file that is cut or damaged is compared as far as it can be read. `on_remark` gets lines for
-    the user about the files. Raises InputError for a file that cannot be read or has no
-    transaction, UsageError for a range in `options.ignore` that no device has.
+    the user about the files. `watch` passes on the records as they are read, and may show the
+    progress. Raises InputError for a file that cannot be read or has no transaction, UsageError for
+    a range in `options.ignore` that no device has.
     """
     traffic, profiles = [], dict[str, "Profile"]()
     for path in (a, b):

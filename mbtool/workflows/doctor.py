@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 OLDEST_PYTHON = (3, 11)
 SMALLEST_TERMINAL = (80, 24)
-"""The least number of columns and rows for which tables and `watch` are made."""
+"""The size for which tables and the screen of `mbtool watch` are made, in columns and rows."""
 _NEEDED = ("fastcrc", "mcap", "msgspec", "serial", "rich", "scapy", "typer", "zstandard")
 EXTRAS: Mapping[str, tuple[str, ...]] = {
     "watch": ("textual",),
@@ -40,7 +40,7 @@ EXTRAS: Mapping[str, tuple[str, ...]] = {
     "tls": ("cryptography",),
     "yaml": ("yaml",),
 }
-"""For each extra of the package, the modules that it installs."""
+"""For each optional extra of the package, the modules that it installs."""
 _FOR = {
     "watch": "mbtool watch",
     "columns": "Parquet, Arrow and large captures",
@@ -69,12 +69,13 @@ class MachineCheck:
     found: str
     """A line for the user that says what the check found."""
     remedy: str = ""
-    """A command that repairs it; mbtool never runs it itself. Empty if there is none."""
+    """A command or an advice that repairs what is missing; mbtool never runs it. Empty if there is
+    none."""
 
 
 @dataclass(frozen=True, slots=True)
 class Screen:
-    """The terminal of standard output."""
+    """What is known of the terminal to which standard output goes."""
 
     is_terminal: bool
     columns: int
@@ -85,7 +86,10 @@ class Screen:
 def machine_checks(
     ports: Iterable[LocalSerialPort], capture: Trouble | None, screen: Screen
 ) -> Iterator[MachineCheck]:
-    """Check everything; yield the results in the order in which `mbtool doctor` shows them."""
+    """Run all checks, and yield the results in the order in which `mbtool doctor` shows them.
+
+    `capture` is the reason why network interfaces cannot be captured, None if they can.
+    """
     yield python_check(sys.version_info[:3])
     yield from _packages()
     yield from port_checks(list(ports))
@@ -125,9 +129,9 @@ def _is_there(module: str) -> bool:
 
 
 def port_checks(ports: list[LocalSerialPort]) -> Iterator[MachineCheck]:
-    """Yield a check for each problem of a serial port; `mbtool links` shows further details.
+    """Yield a check for each port without trouble, and one for each trouble of the others.
 
-    A problem of a USB adapter counts as BROKEN, since an adapter is there to be used. One of a
+    A trouble of a USB adapter counts as BROKEN, since an adapter is there to be used. One of a
     built-in port counts as MISSING, since such a port is often not connected to anything.
     """
     if not ports:
@@ -143,7 +147,9 @@ def port_checks(ports: list[LocalSerialPort]) -> Iterator[MachineCheck]:
 
 
 def _port_group() -> Iterator[MachineCheck]:
-    """Check that the user is in the group dialout, which may open serial ports on Debian."""
+    """Yield the check if the user may open serial ports, which on Debian means being in the group
+    dialout. Yield nothing on systems without that group.
+    """
     if sys.platform != "linux":
         return
     import grp
@@ -161,7 +167,9 @@ def _port_group() -> Iterator[MachineCheck]:
 
 
 def _priority() -> MachineCheck:
-    """Check the permission for a real-time priority, which keeps byte times exact under load."""
+    """Check if mbtool may get a real-time priority, which keeps the times of serial bytes exact on
+    a busy machine.
+    """
     name = "real-time priority"
     if sys.platform != "linux":
         return MachineCheck(name, CheckState.OK, "only used on Linux")
@@ -185,7 +193,9 @@ def capture_check(trouble: Trouble | None) -> MachineCheck:
 
 
 def wireshark_check(environment: Mapping[str, str]) -> MachineCheck:
-    """Check that Wireshark, if it is installed, offers serial lines: that the scripts are there."""
+    """Check if Wireshark, where it is installed, offers serial lines: it does if the scripts of
+    `mbtool extcap --install` exist.
+    """
     name = "Wireshark"
     program = shutil.which("wireshark") or shutil.which("tshark")
     if program is None:
@@ -201,7 +211,7 @@ def wireshark_check(environment: Mapping[str, str]) -> MachineCheck:
 
 
 def terminal_check(screen: Screen) -> MachineCheck:
-    """Check the size of the terminal, and that it can show UTF-8."""
+    """Check if the terminal is large enough, and can show UTF-8."""
     name = "terminal"
     if not screen.is_terminal:
         return MachineCheck(name, CheckState.OK, "output goes to a pipe or file")

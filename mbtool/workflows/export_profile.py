@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class ExportForm(StrEnum):
-    """A format in which a device profile can be exported; the values are those of the option."""
+    """A format in which a device profile can be exported; TELEGRAF is one for that program."""
 
     TOML = "toml"
     JSON = "json"
@@ -45,9 +45,10 @@ class ExportForm(StrEnum):
 
 
 def exported(profile: Profile, form: ExportForm, unit: int = 1) -> ExportedMap:
-    """Return the profile in a format; `unit` is the unit that the other program shall poll.
+    """Return the profile in the format `form`.
 
-    Raises UsageError if the format is SUNSPEC and the profile is no SunSpec model.
+    `unit` is the unit id that a polling program (Telegraf, Home Assistant) is told to poll. Raises
+    UsageError if the format is SUNSPEC and the profile is no SunSpec model.
     """
     match form:
         case ExportForm.TOML:

@@ -38,7 +38,9 @@ class LivePackets:
     """Writes the frames of one serial line, and the bytes between them, as pcapng."""
 
     def __init__(self, stream: BinaryIO, link: SerialLink, assignments: Assignments) -> None:
-        """Write the head of the file: the link, devices, profiles, and both interfaces."""
+        """Write the head of the file to `stream`: the link, devices and profiles, and two
+        interfaces. One is for frames, the other for bytes that are no frame.
+        """
         self._stream = stream
         self._assignments = assignments
         self._transactions = 0
@@ -51,7 +53,9 @@ class LivePackets:
         stream.flush()
 
     def write(self, record: Record) -> None:
-        """Write a transaction, or bytes that are no frame. Raises OSError if the pipe is closed."""
+        """Write the frames of a transaction, or the bytes of an event that are no frame. Raises
+        OSError if the pipe is closed.
+        """
         if not isinstance(record, WireEvent):
             self._write_transaction(record)
         elif record.raw:

@@ -29,7 +29,9 @@ _MAX_SCRIPT_BYTES = 4096
 
 
 def scripts(environment: Mapping[str, str], platform: str = sys.platform) -> list[Path]:
-    """Return the paths of the scripts. Raises UsageError if the user's home folder is unknown."""
+    """Return the paths at which the scripts belong on this system. Raises UsageError if the user's
+    home folder is unknown.
+    """
     if platform == "win32":
         if not environment.get("APPDATA"):
             raise UsageError("APPDATA is not set, so the folder of Wireshark is not known")
@@ -45,8 +47,9 @@ def scripts(environment: Mapping[str, str], platform: str = sys.platform) -> lis
 
 
 def install(paths: list[Path], python: str = sys.executable) -> None:
-    """Write the scripts. Raises UsageError if one cannot be written, or if mbtool did not make the
-    file that is there.
+    """Write a script to each of `paths`, which starts mbtool with the interpreter `python`.
+
+    Raises UsageError if a script cannot be written, or if there is a file that mbtool did not make.
     """
     for path in paths:
         _demand_own(path)
@@ -60,9 +63,9 @@ def install(paths: list[Path], python: str = sys.executable) -> None:
 
 
 def uninstall(paths: list[Path]) -> list[Path]:
-    """Remove the scripts, and return the paths of those that existed.
+    """Remove the scripts at `paths`, and return the paths at which there was one.
 
-    Raises UsageError if one cannot be removed, or was not made by mbtool.
+    Raises UsageError if a file there cannot be removed, or was not made by mbtool.
     """
     there = [path for path in paths if path.exists()]
     for path in there:

@@ -28,24 +28,25 @@ if TYPE_CHECKING:
     from mbtool.overview.baseline import InventoryChange
 
 WatchParts = Callable[[Reading, Iterator[Record | AnsweredRun]], Iterator[Record | AnsweredRun]]
-"""A function that yields the items of a reading unchanged; it may show a progress bar."""
+"""A function that yields the items it gets from a reading unchanged, and may show a progress
+bar."""
 _DOCUMENT_BEGINS = b"{"
 MAX_DOCUMENT_BYTES = 256 << 20
-"""The largest size (bytes) of a stored inventory that is read. One with 65,536 units, the most
-possible, has some tens of megabytes."""
+"""The largest size (bytes) of a stored inventory that is read. An inventory of 65,536 units, the
+most possible, has some tens of megabytes."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InventoryOptions:
-    """The options for reading the files of an inventory, and a filter for transactions."""
+    """How the files of an inventory are read, and which of their transactions are used."""
 
     reading: ReadingOptions
     wanted: Callable[[NamedTransaction], bool] | None = None
-    """Returns True for the transactions to use; None to use all."""
+    """Returns True for a transaction to use; None to use all transactions."""
 
 
 class InventoryRun:
-    """Reads files once, and makes their inventory."""
+    """Reads files once, and makes the inventory of the slaves and masters in them."""
 
     def __init__(self, files: Sequence[str], options: InventoryOptions) -> None:
         self._files = files
@@ -53,15 +54,17 @@ class InventoryRun:
         is_filtered = options.wanted is not None
         self.reading = part_reading(files, options.reading, is_filtered=is_filtered)
         self.error: InputError | None = None
-        """An error of a file that could not be read, or not to its end; None if there was none."""
+        """The error of a file that could be read only in part; None if all files were read to their
+        ends."""
 
     def take(
         self, on_remark: Callable[[str], None] = lambda _: None, watch: WatchParts = unwatched
     ) -> InventoryDocument:
-        """Read the files as far as they can be read.
+        """Read the files as far as they can be read, and return their inventory.
 
-        `on_remark` gets lines for the user about the files. Raises InputError if an error occurred
-        before the first transaction was read.
+        `on_remark` gets lines for the user about the files. `watch` passes on the items as they are
+        read, and may show the progress. Raises InputError if an error comes before the first
+        transaction.
         """
         inventory = Inventory()
         wanted = self._options.wanted
@@ -92,9 +95,11 @@ def changes_since(
     options: InventoryOptions,
     on_remark: Callable[[str], None] = lambda _: None,
 ) -> list[InventoryChange]:
-    """Return the changes of an inventory from a baseline: an older inventory in JSON, or captures.
+    """Return the changes from a baseline to the inventory `document`.
 
-    Raises InputError if the baseline cannot be read or has no transaction.
+    The baseline is an older inventory in JSON, or the captures to make one from; `options` is for
+    reading these. `on_remark` gets lines for the user. Raises InputError if the baseline cannot be
+    read or has no transaction.
     """
     first = baseline[0]
     old = _stored(first) if len(baseline) == 1 and _is_stored(first) else None

@@ -21,13 +21,15 @@ if TYPE_CHECKING:
 
 
 class PlottedValues(NamedTuple):
-    """Values over time, and the times (UTC ns) at which the plot begins and ends."""
+    """Values over time, and the times (UTC ns) at which the first transaction begins and the last
+    one ends.
+    """
 
     series: dict[SeriesKey, ValueSeries]
     begin_ns: int
     end_ns: int
     left_out: int
-    """The number of values that were left out, because there were too many different ones."""
+    """The number of points and registers that were left out, because there were too many."""
 
 
 class PlotRun:
@@ -41,20 +43,24 @@ class PlotRun:
         window: TimeWindow,
         wanted: Callable[[NamedTransaction], bool],
     ) -> None:
-        """`texts` name the points and registers to collect; if it is empty, all are collected.
+        """Prepare to read.
 
-        `wanted` returns True for the transactions to use.
+        `texts` are the names or addresses of the points and registers to collect; if it is empty,
+        all are collected. Only transactions in `window` are used, and only those for which `wanted`
+        returns True.
         """
         self.reading = Reading(files, options)
         self._texts, self._window, self._wanted = texts, window, wanted
         self.error: InputError | None = None
-        """An error of a file that could not be read, or not to its end; None if there was none."""
+        """The error of a file that could be read only in part; None if all files were read to their
+        ends."""
 
     def take(self, watch: Watch = unwatched) -> PlottedValues:
-        """Read the files as far as they can be read.
+        """Read the files as far as they can be read, and return the values.
 
-        Raises UsageError for a text that names no value in them, InputError if an error occurred
-        before the first transaction was read.
+        `watch` passes on the records as they are read, and may show the progress. Raises UsageError
+        if one of `texts` names no value in the files, InputError if an error comes before the first
+        transaction.
         """
         chosen = ChosenValues(self._texts, _named, self.reading.profile_for)
         values = chosen if self._texts else Values()

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 _SIGN = b"mbtool.capture"
-"""The name of the metadata record at the beginning of each log. A file that contains it is a log,
-even if its first bytes are damaged."""
+"""The name of the metadata record at the beginning of each log. A file that contains this name in
+its first 64 KiB is taken as a log, even if its very first bytes are damaged."""
 _SIGN_WITHIN = 64 * 1024
 
 
@@ -30,8 +30,9 @@ def recover(
 ) -> Recovered:
     """Copy the undamaged parts of the log `broken` to the new log `good`.
 
-    `report` is called for each part that is lost. Raises UsageError if `good` cannot be created,
-    InputError if `broken` is no log or cannot be read, OutputError if writing fails.
+    `report` is called for each lost part. With `replace`, an existing file `good` is replaced.
+    Raises UsageError if `good` cannot be created, InputError if `broken` is no log or cannot be
+    read, OutputError if writing fails.
     """
     check_log_path(good, overwrite=replace)
     with suppress(OSError, ValueError):
@@ -71,7 +72,9 @@ def _time(ts_ns: int) -> str:
 
 
 def _opened(path: str) -> CaptureFile:
-    """Open a log, even if damage to its first bytes hides that it is a log."""
+    """Open the log at `path`, even if its first bytes are damaged so that its kind is not
+    recognised.
+    """
     try:
         return open_capture(path)
     except InputError:

@@ -22,33 +22,40 @@ if TYPE_CHECKING:
 
 _NS = 1_000_000_000
 _LOOP_GAP_NS = _NS
-"""With --loop, the pause between two rounds of the recording, in ns of recorded time."""
+"""With --loop, this much recorded time (ns) passes between the end of the recording and its next
+beginning."""
 _LOOK_NS = 30_000_000
-"""The longest interval (ns) between two checks of the user's keys and of `stops`."""
+"""The longest interval (ns) between two checks of the user's keys and of the caller's function
+`stops`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BusOptions(PlayOptions):
-    """The options for replaying a recording as master and slaves of a serial line."""
+    """The options for replaying a recording as the master and the slaves of a serial line
+    together.
+    """
 
     is_loop: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BusReport:
-    """The result of a replay: how many pieces (bytes written at once) were sent, and how late."""
+    """The result of a replay: how many pieces (bytes given to the port at once) were sent, and how
+    late.
+    """
 
     pieces: int
     bytes: int
     held: int
-    """The number of pieces that were sent late because the line was still busy."""
+    """The number of pieces that were sent late because the port was still sending earlier ones."""
     lateness_p99_ns: int | None
-    """The 99th percentile (ns) of the delays of those pieces that did not have to wait for the
-    line. None if there are none, or if the recording was played as fast as possible."""
+    """How late pieces were sent after their recorded time, as 99th percentile in ns. Pieces counted
+    in `held` are left out. None if no others were sent, or if the recording was played as fast as
+    possible."""
 
 
 def line_link(link: LinkSpec) -> SerialLink:
-    """Return the link. Raises UsageError unless it is a serial line with one port."""
+    """Return `link` if it is a serial line with one port. Raises UsageError for any other link."""
     if not isinstance(link, SerialLink):
         raise UsageError(
             f"link {link}: a bus is a serial line: rtu:PORT@19200-8E1 or ascii:PORT@9600-7E1"
@@ -58,7 +65,9 @@ def line_link(link: LinkSpec) -> SerialLink:
 
 
 class BusRun:
-    """Reads a recording, then sends its bytes on a serial line."""
+    """Reads a recording, then sends its bytes, those of the master and of the slaves, on a serial
+    line.
+    """
 
     def __init__(
         self,
@@ -68,10 +77,12 @@ class BusRun:
         on_remark: Callable[[str], None] = lambda _: None,
         watch: Watch = unwatched,
     ) -> None:
-        """Read the recording and make the bytes to send. PDUs from a network get a serial frame.
+        """Read the recording and make the bytes to send. PDUs that were recorded on a network get
+        serial frames.
 
-        Raises InputError if the file cannot be read or has nothing to play, UsageError if it has
-        several lines, or a line of another mode (RTU or ASCII) than the link.
+        `on_remark` gets lines for the user about the file. Raises InputError if the file cannot be
+        read or has nothing to play. Raises UsageError if it has several lines, or a line of another
+        mode (RTU or ASCII) than `link`.
         """
         self._options = options
         self._link = link
@@ -79,8 +90,8 @@ class BusRun:
 
     @property
     def length_ns(self) -> int:
-        """The duration of the part to be played, in ns of recorded time; without --end, up to the
-        last bytes.
+        """The length of the part to be played, in ns of recorded time: up to --end, or else up to
+        the last bytes.
         """
         window = self._options.window
         if window.end_ns is not None:
@@ -92,8 +103,8 @@ class BusRun:
     ) -> BusReport:
         """Send all bytes; end early when `stops` returns True.
 
-        `controls` returns the user's keys: pause, step, faster, slower. Raises LinkError if the
-        port cannot be opened or is lost.
+        `controls` gives the user's keys (pause, step, faster, slower) and shows the progress; None
+        for none. Raises LinkError if the port cannot be opened or is lost.
         """
         link, options = self._link, self._options
         clock = PlayClock(

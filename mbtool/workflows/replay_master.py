@@ -43,12 +43,14 @@ if TYPE_CHECKING:
 
 _NS = 1_000_000_000
 _AT_ONCE_NS = 200_000
-"""If sending a request takes less than this (ns), the time before the call counts as the time at
-which it was sent; else the time after the call."""
+"""If the call that sends a request takes less than this (ns), the time before the call counts as
+the time of sending; else the time after it."""
 _LOOK_NS = 200_000_000
-"""The longest interval (ns) between two calls of `stops`, which tells if the user wants to end."""
+"""The longest interval (ns) between two calls of `stops`, which returns True when the user wants to
+end."""
 _STEERED_NS = 30_000_000
-"""The longest interval (ns) between two checks of the user's keys, if there are `controls`."""
+"""The longest interval (ns) between two checks of the user's keys, if the caller passed `controls`
+to read them."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,9 +60,11 @@ class MasterOptions(PlayOptions):
     is_loop: bool = False
     timeout_ns: int = _NS
     ignore: Sequence[str] = ()
-    """Ranges of registers and bits whose values may differ from the recording."""
+    """Ranges of registers and bits whose values may differ from the recording, as texts such as
+    `holding 0..9`."""
     learns: bool = False
-    """True to report registers whose values differ in `Report.learned`, not as differences."""
+    """True if registers whose values differ are collected in `Report.learned` and do not count as
+    differences."""
     tolerance: Tolerance | None = None
 
 
@@ -72,26 +76,28 @@ class Report(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     requests: int
     """The number of requests that were sent."""
     different: int
-    """The number of responses that were not as recorded."""
+    """The number of requests whose responses were not as recorded."""
     unsolicited: int
-    """The number of responses that belong to no pending request."""
+    """The number of responses that came while no request of theirs was pending."""
     lateness_p99_ns: int | None
-    """The 99th percentile (ns) of the delays with which requests were sent later than planned.
-    Requests that had to wait for a response are left out. None if there are no others, or if the
-    recording was played as fast as possible."""
+    """How late requests were sent after their recorded times, as 99th percentile in ns. Requests
+    that had to wait for a response are left out. None if there are no others, or if the recording
+    was played as fast as possible."""
     asked: list[RequestReport]
     differences: list[Difference]
     learned: list[str] = field(default_factory=list)
-    """Ranges of registers whose values differed, as texts for --ignore; empty without --learn."""
+    """With --learn, the ranges of registers whose values differed from the recording, as texts for
+    --ignore; else empty."""
     uncompared_latencies: int = 0
-    """The number of requests with too few responses for their latencies to be compared."""
+    """The number of requests whose latencies could not be compared, because they had too few
+    responses."""
     problem: str | None = None
     """The error that kept some requests from being sent: the slave cannot be reached, or the port
     was lost. None if the link worked."""
 
 
 class MasterRun:
-    """Reads a recording, then sends its requests on a link."""
+    """Reads a recording, then sends its requests on a link and compares the responses."""
 
     def __init__(
         self,
@@ -102,8 +108,9 @@ class MasterRun:
     ) -> None:
         """Read the recording; if it is cut or damaged, only the part that can be read.
 
-        Raises InputError if the file cannot be read or has no request to send, UsageError if a unit
-        is on several links or a text in `options.ignore` is no range of registers.
+        `on_remark` gets lines for the user about the file. Raises InputError if the file cannot be
+        read or has no request to send. Raises UsageError if a unit is on several links, or if a
+        text in `options.ignore` is no range of registers.
         """
         self._path = path
         self._on_remark = on_remark
@@ -129,9 +136,10 @@ class MasterRun:
     ) -> Report:
         """Send all recorded requests, and compare the responses with the recorded ones.
 
-        Ends early when `stops` returns True. `on_answer` is called for each recorded request with
-        three arguments: the request, its response PDU (None if there was none), and True if that is
-        as recorded. `controls` returns the user's keys: pause, step, faster, slower.
+        Ends early when `stops` returns True. `on_answer` is called for each request with three
+        arguments: the recorded request, the PDU of the new response (None if there was none), and
+        True if that response is as recorded. `controls` gives the user's keys and shows the
+        progress; None for none.
 
         If the link cannot be opened or its serial port is lost, the report has the error in
         `problem` and the results so far. Raises UsageError if a master cannot use the link.
@@ -169,8 +177,10 @@ class MasterRun:
         on_answer: Callable[[Step, bytes | None, bool], None],
         longest_wait_ns: int,
     ) -> None:
-        """Send the next request if its time has come; otherwise wait for responses, for at most
+        """Send the next request if it is due; otherwise wait for responses, for at most
         `longest_wait_ns` (ns).
+
+        `on_answer` is called as `play` describes.
         """
         now_ns = time.monotonic_ns()
         for number in master.lost():
@@ -181,8 +191,8 @@ class MasterRun:
             begin_ns = time.monotonic_ns()
             master.send(step.number, step.unit, step.pdu)
             end_ns = time.monotonic_ns()
-            # A slave on this machine may respond before `end_ns` is read, which would make the
-            # latency negative.
+            # A slave on this machine may respond before the time `end_ns` is read. Then the latency
+            # would be negative, counted from `end_ns`.
             conductor.note_sent(step, begin_ns if end_ns - begin_ns < _AT_ONCE_NS else end_ns)
             return
         wake_ns = conductor.wake_ns(now_ns)
@@ -193,15 +203,18 @@ class MasterRun:
             if agrees is not None:
                 on_answer(self.script.steps[answer.number], answer.pdu, agrees)
         if not answers:
-            # A response that came in time may be read late if this process was suspended. So a
-            # request times out only by the time before the wait, and only if no response was there.
+            # If this process was suspended, a response that came in time may be read late. So a
+            # request times out only if `now_ns`, read before the wait, is beyond its time-out, and
+            # if the wait brought no response.
             for late, is_right in conductor.expire(now_ns):
                 on_answer(late, None, is_right)
 
     def _report(
         self, link: LinkSpec, judge: Judge, conductor: Conductor | None, problem: str | None
     ) -> Report:
-        """Make the report; `conductor` is None if the link could not be opened."""
+        """Make the report. `conductor` is None if the link could not be opened, so that nothing was
+        sent; `problem` is the error of the link, if any.
+        """
         options = self._options
         return Report(
             recording=self._path,
@@ -219,11 +232,11 @@ class MasterRun:
 
 
 def junit(report: Report) -> str:
-    """Return the report as JUnit XML: a case for each request, and one for each register that
-    differs.
+    """Return the report as JUnit XML: a test case for each request, and one for each register whose
+    values differed.
 
     A request's case fails if one of its responses was not as recorded, or if its latencies are too
-    long. If the link failed, a case with an error says why.
+    long. If the link failed, another case has the error.
     """
     cases = [
         Case(
@@ -245,7 +258,9 @@ def junit(report: Report) -> str:
 
 
 def _case_name(request: RequestReport) -> str:
-    """The name of a request's case, such as `03 read holding 0..1`: function and addresses."""
+    """The name of the test case for a request: function and addresses, as `03 read holding
+    0..1`.
+    """
     action, _, table = request.what.rpartition(" ")
     is_named_twice = request.reference.startswith(f"{table} ")
     return f"{action if is_named_twice else request.what} {request.reference}"
@@ -265,5 +280,7 @@ def _told(difference: Difference) -> str:
 
 
 def _written(span: Span) -> str:
-    """Write a range of registers in the notation that works without a profile: `holding 9..19`."""
+    """A range of registers as text, in the notation that needs no device profile: `holding
+    9..19`.
+    """
     return write_reference(None, span.table, span.first, span.last - span.first + 1)

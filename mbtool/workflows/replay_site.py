@@ -58,18 +58,20 @@ class SiteRule:
     """The value of one option --on, `WHO=LINK` or `LINK`: which slaves answer on which link."""
 
     who: str | None
-    """The text of WHO; None if the user gave only a link."""
+    """The text WHO, which names slaves of the recording (`192.168.1.101`, `all`); None if the user
+    gave only a link."""
     link_text: str
     link: LinkSpec | None
-    """The link; None if it is a network, in which each slave gets an address of its own."""
+    """The link on which the slaves answer; None if it is a network, in which each slave gets an
+    address of its own."""
     network: Network | None = None
     port: int = MODBUS_PORT
     rtu: bool = False
 
     @classmethod
     def parse(cls, text: str) -> SiteRule:
-        """Parse the value of --on. Raises UsageError for another form, or for a link that a slave
-        cannot use.
+        """Parse one value of --on. Raises UsageError if it is not of a known form, or if no slave
+        can answer on its link.
         """
         who, equals, link_text = text.partition("=")
         if not equals or _SCHEME.match(text):
@@ -88,11 +90,11 @@ class SiteRule:
 
 
 class SitePlayer(NamedTuple):
-    """The slaves of the recording that answer on one link: those of one address or line, or all."""
+    """The slaves of the recording that answer on one link, ready to be played."""
 
     name: str
-    """The slaves' address or the name of their serial line in the recording; if all slaves answer
-    on one link, the name of that link."""
+    """The recorded address of the slaves, or the name of their serial line; if all slaves of the
+    recording answer on one link, the name of that link."""
     run: SlaveRun
     link: LinkSpec
 
@@ -110,9 +112,9 @@ class SiteRun:
     ) -> None:
         """Read the recording; `on` has the values of the options --on.
 
-        Raises UsageError for a wrong --on, for a WHO that is not in the recording, and for several
-        slaves with the same unit on one link; InputError if the file cannot be read or has no
-        request to answer.
+        `on_remark` gets lines for the user. Raises UsageError for a wrong --on, for a WHO that fits
+        no slave of the recording, and for several slaves with the same unit on one link. Raises
+        InputError if the file cannot be read or has no request to answer.
         """
         rules = [SiteRule.parse(text) for text in on]
         _demand_who(on, rules)
@@ -149,8 +151,8 @@ class SiteRun:
     ) -> PlayedSite:
         """Return the slaves on their links, not yet started.
 
-        `on_exchange` returns for each player the function that is called with each request and its
-        response, or None.
+        Only masters in `allowed` may connect. `on_exchange` gets each player, and returns a
+        function that is called with each request and its response there, or None for no calls.
         """
         return PlayedSite(
             [
@@ -171,7 +173,9 @@ class PlayedSite:
             slave.before_request = self._begin
 
     def _begin(self) -> None:
-        """Start the clocks of all slaves at the first request. Any link's thread may call this."""
+        """Start the clocks of all slaves. Each link's thread calls this before each request; only
+        the first call of all has an effect.
+        """
         if not self._has_begun:
             self._has_begun = True
             for _, slave in self.played:
@@ -179,13 +183,13 @@ class PlayedSite:
 
 
 class _SitePart(NamedTuple):
-    """The slaves that answer on one link."""
+    """Slaves of the recording, and the link on which they answer."""
 
     name: str
     link: LinkSpec
     slaves: frozenset[tuple[str, int]] | None
-    """For each slave, its address (or the name of its serial line) in the recording, and its unit.
-    None for all slaves."""
+    """The slaves as pairs: the recorded address (or the name of the serial line) and the unit. None
+    for all slaves."""
 
     def holds(self, transaction: NamedTransaction) -> bool:
         key = _place(transaction), transaction.unit
@@ -193,17 +197,23 @@ class _SitePart(NamedTuple):
 
 
 def _place(transaction: NamedTransaction) -> str:
-    """Where a slave was in the recording: its address and port, or the name of its serial line."""
+    """Where the slave of a transaction was when recorded: its address and port, or the name of its
+    serial line.
+    """
     return transaction.destination or transaction.link
 
 
 def _name(place: str) -> str:
-    """An address with port, or the name of a line, as a user writes it: without port 502."""
+    """A recorded place as the user writes it: an address without port 502, or the name of a serial
+    line.
+    """
     return place.removesuffix(f":{MODBUS_PORT}").strip("[]") if ":" in place else place
 
 
 def _demand_who(on: Sequence[str], rules: Sequence[SiteRule]) -> None:
-    """Raise UsageError if there are several --on and one of them lacks WHO."""
+    """Raise UsageError if `on` has several values and one of them has no WHO. `rules` are the
+    values parsed.
+    """
     if len(rules) > 1:
         for text, rule in zip(on, rules, strict=True):
             if rule.who is None:
@@ -224,9 +234,11 @@ def _divided(
     asked: Iterable[NamedTransaction],
     on_remark: Callable[[str], None],
 ) -> list[_SitePart]:
-    """Divide the slaves of a recording among the links of the rules.
+    """Divide the slaves that `asked` (the transactions with a request) shows among the links of the
+    rules.
 
-    If several rules fit a slave, the one with the most specific WHO counts.
+    If several rules fit a slave, the one with the most specific WHO counts. `path` is the recording
+    in messages; `on_remark` is told which slaves no rule fits.
     """
     slaves = dict.fromkeys((_place(one), one.unit, one.destination) for one in asked)
     lines = {place for place, _, destination in slaves if destination is None}
@@ -264,8 +276,10 @@ def _specificity(who: Who | None) -> int:
 def _parts(
     rule: SiteRule, slaves: Sequence[tuple[str, int]], taken: set[Address]
 ) -> list[_SitePart]:
-    """Put the slaves of a rule on its link; if the link is a network, those of each address or
-    serial line on a free address of it. `taken` gets the addresses that are used.
+    """Put the slaves of a rule (pairs of recorded place and unit) on its link.
+
+    If the link is a network, the slaves of each place get a free address of it, which is added to
+    `taken`.
     """
     if rule.link is not None:
         return [_SitePart(rule.who or ALL, rule.link, frozenset(slaves))]
@@ -294,8 +308,11 @@ def _address(name: str) -> Address | None:
 
 
 def _free_address(rule: SiteRule, name: str, taken: set[Address]) -> Address:
-    """Return an address for a slave in the network of a rule: the one that ends with the same
-    numbers as the slave's recorded address, or, if that is taken, the lowest free one.
+    """Return an address in the network of a rule that is not in `taken`, for a slave whose recorded
+    address is `name`.
+
+    It is the address that ends with the same numbers as `name`, or, if that is taken, the lowest
+    free one. Raises UsageError if none is free.
     """
     network = rule.network
     assert network is not None

@@ -50,7 +50,8 @@ MAX_LATENCY_NS = 1_000_000_000_000
 """The longest time (ns) that --latency accepts, 1000 s: no master waits that long."""
 _UNITS_NS = {"us": 1_000, "ms": 1_000_000, "s": 1_000_000_000}
 _SEED = 0
-"""The seed of the random numbers for --latency sampled, so that each run has the same latencies."""
+"""The seed of the random numbers for `--latency sampled`. It is fixed, so that all runs draw the
+same latencies."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,14 +62,14 @@ class SlaveOptions(PlayOptions):
     on_miss: OnMiss = OnMiss.IMAGE
     on_end: OnEnd = OnEnd.LAST
     latency: str = RECORDED
-    """The latency of responses: `recorded`, `none`, `sampled`, or a time such as `5ms`."""
+    """The latency of responses, as text: `recorded`, `none`, `sampled`, or a time such as `5ms`."""
     with_damage: bool = False
-    """True to send the damaged responses of the recording, too."""
+    """True if the damaged responses of the recording are sent, too."""
     fault_file: Path | None = None
 
 
 class SlaveRun:
-    """Reads a recording, then answers requests on a link with its responses."""
+    """Reads a recording, then answers a live master's requests with the recorded responses."""
 
     def __init__(
         self,
@@ -82,10 +83,10 @@ class SlaveRun:
     ) -> None:
         """Read the recording. If it is cut or damaged, use the part that can be read.
 
-        `recorded` has the transactions if the caller has already read the file. `origin_ns` is the
-        time (UTC ns) from which --start and --end count; by default that of the first request.
-        Raises InputError if the file cannot be read or has no request to answer, and UsageError if
-        the options contradict each other or do not fit the recording.
+        `recorded` has the recording's transactions if the caller has already read the file. --start
+        and --end count from `origin_ns` (UTC ns), or from the first request if it is None. Raises
+        InputError if the file cannot be read or has no request to answer. Raises UsageError if the
+        options contradict each other or do not fit the recording.
         """
         if options.rate is None and options.match.by_clock:
             raise UsageError(
@@ -98,7 +99,8 @@ class SlaveRun:
             recorded = read_recorded(path, options, on_remark, watch)
         events = recorded.damage if options.with_damage else ()
         self.recording = Recording.of(recorded.transactions, options.window, events, origin_ns)
-        # Keep no reference to the transactions: they take several times the memory of `recording`.
+        # Keep no reference to `recorded`: its transactions take several times the memory of
+        # `self.recording`.
         self._profiles = recorded.assignments.profiles
         self._profile_of = _profile_of_units(recorded)
         if not self.recording.answers:
@@ -108,7 +110,7 @@ class SlaveRun:
 
     @property
     def profile_of(self) -> dict[int, Profile]:
-        """The device profiles by unit, without units that have no profile."""
+        """The device profiles by unit; units without a profile are missing."""
         return dict(self._profile_of)
 
     def on(
@@ -121,9 +123,10 @@ class SlaveRun:
     ) -> PlayedSlave:
         """Return the recording's slaves on a link, not yet started.
 
-        `on_exchange` is called with each request and its response. `wrapped` may replace the
-        responder that answers. Raises UsageError if no slave can answer on the link, or if the
-        fault file is wrong; InputError if the fault file cannot be read.
+        Only masters in `allowed` may connect. `on_exchange` is called with each request and its
+        response. `wrapped` gets the responder that answers, and returns the one to use in its
+        place. Raises UsageError if no slave can answer on the link, or if the fault file is wrong;
+        InputError if that file cannot be read.
         """
         where = slave_link(link)
         options = self._options
@@ -157,8 +160,10 @@ class SlaveRun:
 
 
 class PlayedSlave:
-    """The slaves of a recording on a link, which answer in the link's thread. Any other thread may
-    call `begin`, `counts`, `control` and `progress`.
+    """The slaves of a recording on a link.
+
+    They answer in the thread of the link. Other threads may call `begin`, `counts`, `control` and
+    `progress` at the same time.
     """
 
     def __init__(
@@ -174,22 +179,25 @@ class PlayedSlave:
         self._responder = responder
         self._lock = threading.Lock()
         self.before_request: Callable[[], None] = lambda: None
-        """Called in the link's thread before each request is answered."""
+        """A function called in the link's thread before each request is answered; by default it
+        does nothing."""
         self.shell: Shell = open_shell(link, self, allowed=allowed, on_exchange=on_exchange)
 
     def respond(self, unit: int, pdu: bytes, now_ns: int) -> Response | None:
         self.before_request()
         with self._lock:
-            # `now_ns` is not used: all methods must use one clock, also those for the user's keys.
+            # `now_ns` is not used: this must be the same clock as for the user's keys.
             return self._responder.respond(unit, pdu, time.monotonic_ns())
 
     def begin(self) -> None:
-        """Start the clock of the replay, unless it is running already."""
+        """Start the clock of the replay, unless it was started before."""
         with self._lock:
             self._slave.begin(time.monotonic_ns())
 
     def counts(self) -> Counter[AnsweredFrom]:
-        """The number of requests so far, by the source of their response, such as the recording."""
+        """The number of requests so far, by what their responses were taken from, such as the
+        recording.
+        """
         with self._lock:
             return self._slave.answered_from.copy()
 
@@ -204,11 +212,9 @@ class PlayedSlave:
 
 
 class RecordedDevice:
-    """A simulated device, made from its profile, that answers requests which are not in the
-    recording.
+    """A simulated device, made from its profile, that answers requests which the recording lacks.
 
-    Before each request, the RecordedSlave sets the registers that the request addresses to their
-    recorded values.
+    Before each request, the RecordedSlave sets the addressed registers to their recorded values.
     """
 
     def __init__(self, profile: Profile) -> None:
@@ -223,7 +229,7 @@ class RecordedDevice:
 
 
 def _profile_of_units(recorded: Recorded) -> dict[int, Profile]:
-    """The device profiles by unit, without units that have no profile."""
+    """The device profiles by unit; units without a profile are missing."""
     profiles: dict[int, Profile] = {}
     for transaction in recorded.transactions:
         profile = recorded.assignments.profile_for(transaction)
@@ -239,7 +245,8 @@ def _transport(link: SerialLink | TcpLink) -> Transport:
 
 
 def _fixed_latency_ns(text: str) -> int | None:
-    """Parse --latency: return the fixed latency in ns; None for `recorded` and `sampled`.
+    """Parse the value of --latency. Returns a fixed latency in ns (0 for `none`); None for
+    `recorded` and `sampled`, which are not fixed.
 
     Raises UsageError for any other text that is no time, and for a time above MAX_LATENCY_NS.
     """

@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 
 _LACKING = frozenset((EventKind.GAP, EventKind.DISCARDED, EventKind.CUT, EventKind.UNREADABLE))
 MAX_LACKING = 200
-"""The most events about missing or unreadable data that the page lists."""
+"""The page lists at most this many events about missing or unreadable data."""
 
 
 class ReportRun:
@@ -64,7 +64,9 @@ class ReportRun:
         *,
         everything: bool = False,
     ) -> None:
-        """With `everything`, the page has all transactions, however large it becomes."""
+        """Prepare to read. With `everything`, the page has all transactions, however large it
+        becomes; otherwise only as many as TransactionRows keeps.
+        """
         self._files = files
         self._options = options
         self._check = CheckRun(files, options, codes, window=window)
@@ -80,16 +82,18 @@ class ReportRun:
         self._number_lacking = 0
         self._captures = 0
         self.error: InputError | None = None
-        """An error of a file that could not be read, or not to its end; None if there was none."""
+        """The error of a file that could be read only in part; None if all files were read to their
+        ends."""
 
     def demand_codes(self) -> None:
-        """Raise UsageError if there is a text in the filter with which no code begins."""
+        """Raise UsageError if no code of a rule begins with some text of the filter `codes`."""
         self._check.demand_codes()
 
     def read(self, watch: WatchChecked = unwatched) -> None:
         """Read the files as far as they can be read.
 
-        Raises InputError if an error occurred before the first transaction was read.
+        `watch` passes on the records as they are read, and may show the progress. Raises InputError
+        if an error comes before the first transaction.
         """
         try:
             for one in watch(self.reading, self._check.checked()):
@@ -103,17 +107,18 @@ class ReportRun:
     def page(
         self, against: str | None = None, on_remark: Callable[[str], None] = lambda _: None
     ) -> str:
-        """Return the page as HTML; with `against`, it has a comparison with that capture.
+        """Return the page as HTML. If `against` is not None, the page has a comparison with that
+        older capture.
 
-        `on_remark` gets lines for the user about the files that are compared. Raises InputError if
-        the other capture cannot be read.
+        `on_remark` gets lines for the user about the compared files. Raises InputError if the
+        capture `against` cannot be read.
         """
         comparison = None if against is None else self._compared(against, on_remark)
         return page(encoded(report_document(self._contents(comparison))))
 
     @property
     def remarks(self) -> list[str]:
-        """Lines for the user about the files, such as cut packets."""
+        """Lines for the user about the files, for example about cut packets."""
         return self._check.remarks
 
     def _add(self, one: CheckedRecord) -> None:
@@ -186,9 +191,9 @@ class ReportRun:
 
 
 def _codes_of(one: NamedTransaction, findings: list[Finding]) -> list[str]:
-    """Return the codes of those findings that are about this transaction.
+    """Return the codes of those `findings` that are about the transaction `one`.
 
-    A rule may report a finding about an earlier transaction when it gets this one.
+    The others are about earlier transactions: a rule may need a later transaction to find them.
     """
     return [
         finding.code
