@@ -1,1 +1,3 @@
-"""Decodes whole capture files as arrays. Needs numpy and pyarrow (the extra `columns`)."""
+"""Decodes capture files many packets at a time, with their headers and fields in numpy arrays.
+Needs numpy and pyarrow (the extra `columns`).
+"""

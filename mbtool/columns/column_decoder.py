@@ -1,5 +1,5 @@
-"""Decodes a capture in blocks of packets: undisturbed polling as arrays, all else by the
-Decoder.
+"""Decodes a capture in blocks of packets: reads undisturbed polling from arrays, and feeds all
+other packets that may carry Modbus to the Decoder.
 """
 
 # A plain stretch is a series of request and response pairs of one connection, in order and without

@@ -94,7 +94,9 @@ class Segments:
 
 @dataclass(slots=True)
 class Headers:
-    """The packets of a block by kind: TCP segments that were read, and packets for the Decoder."""
+    """The headers of a block's packets: the TCP segments, and which packets could not be read as
+    arrays.
+    """
 
     segments: Segments
     hidden: Int64s

@@ -59,7 +59,7 @@ class LineBatch:
     """The lines of the transactions of a block of packets."""
 
     text: str
-    """All lines of the block joined, in order."""
+    """All lines of the block joined, in the order in which packets completed the transactions."""
     outcomes: Counter[Outcome]
     """The number of transactions with each outcome, not counting the transactions in `records`."""
     records: list[Record]
@@ -88,8 +88,9 @@ class BlockLines:
         shorter texts with zero bytes."""
         self._namer = Namer()
         self._forms: dict[tuple[object, ...], str] = {}
-        """By capture file, MAC addresses, and the fields of the PDUs as one number: the template, a
-        line with %s in place of each field that differs within a group."""
+        """The templates: lines with %s in place of each field that differs within a group. The key
+        has the capture file, the MAC addresses and VLAN of both packets, and, as one number, the
+        fields of the PDUs: unit, function, address, quantity and exception code."""
         self._order: list[str] = []
         """The names of the fields that differ within a group, in the order in which they stand in a
         line."""

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 def plain_records(decoded: DecodedBlock, namer: Namer) -> Iterator[Record]:
     """Yield the transactions and events of a block as objects, equal to those that the Decoder
-    gives if it is fed all packets, and in the same order.
+    gives if it is fed all packets, and in the same order. `namer` adds the names to transactions.
     """
     records = decoded.sorted_records(with_passed=True)
     rows = decoded.plain

@@ -1,4 +1,4 @@
-"""Holds, as arrays, the transactions of a block that were read without the Decoder."""
+"""Holds the transactions of a block that were read without the Decoder, each field as an array."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 _LINK_HEADER = np.dtype("V32")
 """The first 32 bytes of a packet. No link layer header that headers.py reads is longer than 28
-bytes."""
+bytes, so the last byte is free for the header's length."""
 
 
 @dataclass(slots=True)

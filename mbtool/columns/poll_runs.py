@@ -149,8 +149,8 @@ def between(
 ) -> list[tuple[int, Record | None]]:
     """Return, in order, what stands between the rows for which `is_usual` is True.
 
-    An item has the index of a row and a record of the Decoder that was completed just before this
-    row. Or it has the index of a row for which `is_usual` is False, and None.
+    An item is one of two pairs: a record of the Decoder, after the index of the row before which it
+    was completed; or None, after the index of a row for which `is_usual` is False.
     """
     places = np.searchsorted(order_of(rows.response), [place for place, _ in records]).tolist()
     found: list[tuple[int, Record | None]] = [

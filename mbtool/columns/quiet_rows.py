@@ -74,8 +74,8 @@ class QuietParts:
 
 
 class _QuietBlock:
-    """The transactions of a block that were read from arrays. Each has the number of its poll and
-    that of its connection, by which the rules of `check` group them.
+    """The transactions of a block that were read from arrays, with two numbers each: transactions
+    with equal numbers belong to the same poll, or to the same connection.
     """
 
     def __init__(self, rows: PlainRows, namer: Namer, sunspec: SunSpecRows) -> None:

@@ -1,5 +1,5 @@
-"""Finds the common reads and writes among transactions in arrays, and reads the fields of their
-PDUs.
+"""Finds the common reads and writes (functions 01 to 06, 0F and 10, hexadecimal) among transactions
+in arrays, and reads the fields of their PDUs.
 """
 
 # A usual row is a transaction with one of the functions 01 to 06, 0F and 10 (hex). Its request has
@@ -42,7 +42,7 @@ address, quantity and byte count."""
 class UsualRows:
     """Finds the common reads and writes among transactions in arrays, and reads their PDUs' fields.
 
-    Each array has one element per row.
+    Each array has one element per transaction.
     """
 
     def __init__(self, rows: PlainRows) -> None:

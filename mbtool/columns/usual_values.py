@@ -63,8 +63,9 @@ class UsualValues(UsualRows):
         """Return the values of all rows joined in one array, and the index in it where each row
         begins.
 
-        Each row has `counts` values from the offset `begin` in the data on. They are registers if
-        `words` is True and bits if `bits` is True; if both are False, the row has no values.
+        Row i has `counts[i]` values from the offset `begin[i]` in the data on. They are registers
+        if `words[i]` is True and bits if `bits[i]` is True; if both are False, the row has no
+        values.
         """
         counts = np.where(words | bits, counts, 0)
         offsets = np.concatenate([[0], np.cumsum(counts)])

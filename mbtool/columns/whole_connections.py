@@ -63,8 +63,8 @@ class WholeConnections:
         return len(self.flow)
 
     def only(self, wanted: Bools | Int64s) -> WholeConnections:
-        """Return some of the connections: those with True in `wanted`, or those whose indices it
-        has.
+        """Return some of the connections. `wanted` has a bool for each connection, or the indices
+        of those to return.
         """
         return WholeConnections(
             *(getattr(self, name)[wanted] for name in WholeConnections.__slots__)

@@ -13,7 +13,7 @@
 # Each file is checked key by key before it is merged, so that an error names the right file.
 #
 # Limits: 1 MiB for each file; a chain of 8 files that extend one another; 8 MiB for a profile in a
-# log; in both the depth of core/nesting.py.
+# log. Neither may nest tables and lists deeper than core/nesting.py allows.
 
 from __future__ import annotations
 

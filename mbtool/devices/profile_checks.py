@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from mbtool.modbus.transaction import Transaction
 
 _WRITE_QUANTITY = slice(7, 9)
-"""The bytes of the PDU that have the quantity to write, in a request with function 17H."""
+"""The slice of a PDU that has the quantity to write, in a request with function 17H."""
 
 Ranges = dict[str, tuple[float | None, float | None]]
 """By the name of a point: the least and the greatest value that its manual allows; None where there

@@ -68,7 +68,8 @@ def is_quantity_wrong(
 ) -> bool:
     """True if a quantity in a request is 0, or more than the standard allows for the function.
 
-    `written` is the first address and the quantity that a request with function 17H writes.
+    `written` is the first address and the quantity that a request with function 17H writes; None
+    for other functions.
     """
     known = FUNCTIONS.get(function)
     if known is None or known.table is None:

@@ -91,9 +91,10 @@ class SunSpecMap:
         return f"{self.maker} {self._text(self.base + 4 + _TEXT_WORDS)}".strip()
 
     def _take_head(self, address: int, values: Sequence[int]) -> bool:
-        """Add the next model to `models` if its number and length were read.
+        """Add the next model to `models` if its number and length were read. Returns True if it was
+        added.
 
-        Returns True if a model was added.
+        `values` are the registers that were just read, from `address` on.
         """
         for at in (self._at, self._at + 1):
             if 0 <= at - address < len(values):

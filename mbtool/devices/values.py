@@ -279,7 +279,9 @@ def _ratio(point: Point) -> tuple[int, int, int] | None:
 
 
 def _number(point: Point, raw: Sequence[int]) -> float | None:
-    """The number in the registers `raw`, before scale and offset; None if they hold no number."""
+    """Return the number in the registers `raw`, before scale and offset. None if they hold no
+    number: a string, or digits that are not BCD.
+    """
     if point.type is PointType.BIT:
         return raw[0]
     if point.type is PointType.STRING:

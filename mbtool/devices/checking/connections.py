@@ -59,7 +59,7 @@ class ConnectionRules:
     """
 
     def __init__(self, ports: frozenset[int] | None) -> None:
-        """`ports` are the TCP ports that should carry Modbus; None for all ports."""
+        """Take the TCP ports that should carry Modbus; None for all ports."""
         self._ports = ports
         self._connections: LruDict[tuple[str, str | None], _Connection] = LruDict(_Connection)
         self._pending: deque[WireEvent] = deque()
@@ -112,7 +112,10 @@ class ConnectionRules:
         return True
 
     def run(self, run: QuietRun) -> Iterator[Finding]:
-        """Check many transactions together, with the same result as `transaction` for each."""
+        """Check many transactions together, with the same result as `transaction` for each.
+
+        `run` has their times and transaction ids, grouped by connection.
+        """
         yield from self._advance(run.last_response_ns)
         for one in run.connections:
             connection = self._connections[one.link, one.source]
@@ -203,7 +206,7 @@ def is_foreign_message(raw: bytes) -> bool:
 
 
 def foreign_text(event: WireEvent) -> str:
-    """Describe a message whose protocol id is not 0."""
+    """Describe the message in `event.raw`, whose protocol id is not 0, for a finding."""
     return f"protocol id {event.raw[2:4].hex().upper()}H in a message of {len(event.raw)} bytes"
 
 

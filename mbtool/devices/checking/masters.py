@@ -83,7 +83,8 @@ class MasterRules:
         time of the limit of SEC-205)."""
         late = SecurityLimit(limits.identification.number, _EVER_NS)
         self._identifications = LruDict[str, SlidingWindow](lambda: SlidingWindow(late), MAX_HOSTS)
-        """Counts the reads of an identification by each host that is not in `_known`."""
+        """For each host (IP address) that is not in `_known`: counts its reads of an
+        identification."""
 
     def heard(self, host: str, at_ns: int) -> None:
         """Note that a host (an IP address) sent something, or opened a connection, at the time
@@ -124,7 +125,10 @@ class MasterRules:
         return True
 
     def run(self, run: QuietRun) -> None:
-        """Count many reads together, with the same result as `transaction` for each."""
+        """Count many reads together, with the same result as `transaction` for each.
+
+        `run` has the times of the reads, grouped by connection.
+        """
         for one in run.connections:
             host = host_of(one.source)
             self.heard(host, one.least_ns)

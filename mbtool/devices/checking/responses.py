@@ -47,8 +47,8 @@ PATIENCE_NS = 5_000_000_000
 that comes within this time of the beginning of the capture may have a request before the
 capture."""
 EDGE_NS = 1_000_000_000
-"""If the capture ends less than so many ns after a request, a response may have come after its
-end."""
+"""If the capture ends less than so many ns after a request, the response may have come after the
+capture's end."""
 
 _DIAGNOSTICS, _FORCE_LISTEN_ONLY = 0x08, 0x04
 _LOST = frozenset((EventKind.GAP, EventKind.CUT, EventKind.DISCARDED))
@@ -160,7 +160,10 @@ class ResponseRules:
         return self._states.has_room(connections) and self._has_responded.has_room(units)
 
     def run(self, run: QuietRun) -> Iterator[Finding]:
-        """Check many answered reads together, with the same result as `transaction` for each."""
+        """Check many answered reads together, with the same result as `transaction` for each.
+
+        `run` has the times of the reads, grouped by connection and by poll.
+        """
         yield from self._advance(run.last_request_ns)
         self._last_ns = max(self._last_ns, run.last_response_ns)
         for one in run.connections:

@@ -37,7 +37,10 @@ class SecurityRules:
         self._scans = ScanRules(limits, self._cases)
 
     def transaction(self, transaction: NamedTransaction, profile: Profile | None) -> None:
-        """Count the next transaction for all rules about attacks and scans."""
+        """Count the next transaction for all rules about attacks and scans.
+
+        `profile` is the slave's; None if it has none.
+        """
         if transaction.request_raw is None:
             return
         slave = transaction.destination

@@ -39,8 +39,8 @@ ADAPTER_SHARE = 0.25
 silence inside a frame, an adapter that delivers bytes in blocks is taken to be the reason."""
 MIN_SILENCES = 3
 MIN_SILENCES_SHARE = 0.2
-"""A finding needs a wrong silence in at least this share of a unit's transactions, 0 to 1. Late
-reads alone caused up to 16 % (measured)."""
+"""A finding needs a wrong silence in at least this share of a unit's transactions, 0 to 1. On
+healthy lines, a busy computer that read late caused a share of up to 0.16 (measured)."""
 
 _SILENCES = {
     Verdict.T1_5_BROKEN: ("RTU-101", "a silence longer than t1.5 inside a frame"),

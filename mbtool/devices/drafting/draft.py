@@ -185,8 +185,11 @@ def _runs(flags: bytearray) -> Iterator[tuple[int, int]]:
 def _about_area(
     area: Area, flags: bytearray, refused: Sequence[tuple[ObservedRequest, Replies]]
 ) -> Iterator[str]:
-    """Yield comments on an area: which addresses were never written or read, and which requests
-    next to it the slave refused.
+    """Yield comments on an area: which addresses were never written or read, and which requests for
+    neighbouring addresses the slave refused.
+
+    `flags` has the flags of each address in the area; `refused` has the refused requests for the
+    area's table, with the slave's replies.
     """
     if flags[0] & _NO_RESPONSE:
         yield "Asked for, but never answered: perhaps there is nothing here."
@@ -308,8 +311,7 @@ def _points(
     """Return points for the registers whose values were sampled, at most MAX_POINTS, and the number
     of registers that get no point because of this limit.
 
-    Adds the reason for the type of each point to `comments`, by the point's place in the TOML file
-    (dump_profile).
+    Adds the reason for the type of each point to `comments`, under the key `points "NAME"`.
     """
     points: list[Point] = []
     left_out = 0

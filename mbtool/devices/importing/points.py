@@ -78,7 +78,8 @@ def make_points(
 def _point(row: ListRow, area: Area, word_order: WordOrder | None, report: ImportReport) -> Point:
     """Make the point of a row.
 
-    Raises ValueError if the row's type, number of registers, factor and table do not fit together.
+    `area` has the row's table and address; `word_order` is the user's, or None. Raises ValueError
+    if the row's type, number of registers, factor and table do not fit together.
     """
     type_ = _type(row, area.table, report)
     kind = type_.type

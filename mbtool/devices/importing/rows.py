@@ -270,7 +270,10 @@ class RowReader:
         return [*notes, *prose]
 
     def _factors_divide(self, scaling: Scaling | None) -> bool:
-        """True if a factor without a mark such as x or / divides the number in the register."""
+        """True if a factor without a mark such as x or / divides the number in the register.
+
+        `scaling` is what the user says; None if the headings and the factors must decide.
+        """
         column = self._sheet.column(Meaning.SCALE)
         if scaling is not None or column is None:
             return scaling is Scaling.DIVIDE

@@ -140,8 +140,8 @@ def parse_type(text: str, registers: int | None = None) -> TypeSpelling | None:
 def _number(name: str, bits: int | None, order: Order | None) -> TypeSpelling | None:
     """Read the name of a numeric type: `uint32`, `32bitfloat`, `dword`.
 
-    `bits` is the size of the value in bits, if its number of registers is known; else None. It
-    decides if the name itself implies no size. Returns None if the name is not known.
+    `bits` is the size of the value in bits, if its number of registers is known; else None. This
+    size decides if the name itself implies none. Returns None if the name is not known.
     """
     numbers = set(re.findall(r"\d+", name))
     letters = re.sub(r"\d+(?:bits?)?", "", name)
