@@ -36,12 +36,15 @@ if TYPE_CHECKING:
 
 
 ValuesSource = Path | Mapping[str, Any]
-"""A TOML file with the values of registers, or the keys and values of such a file."""
+"""Where the values of registers come from: the path of a TOML file, or the keys and values of such
+a file."""
 
 
 @dataclass(frozen=True, slots=True)
 class Station:
-    """A simulated device on the link: its profile, and the initial values of its registers."""
+    """A simulated device on a link: its profile, and where the initial values of its registers come
+    from.
+    """
 
     profile: Profile
     image_file: ValuesSource | None = None
@@ -64,13 +67,15 @@ def device_slave(
 ) -> Shell:
     """Return a shell (a TCP endpoint or serial line) with simulated devices, not yet started.
 
-    `profile` is that of `unit`, the first device; `others` has further devices by unit. The first
-    device's rules decide which TCP connections are accepted and when they are closed. `monitor`
-    gets each request and response. `wrapped` may replace the responder that answers. `on_trouble`
+    `profile` is that of `unit`, the first device, and `image_file` gives the values of its
+    registers; `others` has further devices by unit. The first device's rules decide which TCP
+    connections are accepted and when they are closed. `monitor` gets each request and response.
+    `wrapped` gets the responder that answers, and returns the one to use in its place. `on_trouble`
     gets a line for the user when a capture with values is incomplete, and when the state file
-    cannot be written while the slave runs. Raises UsageError for a link, a unit or a file that does
-    not fit the devices, InputError for a file that cannot be read, and OutputError if the state
-    file cannot be written at the start.
+    cannot be written while the slave runs.
+
+    Raises UsageError for a link, a unit or a file that does not fit the devices, InputError for a
+    file that cannot be read, and OutputError if the state file cannot be written at the start.
     """
     stations = {unit: Station(profile, image_file), **(others or {})}
     where = _with_silences(slave_link(link), stations)
@@ -100,7 +105,8 @@ def device_slave(
 def _play(
     station: Station, where: SerialLink | TcpLink, on_trouble: Callable[[str], None]
 ) -> tuple[DeviceResponder, Responder]:
-    """Make the device of a station; return it, and the responder that answers requests to it.
+    """Make the device of a station on the link `where`; return it, and the responder that answers
+    its requests.
 
     The responder is the device itself, or a DrivenDevice if values change over time.
     """
@@ -119,8 +125,8 @@ def _play(
 def _with_silences(
     where: SerialLink | TcpLink, stations: Mapping[int, Station]
 ) -> SerialLink | TcpLink:
-    """Return the link; a serial line with the silences (t1.5, t3.5) that its devices' profiles
-    demand.
+    """Return the link `where`. A serial line is returned with the silences (t1.5, t3.5) that the
+    profiles of its devices demand.
     """
     if not isinstance(where, SerialLink):
         return where

@@ -46,14 +46,15 @@ if TYPE_CHECKING:
     from mbtool.workflows.shared.recorder import Log
 
 HURRY_NS = 500_000_000
-"""The longest time (ns) for which decoding goes on at the end if the caller is in a hurry."""
+"""If the caller is in a hurry, decoding goes on for at most this time (ns) after recording has
+ended."""
 CLOCK_LOOK_NS = 100_000_000
-"""The time (ns) between two checks whether somebody has set the system's clock."""
+"""The time (ns) between two checks if somebody has set the system's clock."""
 POLL_S = 0.1
-"""The longest time (seconds) for which the loop waits for an item before it calls `stop` again."""
+"""The loop waits at most this long (seconds) for an item before it calls `stop` again."""
 MAX_REASONS = 64
-"""The most reasons for refusals that are reported to the user for one link. There must be a limit,
-as a master's own text may be part of the reason."""
+"""At most this many reasons for refusals are reported to the user for one link. There must be a
+limit, as a reason may contain a text that the master sent."""
 
 
 class Sniffer:
@@ -73,8 +74,11 @@ class Sniffer:
         reconnects: bool = False,
         on_remark: Callable[[str], None] = lambda _: None,
     ) -> None:
-        """With `reconnects`, a serial port or interface that is lost (unplugged) is opened again
-        when it is back; without, its link ends.
+        """Prepare to capture from `links`.
+
+        `begin_log` creates the log writer; None for no log. `ports` are the TCP ports to capture.
+        Taps accept only masters in `allowed`. With `reconnects`, a serial port or interface that
+        was lost (unplugged) is opened again when it is back; otherwise its link ends.
 
         `on_remark` gets a line for the user in these cases: a link is lost while others remain
         open, or comes back; a source has lost bytes or packets, so that the log lacks them; a tap
@@ -92,9 +96,11 @@ class Sniffer:
         self._refusals = Refusals()
         self._missing = MissingParts()
         self._inbox = Inbox()
-        """The bytes, packets and events from the sources, waiting for the recorder or decoder."""
+        """The bytes, packets and events that the sources have heard; the recorder takes them, or
+        without a log the decoder."""
         self._undecoded = self._inbox
-        """The items that wait to be decoded. With a log, only items that are in the log."""
+        """The items that wait to be decoded. With a log, this is another inbox, whose packets and
+        bytes are already in the log."""
         self._open_sources = ExitStack()
         self.sources: list[LiveSource[Any]] = []
         """One source for each link, in the same order; empty until the context is entered."""
@@ -102,20 +108,27 @@ class Sniffer:
         self._looked_ns = 0
         self._open = 0
         self._is_complete = False
-        """True once, after the end, all items have been decoded or deliberately left undecoded."""
+        """True once recording has ended and no item waits any more: all were decoded, or left
+        undecoded for lack of time."""
 
     @property
     def places(self) -> list[str]:
-        """A text for each open link; for a tap with port 0, with the port that the system chose."""
+        """A text for each link that says where it listens. For a tap with port 0 it has the port
+        that the system chose.
+        """
         return [source.place for source in self.sources]
 
     @property
     def lost_links(self) -> list[str]:
-        """The names of the links that are lost at present and are opened again when possible."""
+        """The names of the links that are lost at present, and are opened again when they
+        are back.
+        """
         return [source.link for source in self.sources if source.is_lost]
 
     def __enter__(self) -> Self:
-        """Open the links and begin the log. Raises LinkError, and the errors of `begin_log`."""
+        """Open the links and begin the log. Raises LinkError if a link cannot be opened, and the
+        errors of `begin_log`.
+        """
         with ExitStack() as opened:
             opened.enter_context(begun_run())
             self._clocks = ClockWatch()
@@ -150,10 +163,11 @@ class Sniffer:
     def records(
         self, stop: Callable[[int], bool], is_hurried: Callable[[], bool] = lambda: False
     ) -> Iterator[Record]:
-        """Yield records as they are decoded, until `stop` returns True or all links are lost.
+        """Yield transactions and events as they are decoded, until `stop` returns True or all links
+        are lost.
 
-        `stop` is called with the time (UTC ns) at least ten times a second. At the end, all items
-        that were heard are decoded; if `is_hurried` returns True, for at most HURRY_NS. Raises
+        `stop` is called with the time (UTC ns) at least ten times a second. At the end, everything
+        that was heard is decoded; if `is_hurried` returns True, for at most HURRY_NS. Raises
         LinkError when the last link is lost, OutputError when the log cannot be written.
         """
         lost: LinkError | None = None
@@ -190,7 +204,7 @@ class Sniffer:
             )
 
     def _take(self, item: Evidence) -> list[Record]:
-        """Decode an item; return its records, after passing them to the log."""
+        """Decode an item; return its transactions and events, after passing them to the log."""
         self._missing.note_item(item)
         if isinstance(item, WireEvent):
             self._tell_event(item)
@@ -200,7 +214,9 @@ class Sniffer:
         return records
 
     def _tell_event(self, event: WireEvent) -> None:
-        """Tell the user if a source has lost bytes or packets, or has lost or regained its link."""
+        """Tell the user about an event if it says that a source has lost bytes or packets, or that
+        its link was lost or is back.
+        """
         is_loss = event.kind is EventKind.DISCARDED and (event.packets or event.missing)
         if is_loss:
             self._on_remark(f"{event.link}: {event.message}")
@@ -208,7 +224,8 @@ class Sniffer:
             self._on_remark(event.message)
 
     def _rest(self, is_hurried: Callable[[], bool]) -> Iterator[Record]:
-        """Close the sources, decode all that they had received, and yield the records.
+        """Close the sources, decode all that they had received, and yield the transactions and
+        events.
 
         If `is_hurried` returns True, decoding ends after HURRY_NS. A second call yields nothing.
         """
@@ -228,9 +245,9 @@ class Sniffer:
             self._tell_undecoded(self._recorder.dropped if self._recorder is not None else 0)
 
     def _leave(self, items: Sequence[Item]) -> None:
-        """Leave items undecoded, for lack of time. The log already has the bytes and packets.
+        """Leave `items` undecoded, for lack of time; the log already has their bytes and packets.
 
-        Events among the items are written to the log, and losses are reported to the user.
+        Events among the items are written to the log, and the user is told about losses.
         """
         self._is_complete = True
         left = 0
@@ -271,10 +288,10 @@ def serial_lines(links: Sequence[LinkSpec]) -> dict[str, SerialLink]:
 
 
 def with_settings(links: Sequence[LinkSpec], on_remark: Callable[[str], None]) -> list[LinkSpec]:
-    """Return the links; for a serial link with @auto, find its settings by listening.
+    """Return the links; for a link with @auto, find its serial settings by listening.
 
-    This takes up to minutes for each link. `on_remark` gets a line for the user before and after
-    each search. Raises LinkError if no bytes come, or none from which the settings can be found.
+    This takes up to minutes for each such link. `on_remark` gets a line for the user before and
+    after each search. Raises LinkError if no bytes come, or if no settings can be found from them.
     """
     return [_found(link, on_remark) if isinstance(link, AutoLink) else link for link in links]
 
@@ -287,14 +304,14 @@ def _found(link: AutoLink, on_remark: Callable[[str], None]) -> LinkSpec:
 
 
 class Refusals:
-    """Chooses which refusals of a tap are reported: each reason once, until a master is served.
+    """Decides which refusals of a tap are reported: each reason once, until a master is served.
 
-    A refused master usually tries again and again. A master counts as served when a connection
-    that was opened after the refusal carries a response. Opening a connection does not count: with
-    TLS 1.3 a slave may refuse it right after.
+    A refused master usually tries again and again. A master counts as served when a connection that
+    was opened after the refusal carries a response. Opening a connection is not enough: with TLS
+    1.3 a slave may refuse it right after.
 
-    Memory: for each link with a refusal, at most MAX_REASONS reasons, and the masters' addresses
-    of the connections that were opened since and are still open.
+    Memory: for each link with a refusal, at most MAX_REASONS reasons, and the addresses of the
+    masters that have connected since and are still connected.
     """
 
     def __init__(self) -> None:
@@ -302,7 +319,9 @@ class Refusals:
         self._open: dict[str, set[str]] = {}
 
     def is_news(self, record: Record) -> TypeGuard[WireEvent]:
-        """Look at the next record; return True if it is a refusal for a reason not yet reported."""
+        """Look at the next record; return True if it is a refusal that must be reported: its reason
+        is new.
+        """
         link = record.link
         if not isinstance(record, WireEvent):
             is_answered = record.outcome in (Outcome.OK, Outcome.EXCEPTION)

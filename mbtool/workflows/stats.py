@@ -22,18 +22,21 @@ if TYPE_CHECKING:
     from mbtool.workflows.shared.part_reading import PartReading
 
 ORDERED_AFTER_NS = 5_000_000_000
-"""Live transactions wait for this time (ns) until they are sorted by the time of their request.
-After it no transaction with an earlier request can follow, as a decoder waits no longer for a
-response."""
+"""Live transactions wait for this time (ns) before they are sorted by the time of their requests. A
+decoder does not wait longer for a response. So no transaction with an earlier request can come
+after this time."""
 
 
 class FileStatistics:
-    """Reads files once, and computes the statistics of the transactions that pass the filter."""
+    """Reads files once, and computes the statistics of the transactions that the user's filter
+    accepts.
+    """
 
     def __init__(self, reading: PartReading, wanted: Where) -> None:
-        """`wanted` is the filter for transactions.
+        """`wanted` returns True for the transactions to count.
 
-        Unless it accepts all of them, `reading` must not yield batches (AnsweredRun).
+        Unless it does so for all of them, `reading` must not yield batches (AnsweredRun), as these
+        cannot be filtered.
         """
         self._reading = reading
         self._wanted = wanted
@@ -44,10 +47,11 @@ class FileStatistics:
         self.statistics = Statistics(self._format_of)
 
     def run(self) -> Iterator[Record | AnsweredRun]:
-        """Count all records, and yield each of them; many answered requests may come as one object.
+        """Count everything in the files, and yield each transaction and event; many answered
+        requests may come together as one AnsweredRun.
 
-        Raises InputError for a file that cannot be read. For a file that is cut or damaged,
-        InputError is raised after all other records are counted.
+        Raises InputError for a file that cannot be read, and, after all other records are counted,
+        for a file that is cut or damaged.
         """
         try:
             for record in self._reading.parts():
@@ -72,7 +76,9 @@ class FileStatistics:
 
     @property
     def remarks(self) -> list[str]:
-        """Lines for the user about the files, such as cut packets or wrong line settings."""
+        """Lines for the user about the files, for example about cut packets or wrong line
+        settings.
+        """
         doubts = [f"mbtool: {doubt}" for doubt in self._doubts]
         return [*self._reading.remarks, *doubts, *self._hints.remarks]
 
@@ -81,7 +87,9 @@ class FileStatistics:
 
 
 class LiveStatistics:
-    """Counts the records of live links that pass the filter."""
+    """Computes the statistics of live links, from the transactions that the user's filter
+    accepts.
+    """
 
     def __init__(self, format_of: Callable[[str], SerialFormat | None], wanted: Where) -> None:
         self._wanted = wanted
@@ -92,7 +100,7 @@ class LiveStatistics:
             self.statistics.add(record)
 
     def advance(self, now_ns: int) -> None:
-        """Sort the transactions with requests older than ORDERED_AFTER_NS at `now_ns` (UTC ns), so
-        that periods, poll cycles and hours include them.
+        """Count the transactions whose requests are more than ORDERED_AFTER_NS before `now_ns` (UTC
+        ns) in periods, poll cycles and hours. These need them sorted by time.
         """
         self.statistics.settle(now_ns - ORDERED_AFTER_NS)

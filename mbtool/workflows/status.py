@@ -13,8 +13,8 @@ from mbtool.ports.clock import now_ns
 from mbtool.workflows.shared.heartbeat import HEARTBEAT_NS
 
 LATE_NS = 2 * HEARTBEAT_NS
-"""If the last heartbeat in the log is older than this (ns), the recording has a problem. A
-heartbeat is a record that `sniff --service` writes every minute."""
+"""If the last heartbeat in the log is older than this (ns), something is wrong with the recording.
+A heartbeat is a record that `sniff --service` writes every minute."""
 
 
 class RecordingState(StrEnum):
@@ -30,7 +30,7 @@ class RecordingState(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class RecordingStatus:
-    """The status of a log, and the state of the recording that writes it or wrote it."""
+    """The status of a log, and the state of the recording that writes it, or wrote it."""
 
     path: Path
     state: RecordingState
@@ -43,9 +43,10 @@ class RecordingStatus:
 
 
 def recording_of(path: str) -> RecordingStatus:
-    """Return the status of the log at `path`; if it is rotated, that of its last part.
+    """Return the status of the recording that writes the log at `path`. If the log is rotated, its
+    last part is looked at.
 
-    Raises InputError if there is no log of that name, and no part of one.
+    Raises InputError if there is neither a log nor a part of one with that name.
     """
     found = _newest(Path(path))
     log, at_ns = read_status(found), now_ns()
@@ -79,7 +80,9 @@ def _number(values: dict[str, str], key: str) -> int:
 
 
 def heartbeat_numbers(log: LogStatus) -> dict[str, int]:
-    """Return the counters in the last heartbeat of a log; 0 for a value that is no number."""
+    """Return the counters in the last heartbeat of a log, by name. A value that is no number counts
+    as 0.
+    """
     return {key: _number(log.heartbeat, key) for key in log.heartbeat if key not in _TEXTS}
 
 

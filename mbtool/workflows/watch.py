@@ -40,11 +40,13 @@ MAX_CACHED = 200_000
 MAX_REMARKS = 100
 _SETTLE_NS = 200_000_000
 _PACE_S = 0.05
-"""The interval (seconds) at which further records of a file that is played back are shown."""
+"""While a file is played back, records are added to the view at this interval (seconds)."""
 
 
 class WatchFeed(ABC):
-    """Reads records in a thread of its own, and adds them to `watched`, the data for a view."""
+    """Reads records in a thread of its own, and adds them to `watched`, the data that a
+    view shows.
+    """
 
     is_live = True
 
@@ -53,9 +55,10 @@ class WatchFeed(ABC):
         self.lock = threading.Lock()
         """The lock that a thread must hold while it reads or changes `watched`."""
         self.remarks: deque[str] = deque(maxlen=MAX_REMARKS)
-        """The last MAX_REMARKS lines for the user, the newest one last."""
+        """The last lines for the user, at most MAX_REMARKS; the newest one is the last."""
         self.error: BaseException | None = None
-        """The error that ended the thread, or the reading of a file; None if there was none."""
+        """The error that ended the thread, or that ended the reading of a file too early; None if
+        there was none."""
         self.is_over = False
         """True once the thread has ended, so that no further records come."""
         self._stopping = threading.Event()
@@ -65,14 +68,16 @@ class WatchFeed(ABC):
         self._thread.start()
 
     def stop(self) -> None:
-        """End the thread, and wait for it; with a log, until the log is complete."""
+        """End the thread and wait for its end. If a log is written, it is complete then."""
         self._stopping.set()
         if self._thread.is_alive():
             self._thread.join()
 
     @abstractmethod
     def now_ns(self) -> int:
-        """The time (UTC ns) that the view shows: the present, or the position in a file."""
+        """The time (UTC ns) that the view shows: the present time, or the recorded time at the
+        position in a file.
+        """
 
     @abstractmethod
     def _run(self) -> None: ...
@@ -96,7 +101,7 @@ class WatchFeed(ABC):
 
 
 class LinkFeed(WatchFeed):
-    """Reads the records of live links, from a sniffer whose links are already open."""
+    """Reads the records of live links from a sniffer whose links are already open."""
 
     def __init__(
         self,
@@ -108,11 +113,12 @@ class LinkFeed(WatchFeed):
         notes: Sequence[Note] = (),
         remarks: deque[str] | None = None,
     ) -> None:
-        """`opened` is the context of the sniffer; the thread leaves it, which completes the log.
+        """`opened` is a context that contains the opened sniffer. When recording ends, the feed's
+        thread leaves this context, which completes the log.
 
         `ends` is called at least ten times a second and returns True to end the recording. Each
-        function in `notes` gets each record and may return a line for the user. The sniffer adds
-        its own lines to `remarks`.
+        function in `notes` is called with each record; it returns a line for the user, or None. The
+        lines are added to `remarks`, to which the sniffer adds its own.
         """
         super().__init__(watched)
         self._sniffer, self._opened = sniffer, opened
@@ -144,12 +150,16 @@ class LinkFeed(WatchFeed):
         return self._is_asked()
 
     def _is_asked(self) -> bool:
-        """True once the recording must end; the rest is then decoded for a short time only."""
+        """True once the recording must end. After that, what was heard is decoded only for a short
+        time.
+        """
         return self._stopping.is_set() or self._ends()
 
 
 class FileFeed(WatchFeed):
-    """Reads files to their end, then plays them back: at any speed, or single transactions."""
+    """Reads files to their ends, then plays them back, at any speed or one transaction at a
+    time.
+    """
 
     is_live = False
 
@@ -160,9 +170,9 @@ class FileFeed(WatchFeed):
         *,
         plays: bool = False,
     ) -> None:
-        """`records` reads the files from the start with each call.
+        """`records` returns all records of the files, from the beginning, at each call.
 
-        With `plays`, playing begins as soon as they are read.
+        With `plays`, the playback begins as soon as the files are read.
         """
         super().__init__(watched)
         self._open = records
@@ -173,9 +183,10 @@ class FileFeed(WatchFeed):
         self._steps = 0
         self._is_whole = False
         self.first_ns = self.last_ns = 0
-        """The times of the first and the last record (UTC ns); final once `is_read` is True."""
+        """The times (UTC ns) of the earliest and the latest record; final when `is_read` is
+        True."""
         self.is_read = False
-        """True once all files have been read to their end."""
+        """True once all files have been read, to their ends or to an error."""
 
     def now_ns(self) -> int:
         if not self.is_read or self._is_whole:
@@ -184,7 +195,7 @@ class FileFeed(WatchFeed):
 
     @property
     def position_ns(self) -> int:
-        """The present position: the recorded time since the first record, in ns."""
+        """The position of the playback: the recorded time since the first record, in ns."""
         return min(max(self._clock.position(now_ns()), 0), self._clock.length_ns)
 
     @property
@@ -196,7 +207,7 @@ class FileFeed(WatchFeed):
         return float(self._clock.rate or 1)
 
     def play(self) -> None:
-        """Pause if the files are playing; else play from the present position, or, at the end, from
+        """Pause the playback if it runs. Otherwise play from the present position; at the end, from
         the beginning.
         """
         at_ns = now_ns()
@@ -215,15 +226,15 @@ class FileFeed(WatchFeed):
         self._clock.slower(now_ns())
 
     def seek(self, by_ns: int) -> None:
-        """Jump forward by a recorded time in ns; a negative time jumps back."""
+        """Jump forward by `by_ns` (ns of recorded time); a negative number jumps back."""
         self._jump(self.position_ns + by_ns)
 
     def seek_to(self, share: float) -> None:
-        """Jump to a position, given as a share (0 to 1) of the length of the recording."""
+        """Jump to a position, given as a share (0 to 1) of the length of the files in time."""
         self._jump(round(share * self._clock.length_ns))
 
     def step(self) -> None:
-        """Pause, and show the next transaction."""
+        """Pause the playback, and show the next transaction."""
         if self._is_whole:
             self._jump(0)
         self._clock.pause(now_ns())
@@ -266,10 +277,11 @@ class FileFeed(WatchFeed):
     def _show_until(
         self, records: Iterator[Record], waiting: Record | None, target_ns: int
     ) -> tuple[int, Record | None]:
-        """Add the records up to the position `target_ns` (ns) to the view, `waiting` first.
+        """Add records to the view: `waiting` first, then those of `records` up to the position
+        `target_ns` (ns).
 
-        Add one more transaction for each single step that the user wants. Returns the position
-        reached (ns) and the next record, None at the end.
+        For each press of the step key, add records up to one more transaction. Returns the position
+        reached (ns), and the next record, which waits; None for it at the end.
         """
         while waiting is not None and not self._stopping.is_set():
             batch: list[Record] = []
@@ -293,7 +305,7 @@ class FileFeed(WatchFeed):
         return target_ns, waiting
 
     def _read_all(self) -> None:
-        """Read the files to their end, and add all their records to the view."""
+        """Read the files to their ends, and add all their records to the view."""
         batch: list[Record] = []
         try:
             for record in self._open():

@@ -30,23 +30,26 @@ _LOG_SUFFIX = ".mcap"
 
 
 class Saver(Protocol):
-    """Saves the transactions that the user marked. If none is marked, saves those that pass the
-    filter; without a filter, all.
+    """Saves transactions of a view: those that the user marked. If none is marked, those that the
+    user's filter accepts; without a filter, all.
     """
 
     def what(self, watched: Watched, *, is_filtered: bool) -> str:
-        """Return a text for the user that says which transactions would be saved."""
+        """Return a text for the user that says which transactions `job` would save."""
 
     def job(self, watched: Watched, *, is_filtered: bool, out: str) -> Job:
-        """Return a function that saves to the file `out`, to be called in another thread.
+        """Return a function that saves transactions to the file `out`. It is called in another
+        thread, as saving may take long.
 
-        The function returns a line for the user. It raises UsageError if the file cannot be
+        That function returns a line for the user. It raises UsageError if the file cannot be
         created, OutputError if writing fails.
         """
 
 
 class EvidenceSaver:
-    """Saves original packets and bytes: from the files in the view, or the log being written."""
+    """Saves the original packets and bytes of transactions, from the files in the view or the log
+    being written.
+    """
 
     def __init__(self, paths: Sequence[str], options: ReadingOptions | None = None) -> None:
         self._paths = paths
@@ -72,10 +75,14 @@ class EvidenceSaver:
 
 
 class FrameSaver:
-    """Saves the frames of the transactions in the view's memory, if there is no log or file."""
+    """Saves the frames of transactions that the view has in memory. It is used if there is no log
+    or file.
+    """
 
     def __init__(self, begin_log: Callable[[str], LogWriter | RotatingLog]) -> None:
-        """`begin_log` creates a log at a path, with the links and devices of the view."""
+        """`begin_log` creates a log at the path that is its argument, with the links and devices of
+        the view.
+        """
         self._begin_log = begin_log
 
     def what(self, watched: Watched, *, is_filtered: bool) -> str:
@@ -140,7 +147,9 @@ def _marked_text(watched: Watched) -> str:
 
 
 def _identity(one: NamedTransaction) -> tuple[object, ...]:
-    """Return the fields that identify a transaction in a capture, even if it is decoded again."""
+    """Return the fields that identify a transaction in its capture, so that it is found when the
+    capture is decoded again.
+    """
     return one.request_ns, one.response_ns, one.unit, one.function, one.request_raw
 
 

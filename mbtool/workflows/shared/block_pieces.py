@@ -16,27 +16,33 @@ if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
 
 NO_FILE = "-"
-"""The argument in place of a Parquet file's descriptor, if the process makes lines of text."""
+"""The argument that a printing process gets in place of the file descriptor number of a Parquet
+file, if it makes lines of text and so writes no file."""
 SIZE = Struct("<Q")
-"""The header of a pickled reply: its size in bytes."""
+"""What stands before each pickled reply of a printing process: the size of the reply in bytes."""
 
 
 @dataclass(slots=True)
 class PrintedBlock:
-    """The reply of a printing process: the lines of a block of packets, and its counts."""
+    """The reply of a printing process to one block of packets: the lines of its transactions, and
+    their counts.
+    """
 
     counts: TransactionCounts
     made: list[NamedTransaction] = field(default_factory=list)
-    """Those transactions that arrays could not print, because they are no common reads or writes.
-    A NamedTransaction was made of each to print it."""
+    """The transactions that are no common reads or writes, so that the array decoder cannot print
+    them. Each was made into a NamedTransaction to print it."""
     text: str = ""
-    """The lines of all transactions; empty if the process writes a Parquet file."""
+    """The lines of all transactions in the block; empty if the process writes a Parquet file."""
     text_bytes: int = 0
-    """The size of `text` as UTF-8, in bytes; the process passes it in a file in memory."""
+    """The size of `text` as UTF-8, in bytes. The process passes the text itself in a file in
+    memory."""
 
 
 def write_pieces(descriptor: int, pieces: Sequence[ReadableBuffer]) -> list[int]:
-    """Write `pieces` in a row from the beginning of a file; return their sizes in bytes."""
+    """Write `pieces` one after the other to the beginning of the file with this descriptor; return
+    their sizes in bytes.
+    """
     sizes = []
     at = 0
     for piece in pieces:
@@ -49,7 +55,9 @@ def write_pieces(descriptor: int, pieces: Sequence[ReadableBuffer]) -> list[int]
 
 
 def read_pieces(descriptor: int, sizes: Sequence[int]) -> list[bytearray]:
-    """Read from the beginning of a file, one after the other, pieces of the given sizes (bytes)."""
+    """Read pieces of the given sizes (bytes) one after the other from the beginning of the file
+    with this descriptor.
+    """
     pieces = [bytearray(size) for size in sizes]
     at = 0
     for piece in pieces:

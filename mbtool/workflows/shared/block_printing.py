@@ -119,8 +119,8 @@ _LINES: dict[str, tuple[Callable[[NamedTransaction], str], str]] = {
     "jsonl": (lambda one: transaction_to_jsonl(one).decode(), ","),
     "csv": (csv_line, " "),
 }
-"""For each format, the function that makes the line of a transaction, and the separator of the
-values of a list in that line."""
+"""For each format, the function that makes the line of a transaction, and the text that stands
+between the values of a list in that line."""
 
 
 if __name__ == "__main__":

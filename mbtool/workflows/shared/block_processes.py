@@ -43,22 +43,25 @@ if TYPE_CHECKING:
     from mbtool.columns.column_decoder import DecodedBlock
 
 SLOTS = 2
-"""The number of blocks that a child process has at once: the one that it prints, and the next."""
+"""The number of blocks that a child process has at once: the one that it prints, and the one that
+waits."""
 MOST_LINE_PROCESSES = 2
-"""The most child processes that make lines. One decoding process cannot keep more of them busy, as
-making the lines of a block takes about as long as decoding it."""
+"""At most this many child processes make lines. Making the lines of a block takes about as long as
+decoding it, so one decoding process cannot keep more of them busy."""
 
 _MODULE = "mbtool.workflows.shared.block_printing"
 
 
 class BlockProcesses:
-    """The child processes that print decoded blocks; leaving the context manager ends them."""
+    """The child processes that print decoded blocks. It is a context manager; leaving it ends the
+    processes.
+    """
 
     def __init__(self, format_: str, jobs: int, output: int | None = None) -> None:
         """Start at most `jobs` - 1 child processes, but at least one.
 
-        `format_` is parquet, jsonl or csv; `output` is the file descriptor of a Parquet file.
-        Raises LinkError if the system starts no more processes.
+        `format_` is parquet, jsonl or csv. `output` is the file descriptor of the Parquet file;
+        None for the other formats. Raises LinkError if the system starts no more processes.
         """
         most = MOST_LINE_PROCESSES if output is None else 1
         self._processes: list[_BlockProcess] = []
@@ -83,8 +86,9 @@ class BlockProcesses:
     def printed(self, blocks: Iterator[DecodedBlock]) -> Iterator[PrintedBlock]:
         """Let the child processes print blocks; yield their replies in the order of the blocks.
 
-        An error of `blocks` is raised after the replies for the blocks before it. Raises
-        OutputError if a child process is killed, and OSError if it cannot write.
+        If `blocks` raises an error, it is raised after the replies for the earlier blocks. Raises
+        OutputError if a child process is killed, and the OSError of a child process that cannot
+        write.
         """
         waiting: deque[_BlockProcess] = deque()
         error: Exception | None = None
@@ -113,7 +117,7 @@ class BlockProcesses:
     def complete(self) -> TransactionCounts:
         """Complete the Parquet file; return the counts of all its transactions.
 
-        Raises OutputError if the child process is killed, and OSError if it cannot write.
+        Raises OutputError if the child process is killed, and its OSError if it cannot write.
         """
         (process,) = self._processes
         process.complete()
@@ -144,9 +148,9 @@ class _BlockProcess:
         self._sent = self._taken = 0
         self._replies: SimpleQueue[PrintedBlock | Exception | None] = SimpleQueue()
         self.counts = TransactionCounts()
-        """The sum of the counts in all replies so far."""
-        # A thread of its own reads the replies, as Ctrl-C interrupts only the main thread; there,
-        # it could lose a half-read reply.
+        """The counts of transactions, summed over all replies so far."""
+        # A thread of its own reads the replies. Ctrl-C interrupts the main thread, which could lose
+        # a half-read reply.
         self._receiver = Thread(target=self._receive, daemon=True)
         self._receiver.start()
 
@@ -155,7 +159,7 @@ class _BlockProcess:
         return self._sent - self._taken == SLOTS
 
     def send(self, block: DecodedBlock) -> None:
-        """Send a block to the child process. `is_full` must be False."""
+        """Send a block to the child process. Call it only if `is_full` is False."""
         number = self._sent % SLOTS
         buffers: list[pickle.PickleBuffer] = []
         slim = replace(block, passed=None)
@@ -167,9 +171,10 @@ class _BlockProcess:
             self._process.stdin.write(f"{number} {' '.join(map(str, sizes))}\n".encode())
 
     def take(self) -> PrintedBlock:
-        """Wait for the next reply of the child process: the lines of a block.
+        """Wait for the next reply of the child process, and return it with its lines.
 
-        Raises the error in the reply, or OutputError if the process has ended too early.
+        If the reply is an error, it is raised. Raises OutputError if the process has ended too
+        early.
         """
         reply = self._replies.get()
         if isinstance(reply, Exception):
@@ -185,7 +190,8 @@ class _BlockProcess:
     def complete(self) -> None:
         """Wait until the child process has printed all its blocks and ended.
 
-        Raises its error, or OutputError if it has ended too early.
+        If the process replies with an error, it is raised. Raises OutputError if the process has
+        ended too early.
         """
         assert self._process.stdin is not None
         self._process.stdin.close()
@@ -231,7 +237,9 @@ class _BlockProcess:
 
 
 def _next_reply(replies: BinaryIO) -> PrintedBlock | Exception | None:
-    """Wait for the next reply; None if the stream ends, even in the middle of a reply."""
+    """Wait for the next reply in the stream `replies` and return it. None if the stream ends before
+    a reply or in the middle of one.
+    """
     head = replies.read(SIZE.size)
     if len(head) < SIZE.size:
         return None
@@ -243,7 +251,7 @@ def _next_reply(replies: BinaryIO) -> PrintedBlock | Exception | None:
 def _file_in_memory() -> int:
     """Create a file without a name and return its descriptor.
 
-    It is in memory if the system supports that, else a temporary file.
+    The file is in memory if the system supports that; otherwise it is a temporary file on the disk.
     """
     if hasattr(os, "memfd_create"):
         return os.memfd_create("mbtool")

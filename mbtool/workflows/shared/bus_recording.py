@@ -50,13 +50,13 @@ if TYPE_CHECKING:
     from mbtool.workflows.shared.recorded import PlayOptions
 
 MAX_PIECE = 256
-"""The most bytes that are passed to a serial port at once, so that it takes them without waiting:
-the length of the longest RTU ADU."""
+"""At most this many bytes are passed to a serial port at once, so that the port takes them without
+waiting. It is the length of the longest RTU ADU."""
 
 
 class Begun(NamedTuple):
-    """Bytes to send, the time when the first one begins (UTC ns), and True if a silence of at least
-    t3.5 precedes them.
+    """Bytes to send. The first one begins at `begin_ns` (UTC ns); `after_silence` is True if a
+    silence of at least t3.5 precedes them.
     """
 
     begin_ns: int
@@ -73,9 +73,10 @@ def read_pieces(
 ) -> list[ByteRun]:
     """Return the pieces of bytes to send, in order of time.
 
-    Their times (ns) count from the beginning of the part that is played. Raises InputError if the
-    file cannot be read or has nothing to send, UsageError if it has several lines, or a line of
-    another mode (RTU or ASCII) than the link.
+    Their times count from the beginning of the played part, in ns of recorded time. `link` is the
+    line to play on. `on_remark` gets lines for the user about the file. Raises InputError if the
+    file cannot be read or has nothing to send. Raises UsageError if it has several lines, or a line
+    of another mode (RTU or ASCII) than `link`.
     """
     window = options.window
     transactions = read_recorded(path, options, on_remark, watch).transactions
@@ -132,7 +133,9 @@ def _of_line(
     link: SerialLink,
     on_remark: Callable[[str], None],
 ) -> list[Begun]:
-    """Return the bytes of the serial line `name` as they were captured, in order of time."""
+    """Return the bytes of the recorded serial line `name` in order of time. Raises UsageError if
+    the line has another mode (RTU or ASCII) than `link`, on which it is to be played.
+    """
     if path == STANDARD_INPUT:
         raise UsageError("standard input: a recording of a serial line is read twice; name a file")
     pieces: list[_Heard] = []
@@ -150,8 +153,9 @@ def _of_line(
         pass  # `read_recorded` has already told the user that the file is cut or damaged.
     if untimed:
         on_remark(f"{path}: has no times of its bytes: they are sent without a silence")
-    # Sort by the time of the last byte, which is known. That of the first byte is computed: if the
-    # assumed baud rate is too low, a long piece would seem to begin before the piece before it.
+    # Sort by the time of the last byte, which is known. The time of the first byte is computed from
+    # the baud rate. If the assumed baud rate is too low, a long piece would seem to begin before
+    # the piece before it.
     pieces.sort(key=lambda one: one.end_ns)
     begun: list[Begun] = []
     end_ns: int | None = None
@@ -164,8 +168,8 @@ def _of_line(
 
 
 class _Heard(NamedTuple):
-    """Captured bytes, the times (UTC ns) when the first one began and the last one ended, and t3.5
-    of their line in ns.
+    """Captured bytes. The first one began at `begin_ns` and the last one ended at `end_ns` (UTC
+    ns); `silence_ns` is t3.5 of their line in ns.
     """
 
     begin_ns: int
@@ -175,7 +179,7 @@ class _Heard(NamedTuple):
 
 
 def _cut(chunk: Chunk, line: SerialFormat) -> Iterator[_Heard]:
-    """Cut a chunk into pieces of at most MAX_PIECE bytes."""
+    """Cut a chunk into pieces of at most MAX_PIECE bytes, each with its own times."""
     character_ns = line.character_ns
     begin_ns = chunk.ts_ns
     if chunk.stamp is not Stamp.AT_ONCE:
@@ -219,11 +223,15 @@ def _evidence(path: str, options: ReadingOptions) -> Iterator[tuple[LineSettings
 
 
 def _line_in(head: CaptureHead, link: str) -> LineSettings | None:
-    """The settings of a link in a capture that describes its links; None if it is not serial."""
+    """The settings of the line with this link name, in a capture whose head describes its links;
+    None if the link is no serial line.
+    """
     return _settings(head.links.get(link, {}).get(SPEC))
 
 
 def _settings(spec: str | None) -> LineSettings | None:
-    """The settings in a LINK text, as `rtu:COM3@9600`; None if it is not a serial line."""
+    """The settings in a LINK text such as `rtu:COM3@9600`; None if `spec` is None or names no
+    serial line.
+    """
     link = None if spec is None else parse_link(spec)
     return LineSettings(link.format, link.ascii) if isinstance(link, SerialLink) else None

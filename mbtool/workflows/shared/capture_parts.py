@@ -26,18 +26,20 @@ if TYPE_CHECKING:
     from mbtool.logs import LogReader
 
 BACK_NS = 1_000_000_000
-"""A file continues a capture even if its first packet or chunk is earlier than the last one of the
-file before, by up to this time (ns): packets of several interfaces, and bytes of several ports, are
-written slightly out of order."""
+"""The first packet or chunk of a file that continues a capture may be earlier than the last one of
+the file before by up to this time (ns). Packets of several interfaces, and bytes of several ports,
+are written slightly out of order."""
 
 _PART = "part"
 
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """Identifies a file as a part of a capture: by a part number and the metadata of its recording.
+    """Identifies a file as a part of a capture, by its part number and the metadata of the
+    recording (`run`).
 
-    A file of packets has no such data, so its number is None and `run` is empty.
+    A file of packets has no such data: `number` is None and `run` is empty. A log that is no part
+    of a rotated one has the number 0.
     """
 
     number: int | None = None
@@ -45,7 +47,7 @@ class Part:
 
     @classmethod
     def of_log(cls, log: LogReader) -> Part:
-        """Take the part number and the metadata of the recording from the head of a log."""
+        """Take the part number and the metadata of the recording from a log."""
         number = log.capture.get(_PART, "")
         capture = {key: value for key, value in log.capture.items() if key != _PART}
         run = (capture, dict(log.links), dict(log.devices), dict(log.profiles))
@@ -60,9 +62,10 @@ class Part:
 
 
 class Seam:
-    """The end of the capture read so far, to check if the next file continues it.
+    """What is known of the capture read so far, to decide if the next file continues it.
 
-    It has the times of the first and the last item (packet or chunk), and all link types.
+    It has the times of the first and the last item (packet or chunk), and the link types of all
+    packets.
     """
 
     def __init__(self) -> None:
@@ -78,7 +81,9 @@ class Seam:
             self._types.add(item.link_type)
 
     def is_continued_by(self, item: Evidence) -> bool:
-        """True if a file whose first packet or chunk is `item` can be the next part."""
+        """True if a file that begins with the packet or chunk `item` can be the next part of the
+        capture.
+        """
         if self._last_ns is None or self._first_ns is None:
             return True
         if item.ts_ns <= self._first_ns < self._last_ns:
@@ -88,7 +93,8 @@ class Seam:
         return item.ts_ns >= self._last_ns - BACK_NS
 
     def is_overtaken_by(self, item: Evidence) -> bool:
-        """True if `item`, the first packet of a file, is older than packets of earlier files.
+        """True if `item`, the first packet of a file, is earlier than the end of the capture read
+        so far, but not than its beginning.
 
         Then the user has probably named the parts of a capture in the wrong order.
         """

@@ -36,17 +36,17 @@ def begin_checked(
     lines: Mapping[str, SerialLink],
     ports: frozenset[int] | None,
 ) -> CheckedLog:
-    """Create a log with `begin`, and wrap it so that it also gets the findings of the rules.
+    """Create a log with `begin`, and return a writer that adds the findings of the rules to it.
 
-    `lines` are the serial links by name. `ports` are the TCP ports that should carry Modbus; None
-    for all ports.
+    `timing` gives the silences of each serial line for the rules. `lines` are the serial links by
+    name. `ports` are the TCP ports that should carry Modbus; None for all ports.
     """
     formats = {name: timing.format_of(line) for name, line in lines.items()}
     return CheckedLog(begin(), CaptureContext(timing.assignments, formats.get, ports=ports))
 
 
 class CheckedLog:
-    """Passes all items on to a log writer, and adds the findings of the rules."""
+    """A log writer that passes all items on to another one, and adds the findings of the rules."""
 
     def __init__(self, log: FindingsLog, context: CaptureContext) -> None:
         self._log = log
@@ -54,7 +54,7 @@ class CheckedLog:
         self._last_ns = 0
 
     def write(self, item: LogItem | DecodingMark) -> None:
-        """Write an item, and then the findings that the rules report after this item.
+        """Write an item, and then the findings that the rules report when they get this item.
 
         Raises OutputError if the log cannot be written.
         """

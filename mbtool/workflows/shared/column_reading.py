@@ -39,9 +39,9 @@ if TYPE_CHECKING:
 
 
 def can_read_columns(paths: Sequence[str], options: ReadingOptions) -> bool:
-    """True if ColumnReading can read these files with these options.
+    """True if a ColumnReading can read these files with these options.
 
-    Raises InputError for a file that cannot be read.
+    Raises InputError if a file cannot be read.
     """
     if any(options.assignments) or options.line is not None or options.any_port:
         return False
@@ -49,11 +49,14 @@ def can_read_columns(paths: Sequence[str], options: ReadingOptions) -> bool:
 
 
 def _has_plain_packets(path: str) -> bool:
-    """True for a file of packets, unless mbtool made it from a log and stored its links in it."""
+    """True for a file of packets. False if mbtool made it from a log, as it then describes its
+    links and may have frames of serial lines.
+    """
     with open_capture(path) as capture:
         if capture.kind is CaptureKind.PCAPNG:
-            # `capture.head`, the description of links, is known once the first packet is read. With
-            # it, packets may contain frames of a serial line, which arrays do not decode.
+            # `capture.head` (the description of links) is known once the first packet is read. A
+            # file that has it may have packets with frames of a serial line, which the array
+            # decoder cannot read.
             with suppress(InputError):
                 next(capture.packets(), None)
         return capture.kind in PACKET_KINDS and capture.head is None
@@ -62,19 +65,24 @@ def _has_plain_packets(path: str) -> bool:
 class ColumnReading(PartReading):
     """Reads capture files once as blocks of packets, and yields their transactions.
 
-    They come as records, tables, lines of text, or batches for counting; one method for each form.
+    Each method yields them in another form: records, tables, lines of text, or batches for
+    counting.
     """
 
     def __init__(self, paths: Sequence[str], options: ReadingOptions) -> None:
         super().__init__(paths, options)
         self.on_block: Callable[[DecodedBlock], None] | None = None
-        """If not None, called with each decoded block before its transactions are yielded."""
+        """If not None, this function is called with each decoded block before its transactions are
+        yielded."""
         self._heard_here: HeardLine | None = None
-        """The check of the assumed baud rate, if the current file has bytes of a serial line."""
+        """Checks the assumed baud rate with the bytes of a serial line in the current file; None if
+        the file has none."""
 
     def records(self) -> Iterator[Record]:
-        """Yield all transactions and events, one by one. Raises InputError, or CutError for a file
-        that ends in the middle of a packet.
+        """Yield all transactions and events, one by one.
+
+        Raises InputError if a file cannot be read; CutError for a file that ends in the middle of a
+        packet, after the records before that place.
         """
         namer = Namer(self.assignments)
         for block in self._blocks():
@@ -83,10 +91,11 @@ class ColumnReading(PartReading):
             yield from plain_records(block, namer)
 
     def batches(self) -> Iterator[TransactionBatch]:
-        """Yield the transactions and events, as a table for each block of packets.
+        """Yield the transactions and events, those of each block of packets together, with the
+        transactions as an Arrow table.
 
-        Raises InputError if the file cannot be read; CutError if it ends in the middle of a packet,
-        after the transactions before that have been yielded.
+        Raises InputError if a file cannot be read; CutError for a file that ends in the middle of a
+        packet, after the transactions before that place.
         """
         from mbtool.columns.block_table import BlockTables  # Other methods do not need pyarrow.
 
@@ -103,7 +112,8 @@ class ColumnReading(PartReading):
         """Yield the transactions as text, the lines of each block of packets together.
 
         `line_of` makes the line of a transaction; `separator` stands between the values of a list
-        in it. Raises InputError, or CutError for a file that ends in the middle of a packet.
+        in a line. Raises InputError if a file cannot be read, CutError for a file that ends in the
+        middle of a packet.
         """
         lines = BlockLines(line_of, separator)
         for block in self._blocks():
@@ -113,8 +123,10 @@ class ColumnReading(PartReading):
             yield batch
 
     def decoded(self) -> Iterator[DecodedBlock]:
-        """Yield the decoded blocks of packets as they are. Raises InputError, or CutError for a
-        file that ends in the middle of a packet.
+        """Yield the decoded blocks of packets as they are.
+
+        Raises InputError if a file cannot be read, CutError for a file that ends in the middle of a
+        packet.
         """
         for block in self._blocks():
             for _, record in block.records:
@@ -130,8 +142,8 @@ class ColumnReading(PartReading):
                 yield part
 
     def quiet_parts(self) -> Iterator[Record | QuietRows]:
-        """Yield all transactions and events; many answered reads that break no rule come as one
-        object.
+        """Yield all transactions and events. Many answered reads that break no rule come together
+        as one QuietRows.
         """
         quiet = QuietParts()
         for block in self._blocks():
@@ -164,7 +176,9 @@ class ColumnReading(PartReading):
                     yield self._noted(decoded)
 
     def _columns(self) -> ColumnDecoder:
-        """Return the decoder of the current capture; create it if the capture has none yet."""
+        """Return the array decoder of the current capture; create it if the capture has
+        none yet.
+        """
         if self._decoder is None:
             self._decoder = self._own_decoder()
             self.format_of, self.line_of = self._decoder.format_of, self._decoder.line_of
@@ -173,9 +187,9 @@ class ColumnReading(PartReading):
         return self._column_decoder
 
     def _ended(self) -> Iterator[DecodedBlock]:
-        """End the capture: yield the records that its decoder still holds, as a block.
+        """End the capture: yield the records that its decoder still holds, as one block.
 
-        They count for the last file of the capture, although the next file is already open.
+        They count for the last file of the ended capture, although the next file is already open.
         """
         file, captures = self.file, self.captures
         block = _block_of(self._end_capture())
@@ -210,7 +224,8 @@ class ColumnReading(PartReading):
             self.on_block(block)
         events = sum(isinstance(record, WireEvent) for _, record in block.records)
         transactions = len(block.records) - events
-        # If a block has transactions read as arrays, something in the files could be decoded.
+        # A block with transactions that the array decoder read shows that the files could be
+        # decoded.
         if block.plain is not None:
             self._has_found = self._has_decoded = True
             transactions += len(block.plain.request)

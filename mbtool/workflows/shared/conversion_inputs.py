@@ -38,7 +38,7 @@ _TABLES = (".parquet", ".csv")
 class _InputFile(NamedTuple):
     path: str
     kind: CaptureKind | None
-    """None for a .jsonl file, which contains decoded transactions."""
+    """The kind of capture; None for a .jsonl file, which contains decoded transactions."""
     part: Part
     first_ns: int
     last_ns: int
@@ -53,18 +53,22 @@ class InputGroup:
     options: ReadingOptions
     head: CaptureHead
     is_log: bool
-    """True for logs, and for captures made from a log: such files describe their links."""
+    """True for logs, and for captures that were made from a log. Such files describe their
+    links."""
     is_raw: bool
-    """True for logs: their packets and bytes are decoded again, and their stored transactions are
-    ignored."""
+    """True for logs: their packets and bytes are decoded again, and the transactions stored in them
+    are not used."""
     marks: EvidenceMarks = field(default_factory=EvidenceMarks)
     broken: InputError | None = None
-    """The error of a file that is cut or damaged, once the file has been read; else None."""
+    """The error of a file in the group that is cut or damaged. None if there is none, and before
+    the files are read."""
     remarks: list[str] = field(default_factory=list)
     line_of: Callable[[str], SerialLink | None] = lambda _: None
 
     def records(self) -> Iterator[Record]:
-        """Yield the transactions and events; those of a log as they are stored in it."""
+        """Yield the transactions and events of the group; those of a log as they are stored
+        in it.
+        """
         reading = Reading(self.paths, self.options)
         try:
             yield from reading.records()
@@ -75,9 +79,11 @@ class InputGroup:
     def read_marks(
         self, wanted: Callable[[NamedTransaction], bool], first: int, watch: Watch = unwatched
     ) -> None:
-        """Decode the packets and bytes, and set `marks` to the frames, packets and comments found.
+        """Decode the packets and bytes of the group, and set `marks` to the frames, packets and
+        comments found.
 
-        `wanted` returns True for the transactions to keep; `first` is the number of the first one.
+        `wanted` returns True for the transactions to keep. The transactions are numbered in the
+        output; the first one gets the number `first`.
         """
         reading = EvidenceReading(self.paths, replace(self.options, raw=self.is_raw))
         self.line_of = lambda link: reading.line_of(link)
@@ -89,13 +95,13 @@ class InputGroup:
         self.marks = reading.marks
 
     def evidence(self) -> Iterator[Chunk | Packet | WireEvent]:
-        """Yield the packets, the chunks and the events of the files, not decoded."""
+        """Yield the packets, chunks and events of the files, without decoding them."""
         return evidence_of_files(self.paths, self.options)
 
 
 class TransactionGroup(InputGroup):
-    """A .jsonl file of transactions. As it has no captured packets or bytes, `evidence` yields the
-    bytes of the transactions' frames.
+    """A .jsonl file of transactions. It has no captured packets or bytes, so `evidence` yields the
+    request and response bytes that its transactions contain.
     """
 
     def records(self) -> Iterator[Record]:
@@ -154,8 +160,9 @@ def _endpoint(text: str | None) -> Endpoint | None:
 def grouped(paths: Sequence[str], options: ReadingOptions) -> list[InputGroup]:
     """Group the files by capture; return the groups in the order of their first times.
 
-    Raises InputError for a file that cannot be read, UsageError for one that is named twice, for
-    standard input, which cannot be read twice, and for a kind that is not converted.
+    Raises InputError for a file that cannot be read. Raises UsageError for a file that is named
+    twice, for standard input and pipes, which cannot be read twice, and for a kind that cannot be
+    converted.
     """
     known: set[object] = set()
     files: list[_InputFile] = []

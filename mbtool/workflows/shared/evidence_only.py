@@ -21,15 +21,21 @@ if TYPE_CHECKING:
 def begin_evidence_only(
     begin: Callable[[], StatusLog], links: Sequence[LinkSpec]
 ) -> EvidenceOnlyLog:
-    """Create a log with `begin` that gets only evidence. `links` are all recorded links."""
+    """Create a log with `begin`, and return a writer that passes only evidence to it. `links` are
+    all recorded links.
+    """
     return EvidenceOnlyLog(begin(), {link.name for link in links if isinstance(link, TapLink)})
 
 
 class EvidenceOnlyLog:
-    """Passes packets and chunks on to a log, and events that decoding could not find again."""
+    """Passes to a log the packets and chunks, and those events that decoding these again cannot
+    find, such as errors of a port or a connection that a tap refused.
+    """
 
     def __init__(self, log: StatusLog, taps: Set[str]) -> None:
-        """`taps` are the names of the links that are taps (relays between masters and a slave)."""
+        """`log` is the log writer. `taps` are the names of the links that are taps (relays between
+        masters and a slave).
+        """
         self._log = log
         self._taps = taps
 
@@ -48,5 +54,5 @@ class EvidenceOnlyLog:
         self._log.tick(now_ns)
 
     def close(self, final: Mapping[str, str]) -> None:
-        # A log without transactions needs no count of the items that were not decoded.
+        # A log without transactions needs no count of the packets and chunks that were not decoded.
         self._log.close({key: value for key, value in final.items() if key != UNDECODED_PIECES})

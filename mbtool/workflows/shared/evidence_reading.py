@@ -41,21 +41,25 @@ if TYPE_CHECKING:
 
 @dataclass(slots=True)
 class EvidenceMarks:
-    """The frames and packets that transactions consist of, and comments on them."""
+    """What decoding has found in a capture: the frames and packets of its transactions, and
+    comments on them.
+    """
 
     frames: dict[StreamKey, list[WireFrame]] = field(default_factory=dict)
-    """The frames in each stream of bytes of a serial line or a tap, in their order."""
+    """For serial lines and taps: the frames in each stream of bytes, in the order of the stream."""
     skipped: dict[StreamKey, list[SkippedBytes]] = field(default_factory=dict)
-    """For serial lines that one tap hears: the events about bytes that belong to no frame, in the
-    order of the bytes."""
+    """For each stream of a serial line with one tap: the bytes that belong to no frame, with the
+    events about them, in the order of the stream."""
     comments: dict[int, list[str]] = field(default_factory=dict)
-    """Comments on packets, by the number of the packet (from 1)."""
+    """Comments on packets; the key is the number of the packet, from 1."""
     kept: set[int] = field(default_factory=set)
-    """The numbers of the packets that contain ADUs of transactions which the user wants."""
+    """The numbers (from 1) of the packets that contain ADUs of the transactions which the user
+    wants."""
     used: set[int] = field(default_factory=set)
-    """The numbers of all packets that contain ADUs."""
+    """The numbers (from 1) of all packets that contain ADUs of transactions, wanted or not."""
     spans: dict[str, tuple[int, int]] = field(default_factory=dict)
-    """For each serial line, the times of its first and its last read (UTC ns)."""
+    """For each serial line, the times (UTC ns) of its first and its last read; the key is the link
+    name."""
     transactions: int = 0
 
 
@@ -68,17 +72,18 @@ class EvidenceReading(Reading):
         self._positions: defaultdict[str, int] = defaultdict(int)
         self._packets = 0
         self._keys: dict[tuple[str, ...], StreamKey] = {}
-        """The streams of bytes that have one direction, by link, direction and, for a TCP
-        connection, the addresses of master and slave."""
+        """The key of each stream of bytes that has a known direction. It is found by the link, the
+        direction and, for a TCP connection, the addresses of master and slave."""
         self.marks = EvidenceMarks()
 
     def read_marks(
         self, wanted: Callable[[NamedTransaction], bool], first: int = 1, watch: Watch = unwatched
     ) -> None:
-        """Decode all files and fill `marks`; the first transaction gets the number `first`.
+        """Decode all files and fill `marks`; the transactions are numbered, and the first one gets
+        the number `first`.
 
         `wanted` returns True for the transactions to keep. Raises InputError for a file that cannot
-        be read to its end; then `marks` has the transactions that could be read.
+        be read to its end; then `marks` has what could be read.
         """
         number = first
         try:
@@ -147,14 +152,14 @@ class EvidenceReading(Reading):
 
 
 def comments_of(one: NamedTransaction, profile: Profile | None) -> list[str]:
-    """Return comments on a transaction: its findings in the words of its slave's profile, its
-    verdicts, and an outcome without a response.
+    """Return comments on a transaction: its findings, worded for its slave's profile, its verdicts,
+    and its outcome if the request or the response is missing.
     """
     return [f"{code}: {finding_text(code, profile)}" for code in one.findings] + remarks_on(one)
 
 
 def remarks_on(one: NamedTransaction) -> list[str]:
-    """Return the comments on a transaction other than findings: its verdicts, and its outcome if
+    """Return those comments on a transaction that are no findings: its verdicts, and its outcome if
     the request or the response is missing.
     """
     verdicts = [str(each) for each in one.verdicts if each is not Verdict.AMBIGUOUS]
@@ -167,7 +172,12 @@ def remarks_on(one: NamedTransaction) -> list[str]:
 def frames_of(
     one: NamedTransaction, number: int, comments: Iterable[str], *, is_kept: bool = True
 ) -> Iterator[WireFrame]:
-    """Yield the frames of a transaction: request, response or both. The last has the comments."""
+    """Yield the frames of a transaction: its request, its response, or both. The last one gets
+    `comments`.
+
+    `number` is the number of the transaction. `is_kept` is False if the user does not want the
+    transaction.
+    """
     sides = []
     if one.request_raw is not None and one.request_ns is not None:
         sides.append((True, one.request_raw, one.request_ns, one.request_offset))
@@ -195,7 +205,9 @@ def frames_of(
 
 
 def evidence_pieces(items: Iterable[Evidence], types: AbstractSet[int]) -> Iterator[Evidence]:
-    """Yield the evidence; a packet with a link type in `types` as the serial bytes in it."""
+    """Yield evidence unchanged, but packets with a link type in `types` as the chunks of serial
+    bytes that they contain.
+    """
     for item in items:
         if isinstance(item, Packet) and item.link_type in types:
             yield from serial_pieces(item)
@@ -206,8 +218,9 @@ def evidence_pieces(items: Iterable[Evidence], types: AbstractSet[int]) -> Itera
 def read_evidence(
     paths: Sequence[str], options: ReadingOptions
 ) -> Iterator[Chunk | Packet | WireEvent]:
-    """Yield the packets, chunks and events of files in order; of a damaged file, those before the
-    damage.
+    """Yield the packets, chunks and events of the files in order, without decoding them.
+
+    Of a cut or damaged file, yield those before the damage, and raise no error.
     """
     types = serial_types(options.line)
     for path in paths:

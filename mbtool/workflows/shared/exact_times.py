@@ -19,11 +19,12 @@ if TYPE_CHECKING:
     from mbtool.core import Chunk, SerialFormat
 
 MIN_CHARACTERS = 0.9
-"""The shortest plausible time from one byte to the next, in character times. It is below 1, as the
-clocks of senders and analysers are a few percent fast or slow."""
+"""The shortest plausible time from the end of one byte to the end of the next, in character times.
+It is below 1, as the clocks of senders and analysers are a few percent fast or slow."""
 MAX_NEAR_SHARE = 0.01
-"""The largest share (0 to 1) of bytes that may come less than MIN_CHARACTERS after the byte before,
-if the times are exact: a disturbance on the wire may look like a byte."""
+"""A line's times are exact only if at most this share (0 to 1) of its bytes come less than
+MIN_CHARACTERS after the byte before. Some may, because a disturbance on the wire can look like a
+byte."""
 
 
 @dataclass(slots=True)
@@ -33,15 +34,17 @@ class _LineBytes:
 
 
 class ExactTimes:
-    """Counts, for each serial line, the bytes that come too soon after the byte before them, and
-    decides by that if the line's times are exact.
+    """Counts the bytes of each serial line that come too soon after the byte before them, and so
+    decides if the line's times are exact.
     """
 
     def __init__(self) -> None:
         self._lines: dict[str, _LineBytes] = {}
 
     def noted(self, pieces: Iterator[Chunk], line: SerialFormat) -> Iterator[Chunk]:
-        """Yield the chunks of a line, each of one byte, and count those that come too soon."""
+        """Yield chunks of one byte each, all of a line with the format `line`, and count those that
+        come too soon.
+        """
         least_ns = MIN_CHARACTERS * line.character_ns
         last_ns = -(1 << 63)
         for piece in pieces:
@@ -52,6 +55,8 @@ class ExactTimes:
             yield piece
 
     def is_exact(self, link: str) -> bool:
-        """True if the byte times of a line are exact so far; False also if no bytes had times."""
+        """True if the byte times of the line with this link name are exact, as far as they were
+        read; False if none were read.
+        """
         noted = self._lines.get(link)
         return noted is not None and noted.near <= MAX_NEAR_SHARE * noted.heard

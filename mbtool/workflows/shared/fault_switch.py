@@ -19,7 +19,9 @@ if TYPE_CHECKING:
 
 
 class FaultSwitch:
-    """A responder that passes requests on to a slave, and applies the faults that are on."""
+    """A responder that passes requests on to a slave, and applies those faults that are switched
+    on.
+    """
 
     def __init__(
         self, slave: Responder, link: SerialLink | TcpLink, profiles: Sequence[Profile] = ()
@@ -29,7 +31,8 @@ class FaultSwitch:
         self._profiles = profiles
         self._faulty = slave
         self.lock = threading.Lock()
-        """The lock that the slave's thread holds while it answers a request."""
+        """The lock that the slave's thread holds while it answers a request, so that faults change
+        only between requests."""
         self._next: list[Callable[[int], None]] = []
 
     def respond(self, unit: int, pdu: bytes, now_ns: int) -> Response | None:
@@ -40,10 +43,11 @@ class FaultSwitch:
             return self._faulty.respond(unit, pdu, now_ns)
 
     def add(self, source: Path | Mapping[str, Any]) -> None:
-        """Switch on the faults of a file, or of the keys and values of one; other faults stay on.
+        """Switch on more faults; those that are on stay on.
 
-        Their `seconds` and `nth` count from the next request on. Raises InputError for a file that
-        cannot be read, UsageError for a fault that is unknown or impossible on the link.
+        `source` is a fault file, or the keys and values of one. The `seconds` and `nth` of its
+        faults count from the next request on. Raises InputError for a file that cannot be read,
+        UsageError for a fault that is unknown or impossible on the link.
         """
         with self.lock:
             self._faulty = faulty(self._faulty, source, self._link, self._profiles)
@@ -54,7 +58,9 @@ class FaultSwitch:
             self._faulty = self._slave
 
     def before_next(self, act: Callable[[int], None]) -> None:
-        """Let the slave's thread call `act` with the time (ns) just before it answers the next
-        request. The caller must hold `lock`.
+        """Let the slave's thread call `act` just before it answers the next request; the argument
+        is the time in ns.
+
+        The caller must hold `lock`.
         """
         self._next.append(act)

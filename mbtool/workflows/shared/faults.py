@@ -25,11 +25,11 @@ def faulty(
     link: SerialLink | TcpLink,
     profiles: Iterable[Profile] = (),
 ) -> FaultySlave:
-    """Return a responder that answers as `responder` does, but with faults.
+    """Return a responder that answers as `responder` does, but with simulated faults.
 
-    `source` is a fault file, or the keys and values of one. It may name registers by the references
-    of `profiles`. Raises InputError if the file cannot be read or is no TOML, UsageError for a
-    fault that is unknown or impossible on the link.
+    `source` is a fault file, or the keys and values of one. It may name registers in the notation
+    of `profiles`. `link` is the link on which the responder answers. Raises InputError if the file
+    cannot be read or is no TOML, UsageError for a fault that is unknown or impossible on the link.
     """
     file = FaultFile(source, profiles)
     for number, fault in enumerate(file.faults, start=1):
@@ -41,9 +41,10 @@ def faulty(
 
 
 def _why_not(kind: FaultKind, link: SerialLink | TcpLink) -> str | None:
-    """Return why a kind of fault is impossible on a link, and which kind to use instead, as a text.
+    """Return a text that says why a kind of fault is impossible on a link, and which kind to use
+    instead.
 
-    None if it is possible.
+    None if the kind is possible.
     """
     if kind is FaultKind.BAD_CRC and not isinstance(link, SerialLink) and not link.rtu:
         return "Modbus/TCP has no checksum; use truncated or extra-bytes"

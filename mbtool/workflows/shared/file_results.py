@@ -23,17 +23,21 @@ T = TypeVar("T")
 
 @dataclass(slots=True)
 class FileResult:
-    """The numbers of transactions and events in a file, and the error if it could not be read."""
+    """What reading one file gave: the numbers of transactions and events, and the error if there
+    was one.
+    """
 
     name: str
     transactions: int = 0
     events: int = 0
     error: InputError | None = None
-    """The error if the file could not be read, or not to its end; None if it was read."""
+    """The error if the file could not be read to its end; None if it could."""
 
     @property
     def remark(self) -> str:
-        """A line that says what is wrong or unusual about the file; empty if nothing is."""
+        """A text that says what is wrong with the file, or that no Modbus was found in it; empty if
+        neither is so.
+        """
         if self.error is not None:
             why = str(self.error).removeprefix(f"{self.name}: ")
             is_read = isinstance(self.error, (CutError, DamageError))
@@ -42,19 +46,24 @@ class FileResult:
 
 
 class FileResults:
-    """Reads several files in turn, and keeps the number of records and the error of each."""
+    """Reads several files in turn, and keeps for each the numbers of transactions and events, and
+    its error.
+    """
 
     def __init__(self, paths: Sequence[str]) -> None:
         self._paths = paths
         self.refused: dict[str, InputError] = {}
-        """The errors of files that cannot be read at all and are left out, by path."""
+        """The errors of files that cannot be read at all, so that they are left out; the key is the
+        path."""
         self.files_read = 0
-        """The number of files that have been read to their end, or left out."""
+        """The number of files that are done: read to their end, read in part, or left out."""
         self._opened: dict[str, FileResult] = {}
-        """The results of the files opened so far, by name."""
+        """The results of the files opened so far; the key is the file's name as messages show
+        it."""
         self.heads: dict[str, CaptureHead] = {}
-        """The metadata (recording, links, devices) in logs, and in captures that were made from
-        logs, by the file's name; complete once the file is read to its end."""
+        """For each log, and each capture made from a log: the metadata of its recording, links and
+        devices. The key is the file's name as messages show it. An entry is complete once the file
+        is read to its end."""
 
     @property
     def names(self) -> str:
@@ -62,15 +71,19 @@ class FileResults:
         return ", ".join(map(shown_name, self._paths))
 
     def note_head(self, name: str, head: CaptureHead | LogReader) -> None:
-        """Keep the metadata of a file's recording. A LogReader may add to it while it reads on."""
+        """Keep the metadata of a file's recording. Its dicts are not copied, as a LogReader may add
+        to them while it reads on.
+        """
         self.heads[name] = CaptureHead(capture=head.capture, links=head.links, devices=head.devices)
 
     def refuse(self, path: str, error: InputError) -> None:
-        """Leave a file out, as it cannot be read at all."""
+        """Leave the file at `path` out, as it cannot be read at all because of `error`."""
         self.refused[path] = error
 
     def error_of(self, path: str) -> InputError | None:
-        """The error of a file that is cut or damaged; None if it was read to its end."""
+        """The error of the file at `path` if it is cut or damaged; None if it is not, or was not
+        opened yet.
+        """
         result = self._opened.get(shown_name(path))
         return None if result is None else result.error
 
@@ -80,11 +93,13 @@ class FileResults:
         go_on: Callable[[InputError], Iterator[T]],
         end: Callable[[], Iterator[T]],
     ) -> Iterator[T]:
-        """Yield the items of `read(path)` for each file that is not left out, in order.
+        """Yield the items of `read(path)` for each file that is not left out, in order, and at the
+        end those of `end()`.
 
-        After a file that is cut or damaged, unless it is the last one, yield those of `go_on`. At
-        the end yield those of `end()`, also if a file cannot be opened. Then raise InputError for a
-        file that cannot be opened, or else the first error of a file that is cut or damaged.
+        After a file that is cut or damaged, yield those of `go_on(error)`, unless it is the last
+        file. If a file cannot be opened, reading stops: yield those of `end()`, and raise its
+        InputError. Otherwise raise, after all items, the first error of a file that is cut, damaged
+        or left out.
         """
         try:
             for number, path in enumerate(self._paths, 1):
@@ -131,7 +146,8 @@ class FileResults:
             result.events += events
 
     def raise_first(self) -> None:
-        """Raise the first error of a file that is cut or damaged, or else of a file left out.
+        """Raise the first error of a file that is cut or damaged, or else of a file that was left
+        out.
 
         Does nothing if all files were read to their ends.
         """
@@ -140,9 +156,9 @@ class FileResults:
             raise error
 
     def table(self) -> list[str]:
-        """Return a text table with a line for each file under a heading.
+        """Return the lines of a text table: a heading, and a line for each file.
 
-        It is empty if there is only one file, or none was opened.
+        Empty if there is only one file, or if none was opened.
         """
         if len(self._paths) < 2 or not self._opened:
             return []

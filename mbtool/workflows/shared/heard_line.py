@@ -27,14 +27,16 @@ if TYPE_CHECKING:
 def serial_types(line: LineSettings | None) -> AbstractSet[int]:
     """Return the link types of packets that contain bytes of a serial line.
 
-    If the user gave the settings of a line, these include USER0 to USER15, which have no fixed
-    meaning.
+    USER0 to USER15 have no fixed meaning. They are among these types only if `line` is not None,
+    that is if the user gave the settings of a line.
     """
     return SERIAL_LINK_TYPES if line is None else SERIAL_LINK_TYPES | USER_LINK_TYPES
 
 
 class HeardLine:
-    """Counts the pieces of bytes in one file, and those that overlap at an assumed baud rate."""
+    """Counts the pieces of bytes (packets of a serial line) in one file, and how many overlap at an
+    assumed baud rate.
+    """
 
     def __init__(self, name: str, format_: SerialFormat) -> None:
         self.name = name
@@ -44,7 +46,7 @@ class HeardLine:
         self._overlaps = 0
 
     def note(self, piece: object) -> None:
-        """Look at the next item of the file; only chunks (bytes of the line) are counted."""
+        """Look at the next item of the file; only a chunk (bytes of the line) is counted."""
         if not isinstance(piece, Chunk):
             return
         self._pieces += 1
@@ -61,7 +63,7 @@ class HeardLine:
 
     @property
     def doubt(self) -> str | None:
-        """A line for the user that doubts the baud rate, if pieces overlap; else None."""
+        """A line for the user that asks if the baud rate is right; None if no pieces overlap."""
         if not self._overlaps:
             return None
         return (
@@ -71,10 +73,10 @@ class HeardLine:
 
 
 def heard_remarks(heard: Sequence[HeardLine], *, is_named: bool) -> list[str]:
-    """Lines for the user: one about the files that were read with the default line settings, and
-    one for each file whose baud rate seems wrong.
+    """Return lines for the user: one that names the files read with the default line settings, and
+    one for each file whose assumed baud rate seems wrong.
 
-    `is_named` is True if the user gave the settings; then there is no line about defaults.
+    `is_named` is True if the user gave the settings, so that no defaults were used.
     """
     remarks = []
     names = [one.name for one in heard if one.has_bytes]

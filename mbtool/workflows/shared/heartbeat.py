@@ -33,7 +33,9 @@ class StatusLog(FindingsLog, Protocol):
 
 
 class Counts:
-    """Counts what was recorded so far: chunks and packets, bytes, transactions, events, losses."""
+    """Counts what was recorded so far: chunks and packets, their bytes, transactions, events and
+    losses.
+    """
 
     def __init__(self) -> None:
         self.pieces = 0
@@ -43,7 +45,8 @@ class Counts:
         self.lost_bytes = 0
         self.lost_packets = 0
         self.waiting = 0
-        """The number of recorded chunks and packets that the decoder has not decoded yet."""
+        """The number of recorded chunks and packets that are not decoded yet, according to the last
+        mark in the log."""
         self.last_ns = 0
         """The time of the latest chunk or packet, in UTC ns."""
 
@@ -63,7 +66,7 @@ class Counts:
             self.waiting = item.waiting
 
     def values(self) -> dict[str, str]:
-        """Return the counters as the keys and texts of a heartbeat record."""
+        """Return the counters as the keys and values (both texts) of a heartbeat."""
         transactions = {f"transactions.{name}": str(n) for name, n in self.outcomes.items()}
         events = {f"events.{name}": str(count) for name, count in self.events.items()}
         return {
@@ -87,7 +90,9 @@ class HeartbeatLog:
         lost_links: Callable[[], list[str]],
         now_ns: int,
     ) -> None:
-        """`lost_links` returns the names of the links that are lost at present."""
+        """`log` is the log writer to pass items to. `lost_links` returns the names of the links
+        that are lost at present. `now_ns` is the present time in UTC ns.
+        """
         self._log = log
         self._lost_links = lost_links
         self._began_ns = now_ns
@@ -95,7 +100,8 @@ class HeartbeatLog:
         self._told_lost: list[str] = []
         self.counts = Counts()
         self.ticked_ns = now_ns
-        """The time (ns) at which the recorder's thread last called `tick`. A watchdog checks it."""
+        """The time (UTC ns) at which the recorder's thread last called `tick`. A watchdog checks it
+        to see that the thread runs."""
 
     def write(self, item: LogItem | DecodingMark) -> None:
         self.counts.add(item)

@@ -22,10 +22,10 @@ if TYPE_CHECKING:
 def log_records(
     items: Iterable[Record | Chunk | Packet], assignments: Assignments, file: str
 ) -> Iterator[Record]:
-    """Yield the transactions and events among the items of a log, without packets and chunks.
+    """Yield the transactions and events among the items of a log; leave out packets and chunks.
 
-    A transaction whose device has a profile in `assignments` gets names and values from that
-    profile. `file` is the path of the log as the user wrote it.
+    If the device of a transaction has a profile in `assignments`, the transaction gets names and
+    values from that profile. `file` is the path of the log as the user wrote it.
     """
     namer = Namer(assignments)
     for item in items:
@@ -36,11 +36,11 @@ def log_records(
 
 
 def followed(path: str, assignments: Assignments, wait: Callable[[], bool]) -> Iterator[Record]:
-    """Yield the records of a log that is still being written, as they are added.
+    """Yield the transactions and events of a log that is still being written, as they are added.
 
-    `wait` is called at the end of the file; it returns True to read on, False to end.
-    Raises UsageError if the path is standard input, or no uncompressed log with records, and
-    InputError if it cannot be read.
+    `wait` is called each time the end of the file is reached; it returns True to read on, False to
+    end. Raises UsageError if the path is standard input, or is not an uncompressed log with
+    transactions. Raises InputError if the log cannot be read.
     """
     if path == STANDARD_INPUT:
         raise UsageError("--follow reads a log on disk, not standard input; name the log")
@@ -56,9 +56,10 @@ def followed(path: str, assignments: Assignments, wait: Callable[[], bool]) -> I
 
 
 def profiles_of_logs(paths: Sequence[str], line: LineSettings | None) -> list[Profile]:
-    """Return the device profiles stored in those of the files that are logs.
+    """Return the device profiles that are stored in the logs among the files.
 
-    Pipes are not opened. Raises InputError if a file cannot be read.
+    Pipes are not opened. `line` is needed to open files of serial bytes: the line settings that the
+    user gave, None for none. Raises InputError if a file cannot be read.
     """
     profiles = []
     for path in paths:

@@ -16,8 +16,8 @@ _Item = TypeVar("_Item")
 
 
 class MissingParts:
-    """Counts packets cut by the snaplen, requests that the decoder dropped because of a limit, and
-    messages of a log that could not be read.
+    """Counts missing data: packets that the snaplen cut, requests that the decoder dropped because
+    of a limit, and messages of a log that could not be read.
     """
 
     def __init__(self) -> None:
@@ -28,13 +28,17 @@ class MissingParts:
         self._left_out: list[str] = []
 
     def note_item(self, item: object) -> None:
-        """Look at the next item of a capture or log; count it if it is a cut packet."""
+        """Look at the next item of a capture or log, and count it if it is a packet that
+        was cut.
+        """
         if not isinstance(item, Packet) or item.original_length <= len(item.data):
             return
         self.note_cut(1, len(item.data), len(item.data))
 
     def note_cut(self, count: int, shortest: int, longest: int) -> None:
-        """Count cut packets. `shortest` and `longest` are the limits of their lengths in bytes."""
+        """Count `count` cut packets at once. Their captured lengths are `shortest` to `longest`
+        bytes.
+        """
         self._shortest = min(self._shortest, shortest) if self._cut else shortest
         self._longest = max(self._longest, longest)
         self._cut += count
@@ -46,10 +50,10 @@ class MissingParts:
             yield item
 
     def note_record(self, record: object) -> None:
-        """Look at the next decoded record.
+        """Look at the next transaction or event.
 
-        Count it if it is a request that was dropped because of a limit. Keep its message if it is
-        an event about messages of a log that could not be read.
+        Count a transaction whose request was dropped because of a limit. Keep the message of an
+        event about log messages that could not be read.
         """
         if isinstance(record, Transaction):
             if Verdict.OVER_LIMIT in record.verdicts:
@@ -77,5 +81,7 @@ class MissingParts:
 
 
 def _is_of_the_log(event: WireEvent) -> bool:
-    """True for an event about log messages that could not be read; such an event has no link."""
+    """True for an event about messages of a log that could not be read. Unlike other events of its
+    kind, it names no link.
+    """
     return event.kind is EventKind.UNREADABLE and not event.link

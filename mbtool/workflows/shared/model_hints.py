@@ -34,7 +34,9 @@ MAX_HINTS = 64
 
 
 class ModelHints:
-    """Collects hints about the models of slaves, from the records of one reading of the files."""
+    """Collects hints for the user about the models of slaves, from the transactions of one reading
+    of the files.
+    """
 
     def __init__(self, profile_for: Callable[[NamedTransaction], Profile | None]) -> None:
         self._profile_for = profile_for
@@ -42,10 +44,12 @@ class ModelHints:
         self._hints: dict[tuple[str, int], str] = {}
         self._sunspec = SunSpecDevices()
         self._named: set[Slave] = set()
-        """The SunSpec devices that have a profile, so that no hint is needed."""
+        """The SunSpec devices that already have a profile, so that the user needs no hint."""
 
     def note(self, record: Record) -> str | None:
-        """Look at the next record; return a hint if it is the first one about its slave."""
+        """Look at the next transaction or event; return a hint for the user if this one is the
+        first to tell a slave's model, else None.
+        """
         if isinstance(record, WireEvent):
             return None
         if record.function in FUNCTIONS:
@@ -67,8 +71,8 @@ class ModelHints:
 
     @property
     def remarks(self) -> list[str]:
-        """One line for the user for each slave whose model was found and whose profile is not the
-        one for that model.
+        """All hints: one line for each slave whose model was found, unless the profile in use is
+        the one for that model.
         """
         maps = self._sunspec.maps
         sunspec = [_sunspec_hint(*each) for each in maps.items() if each[0] not in self._named]

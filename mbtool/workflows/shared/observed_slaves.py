@@ -19,22 +19,23 @@ if TYPE_CHECKING:
 
 MAX_SLAVES = 2048
 _SHOWN = 12
-"""The most slaves that an error message names."""
+"""An error message names at most this many slaves."""
 
 
 class ObservedSlaves:
     """The slaves of a recording, in the order in which they first appear."""
 
     def __init__(self, who: Who | None = None, *, with_values: bool = False) -> None:
-        """Collect all slaves or, with `who`, only those with its address and unit.
+        """Collect all slaves; with `who`, only those with the address and unit that `who` names.
 
-        With `with_values`, the values of registers are kept, too.
+        With `with_values`, the values of their registers are kept, too.
         """
         self._who = who
         self._with_values = with_values
         self._slaves: dict[tuple[str, str | None, int], ObservedSlave] = {}
         self.forgotten = 0
-        """The number of transactions left out because there were already MAX_SLAVES slaves."""
+        """The number of transactions that were left out because their slaves were beyond
+        MAX_SLAVES."""
 
     def add(self, records: Iterable[Record]) -> None:
         for record in records:
@@ -45,7 +46,8 @@ class ObservedSlaves:
         destination, unit = transaction.destination, transaction.unit
         if self._who is not None and not self._who.fits_slave(destination, unit):
             return
-        # A slave on a network has the same key whichever interface captured it.
+        # The key of a slave on a network has no link, as several interfaces may have captured the
+        # slave.
         key = (transaction.link if destination is None else "", destination, unit)
         seen = self._slaves.get(key)
         if seen is None:
@@ -60,9 +62,9 @@ class ObservedSlaves:
         return list(self._slaves.values())
 
     def only(self, option: str) -> ObservedSlave:
-        """Return the slave if there is only one, or if only one of several has sent a response.
+        """Return the slave if there is only one, or if only one of several has sent responses.
 
-        Otherwise raises UsageError; the message names `option`, with which the user can choose a
+        Otherwise raises UsageError. Its message names `option`, the command's option that chooses a
         slave.
         """
         slaves = self.slaves

@@ -14,7 +14,9 @@ if TYPE_CHECKING:
 
 
 class PartReading(Reading):
-    """Reads files once, and yields transactions and events, or batches of transactions."""
+    """Reads files once, and yields transactions and events, perhaps many transactions as
+    one batch.
+    """
 
     def parts(self) -> Iterator[Record | AnsweredRun]:
         """Yield all transactions and events.

@@ -52,7 +52,7 @@ if TYPE_CHECKING:
 
 
 class NumberedPacket(NamedTuple):
-    """A network packet, and the comments that are written to it."""
+    """A network packet, and the comments to write with it."""
 
     packet: Packet
     comments: Sequence[str]
@@ -67,7 +67,7 @@ Shown = NumberedPacket | WirePiece
 
 @dataclass(slots=True)
 class Converted:
-    """The numbers of packets, reads and transactions that a conversion wrote."""
+    """How many packets, reads of ports and transactions a conversion has written."""
 
     packets: int = 0
     reads: int = 0
@@ -81,17 +81,19 @@ class PieceWriter:
         self.writer = PcapngWriter(stream)
         self.head = head
         self.numbers: dict[str, int] = {}
-        """For each link whose frames become packets, a number from which its IPv4 addresses are
-        made."""
+        """For each link whose frames become packets, a number. The IPv4 addresses of the link's
+        master and slaves are made from this number."""
         self._ports: dict[Connection, int] = {}
 
     def add_link(self, link: str) -> None:
-        """Assign a number to a link, if it has none yet."""
+        """Give a link its number, if it has none yet."""
         if link not in self.numbers:
             self.numbers[link] = len(self.numbers) % MAX_LINK_NUMBER + 1
 
     def names(self, link: str, units: Iterable[int]) -> dict[bytes, str]:
-        """Return names for a link's master and slaves, by the IPv4 address that stands for each."""
+        """Return names for the master and the slaves (`units`) of a link. The key is the IPv4
+        address (4 bytes) that stands for each of them.
+        """
         names: dict[bytes, str] = {}
         name = "".join(one if one.isalnum() else "-" for one in PurePath(link).name)
         for unit in sorted(set(units)):
@@ -112,7 +114,9 @@ class PieceWriter:
         self._write_packet(piece, RAW_IPV4, shown.data, frame.comments, direction, reads)
 
     def _write_bytes(self, piece: WirePiece) -> None:
-        """Write bytes that are no frame as one packet on the link's interface for such bytes."""
+        """Write bytes that are no frame as one packet, on the interface that the link has for such
+        bytes.
+        """
         skipped = piece.skipped
         by_master = piece.key.direction is Direction.REQUEST
         data = rtac_packet(piece.ts_ns, piece.data, by_master=by_master)
@@ -153,7 +157,9 @@ class PieceWriter:
         )
 
     def _datagram(self, key: StreamKey, frame: WireFrame) -> _Datagram | None:
-        """Make the IP datagram that shows a frame; None if an ASCII frame is malformed."""
+        """Make the IP datagram as which a frame is shown; None for an ASCII frame that is
+        malformed.
+        """
         raw, skip, original = frame.raw, 6, None
         if frame.transport is Transport.TCP:
             payload, skip = raw, 0
@@ -170,14 +176,18 @@ class PieceWriter:
         return _Datagram(data, skip, original)
 
     def _master_port(self, key: StreamKey) -> int:
-        """The UDP port that stands for the master; each TCP connection of a tap gets its own."""
+        """The UDP port that stands for the master. For a tap, each TCP connection gets a port of
+        its own.
+        """
         if key.connection is None:
             return MASTER_PORT
         count = len(self._ports)
         return self._ports.setdefault(key.connection, MASTER_PORT + count % 40_000)
 
     def describe(self, link: str, link_type: int) -> None:
-        """Write the description of a link's interface with this link type, once."""
+        """Write the description of a link's interface with this link type, if it is not written
+        yet.
+        """
         if self.writer.knows(link, link_type):
             return
         spec = self.head.links.get(link, {}).get(SPEC, link)
@@ -216,7 +226,9 @@ class PcapngOutput:
             self._pieces.add_link(link)
 
     def _names(self) -> dict[bytes, str]:
-        """The names of all masters and slaves, by the IPv4 address that stands for each."""
+        """The names of all masters and slaves; the key is the IPv4 address (4 bytes) that stands
+        for each of them.
+        """
         names: dict[bytes, str] = {}
         for group in self._groups:
             for key, frames in group.marks.frames.items():
@@ -227,13 +239,13 @@ class PcapngOutput:
 class _Datagram(NamedTuple):
     data: bytes
     skip: int
-    """The number of bytes that the payload has in front of the frame's own bytes."""
+    """The number of payload bytes before the frame's own bytes."""
     raw: bytes | None
-    """The bytes of an ASCII frame as they were on the line, as the packet shows them in binary;
-    None for other frames."""
+    """The captured characters of an ASCII frame, as the datagram has it in binary; None for other
+    frames."""
 
 
 def _baud(spec: str) -> int:
-    """The baud rate in a LINK text, as `rtu:COM3@9600`; 0 if it has none."""
+    """The baud rate in a LINK text such as `rtu:COM3@9600`; 0 if the text has none."""
     digits = spec.rpartition("@")[2].partition("-")[0]
     return int(digits) if digits.isdecimal() and len(digits) <= 8 else 0

@@ -39,7 +39,8 @@ _READS = {
     Table.INPUT_REGISTERS: 0x04,
 }
 _WRITES = {Table.COILS: (0x05, 0x0F), Table.HOLDING_REGISTERS: (0x06, 0x10)}
-"""For each writable table, the function that writes one value, and the one that writes several."""
+"""For each table that can be written: the function code that writes one value, and the one that
+writes several."""
 READ_FUNCTIONS = tuple(_READS.values())
 WRITE_FUNCTIONS = tuple(sorted(code for codes in _WRITES.values() for code in codes))
 
@@ -63,12 +64,15 @@ _BIT_WORDS = {"on": 1, "true": 1, "off": 0, "false": 0}
 
 @dataclass(frozen=True, slots=True)
 class Wording:
-    """Interprets the user's texts with the profile of a device and the function that was chosen."""
+    """Interprets texts that name registers or bits, with the profile of a device and the function
+    that the user chose.
+    """
 
     profile: Profile | None = None
-    """The profile of the device, with its limits for the mode of the link: RTU, ASCII or TCP."""
+    """The profile of the device, with its limits for the mode of the link (RTU, ASCII or TCP); None
+    if it has none."""
     function: int | None = None
-    """The function code that the user chose; None to use the usual one for the table."""
+    """The function code that the user chose; None to use the table's usual one."""
 
     def __post_init__(self) -> None:
         known = (*READ_FUNCTIONS, *WRITE_FUNCTIONS)
@@ -78,9 +82,9 @@ class Wording:
             )
 
     def reads(self, text: str) -> list[bytes]:
-        """Return the PDUs of the requests that read the registers or bits named by `text`.
+        """Return the PDUs of the requests that read the registers or bits which `text` names.
 
-        Raises UsageError if the text names none, or none that the chosen function can read.
+        Raises UsageError if the text names none, or if the chosen function cannot read them.
         """
         table, span = self.addresses(text)
         code = self._code(text, table, (_READS[table],))
@@ -90,7 +94,8 @@ class Wording:
         ]
 
     def write(self, text: str) -> bytes:
-        """Return the PDU of the write request for `REFERENCE=VALUE` or `REFERENCE=VALUE,VALUE`.
+        """Return the PDU of the request that writes what `text` says: `REFERENCE=VALUE` or
+        `REFERENCE=VALUE,VALUE`.
 
         Raises UsageError for a text of another form, for a table that can only be read, for a value
         out of range, and for more values than the device takes in one request.
@@ -120,7 +125,8 @@ class Wording:
         return encode_pdu(code, Direction.REQUEST, address=target.address, values=tuple(values))
 
     def addresses(self, text: str) -> tuple[Table, range]:
-        """Return the table and the addresses (on the wire, 0-based) named by `text`.
+        """Return the table and the addresses (on the wire, 0-based) of the registers or bits that
+        `text` names.
 
         Raises UsageError if the text names none.
         """
@@ -152,7 +158,8 @@ class Wording:
         return parse_span(self._neutral(text), own)
 
     def _neutral(self, text: str) -> str:
-        """Rewrite six digits, or an address alone, as table and address: `400001` as `holding 0`.
+        """Rewrite six digits, or an address alone, as table and address: `400001` becomes `holding
+        0`.
 
         Any other text is returned unchanged.
         """
@@ -171,9 +178,10 @@ class Wording:
         return f"{_WORDS[_DIGIT_TABLES[digits[1]]]} {int(digits[2]) - 1}{dots}{end}"
 
     def _code(self, text: str, table: Table, usual: Sequence[int]) -> int:
-        """Return the function that the user chose, or the first of the `usual` ones.
+        """Return the function code that the user chose, or else the first of `usual`, the codes
+        that fit.
 
-        Raises UsageError if the chosen function is not among the usual ones.
+        Raises UsageError if the chosen code is not in `usual`; the message quotes `text`.
         """
         if self.function is None:
             return usual[0]
@@ -195,13 +203,18 @@ class Wording:
         )
 
     def _limit(self, code: int) -> int:
-        """The most registers or bits that one request with function `code` may read or write."""
+        """The number of registers or bits that one request with function `code` may read or write
+        at most.
+        """
         rule = None if self.profile is None else self.profile.rule(code)
         own = None if rule is None else rule.limit
         return FUNCTIONS[code].limit if own is None else min(own, FUNCTIONS[code].limit)
 
     def _parts(self, code: int, table: Table, span: range) -> Iterator[range]:
-        """Divide a range of addresses into parts, each of which one request can read."""
+        """Divide the addresses `span` into parts that one request with function `code` can read.
+
+        Points of several registers are not divided, if they fit into one request.
+        """
         limit, inside = self._limit(code), self._inside(table)
         start = span.start
         while span.stop - start > limit:
@@ -214,9 +227,11 @@ class Wording:
         yield range(start, span.stop)
 
     def _inside(self, table: Table) -> set[int]:
-        """The addresses of registers that are not the first register of their point.
+        """The addresses of all registers that are not the first register of their point, as the
+        profile says.
 
-        A request that begins there would divide the point.
+        A request that begins at one of them would divide the point. A point with a block is left
+        out.
         """
         if self.profile is None:
             return set()
@@ -237,9 +252,10 @@ def _named(profile: Profile, name: str) -> ValueTarget | None:
 
 
 def _addresses(target: ValueTarget) -> range:
-    """The addresses to read for a target (a point, register or bit).
+    """Return the addresses to read for a target: a point, a register or a bit.
 
-    If a point exists only in reads that begin at a certain address, its block, they begin there.
+    Some devices give a point only in reads that begin at a certain address, the point's block. Then
+    the addresses begin there.
     """
     first = target.address
     if target.point is not None and target.point.block is not None:
@@ -248,7 +264,9 @@ def _addresses(target: ValueTarget) -> range:
 
 
 def _value(text: str, target: ValueTarget) -> object:
-    """Parse the value behind the `=`: a number, a text, or a list if it has commas."""
+    """Parse the text behind the `=`: a number, a text, or a list if it has commas. `target` is what
+    to write to.
+    """
     point = target.point
     if point is not None and text.strip() in point.texts.values():
         return text.strip()

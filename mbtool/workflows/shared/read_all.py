@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 Watch = Callable[[Reading, "Iterator[Record]"], "Iterator[Record]"]
-"""A function that yields all records of a reading unchanged; it may show a progress bar."""
+"""A function that yields all records of a reading unchanged, and may show a progress bar."""
 
 
 def unwatched(_: Reading, records: Iterator[T]) -> Iterator[T]:
@@ -26,11 +26,12 @@ def read_all(
     told_as: str = "{error}",
     watch: Watch = unwatched,
 ) -> Iterator[Record]:
-    """Yield all records; if a file is cut or damaged, those that can be read.
+    """Yield the transactions and events of all files; of a file that is cut or damaged, those that
+    can be read.
 
-    In that case `on_remark` gets the text `told_as`, with the error in place of `{error}`. At the
-    end `on_remark` gets the reading's lines for the user about the files. Raises InputError for a
-    file that cannot be read at all, UsageError if the options do not fit the file.
+    About a cut or damaged file `on_remark` gets the text `told_as`, with the error in place of
+    `{error}`. At the end `on_remark` gets the reading's lines for the user about the files. Raises
+    InputError for a file that cannot be read at all, UsageError if the options do not fit the file.
     """
     try:
         yield from watch(reading, reading.records())

@@ -85,56 +85,56 @@ class Reading:
         self._options = options
         self._current: CaptureFile | None = None
         self._decoder: Decoder | None = None
-        """The decoder of the current capture; it is kept for all files of the capture."""
+        """The decoder for all files of the current capture; None before its first item."""
         self._part: Part | None = None
         self._seam = Seam()
         self._items = 0
-        """The number of items passed to the decoder: packets, serial reads, events of sources."""
+        """The number of items decoded so far: packets, serial reads, events of ports or taps."""
         self._serial_packets = 0
         """The number of packets that contain bytes of a serial line."""
         self._has_found = False
-        """True if at least one transaction or event was found."""
+        """True once a transaction or event was found in the files."""
         self._has_decoded = False
-        """True if a transaction was found, or an event that is not about undecodable data."""
+        """True once a transaction was found, or an event not about undecodable data."""
         self._first_undecodable: str | None = None
-        """The message of the first event about data that cannot be decoded."""
+        """The message of the first event about undecodable data; None if there was none."""
         self._heard: list[HeardLine] = []
-        """For each file that has serial bytes but no baud rate, a check of the assumed rate."""
+        """A check of the assumed baud rate, for each file of packets that has serial bytes."""
         self._missing = MissingParts()
         self._logs = LogRemarks(paths, is_raw=options.raw)
         self.results = FileResults(paths)
         self._misordered: list[str] = []
         self._kinds: set[CaptureKind] = set()
         self._last_ns = 0
-        """The time of the last record, in UTC ns."""
+        """The time (UTC ns) of the last transaction or event that was yielded."""
         self._ports: tuple[Sequence[int], Sequence[int]] = (
             options.ports or (DEFAULT_PORT,),
             options.rtu_ports,
         )
         self._any_port = options.any_port
         self.assignments = options.assignments
-        """The profiles in use: those given by the user, and those in the log that is being read."""
+        """The profiles in use: those that the user gave, and those in the log being read."""
         self.exact_times = ExactTimes()
-        """Tells which serial lines have exact byte times; final once a file is read to its end."""
+        """Tells which serial lines have exact byte times; final at the end of a line's file."""
         self.captures = 0
-        """The number of captures that ended before the last record. The files of one capture, as
-        from `sniff --rotate`, count as one."""
+        """The number of captures that ended before the last record. Files that are parts of one
+        capture, as from `sniff --rotate`, count as one."""
         self.file = ""
-        """The name of the file that the last record came from."""
+        """The name of the file that the last transaction or event came from."""
         self.is_log = False
-        """True if the last record was read from a log and not decoded again."""
+        """True if the last transaction or event was stored in a log, and was not decoded again."""
         self.format_of: Callable[[str], SerialFormat | None] = lambda _: None
-        """Returns the baud rate and character format of a serial link, given its name; None if it
-        is unknown, or if the link's bytes have no times."""
+        """A function that returns the baud rate and character format of a serial line, given its
+        link name. It returns None if they are unknown, or if the line's bytes have no times."""
         self.line_of: LineOf = lambda _: None
-        """Returns the serial link with a name; None if the name is unknown."""
+        """A function that returns the serial line with a link name; None if the name is unknown."""
 
     def profile_for(self, transaction: NamedTransaction) -> Profile | None:
         return self.assignments.profile_for(transaction)
 
     @property
     def fraction(self) -> float | None:
-        """The share (0 to 1) of the files that has been read; None if unknown, as for a pipe."""
+        """The share (0 to 1) of the files read so far; None if it is unknown, as for a pipe."""
         part = self._current.fraction() if self._current is not None else 0.0
         return None if part is None else (self.results.files_read + part) / len(self._paths)
 
@@ -147,7 +147,7 @@ class Reading:
     def why_empty(self) -> str | None:
         """A line for the user that says why the files have no transaction and no event.
 
-        None if they have one, or are not completely read.
+        None if they have some, or if they are not read to their ends.
         """
         if self._has_found or not self._is_complete:
             return None
@@ -165,7 +165,7 @@ class Reading:
         )
 
     def demand_readable(self) -> None:
-        """Raise InputError if the files have only events about data that cannot be decoded."""
+        """Raise InputError if the files were read, and have only events about undecodable data."""
         why = self._first_undecodable
         if why is not None and not self._has_decoded and self._is_complete:
             raise InputError(f"{self.results.names}: nothing in it could be read: {why}")
@@ -180,7 +180,7 @@ class Reading:
 
     @property
     def remarks(self) -> list[str]:
-        """Lines for the user about the files, for example about cut packets or useless options."""
+        """Lines for the user about the files, such as cut packets or options without effect."""
         remarks = heard_remarks(self._heard, is_named=self._options.line is not None)
         remarks += self._missing.remarks
         kinds = self._kinds
@@ -193,11 +193,11 @@ class Reading:
         return remarks + self._misordered + self._logs.remarks + self.results.table()
 
     def demand_files(self) -> None:
-        """Check that each file exists, is named once, and is of a kind that can be read.
+        """Check that the files exist, are named once, and are of a kind that can be read.
 
-        A pipe is not opened, as it can be read only once. Raises InputError if every file is
-        missing or of another kind, UsageError for one that is named twice or does not fit the
-        options.
+        A pipe is not opened, as it can be read only once. A file that is missing or of another kind
+        is left out. Raises InputError if that leaves no file, and UsageError for a file that is
+        named twice or does not fit the options.
         """
         known: set[object] = set()
         for path in self._paths:
@@ -209,7 +209,7 @@ class Reading:
             raise self.results.refused[self._paths[0]]
 
     def _demand_file(self, path: str, known: set[object]) -> None:
-        """Check one file; `known` identifies the files checked so far, to find one named twice."""
+        """Check one file; add it to `known`, the files so far, so that one named twice is found."""
         place, is_pipe = place_of(path)
         if not is_pipe:
             with open_capture(path, self._options.line) as capture:
@@ -262,7 +262,7 @@ class Reading:
         return self._decoded_again(head, reads_of(packets), Part(0))
 
     def _break_off(self, error: InputError) -> Iterator[Record]:
-        """Yield a GAP event for a file that is cut or damaged, as the next file may continue it."""
+        """Yield a GAP event for a cut or damaged file: data is missing before the next file."""
         is_of_packets = self._part is not None and self._part.number is None
         gap = WireEvent(ts_ns=self._last_ns, link="", kind=EventKind.GAP, message=str(error))
         if self._decoder is None:
@@ -278,7 +278,7 @@ class Reading:
         return LineTiming(assignments, options.t1_5, options.t3_5, options.response_timeout)
 
     def _own_decoder(self) -> Decoder:
-        """Create a decoder for a file without a description of its links, from the options."""
+        """Create a decoder, from the user's options, for a file that lacks its links' settings."""
         options = self._options
         return Decoder(
             Namer(options.assignments),
@@ -304,12 +304,12 @@ class Reading:
         yield from self._end_capture()
 
     def _fed(self, items: Iterator[Evidence]) -> Iterator[Evidence]:
-        """Return the packets and chunks to decode. A subclass may override this to see them."""
+        """Return the items to decode; a subclass may override this to see or change them."""
         return items
 
     def _heard_packets(self, capture: CaptureFile, packets: Iterator[Packet]) -> Iterator[Packet]:
-        """Yield the packets unchanged. Count those with bytes of a serial line, and check with them
-        if the assumed baud rate is too low.
+        """Yield the packets unchanged. Count those with bytes of a serial line, and use these to
+        check if the assumed baud rate is too low.
         """
         types = serial_types(self._options.line)
         heard: HeardLine | None = None
@@ -337,8 +337,8 @@ class Reading:
     def _decoded(
         self, evidence: Iterator[Evidence], part: Part, begin: Callable[[], Decoder]
     ) -> Iterator[Record]:
-        """Decode a file: with the decoder of the file before if it continues the same capture, else
-        with a new one from `begin`.
+        """Decode a file with the decoder of the file before, if both are of the same capture; else
+        end that capture, and decode with a new decoder from `begin`.
         """
         if not part.follows(self._part):
             yield from self._end_capture()
@@ -362,7 +362,7 @@ class Reading:
             yield from self._decoder.feed(item)
 
     def _note_order(self, item: Evidence) -> None:
-        """Note a remark for the user if a file begins before the previous one ends; at most one."""
+        """Tell the user once that the file with the first item `item` is named in wrong order."""
         if self._seam.is_overtaken_by(item) and not self._misordered:
             self._misordered.append(
                 f"{self._current_name}: begins before "
@@ -380,7 +380,7 @@ class Reading:
         self._enter()
 
     def _enter(self, *, is_log: bool = False) -> None:
-        """Set `file` and `is_log`: the next records come from the file that is open now."""
+        """Set `file` and `is_log` for the next records, which the file open now contains."""
         self.file = self._current_name
         self.is_log = is_log
 
@@ -405,8 +405,8 @@ class Reading:
                 yield from self._end_capture()
             self._part = part
             self._enter(is_log=True)
-            # The log already has decoded names and times, so profiles or links with errors are not
-            # needed and are ignored.
+            # The transactions of the log already have names and times. So errors in its profiles or
+            # links do no harm and are ignored.
             with suppress(UsageError):
                 self.assignments = all_assignments(log, self._options.assignments)
             lines: dict[str, SerialLink] = {}
@@ -423,12 +423,12 @@ class Reading:
     def _decoded_again(
         self, log: LinkMetadata, evidence: Iterator[Evidence], part: Part
     ) -> Iterator[Record]:
-        """Decode the packets and bytes of a log, or of a capture that was made from one."""
+        """Decode the packets and bytes of a log, or of a capture made from one, again."""
         options = self._options
         ports = options.ports or ports_of(log, PORTS) or (DEFAULT_PORT,)
         rtu_ports = options.rtu_ports or ports_of(log, RTU_PORTS)
         self._ports = (ports, rtu_ports)
-        # The user's ports replace those of the log.
+        # If the user gave TCP ports, those stored in the log are not used.
         self._any_port = options.any_port or (not options.ports and names_any_port(log))
         lines = serial_lines(log)
 

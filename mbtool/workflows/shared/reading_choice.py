@@ -18,18 +18,18 @@ if TYPE_CHECKING:
 
 
 _WORTH_BYTES = 256 * 1024
-"""The least size of a capture, in bytes, for which commands that only count read it as arrays. In
-smaller ones, importing numpy takes longer than arrays save: measured with 1500, 3000 and 6000
-packets."""
+"""Commands that only count read a capture of at least this size (bytes) as arrays. For a smaller
+one, importing numpy takes longer than arrays save: measured with 1500, 3000 and 6000 packets."""
 
 
 def part_reading(
     paths: Sequence[str], options: ReadingOptions, *, is_filtered: bool = False
 ) -> PartReading:
-    """Return an object that reads the files once, as arrays if that is possible and faster.
+    """Return an object that reads the files once, with the array decoder if that is possible and
+    faster.
 
     `is_filtered` is True if the user's options exclude some transactions by their fields. Then each
-    one must be looked at, which arrays do not allow.
+    transaction must be looked at by itself, and the array decoder is not used.
     """
     if is_filtered or len(paths) != 1:
         return PartReading(paths, options)
@@ -40,10 +40,11 @@ def part_reading(
 def column_reading(
     paths: Sequence[str], options: ReadingOptions, *, at_least: float = 0
 ) -> ColumnReading | None:
-    """Return an object that reads the files once as arrays; None if that is not possible.
+    """Return an object that reads the files once with the array decoder; None if that is not
+    possible.
 
-    Returns None, too, if the files together have fewer bytes than `at_least`; the size of a
-    compressed file is multiplied by ten.
+    Returns None, too, if the files together have fewer than `at_least` bytes. The size of a
+    compressed file counts ten times.
     """
     if find_spec("numpy") is None or unpacked_bytes(paths) < at_least:
         return None
@@ -56,12 +57,14 @@ def column_reading(
 
 
 def unpacked_bytes(paths: Sequence[str]) -> int:
-    """The approximate total size of the files in bytes, once uncompressed; a pipe counts as 0."""
+    """The approximate size of all files together, in bytes after decompression; a pipe
+    counts as 0.
+    """
     return sum(map(_size, paths))
 
 
 def _size(path: str) -> int:
-    """The approximate size of a file in bytes, once uncompressed; 0 if it is unknown."""
+    """The approximate size of a file in bytes after decompression; 0 if it is unknown."""
     try:
         size = os.stat(path).st_size
     except (OSError, ValueError):

@@ -23,7 +23,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlayOptions:
-    """The part of a recording that is replayed, and the speed, for all commands of `replay`."""
+    """The options that all commands of `replay` share: which part of a recording to play, and how
+    fast.
+    """
 
     reading: ReadingOptions = field(default_factory=ReadingOptions)
     wanted: Callable[[NamedTransaction], bool] = lambda _: True
@@ -33,12 +35,12 @@ class PlayOptions:
 
 
 class Recorded(NamedTuple):
-    """The transactions to be replayed, the profiles of their devices, and the damaged frames."""
+    """The transactions to replay, the profiles of their devices, and the damaged frames."""
 
     transactions: list[NamedTransaction]
     assignments: Assignments
     damage: list[WireEvent]
-    """The events about frames that were damaged in the recording."""
+    """The events about bytes that could not be decoded, for example because of a wrong CRC."""
 
 
 def read_recorded(
@@ -51,10 +53,10 @@ def read_recorded(
 ) -> Recorded:
     """Read the transactions of a capture or a log, in the order in which they ended.
 
-    If the file is cut or damaged, `on_remark` gets a line for the user, and the readable part is
-    returned. `watch` may show the progress. Raises InputError if the file cannot be read at all, or
-    if `options.wanted` accepts no transaction. Raises UsageError if a unit is on several links,
-    unless `may_repeat_units`.
+    If the file is cut or damaged, the readable part is returned, and `on_remark` gets a line for
+    the user. `watch` passes on the records as they are read, and may show the progress. Raises
+    InputError if the file cannot be read at all, or if `options.wanted` accepts no transaction.
+    Raises UsageError if a unit is on several links, unless `may_repeat_units` is True.
     """
     transactions: list[NamedTransaction] = []
     damage: list[WireEvent] = []
@@ -79,16 +81,17 @@ def read_recorded(
 
 
 def lateness_p99_ns(sample: Sample, options: PlayOptions) -> int | None:
-    """The 99th percentile, in ns, of the delays by which messages were sent too late.
+    """How late messages were sent after their recorded times, as 99th percentile in ns.
 
-    None if there are none, or if the user wanted to replay as fast as possible.
+    `sample` has the delays in ns. None if it is empty, or if the user chose to replay as fast as
+    possible.
     """
     late = sorted(sample.values)
     return late[len(late) * 99 // 100] if late and options.rate else None
 
 
 def within(transactions: list[NamedTransaction], window: TimeRange) -> list[NamedTransaction]:
-    """Return the transactions that begin in `window`, whose times count from the first request."""
+    """Return the transactions that begin in `window`, which counts from the first request."""
     first_ns = min(
         (one.request_ns for one in transactions if one.request_ns is not None), default=0
     )
@@ -96,15 +99,19 @@ def within(transactions: list[NamedTransaction], window: TimeRange) -> list[Name
 
 
 def where_none(window: TimeRange) -> str:
-    """Return the end of the message "nothing to play": the part that was chosen, and advice."""
+    """Return the end of an error message that says "nothing to play": which part was chosen, and
+    what to do.
+    """
     if window == TimeRange():
         return "; see what it holds with decode"
     return f" in the part {window}; give another --start and --end"
 
 
 def demand_one_slave_each(path: str, transactions: Sequence[NamedTransaction]) -> None:
-    """Raise UsageError if a unit is on several links, as these are different slaves, and a replay
-    on one link has only one slave for each unit.
+    """Raise UsageError if a unit is on several links.
+
+    Units with the same number on several links are different slaves, and a replay on one link can
+    have only one slave for each unit. `path` is named in the message.
     """
     links: dict[int, set[str]] = defaultdict(set)
     for one in transactions:

@@ -24,12 +24,12 @@ if TYPE_CHECKING:
 
 
 def recorded_values(profile: Profile, on_remark: Callable[[str], None] = lambda _: None) -> Recall:
-    """Return a function that finds the values of registers in a capture over time.
+    """Return a function that finds how the values of registers change over time in a capture.
 
     `profile` gives the register's name in errors. `on_remark` gets lines for the user about a
     capture, such as that it is cut. The returned function raises InputError for a file that cannot
-    be read; UsageError for a file without the value, or if the unit or link is not named and
-    several have it.
+    be read. It raises UsageError for a file without the value, and if the user named no unit or
+    link and several have the value.
     """
     captures: dict[Path, list[NamedTransaction]] = {}
     recordings: dict[tuple[Path, str | None], Recording] = {}

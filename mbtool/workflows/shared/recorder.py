@@ -35,17 +35,18 @@ if TYPE_CHECKING:
     from mbtool.sources.inbox import Item
 
 TICK_S = 0.1
-"""The longest time (seconds) for which the recorder's thread waits for evidence before it checks
-the clock."""
+"""The recorder's thread waits at most this long (seconds) for evidence before it checks the clock
+again."""
 BATCH = 500
-"""The most packets and chunks that are written to the log before they are passed to the decoder."""
+"""At most this many packets and chunks are written to the log before they are passed to the
+decoder."""
 MAX_RECORDS = 1000
-"""The most records that wait to be written. The recorder's thread writes all of them at once, which
-delays evidence by less than 0.1 s."""
+"""At most this many decoded records wait to be written. The recorder's thread writes all of them at
+once, which delays the writing of evidence by less than 0.1 s."""
 BEHIND_NS = 250_000_000
 """If decoding is later than recording by more than this (ns), a mark is written to the log. So if
-recording is killed, a log without a mark lacks the decoded records of at most this time, beside
-those that were not on the disk."""
+recording is killed and there is no mark, the log lacks at most the decoded records of this time,
+and what was not on the disk yet."""
 _MARK_NS = 100_000_000
 """While the decoder is behind, a mark is written to the log at this interval (ns)."""
 
@@ -56,42 +57,54 @@ class Log(Protocol):
     def write(self, item: LogItem | DecodingMark) -> None: ...
 
     def tick(self, now_ns: int) -> None:
-        """Write items that have waited in memory for long; called regularly with the time (ns)."""
+        """Write items that have waited in memory for some time. Called regularly with the present
+        time (UTC ns).
+        """
 
     def close(self, final: Mapping[str, str]) -> None:
-        """Complete the log; `final` is metadata that is known only at the end of recording."""
+        """Complete the log. `final` is metadata (keys and values as texts) that is known only at
+        the end of recording.
+        """
 
 
 class Recorder:
-    """Writes a log in a thread while sources are recorded. Call `start`, `stop`, then `close`."""
+    """Writes a log in a thread of its own while sources are recorded. Call `start`, `stop` and
+    `close`, in this order.
+    """
 
     def __init__(self, heard: Inbox, log: Log, now_ns: Callable[[], int]) -> None:
-        """`heard` is the inbox that the sources fill; `now_ns` returns the time in ns."""
+        """`heard` is the inbox that the sources fill, and `log` the log writer. `now_ns` returns
+        the time in UTC ns.
+        """
         self._heard = heard
         self._log = log
         self._now_ns = now_ns
         self.undecoded = Inbox(behind=heard)
-        """The inbox of the decoder: packets and chunks that are in the log, and events."""
+        """The inbox of the decoder. Its packets and chunks are already in the log; it also has the
+        sources' events."""
         self._records: deque[Record] = deque()
         self._changed = Condition()
         self._failure: Exception | None = None
         self._is_stopping = False
         self._thread: Thread | None = None
         self._recorded = 0
-        """The number of pieces (chunks and packets) written to the log."""
+        """The number of chunks and packets written to the log."""
         self._decoded = 0
-        """The number of pieces that are decoded and whose records were passed to `write`."""
+        """The number of chunks and packets that are decoded, and whose records were passed to
+        `write`."""
         self.dropped = 0
-        """The number of pieces that are not decoded, because the decoder was too far behind."""
+        """The number of chunks and packets that will not be decoded, because the decoder was too
+        far behind."""
         self._told_dropped = 0
         self._awaited = (0, now_ns())
-        """A former value of `_recorded`, and the time (ns) when it was reached. If the decoder has
-        not reached it BEHIND_NS later, the decoder is behind."""
+        """An earlier value of `_recorded`, and the time (ns) when it had this value. The decoder is
+        behind if it has not decoded so many chunks and packets BEHIND_NS later."""
         self._is_behind = False
         self._marked_ns = now_ns() - _MARK_NS
         self._discarded_packets = 0
         self._discarded_bytes = 0
-        """The number of bytes that the sources lost; packets dropped by the kernel do not count."""
+        """The number of bytes that the sources have lost. Packets that the kernel dropped are
+        counted in `_discarded_packets`."""
 
     @property
     def waiting(self) -> int:
@@ -103,9 +116,10 @@ class Recorder:
         self._thread.start()
 
     def write(self, record: Record) -> None:
-        """Let the recorder's thread write a decoded record; wait if MAX_RECORDS are waiting.
+        """Pass a decoded record to the recorder's thread, which writes it to the log. Waits while
+        MAX_RECORDS records wait to be written.
 
-        Raises the error that ended the recording, if there was one.
+        If an error has ended the recording, it is raised.
         """
         if self._thread is None:
             self._log.write(record)
@@ -118,18 +132,21 @@ class Recorder:
         self.check()
 
     def note_decoded(self, item: Item) -> None:
-        """Count an item as decoded. All its records must have been passed to `write`."""
+        """Count `item` as decoded if it is a chunk or packet. Before that, all its records must
+        have been passed to `write`.
+        """
         self._decoded += isinstance(item, Chunk | Packet)
 
     def check(self) -> None:
-        """Raise the error that ended the recording, usually an OutputError, if there is one."""
+        """If an error has ended the recording, raise it; usually it is an OutputError."""
         if self._failure is not None:
             raise self._failure
 
     def stop(self) -> None:
         """Write all evidence that is still in the inbox, and end the thread.
 
-        The caller must close the sources first. Afterwards `write` writes to the log directly.
+        The caller must close the sources first. After this call, `write` writes to the log
+        directly.
         """
         self._is_stopping = True
         if self._thread is not None:
@@ -154,8 +171,8 @@ class Recorder:
         try:
             self._tick()  # Lets `mbtool status` find the links and a heartbeat from the start.
             while True:
-                # Read the flag before the inbox, so that all items put in before `stop` are
-                # written.
+                # Read the flag before the inbox, so that everything put into the inbox before
+                # `stop` is written.
                 is_stopping = self._is_stopping
                 items = self._heard.take(0 if is_stopping else TICK_S, BATCH)
                 self._record(items)
@@ -207,11 +224,14 @@ class Recorder:
 
     @property
     def _news(self) -> bool:
-        """True if chunks or packets were dropped (not decoded) since the last mark."""
+        """True if chunks or packets were dropped without being decoded since the last mark in the
+        log.
+        """
         return self.dropped > self._told_dropped
 
     def _mark(self, now_ns: int, waiting: int) -> None:
-        # In the log, the records of all decoded pieces must stand before the mark.
+        # The records of all chunks and packets decoded so far must stand before the mark in the
+        # log.
         self._write_records()
         dropped, self._told_dropped = self.dropped - self._told_dropped, self.dropped
         self._marked_ns = now_ns

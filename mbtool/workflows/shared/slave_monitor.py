@@ -50,9 +50,10 @@ class SlaveMonitor:
         *,
         limit: int = MAX_PENDING,
     ) -> None:
-        """`others` are the profiles of single units on the link; `profile` is for all other units.
+        """Prepare to pass on what happens on `link`.
 
-        `profile` may be None.
+        `others` are the profiles of single units; `profile` is for all other units, None for no
+        profile. At most `limit` requests wait to be shown.
         """
         beside = [Assignment(Who(unit=unit), one) for unit, one in (others or {}).items()]
         own = [] if profile is None else [Assignment(Who(), profile)]
@@ -62,7 +63,8 @@ class SlaveMonitor:
         self._ends = Ends(link.name)
         self._pending: deque[tuple[Adu, Response | None]] = deque()
         self._missed = 0
-        """The number of requests dropped since the start; only the slave's thread changes it."""
+        """The number of requests dropped since the start, as too many waited; only the slave's
+        thread changes it."""
         self._missed_told = 0
         self._behaviours: Mapping[int, Behaviour] = {}
         self._outputs: list[DeviceOutput] = []
@@ -80,16 +82,19 @@ class SlaveMonitor:
         return self._assignments.profile_for(transaction)
 
     def on_link(self, name: str) -> None:
-        """Set the link name in all further records.
+        """Set the link name for all further records.
 
-        With TCP port 0 the system chooses the port, so the name is known only once it is open.
+        If the user chose TCP port 0, the system chooses the port. So the name is known only when
+        the port is open.
         """
         self._ends = Ends(name)
 
     # Only the slave's thread calls `begin` and `take`.
 
     def begin(self, behaviours: Mapping[int, Behaviour]) -> None:
-        """Set the simulated device (its Behaviour) of each unit, before the first request."""
+        """Set the simulated device (its Behaviour) of each unit. Call it before the first
+        request.
+        """
         self._behaviours = behaviours
         self._outputs = self._all_outputs()
 
@@ -102,7 +107,7 @@ class SlaveMonitor:
     # Only the thread that shows the requests calls `records`, `missed` and `changed_outputs`.
 
     def records(self) -> list[Record]:
-        """Return the transactions and events since the last call."""
+        """Return the transactions and events that have come since the last call."""
         return [
             record
             for _ in range(len(self._pending))
@@ -115,12 +120,14 @@ class SlaveMonitor:
         return self._missed_told - told
 
     def changed_outputs(self) -> list[DeviceOutput]:
-        """Return the outputs of the devices that have changed since the last call."""
+        """Return the outputs of the simulated devices that have changed since the last call."""
         before, self._outputs = self._outputs, self._all_outputs()
         return [now for was, now in zip(before, self._outputs, strict=True) if now != was]
 
     def _all_outputs(self) -> list[DeviceOutput]:
-        """Return all outputs of all devices; if there are several, names begin with the unit."""
+        """Return all outputs of all simulated devices. If there are several devices, each name
+        begins with the unit.
+        """
         return [
             one if len(self._behaviours) == 1 else replace(one, name=f"unit {unit} {one.name}")
             for unit, behaviour in self._behaviours.items()
@@ -163,7 +170,9 @@ class SlaveMonitor:
 
 
 def _how_spoilt(spoiling: Distortion) -> str:
-    """Return a text that lists how a simulated fault changed a response, separated by commas."""
+    """Return a text that lists how a simulated fault has changed a response: the changes, separated
+    by commas.
+    """
     ending = "" if spoiling.ending is None else _ENDINGS[spoiling.ending]
     if spoiling.silent:
         return ", ".join(filter(None, ("not sent", ending)))

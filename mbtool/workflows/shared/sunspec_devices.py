@@ -35,7 +35,7 @@ STANDARD_INPUT = "-"
 _SHOWN = 12
 
 Slave = tuple[str, str | None, int]
-"""A slave: its link, its address and port (None on a serial line), and its unit."""
+"""Identifies a slave: its link, its address and port (None on a serial line), and its unit."""
 
 
 class SunSpecDevices:
@@ -49,7 +49,9 @@ class SunSpecDevices:
             self.note(record)
 
     def note(self, record: Record) -> Slave | None:
-        """Look at the next record; return its slave if it completes the map of that slave."""
+        """Look at the next transaction or event. If it completes the map of a slave, return the
+        slave, else None.
+        """
         if isinstance(record, WireEvent) or record.function != READ_HOLDING:
             return None
         values, address = record.response_values, record.address
@@ -68,10 +70,12 @@ class SunSpecDevices:
 
 
 class SunSpecFolder:
-    """The user's folder with the definitions of SunSpec models, as model_103.json."""
+    """The user's folder with the definitions of SunSpec models: files such as model_103.json."""
 
     def __init__(self, path: str | PathLike[str]) -> None:
-        """Raises InputError if there is no model in the folder."""
+        """Open the folder `path`, or its folder `json` if it has one. Raises InputError if there is
+        no model in it.
+        """
         self._path = path
         folder = Path(path)
         inner = folder / "json"
@@ -83,7 +87,9 @@ class SunSpecFolder:
             )
 
     def file(self, number: int) -> tuple[str, bytes] | None:
-        """Return the path and the content of a model's file; None if the folder lacks it."""
+        """Return the path and the content of the file of model `number`; None if the folder lacks
+        it.
+        """
         path = self._folder / f"model_{number}.json"
         try:
             return str(path), path.read_bytes()
@@ -95,7 +101,7 @@ class SunSpecFolder:
     def try_all(self) -> tuple[int, list[str]]:
         """Import each model by itself, to check the folder.
 
-        Returns the number of models that can be imported, and an error message for each other one.
+        Returns how many models can be imported, and an error message for each that cannot.
         """
         from mbtool.devices.importing.sunspec import import_sunspec
 
@@ -110,8 +116,8 @@ class SunSpecFolder:
         return count, wrong
 
     def profile(self, found: SunSpecMap, name: str) -> ImportedList:
-        """Make the profile of a device from its map. Raises UsageError if none of its models can be
-        used.
+        """Make a profile, called `name`, for a device with the map `found`. Raises UsageError if
+        none of its models can be used.
         """
         from mbtool.devices.importing.sunspec import import_sunspec_map
 
@@ -124,9 +130,10 @@ class SunSpecFolder:
 def with_sunspec(
     paths: Sequence[str], options: ReadingOptions, folder: SunSpecFolder, say: Callable[[str], None]
 ) -> ReadingOptions:
-    """Return the options with a profile added for each SunSpec device in the files without one.
+    """Return the options with a new profile for each SunSpec device in the files that has none.
 
-    Reads the files to their end. `say` gets a line for the user about each device.
+    Reads the files to their ends, to find the devices. `say` gets a line for the user about each
+    device.
     """
     for path in paths:
         if path == STANDARD_INPUT or place_of(path)[1]:
@@ -155,10 +162,11 @@ def with_sunspec(
 
 
 def only_map(devices: SunSpecDevices, who: Who | None, option: str) -> SunSpecMap:
-    """Return the map of the only SunSpec device, or of the one with the address and unit in `who`.
+    """Return the map of the only SunSpec device; with `who`, of the only one that has this address
+    and unit.
 
-    Raises UsageError if there is none, or if there are several. The message then names `option`,
-    with which the user can choose one.
+    Raises UsageError if there is none, or if there are several. Then the message names `option`,
+    the command's option that chooses one.
     """
     maps = {
         Who.of_slave(destination, unit): found
@@ -174,14 +182,18 @@ def only_map(devices: SunSpecDevices, who: Who | None, option: str) -> SunSpecMa
 
 
 def described(found: SunSpecMap) -> str:
-    """Describe a device as a text: `Maker Device, SunSpec models 1, 103 from 40000 on`."""
+    """Describe a SunSpec device in a text: maker, device, the numbers of its models, and the
+    address where its map begins.
+    """
     numbers = ", ".join(str(one.id) for one in found.models)
     name = f"{found.device}, " if found.device else ""
     return f"{name}SunSpec models {numbers} from {found.base} on"
 
 
 def _unbroken(reading: Reading) -> Iterator[Record]:
-    """Yield the records up to the first error; the second reading of the files raises it."""
+    """Yield the records up to the first error. The files are read a second time later, which raises
+    the error.
+    """
     try:
         yield from reading.records()
     except InputError:

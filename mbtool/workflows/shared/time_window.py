@@ -26,7 +26,7 @@ MAX_HELD = 100_000
 
 @dataclass(slots=True)
 class TimeWindow:
-    """The part of a capture from `start` to `end`; None means the capture's own beginning or end.
+    """The part of a capture from `start` to `end`. None means the capture's own beginning or end.
 
     A record that begins exactly at `end` is outside.
     """
@@ -35,9 +35,10 @@ class TimeWindow:
     end: TimePoint | None
     _first_ns: int | None = field(default=None, init=False)
     _times: tuple[int, int] | None = field(default=None, init=False)
-    """The begin times (UTC ns) of the earliest and the latest transaction that was checked."""
+    """The begin times (UTC ns) of the earliest and the latest transaction that was tested with
+    `in`; None before the first."""
     _has_any: bool = field(default=False, init=False)
-    """True if at least one of the transactions that were checked was in the window."""
+    """True if at least one transaction that was tested with `in` is in the window."""
 
     @classmethod
     def parse(cls, start: str | None, end: str | None) -> TimeWindow:
@@ -63,11 +64,11 @@ class TimeWindow:
         return any(one is not None and not one.is_absolute for one in (self.start, self.end))
 
     def begun(self, records: Iterable[Record], *, at_once: bool = False) -> Iterator[Record]:
-        """Yield all records. If the window's times count from the capture's first request, hold
-        records back until that request is known.
+        """Yield all records. If --start or --end count from the capture's first request, records
+        are held back until that request is known.
 
-        With `at_once`, for live captures, no record is held back: the first transaction that is
-        decoded counts as the first request.
+        With `at_once`, for live captures, no record is held back: the first decoded transaction
+        counts as the first request.
         """
         if not self.is_relative:
             return iter(records)
@@ -88,7 +89,9 @@ class TimeWindow:
         yield from held or ()
 
     def __contains__(self, record: Record) -> bool:
-        """True if a record begins in the window. Call it only for records yielded by `begun`."""
+        """True if a record begins in the window. Call it only for a record that `begun` has
+        yielded.
+        """
         if isinstance(record, WireEvent):
             return self.contains_ns(record.ts_ns)
         start_ns = record.start_ns
@@ -100,8 +103,8 @@ class TimeWindow:
 
     @property
     def why_empty(self) -> str | None:
-        """A message for the user if all transactions were outside the window; None if one was in
-        it, or if there were none.
+        """A message for the user if all tested transactions were outside the window; None if one
+        was inside, or if none was tested.
         """
         if self._has_any or self._times is None:
             return None
@@ -112,16 +115,16 @@ class TimeWindow:
         return f"no transaction {place}: the first is of {first}, the last of {last} UTC"
 
     def contains_ns(self, ts_ns: int) -> bool:
-        """True if a time in UTC ns is in the window. Call it only after `begun` has yielded a
-        record.
+        """True if the time `ts_ns` (UTC ns) is in the window. Call it only after `begun` has
+        yielded a record.
         """
         return not self._is_before(ts_ns, self.start) and (
             self.end is None or self._is_before(ts_ns, self.end)
         )
 
     def is_before_ns(self, ts_ns: int) -> bool:
-        """True if a time in UTC ns is before the window. Call it only after `begun` has yielded a
-        record.
+        """True if the time `ts_ns` (UTC ns) is before the window. Call it only after `begun` has
+        yielded a record.
         """
         return self._is_before(ts_ns, self.start)
 
@@ -132,9 +135,10 @@ class TimeWindow:
         return (ts_ns if point.is_absolute else since_ns) < point.ns
 
     def _note(self, record: Record) -> int:
-        """Look for the earliest transaction among the records that are held back.
+        """Remember the begin of a record that is held back, if it is the earliest transaction so
+        far.
 
-        Returns the begin of the given record in UTC ns.
+        Returns when the record begins, in UTC ns.
         """
         if isinstance(record, WireEvent):
             return record.ts_ns

@@ -38,35 +38,42 @@ _OF_SOURCES = frozenset(
     {EventKind.LINE_ERROR, EventKind.REFUSED, EventKind.BLOCKED, EventKind.CLOCK_STEP}
 )
 _OF_TAPS = frozenset({EventKind.OPENED, EventKind.CLOSED})
-"""Events that only a tap reports. For captured packets, decoding finds them again."""
+"""Kinds of events that are kept only for taps. For captured packets, decoding finds such events
+again."""
 
 _HELD_NS = 2_000_000_000
-"""Evidence is held back until the log has an item that is later by this much (ns), as events with
-earlier times may follow it in the log."""
+"""Items of a log are held back until an item comes that is later by this much (ns). Events with
+earlier times may stand behind them in the log."""
 _MOST_HELD = 5000
 
 _LOSSES_OF_SOURCES = ("not recorded", "turned away")
 
 
 class LogRemarks:
-    """Finds those of the files that are logs with undecoded evidence, or that were not closed."""
+    """Finds the logs among the files that have undecoded evidence, or that were not closed, and
+    makes remarks about them.
+    """
 
     def __init__(self, paths: Sequence[str], *, is_raw: bool) -> None:
-        """`is_raw` is True if the user wants all logs to be decoded again."""
+        """Prepare to look at the files. `is_raw` is True if the user wants all logs to be decoded
+        again in any case.
+        """
         self._paths = paths
         self._is_raw = is_raw
         self._unread: dict[str, int] = {}
-        """By file, the number of undecoded chunks and packets of logs for which that is only known
-        after reading: pipes and compressed files."""
+        """The number of undecoded chunks and packets in each pipe or compressed log, by file name.
+        For these files it is known only after reading."""
         self._unclosed: list[str] = []
 
     @property
     def are_undecoded(self) -> bool:
-        """True if a log among the files has undecoded evidence, so that all are decoded again."""
+        """True if at least one log has undecoded evidence. Then all logs are decoded again."""
         return bool(self._counts) or any(self._ends.values())
 
     def note(self, log: LogReader, name: str) -> None:
-        """Keep remarks for the user about a log that has been read to its end."""
+        """Keep remarks for the user about the log with this name, which has been read to
+        its end.
+        """
         text = log.capture.get(UNDECODED_PIECES, "0")
         if not self._counts and text.isdecimal() and len(text) <= 9 and int(text):
             self._unread[name] = int(text)
@@ -77,7 +84,9 @@ class LogRemarks:
             self._unclosed.append(f"{name}: was not closed; it {end}")
 
     def _last_moments(self, name: str) -> str:
-        """A text for the user on how the last moments of a log that was not closed are decoded."""
+        """The part of a remark that says how the last moments of a log that was not closed get
+        decoded; empty if there is nothing to say.
+        """
         if self._is_raw or self._counts:
             return ""
         if self.are_undecoded:
@@ -96,13 +105,13 @@ class LogRemarks:
 
     @cached_property
     def _counts(self) -> Mapping[str, int]:
-        """By path, the number of chunks and packets that a log says were not decoded."""
+        """The number of chunks and packets that were not decoded, by path, for logs that say so."""
         counts = {path: undecoded_pieces(path) for path in self._files}
         return {path: count for path, count in counts.items() if count}
 
     @cached_property
     def _ends(self) -> Mapping[str, bool]:
-        """For each log, by path: True if it was not closed and its last evidence was not decoded.
+        """For each log, by path: True if it was not closed, and its last evidence was not decoded.
 
         Empty if the files together have more than MAX_LOOKED_THROUGH bytes, since decoding all of
         them again would take too long.
@@ -117,13 +126,13 @@ class LogRemarks:
 
     @property
     def _files(self) -> list[str]:
-        """The paths that are files and not pipes."""
+        """The paths of the files that are no pipes and can be read several times."""
         return [path for path in self._paths if not place_of(path)[1]]
 
 
 def heard(log: LogReader) -> Iterator[Chunk | Packet | WireEvent]:
-    """Yield the packets and chunks of a log, and the events that decoding them cannot find again,
-    each event at its place in time.
+    """Yield the packets and chunks of a log, and those events that decoding them again cannot find,
+    such as errors of a port. Each event comes at its place in time.
     """
     taps = {name for name, one in log.links.items() if one.get(SPEC, "").startswith("tap:")}
     return _in_place(
@@ -132,11 +141,11 @@ def heard(log: LogReader) -> Iterator[Chunk | Packet | WireEvent]:
 
 
 def _in_place(items: Iterator[Chunk | Packet | WireEvent]) -> Iterator[Chunk | Packet | WireEvent]:
-    """Move each event in front of the evidence of its link that has a later time.
+    """Yield the items in an order in which each event stands before the later evidence of its link.
 
-    An event is written to the log only after the decoder has passed it on, so often behind later
-    evidence. An event about lost bytes ends the frame that is being decoded; if it came too late,
-    it would break the next frame.
+    The log has an event only after the decoder has passed it on, so often behind later evidence. An
+    event about lost bytes ends the frame that is being decoded. If it came too late, it would end a
+    later frame.
     """
     held: deque[Chunk | Packet | WireEvent] = deque()
     try:
@@ -159,17 +168,19 @@ def _in_place(items: Iterator[Chunk | Packet | WireEvent]) -> Iterator[Chunk | P
 
 
 def is_of_source(event: WireEvent, taps: Set[str]) -> bool:
-    """True for an event from a driver, a tap or an interface, which decoding cannot find again.
+    """True for an event that a driver, a tap or an interface reported. Decoding packets and bytes
+    again cannot find it.
 
     `taps` are the names of the links that are taps.
     """
     if event.kind in _OF_TAPS:
         return event.link in taps
     if event.kind is EventKind.DISCARDED:
-        # If the decoder discarded data because of its own limits, decoding will report that again.
+        # The decoder may have discarded data because of its own limits. Decoding again reports that
+        # again.
         return bool(event.packets) or any(text in event.message for text in _LOSSES_OF_SOURCES)
     if event.kind is EventKind.GAP:
-        # Without a source, a GAP is a damaged place of the log, or a port that was unplugged. Gaps
-        # between packets are found again by decoding.
+        # A GAP event without a source address is about a damaged place of the log, or a port that
+        # was unplugged. Gaps between packets have one, and decoding finds them again.
         return not event.source
     return event.kind in _OF_SOURCES

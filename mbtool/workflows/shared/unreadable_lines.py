@@ -42,7 +42,7 @@ _RTU_DATA_BITS = 8
 _UNREAD = frozenset((EventKind.SKIPPED, EventKind.BAD_CHECK))
 
 LineOf = Callable[[str], SerialLink | None]
-"""A function that returns the serial line with a link name; None if the link is not serial."""
+"""A function that returns the serial line with a link name; None if the link is no serial line."""
 
 
 @dataclass(slots=True)
@@ -50,9 +50,10 @@ class _HeardLine:
     read: int = 0
     unread: int = 0
     first: WireEvent | None = None
-    """The first event with bytes that could not be read."""
+    """The first event about bytes of the line that could not be read; None if there was none."""
     sample: list[WireEvent] = field(default_factory=list)
-    """The first events with bytes that could not be read, with about SAMPLE_BYTES bytes in all."""
+    """The first events about bytes that could not be read, until they have SAMPLE_BYTES bytes in
+    all."""
     is_told: bool = False
 
     @property
@@ -68,17 +69,21 @@ class _HeardLine:
 
 
 class UnreadableLines:
-    """Counts the bytes of serial lines that could be read and those that could not."""
+    """Counts, for each serial line, the bytes that could be read and those that could not."""
 
     def __init__(self, line_of: LineOf, *, is_live: bool = False) -> None:
-        """`is_live` is True in a live capture: then messages can name the serial ports."""
+        """`line_of` returns the serial line with a link name. `is_live` is True in a live capture:
+        then messages can name the serial ports.
+        """
         self._line_of = line_of
         self._is_live = is_live
         self._lines: dict[str, _HeardLine] = {}
 
     def note(self, record: Record) -> str | None:
-        """Look at the next record; return a message for the user if its serial line proves to be
-        unreadable. There is at most one message for each line.
+        """Look at the next transaction or event. Return a message for the user if it shows that its
+        serial line is unreadable, else None.
+
+        There is at most one message for each line.
         """
         if not isinstance(record, WireEvent):
             if record.transport.is_serial:
@@ -95,14 +100,16 @@ class UnreadableLines:
         return self._tell(record.link, heard)
 
     def untold(self) -> Iterator[str]:
-        """Yield, at the end, a message for each unreadable line that `note` has not reported."""
+        """Yield a message for each unreadable line that `note` has not reported. Call it at the
+        end.
+        """
         for link, heard in self._lines.items():
             if heard.is_unreadable and not heard.is_told:
                 yield self._tell(link, heard)
 
     def unreadable(self) -> Iterator[tuple[WireEvent, str]]:
-        """Yield, for each unreadable line, its first event with unreadable bytes, and a text that
-        says what the user can do.
+        """Yield a pair for each unreadable line: the first event about unreadable bytes, and a text
+        that says what the user can do.
         """
         for link, heard in self._lines.items():
             if heard.first is not None and heard.is_unreadable:
@@ -137,9 +144,10 @@ class UnreadableLines:
 
 
 def _fitting(line: SerialLink, heard: _HeardLine) -> SettingsScore | None:
-    """Find the line settings with which the unreadable bytes are frames with a correct CRC or LRC.
+    """Return the line settings with which the unreadable bytes in `heard` are frames with a correct
+    CRC or LRC.
 
-    None if there are no such settings.
+    None if no settings fit, or only the present ones of `line`.
     """
     trial = SettingsTrial(line.format)
     for event in heard.sample:
@@ -149,7 +157,7 @@ def _fitting(line: SerialLink, heard: _HeardLine) -> SettingsScore | None:
     present = LineSettings(line.format, line.ascii)
     if not best.is_likely or best.settings == present:
         return None
-    # With 7 data bits, RTU frames in which no byte exceeds 7FH seem correct, but RTU needs 8 bits.
+    # With 7 data bits, RTU frames whose bytes are all below 80H seem correct, but RTU needs 8 bits.
     is_possible = best.settings.ascii or best.settings.format.data_bits == _RTU_DATA_BITS
     return best if is_possible else None
 

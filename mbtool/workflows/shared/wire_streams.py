@@ -23,14 +23,14 @@ if TYPE_CHECKING:
     from mbtool.modbus import Transport
 
 SEARCH_NS = 10_000_000_000
-"""The search for the bytes of a frame ends when the stream has reached a time this much (ns) after
-the frame."""
+"""The search for the bytes of a frame ends when the stream has a read this much (ns) later than the
+frame."""
 MAX_WAITING = 1 << 20
 
 
 class StreamKey(NamedTuple):
-    """The key of a stream of bytes in a capture: its link, its direction, and its TCP connection
-    (None on a serial line).
+    """Identifies a stream of bytes in a capture: its link, its direction (UNKNOWN if one tap hears
+    both), and its TCP connection (None on a serial line).
     """
 
     link: str
@@ -39,26 +39,29 @@ class StreamKey(NamedTuple):
 
 
 class WireFrame(NamedTuple):
-    """A frame that decoding has found, with the data of its transaction."""
+    """A frame that decoding has found, with what is known of it from its transaction."""
 
     raw: bytes
     is_request: bool
     number: int
-    """The number of its transaction in the file, from 1."""
+    """The number of the frame's transaction in the output, from 1."""
     unit: int
     transport: Transport
     ts_ns: int
-    """The frame's time in the output (UTC ns): the end of a request, the beginning of a response.
-    """
+    """The time (UTC ns) that the frame gets in the output: the end of a request, the beginning of a
+    response."""
     comments: tuple[str, ...] = ()
     is_kept: bool = True
-    """False if the options --start, --end or --where exclude its transaction."""
+    """False if the options --start, --end or --where exclude the frame's transaction."""
     begin: int | None = None
-    """The number of bytes of the stream before the frame; None if unknown."""
+    """The number of bytes of the stream before the frame; None if it is unknown, so that the
+    frame's bytes must be searched."""
 
 
 class SkippedBytes(NamedTuple):
-    """Bytes that belong to no frame, with the kind, message and time of the event about them."""
+    """Bytes that belong to no frame, with the kind, the message and the time (UTC ns) of the event
+    about them.
+    """
 
     raw: bytes
     kind: EventKind
@@ -72,53 +75,62 @@ class WirePiece(NamedTuple):
     key: StreamKey
     data: bytes
     reads: list[tuple[int, int]]
-    """For each read of the port that returned bytes of this piece: their number, and the time of
-    the read in UTC ns."""
+    """For each read of the port that returned bytes of this piece: the number of these bytes, and
+    the time of the read (UTC ns)."""
     is_open: bool
-    """True if the last of these reads also returned bytes of the next piece."""
+    """True if the last read in `reads` also returned bytes of the next piece."""
     chunk: Chunk
-    """One of these reads, for the fields that all reads of the stream share, as its direction."""
+    """The last of these reads. It has the fields that all reads of the stream share, such as the
+    direction."""
     frame: WireFrame | None = None
     skipped: SkippedBytes | None = None
 
     @property
     def ts_ns(self) -> int:
-        """The time of the piece (UTC ns): that of its frame, its event or its last read."""
+        """The time of the piece (UTC ns): that of its frame, or of the event about its bytes, or
+        else of its last read.
+        """
         about = self.frame or self.skipped
         return self.reads[-1][1] if about is None else about.ts_ns
 
 
 class WireStream:
-    """Cuts one stream: takes the reads of a port and yields frames and the bytes between them."""
+    """Cuts one stream of bytes: takes the reads of a port, and yields the frames and the bytes
+    between them.
+    """
 
     def __init__(
         self, key: StreamKey, frames: Iterable[WireFrame], skipped: Iterable[SkippedBytes] = ()
     ) -> None:
-        """`frames` and `skipped` (the bytes of events) are in the order of the stream."""
+        """`frames` are the frames in the stream, and `skipped` the bytes that events are about;
+        both in the order of the stream.
+        """
         self._key = key
         self._frames = deque(frames)
         self._skipped = deque(skipped)
         self._held = bytearray()
         self._position = 0
-        """The number of bytes of the stream that have been yielded, before those in `_held`."""
+        """The number of bytes of the stream that were yielded. The bytes in `_held` come behind
+        them."""
         self._reads: deque[tuple[int, Chunk]] = deque()
-        """For each read with bytes in `_held`: the number of these bytes, and the read."""
+        """For each read that has bytes in `_held`: the number of these bytes, and the read
+        itself."""
 
     def feed(self, chunk: Chunk) -> Iterator[WirePiece]:
-        """Take the bytes of a read; yield the pieces that no further byte can change."""
+        """Take the bytes of a read; yield the pieces that later reads cannot change any more."""
         if chunk.data:
             self._held += chunk.data
             self._reads.append((len(chunk.data), chunk))
             yield from self._pieces(chunk.ts_ns)
 
     def close(self) -> Iterator[WirePiece]:
-        """End the stream: yield the pieces of all bytes that are left."""
+        """End the stream: yield all bytes that are left as pieces."""
         yield from self._pieces(None)
 
     def _pieces(self, now_ns: int | None) -> Iterator[WirePiece]:
-        """Yield the pieces that no further byte can change.
+        """Yield the pieces that later reads cannot change any more.
 
-        `now_ns` is the time of the last read (UTC ns); None at the end of the stream.
+        `now_ns` is the time (UTC ns) of the last read; None at the end of the stream.
         """
         while self._held:
             frame = self._frames[0] if self._frames else None
@@ -138,18 +150,18 @@ class WireStream:
             yield self._take(len(frame.raw), frame=frame)
 
     def _begin(self, frame: WireFrame) -> int:
-        """The index in `_held` at which a frame begins.
+        """The index in `_held` at which the frame begins.
 
-        It is negative if its bytes are not found, or were yielded before.
+        It is negative if the frame's bytes are not found, or were already yielded.
         """
         if frame.begin is None:
             return self._held.find(frame.raw)
         return frame.begin - self._position
 
     def _waits_for(self, frame: WireFrame, now_ns: int | None) -> bool:
-        """True if the missing bytes of a frame may come with a later read.
+        """True if bytes of the frame that are missing may still come with a later read.
 
-        `now_ns` is the time of the last read (UTC ns); None at the end of the stream.
+        `now_ns` is the time (UTC ns) of the last read; None at the end of the stream.
         """
         if now_ns is None:
             return False
@@ -160,8 +172,8 @@ class WireStream:
     def _between(self, size: int, *, is_last: bool) -> Iterator[WirePiece]:
         """Yield the first `size` bytes in `_held` as pieces that are no frame.
 
-        Unless `is_last`, more such bytes may follow. Then bytes at the end wait if they are the
-        beginning of an event's bytes.
+        If `is_last` is False, more bytes that are no frame may follow. Then the last of the `size`
+        bytes are kept if they may be the beginning of the bytes of one event.
         """
         while size:
             about = self._skipped[0] if self._skipped else None
