@@ -35,7 +35,8 @@ class AdapterEcho:
 
     def __init__(self) -> None:
         self.echoes = False
-        """True if the adapter echoes."""
+        """True once the adapter is known to echo; False again after ENOUGH_SINGLE requests in a row
+        without a copy."""
         self.reason = ECHOES
         """The reason given for the next skipped copy: ECHOES the first time, then ECHO."""
         self.last = b""
@@ -61,14 +62,14 @@ class AdapterEcho:
         """Decide if bytes equal to the last request are its copy; True if so, not a new frame.
 
         `glued` is True if silences are heard and no silence separates the request from these bytes.
-        `exact` is True if the pause between the two, shorter than t3.5, is heard. If it is not, the
-        adapter may have merged a request with its retry, unless a response has followed an earlier
-        copy.
+        `exact` is True if the adapter shows the pause between the request and these bytes, which is
+        shorter than t3.5. If it does not, it may have merged a request with its retry. Then an
+        earlier request must have had a copy and a response.
         """
         is_heard = glued and not self._has_single and (exact or self.copies > 0)
         is_enough = self.copies >= ENOUGH_COPIES or is_heard
-        # A write and its response are equal, too. But if all requests so far came twice, this is a
-        # copy.
+        # A write and its response are equal, too. But if all requests so far came twice, these
+        # bytes are a copy.
         is_certain = self._is_certain or (self.copies >= ENOUGH_COPIES and not self._has_single)
         if not self.echoes and not (is_certain and is_enough):
             return False
@@ -77,32 +78,36 @@ class AdapterEcho:
         return True
 
     def copied_size(self, data: bytes) -> int:
-        """Return how many first bytes of `data` repeat the last request and one more copy of it.
+        """Return how many bytes at the start of `data` are a retry of the copied request.
 
-        The result is 0 if `data` begins with anything else.
+        The adapter copies the retry as well, so it comes twice; `data` may hold only the beginning
+        of the two. The result is 0 if `data` begins with anything else.
         """
         both = self.copied + self.copied
         return min(len(data), len(both)) if both.startswith(data[: len(both)]) else 0
 
     def may_copy(self, raw: bytes, following: bytes) -> bool:
-        """True if a frame may belong to an echo not recognised yet: earlier requests came twice.
+        """True if a frame may be a request or its copy, although the adapter is not known to echo.
 
-        `raw` is the frame, `following` the bytes behind it. An equal frame comes before or behind
-        it.
+        That is so if all requests so far came twice, and a frame equal to this one comes directly
+        before or behind it. `raw` is this frame, `following` the bytes behind it.
         """
         if self.echoes or self._has_single or not self.copies:
             return False
         return raw == self.last or following.startswith(raw)
 
     def said(self) -> str:
-        """Return the reason for skipping a copy; only the first says that the adapter echoes."""
+        """Return the reason for skipping a copy, as a text.
+
+        The reason for the first copy says that the adapter echoes, the later ones are shorter.
+        """
         reason, self.reason = self.reason, ECHO
         return reason
 
     def hear_request(self, raw: bytes, *, is_certain: bool) -> None:
-        """Note that a request was heard.
+        """Note that a request with the bytes `raw` was heard.
 
-        `is_certain` is True if it cannot be a response, and no response can equal it.
+        `is_certain` is True if this frame cannot be a response, and no response can equal it.
         """
         self.copied = b""
         if self.last == raw and is_certain and not self.echoes:
@@ -123,7 +128,7 @@ class AdapterEcho:
             self.last = b""
 
     def _end_single(self) -> None:
-        """Count the last request as one without a copy."""
+        """Count the last request as one without a copy, if a copy would have been certain."""
         if not (self._is_certain or self.echoes):
             return
         self._has_single = True

@@ -130,16 +130,17 @@ class AsciiSplitter:
     def _time(self, offset: int) -> int:
         """Return when the character at an offset of the current read ended, in ns.
 
-        That is at the earliest when the last character of the previous read ended.
+        The result is never before the end of the last character of the previous read.
         """
         return max(self._read_ns + offset * self._character_ns, self._least_ns)
 
     def _take_outside(
         self, data: bytes, seen: bytes, offset: int, events: list[Adu | Skipped]
     ) -> int:
-        """Skip the characters before a colon, and begin a frame with the colon.
+        """Skip the characters of `data` from `offset` to a colon, and begin a frame with the colon.
 
-        Returns the offset of the next character to take.
+        `seen` is `data`, with bit 7 cleared if the port has 8 data bits. Returns the offset of the
+        next character to take.
         """
         colon = seen.find(b":", offset)
         end = colon if colon >= 0 else len(data)
@@ -156,7 +157,11 @@ class AsciiSplitter:
     def _take_inside(
         self, data: bytes, seen: bytes, offset: int, events: list[Adu | Skipped]
     ) -> int:
-        """Add characters to the frame, up to where it may end. Returns the offset after them."""
+        """Add the characters of `data` from `offset` on to the frame, up to where it may end.
+
+        `seen` is `data`, with bit 7 cleared if the port has 8 data bits. Returns the offset of the
+        next character to take.
+        """
         frame = self._frame
         behind_cr = self._cr == len(frame) - 1
         stop: int | None
@@ -203,7 +208,8 @@ class AsciiSplitter:
     def _end(self, events: list[Adu | Skipped], cut: str | None = None) -> None:
         """Append the characters of the frame to `events`: as an `Adu`, or as `Skipped`.
 
-        `cut` is the reason for skipping a frame that was cut off; None if the frame has its end.
+        `cut` is the reason to give for a frame without its end, as a text; None if the frame has
+        its end.
         """
         if not self._frame:
             return
@@ -265,7 +271,8 @@ class AsciiSplitter:
     def _verdicts(self, frame: AsciiFrame, classification: Classification) -> tuple[Verdict, ...]:
         """Return the verdicts on a frame.
 
-        If the frame ends with the requested delimiter, that becomes the line's delimiter.
+        If the frame ends with the delimiter that function 08, sub-function 3 requested, that
+        becomes the line's delimiter.
         """
         if frame.end == bytes((CR, self._asked_delimiter)):
             self._delimiter = self._asked_delimiter

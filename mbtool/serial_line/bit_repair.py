@@ -26,10 +26,9 @@ def repaired(frame: bytes) -> bytes | None:
 
 @cache
 def _wrong_bits() -> dict[int, int]:
-    """Map each remainder of the CRC that one wrong bit can leave to the position of that bit.
+    """Map the CRC of a whole frame with one wrong bit (0 if all bits are right) to the bit's place.
 
-    The position is 8 times the number of bytes after the wrong byte, plus the bit's number (0 to
-    7).
+    The place is 8 times the number of bytes behind the wrong byte, plus the bit's number (0 to 7).
     """
     places = {}
     for behind in range(MAX_RTU_ADU):

@@ -11,8 +11,8 @@ from __future__ import annotations
 from math import inf
 
 MAX_GLUED = 2**-0.8
-"""If at most this share of the frames (57 %) follows no silence (is glued), silences are taken as
-evidence of who speaks."""
+"""If at most this share of the frames (57 %) is glued, with no silence before the frame, silences
+are taken as evidence of who speaks."""
 ENOUGH_BURSTS = 3
 """After this many bursts (bytes between two silences) that were no full buffer, the shortest
 silence counts as known."""
@@ -22,7 +22,7 @@ long that it merges a request and its retry."""
 BUFFER_SIZES = 32, 62
 """A full buffer of an adapter holds a multiple of 32 or of 62 bytes."""
 SILENCE_GROWTH = 1.01
-"""Each burst makes the shortest silence on record 1 % longer, so that an old one is forgotten."""
+"""Each burst makes the remembered shortest silence 1 % longer, so that an old one is forgotten."""
 
 
 class BurstStatistics:
@@ -35,7 +35,7 @@ class BurstStatistics:
 
     def __init__(self) -> None:
         self.has_merged = False
-        """True if two frames have come with no time between them; before, nothing is learned."""
+        """True once two frames came with no time between them. Until then nothing is learned."""
         self.may_merge_retry = False
         """True if a request and its retry may come as one burst."""
         self._size = 0
@@ -47,7 +47,7 @@ class BurstStatistics:
         self._shortest_ns = inf
         """The shortest recent silence between two bursts, in ns."""
         self._bursts = 0
-        """The number of bursts whose silence was counted."""
+        """The number of bursts before which the silence was compared with the shortest one."""
 
     def hear_frame(self, silence_ns: int, size: int, cut: int, *, is_glued: bool) -> None:
         """Note a frame of `size` bytes; `is_glued` is True if the silence before it is below t3.5.

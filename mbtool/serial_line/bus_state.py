@@ -49,7 +49,10 @@ class PendingRequest(msgspec.Struct, frozen=True, gc=False):
         return unit == self.unit and self.expected.fits(pdu)
 
     def is_named_by(self, unit: int, code: int) -> bool:
-        """True if a response with this unit and function code (or exception code) answers it."""
+        """True if a response with this unit and code can answer this request.
+
+        `code` is a function code, with the exception bit in an exception response.
+        """
         return unit == self.unit and self.expected.is_named_by(code)
 
 
@@ -59,9 +62,9 @@ class BusState(msgspec.Struct, frozen=True, gc=False):
     pending: PendingRequest | None = None
     overdue: PendingRequest | None = None
     """A request that the master gave up, or whose response was damaged. Its response may come
-    late."""
+    late. None if there is none."""
     answered: PendingRequest | None = None
-    """The request that the last frame answered."""
+    """The request that the last frame answered; None if the last frame answered none."""
     answered_after_ns: int = 0
     """The time, in ns, from the end of the answered request to the start of its response; 0 if
     silences do not tell who speaks."""
@@ -71,7 +74,7 @@ class BusState(msgspec.Struct, frozen=True, gc=False):
     """True if the request that is pending or was just answered repeats the request before it, and
     that one had a response."""
     last_response: bytes = b""
-    """The PDU of the last frame if that was a response, to a known request or not."""
+    """The PDU of the last frame if that was a response, to a known request or not; else empty."""
     follows_damage: bool = False
     """True if damaged bytes came last. They may have held a request."""
     direction_known: bool = False
@@ -83,14 +86,17 @@ class BusState(msgspec.Struct, frozen=True, gc=False):
     only when the adapter merges frames: then it is unknown between which frames the silence was."""
 
     def pending_at(self, at_ns: int) -> PendingRequest | None:
-        """The pending request; None if there is none, or if MAX_PENDING_NS have passed."""
+        """The request that is pending at a time in ns.
+
+        None if there is none, or if it has waited more than MAX_PENDING_NS.
+        """
         pending = self.pending
         if pending is None or at_ns - pending.awaited_from_ns > MAX_PENDING_NS:
             return None
         return pending
 
     def has_recent_request(self, unit: int, code: int) -> bool:
-        """True if the request just answered, or one given up, has this unit and function."""
+        """True if the request just answered, or the one given up, has this unit and function."""
         return any(one.is_named_by(unit, code) for one in (self.answered, self.overdue) if one)
 
     def awaits_exactly(self, unit: int, code: int, size: int) -> bool:
@@ -104,8 +110,9 @@ class BusState(msgspec.Struct, frozen=True, gc=False):
     def settles_silence(self, role: Direction, start_ns: int, inside_ns: int) -> bool:
         """True if a frame changes `unexplained_silence_ns`, the last silence without a known cause.
 
-        It does if there is a silence before the frame, or inside it (the longest is `inside_ns`). A
-        request after an unanswered request does not: the missing response explains the silence.
+        It does if there is a silence before the frame, which began at `start_ns`, or inside it; the
+        longest one inside is `inside_ns`. A request after an unanswered request changes nothing:
+        the missing response explains the silence before it.
         """
         if not self.unexplained_silence_ns or (role is Direction.REQUEST and self.answered is None):
             return False
@@ -124,7 +131,9 @@ CostedState = tuple[float, BusState]
 
 
 def most_likely(states: Iterable[CostedState]) -> list[CostedState]:
-    """Return the states that cost less than DOUBT_BITS: at most MAX_STATES, cheapest first."""
+    """Return the different states that cost less than DOUBT_BITS: at most MAX_STATES, cheapest
+    first.
+    """
     kept: list[CostedState] = []
     for bits, state in sorted(states, key=lambda one: one[0]):
         if bits < DOUBT_BITS and len(kept) < MAX_STATES and all(state != one for _, one in kept):
@@ -143,5 +152,8 @@ follow from the other direction is not kept."""
 
 
 def bits_of(confidence: float) -> float:
-    """Return the difference in cost, in bits, for a confidence: inverse of `confidence_of`."""
+    """Return by how many bits two explanations differ if the better one has this confidence.
+
+    It is the inverse of `confidence_of`; infinite for a confidence of 1.
+    """
     return math.log2(confidence / (1 - confidence)) if confidence < 1 else math.inf

@@ -36,9 +36,9 @@ MAX_UNKNOWN_ENDS = 3
 """A frame of an unknown function may end wherever its CRC is correct. At most this many ends are
 tried."""
 LOST_BYTES = (1, 2)
-"""A damaged frame is tried as one that has lost each of these numbers of bytes."""
+"""A damaged frame is also tried as a frame of which 1 or 2 bytes were lost."""
 LONG_SKIP = 4
-"""At least this many skipped bytes in a row may contain a damaged request or response."""
+"""Skipped bytes in a row may contain a damaged request or response if they are this many."""
 
 NOISE = frozenset(b"\x00\xf8\xfc\xfe\xff")
 """The bytes that receivers hear when the bus changes direction: one low period, read as a byte."""
@@ -63,7 +63,7 @@ class ByteWindow:
     may_continue: bool
     """True if later bytes may still complete an incomplete frame at the end of the window."""
     must_decide: bool = False
-    """True if the bytes before an incomplete frame are decided now, without waiting for its end."""
+    """True if the bytes before an incomplete frame must be decided before its end has come."""
 
     def start_ns(self, offset: int) -> int:
         """When the byte at an offset began, in ns."""
@@ -76,7 +76,7 @@ class FrameCandidate(msgspec.Struct, gc=False):
     size: int
     role: Direction
     roles: tuple[Direction, ...]
-    """The directions that the frame can have by its size."""
+    """The directions, `role` among them, that a frame of this function and size can have."""
     cost: float
     is_unbound: bool = False
     """True if only the frame's CRC tells where the frame ends."""
@@ -93,14 +93,14 @@ class DamagedCandidate(msgspec.Struct, gc=False):
 
 
 class _RangeCount:
-    """Counts the offsets of a range that have a property; each offset is examined once."""
+    """Counts the offsets of a range for which `has_it` is True; it calls that once for each."""
 
     __slots__ = ("_before", "_has_it")
 
     def __init__(self, has_it: Callable[[int], bool]) -> None:
         self._has_it = has_it
         self._before = [0]
-        """For each offset, the number of offsets before it that have the property."""
+        """For each offset, the number of smaller offsets for which `has_it` is True."""
 
     def count(self, first: int, end: int) -> int:
         if end <= first:
@@ -130,38 +130,38 @@ class Candidates:
         self._frames: dict[int, list[FrameCandidate]] = {}
         """By offset examined so far, the frames with a correct CRC that begin there."""
         self._stateless: dict[int, list[DamagedCandidate]] = {}
-        """By offset examined so far, the damaged frames whose cost is the same in every bus
-        state."""
+        """By offset examined so far, the damaged frames that begin there and cost the same in every
+        bus state."""
         self._all_frames = _RangeCount(lambda offset: bool(self.frames(offset)))
         self._frames_after_silence = _RangeCount(self._begins_after_silence)
         self._silences = [0, 0, *accumulate(map(int, window.silences[1:]))]
-        """For each offset, the number of earlier bytes that directly follow a silence."""
+        """For each offset, the number of bytes before it that directly follow a silence of t3.5."""
 
     def split_cost(self, offset: int, size: int) -> float:
-        """Return the cost, in bits, of the silences of t3.5 inside bytes taken for one frame."""
+        """Return the cost, in bits, of the silences of t3.5 inside the `size` bytes of a frame."""
         silences = self._silences[offset + size] - self._silences[offset + 1]
         if not silences:
             return 0.0
         return self._statistics.split.bits + (silences - 1) * costs.SPLIT_MORE
 
     def longest_silence_ns(self, offset: int, size: int) -> int:
-        """Return the longest silence (ns) inside `size` bytes; 0 if none is as long as t3.5."""
+        """Return the longest silence (ns) inside the `size` bytes; 0 if none is as long as t3.5."""
         if self._silences[offset + size] == self._silences[offset + 1]:
             return 0
         times = self._window.times[offset : offset + size]
         return max(map(int.__sub__, times[1:], times)) - self._window.character_ns
 
     def inside_cost(self, offset: int, size: int, *, known: bool = True) -> float:
-        """Return the cost, in bits, of silences and frames inside bytes taken for one frame."""
+        """Return the cost, in bits, of silences and other frames inside the bytes of a frame."""
         return self.split_cost(offset, size) + self._enclosed_cost(offset, size, known=known)
 
     def _enclosed_cost(self, offset: int, size: int, *, known: bool) -> float:
         """Return the cost, in bits, of frames that begin inside bytes taken for one longer frame.
 
-        A frame inside that begins without a silence costs nothing: registers may look like a frame
-        by chance. A frame inside that begins after a silence costs CRC_COINCIDENCE. If `known` is
-        False, only their length shows that the bytes are a frame; then all frames inside but one
-        cost that much.
+        An inner frame without a silence before it costs nothing: registers may look like a frame by
+        chance. An inner frame after a silence costs CRC_COINCIDENCE. If `known` is False, the bus
+        state does not expect the longer frame; then all inner frames but one cost that much, with
+        or without a silence.
         """
         first, last = offset + 1, offset + size - MIN_FRAME + 1
         enclosed = self._frames_after_silence.count(first, last)
@@ -212,7 +212,7 @@ class Candidates:
             yield from self._ended_by_crc(offset, head, burst)
 
     def _whole_burst(self, offset: int, head: bytes, burst: int) -> Iterator[FrameCandidate]:
-        """Yield the bytes up to the next silence as a frame with a correct CRC, once for each role.
+        """Yield the `burst` bytes at `offset`, if their CRC is correct, as a frame for each role.
 
         `burst` is the number of bytes from one silence to the next; 0 if no silence precedes them.
         """
@@ -247,7 +247,7 @@ class Candidates:
                 yield FrameCandidate(size, role, self._roles, cost, is_unbound=not is_burst)
 
     def _zero_end_cost(self, offset: int, size: int) -> float:
-        """Return the cost, in bits, of bytes 00 at a frame's end: they may not belong to it."""
+        """Return the cost, in bits, of supposing that bytes 00 at a frame's end belong to it."""
         raw = self._data[offset : offset + size]
         zeros = size - max(len(raw.rstrip(b"\x00")), MIN_FRAME)
         if not zeros:
@@ -264,7 +264,7 @@ class Candidates:
         return 0
 
     def damaged(self, offset: int, state: BusState) -> Iterator[DamagedCandidate]:
-        """Yield damaged frames that may begin where no frame with a correct CRC begins."""
+        """Yield damaged frames that may begin at an offset where no correct frame begins."""
         head = self._data[offset : offset + MAX_RTU_ADU]
         if len(head) < MIN_FRAME:
             return
@@ -300,10 +300,9 @@ class Candidates:
                 yield DamagedCandidate(size - lost, cost + more)
 
     def _damaged_burst(self, offset: int) -> Iterator[DamagedCandidate]:
-        """Yield all bytes up to the next silence as one frame whose first bytes are damaged.
-
-        Those bytes would tell its size. Used only if silences separate all frames on this line:
-        else the bytes may be several frames.
+        """Yield all bytes up to the next silence as one frame, as if its function or byte count,
+        which tell its size, were damaged. That is done only if silences separate all frames on this
+        line: else the bytes may be several frames.
         """
         burst = self._burst_size(offset) if self._window.silences[offset] else 0
         if (
@@ -355,9 +354,9 @@ class Candidates:
     def damaged_request(self, offset: int) -> Iterator[DamagedCandidate]:
         """Yield a damaged request at an offset where a frame with a correct CRC seems to begin.
 
-        The request was heard before without damage. A request whose CRC ends in 00 has a correct
-        CRC without that byte too. So if just that byte is lost, the rest may look like a whole
-        response.
+        Only a request that was heard before without damage is tried. A request whose CRC ends in 00
+        has a correct CRC without that byte too. So if just that byte is lost, the rest may look
+        like a whole response.
         """
         head = self._data[offset : offset + MAX_RTU_ADU]
         size = frame_size(head, Direction.REQUEST) if Direction.REQUEST in self._roles else 0
@@ -371,7 +370,7 @@ class Candidates:
             yield DamagedCandidate(size - 1, cost + self.split_cost(offset, size - 1))
 
     def _is_frame_in_noise(self, offset: int, size: int) -> bool:
-        """True if bytes are a frame with at most three bytes of noise at each end."""
+        """True if the `size` bytes are a frame with at most three bytes of noise at each end."""
         burst = self._data[offset : offset + size]
         befores = [at for at in range(LONG_SKIP) if NOISE.issuperset(burst[:at])]
         behinds = [at for at in range(LONG_SKIP) if NOISE.issuperset(burst[size - at :])]
@@ -382,8 +381,8 @@ class Candidates:
     def _ends_in_frame(self, offset: int, size: int) -> bool:
         """True if bytes between two silences end with a whole frame, but do not begin with it.
 
-        That frame is not register contents of a longer frame: the CRC of the longer frame would
-        follow.
+        That frame is not register contents of a longer frame, since the longer frame's CRC would
+        follow the registers.
         """
         end = offset + size
         return any(
@@ -395,7 +394,7 @@ class Candidates:
     def _expectation(
         self, head: bytes, size: int, role: Direction, state: BusState
     ) -> tuple[bool, float]:
-        """Return True if the bus state expects the frame, and the cost of its contents in bits."""
+        """Return if `state` expects the frame, and the cost in bits of its contents (or less)."""
         pdu_size = size - RTU_EXTRA_BYTES if size else 0
         unit, pdu = head[0], head[1 : 1 + pdu_size]
         if role is Direction.REQUEST:
@@ -410,9 +409,9 @@ class Candidates:
     def incomplete(self, offset: int, state: BusState) -> tuple[bool, float] | None:
         """Take the bytes from an offset to the window's end for the beginning of a frame.
 
-        Returns True if the bus state expects that frame, else False, and the cost in bits of taking
-        the bytes for it. Returns None if the bytes cannot be the beginning of a frame, or if no
-        more bytes can follow.
+        Returns a bool, True if the bus state expects that frame, and the cost in bits of taking the
+        bytes for it. Returns None if the bytes cannot be the beginning of a frame, or if no more
+        bytes can follow.
         """
         rest = self._end - offset
         if not self._window.may_continue or rest >= MAX_RTU_ADU:

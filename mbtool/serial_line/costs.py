@@ -42,8 +42,8 @@ REPEAT_AFTER_RESPONSE_LIMITS = (0.0, 10.0)
 """The least and the most, in bits, that the learned cost of a request that equals the one just
 answered can become. It becomes 0 for a master that sends a single request again and again."""
 REPEAT_AGAIN = 1.0
-"""Extra cost, in bits, of the same request once more after it was repeated and answered: a master
-that writes one value in a loop goes on with it."""
+"""Extra cost, in bits, of a request that equals the last two requests, which both had a response: a
+master that writes one value in a loop goes on with it."""
 LATE_RESPONSE = 2.0
 """The cost, in bits, of a response to a request that the master has given up (an overdue request),
 after its retry or after damaged bytes."""
@@ -81,9 +81,9 @@ ECHO_OF_UNKNOWN_FUNCTION = 4.0
 """The cost, in bits, of a response that equals its request, if mbtool does not know whether slaves
 echo that function."""
 ECHO_IN_TIME = -1.0
-"""Bits taken off the cost of a response that equals its request, if mbtool does not know the
-function and the response comes within this line's longest response time: masters wait longer before
-a retry, so the frame is no retry."""
+"""This negative number of bits is added to the cost of a response that equals its request, if
+mbtool does not know the function and the response comes within this line's longest response time.
+Masters wait longer before a retry, so the frame is no retry."""
 MALFORMED = 6.0
 """The cost, in bits, of a frame whose CRC is correct but whose PDU breaks the rules of its
 function: a test tool or an odd device sent it."""
@@ -110,8 +110,8 @@ LATE = 3.0
 """The cost, in bits, of a response that takes longer than the longest response time of this
 line."""
 LATE_PER_DOUBLING = 3.0
-"""Extra cost, in bits, of a late response for each doubling of this line's longest response
-time."""
+"""Extra cost, in bits, of a response that takes twice as long as the longest response time of this
+line; four times as long costs this twice, and so on."""
 MAX_LATENESS = 8.0
 """The most bits that the lateness of a response costs: even later ones are no less likely."""
 MAX_ECHO_LATENESS = 14.0
@@ -119,8 +119,9 @@ MAX_ECHO_LATENESS = 14.0
 than for other responses, since a late echo may be a retry instead: some masters wait very long
 before a retry."""
 SHORT_TIMEOUT = 4.0
-"""Extra cost, in bits, of a retry that comes sooner than 200 ms, the usual least timeout of
-masters: so many bits for each halving of that time. Used if this master's timeout is not known."""
+"""Extra cost, in bits, of a retry that comes 100 ms after its request: half of 200 ms, which is
+about the shortest timeout of masters. A retry after 50 ms costs this twice, and so on. Used if this
+master's timeout is not known."""
 LATE_BEFORE_TIMEOUT = 3.0
 """The most bits that lateness costs for an echo (a response that equals its request) if the master
 is known to wait that long."""
@@ -197,8 +198,9 @@ NOT_UNDERSTOOD = 1.0
 """Extra cost, in bits, of supposing that the addressee did not understand a damaged frame either:
 the damage may have occurred on the wire, or only in this tap."""
 EXPECTED_CONTENT = -6.0
-"""Bits taken off the cost of a damaged or incomplete frame of which more than two bytes are as
-expected: a request heard before, the expected byte count of a response, or a write whose byte count
+"""This negative number of bits is added to the cost of a damaged or incomplete frame that is
+expected by more than its unit and function: its contents equal a request heard before, it has the
+length that the pending request asks for, or, if incomplete, it is a write request whose byte count
 agrees with its quantity."""
 UNEXPECTED_DAMAGED = 3.0
 """Extra cost, in bits, of a damaged frame that the bus state does not expect, or whose size only
@@ -207,8 +209,8 @@ INCOMPLETE = 0.5
 """The cost, in bits, of the beginning of a frame whose other bytes may still arrive: waiting for
 them costs little."""
 INCOMPLETE_IN_PLACE = -4.0
-"""Bits taken off the cost of an incomplete frame that follows a frame or a silence: a frame
-probably begins there."""
+"""This negative number of bits is added to the cost of an incomplete frame that follows a frame or
+a silence, since a frame probably begins there, or that has expected contents."""
 INCOMPLETE_OVER_FRAME = 10.0
 """Extra cost, in bits, of an incomplete frame where a complete frame begins at the same byte."""
 INCOMPLETE_DUE_OVER_FRAME = 7.0
@@ -262,8 +264,9 @@ ENDS_IN_ZERO_MORE = 6.0
 size: one byte in 256 of a CRC is 00 (8 bits), but one stray byte in four (2 bits). So the 00 is 6
 bits more likely to be a stray byte."""
 ZERO_BEFORE_SILENCE = 1.5
-"""Bits taken off ENDS_IN_ZERO if a silence follows the 00 at the end of the frame: a stray byte
-usually has a silence before it as well."""
+"""This number of bits is subtracted from ENDS_IN_ZERO if a silence follows the 00 at the end of the
+frame. A stray byte with a silence behind it usually has one before it, too. This 00 has none before
+it, so it is less probably a stray byte."""
 
 # The limits below tell which paths (explanations of the bytes so far) the search (search.py) drops
 # because they cost too much.

@@ -22,7 +22,10 @@ MAX_FRAMES = 16
 
 
 class DamagedAnswers:
-    """Matches damaged frames with requests; takes all events and transactions in order."""
+    """Matches damaged frames with requests without a response.
+
+    Give `note` all events and `has` all transactions, in the order of a decoder's results.
+    """
 
     def __init__(self) -> None:
         self._frames_ns: dict[str, deque[int]] = {}
@@ -36,7 +39,8 @@ class DamagedAnswers:
     def has(self, one: Transaction) -> bool:
         """True if a transaction has no response because a damaged frame was its response.
 
-        A damaged frame is the response to one request only, so ask once for each transaction.
+        Call this once for each transaction: the damaged frame is then forgotten, as it is the
+        response to one request only.
         """
         if one.outcome is not Outcome.NO_ANSWER or one.link not in self._frames_ns:
             return False

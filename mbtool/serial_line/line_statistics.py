@@ -7,14 +7,14 @@ from math import log2
 from mbtool.serial_line import costs
 
 _LEARNING_RATE = 1 / 32
-"""Weight of one frame when the frequency of an event is learned: a few dozen frames outweigh the
-start value."""
+"""The weight (0 to 1) of one frame when the frequency of an event is learned. With this weight a
+few dozen frames outweigh the start value."""
 _SLOW_LEARNING_RATE = 1 / 96
-"""Weight of one frame in the frequency of a rare event, once many frames were heard: if an event
-occurs once in 20 frames, a few dozen frames are too few."""
+"""The weight (0 to 1) of one frame when the frequency of a rare event is learned, once many frames
+were heard. If an event occurs once in 20 frames, a few dozen frames are too few to learn that."""
 _RATE_DECAY = 31 / 32
-"""For a rare event, the factor by which each frame lowers the weight of the next, until that is
-_SLOW_LEARNING_RATE."""
+"""For a rare event, the weight of each frame is this many times that of the frame before, until it
+is _SLOW_LEARNING_RATE."""
 
 
 class LearnedCost:
@@ -52,7 +52,7 @@ class LearnedCost:
 
 
 class LineStatistics:
-    """The learned costs of skipped bytes, noise, merged and split frames, and wrong bits."""
+    """The learned costs of skipped bytes, noise, glued and split frames, and wrong bits."""
 
     def __init__(self, *, timed: bool = True) -> None:
         """`timed` is False if the bytes' times are not known: then no silence separates frames."""
@@ -61,7 +61,7 @@ class LineStatistics:
         self.glue = LearnedCost(costs.GLUED if timed else 0.0, costs.GLUED_LIMITS)
         self.split = LearnedCost(costs.SPLIT, costs.SPLIT_LIMITS)
         self.one_bit = LearnedCost(costs.RARE_ONE_BIT, costs.RARE_ONE_BIT_LIMITS)
-        """Learned from damaged frames only: how often one wrong bit explains the damage."""
+        """The cost of explaining damage by one wrong bit. Only damaged frames are counted."""
 
 
 class LatencyStatistics:
@@ -85,47 +85,50 @@ class LatencyStatistics:
     ADAPTER_TIMER_NS = 255_000_000
     """The longest latency timer that an FTDI adapter can be set to, in ns."""
     MARGIN_DOUBLINGS = 0.25
-    """A response is late when it takes a fifth longer (2 ** 0.25) than the longest response
-    time."""
+    """A response counts as late if it takes 19 % longer (2 ** 0.25) than the longest response time
+    of this line."""
 
     NEARLY = 1.05
-    """A response is as late as one heard before if it takes at most 5 % longer."""
+    """A latency counts as heard before if it is at most 5 % longer than the longest one heard."""
 
     def __init__(self) -> None:
         self._heard = 0
         self._longest_ns = float(self.MIN_NS)
 
     def learn(self, latency_ns: int) -> None:
-        """Note the time (ns) of one more response.
+        """Note the latency (ns) of one more response.
 
-        If it is shorter than the longest time, that shrinks by 1 %.
+        If it is shorter than the remembered longest latency, the latter is shortened by 1 %.
         """
         self._heard += 1
         self._longest_ns = max(latency_ns, self._longest_ns * 0.99, self.MIN_NS)
 
     def learn_capped(self, latency_ns: int) -> None:
-        """Note a time (ns) that may be no response time: it can at most double the longest time."""
+        """Note a latency (ns) of what may be no response.
+
+        It can at most double the longest latency.
+        """
         self.learn(min(latency_ns, 2 * int(self._longest_ns)))
 
     @property
     def is_known(self) -> bool:
-        """True if ENOUGH_RESPONSES were heard to know the longest response time."""
+        """True if ENOUGH_RESPONSES responses were heard, so that the longest latency is known."""
         return self._heard >= self.ENOUGH_RESPONSES
 
     def has_heard(self, latency_ns: int) -> bool:
-        """True if some response took as long, or nearly."""
+        """True if the longest latency heard is at least `latency_ns`, or up to 5 % less."""
         return self._heard > 0 and latency_ns <= self._longest_ns * self.NEARLY
 
     def doublings_late(self, silence_ns: int, least_ns: int = 0) -> float:
         """Return the binary logarithm of a silence divided by the longest response time.
 
-        It is negative if the silence is the shorter. The longest response time counts as at least
-        `least_ns`.
+        The result is negative if the silence is shorter than the longest response time. That counts
+        as at least `least_ns`.
         """
         longest_ns = max(self._longest_ns, least_ns)
         if self._heard < self.ENOUGH_RESPONSES and longest_ns < self.INITIAL_NS:
-            # The longest time moves from INITIAL_NS to the longest heard, by an equal factor for
-            # each response.
+            # Each response brings the longest response time nearer from INITIAL_NS to the longest
+            # one heard, by the same factor.
             missing = 1 - self._heard / self.ENOUGH_RESPONSES
             longest_ns *= (self.INITIAL_NS / longest_ns) ** missing
         return log2(max(silence_ns, 1) / longest_ns)

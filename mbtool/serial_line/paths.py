@@ -38,7 +38,7 @@ class Segment(msgspec.Struct, frozen=True, gc=False):
     size: int
     role: Direction = Direction.UNKNOWN
     roles: tuple[Direction, ...] = ()
-    """The directions that a frame can have by its size."""
+    """The directions that the frame can have by its function and size; empty if it is no frame."""
     repaired: bytes = b""
     """A damaged frame as it was sent, if one wrong bit explains the damage; empty otherwise."""
     confidence: float = 1.0
@@ -93,7 +93,7 @@ def with_confidence(ends: list[Path]) -> Iterator[Segment]:
 
 
 def as_doubtful(segment: Segment) -> Segment:
-    """Return the segment with a confidence of at most 0.5."""
+    """Return the segment with a confidence of at most 0.5, so that its frame is ambiguous."""
     return replace(segment, confidence=min(segment.confidence, 0.5))
 
 
@@ -106,10 +106,11 @@ def _chain(end: Path) -> Iterator[Path]:
 
 
 def settled_segments(ends: list[Path], incomplete: Path, end: int) -> list[Segment]:
-    """Return the first segments on which the cheapest path and the best other path agree.
+    """Return the first segments of the cheapest path that the second cheapest path also has.
 
     `incomplete` is the cheapest path; it ends in an incomplete frame. The others are in `ends`, the
-    cheapest first. All bytes behind these segments, up to `end`, become one incomplete segment.
+    cheapest first. All bytes behind the returned segments, up to the offset `end`, become one
+    incomplete segment.
     """
     other = {path.segment.identity for path in _chain(ends[0]) if path.segment} if ends else set()
     segments = with_confidence([incomplete, *ends])
@@ -121,7 +122,11 @@ def settled_segments(ends: list[Path], incomplete: Path, end: int) -> list[Segme
 
 
 def _differences(best: list[Path], path: Path, rival: Path) -> list[int]:
-    """Return the offsets of the segments that a path contains and its rival does not."""
+    """Return the offsets of the segments that `path` contains and its `rival` does not.
+
+    `best` are the cheapest path and all paths before it, `path` among them. The beginning that
+    `path` and `rival` have in common is left out.
+    """
     known = {id(one) for one in best}
     others = set()
     for other in _chain(rival):
@@ -134,7 +139,7 @@ def _differences(best: list[Path], path: Path, rival: Path) -> list[int]:
 
 
 def merge_skipped(segments: Iterable[Segment]) -> Iterator[Segment]:
-    """Join adjacent skipped bytes into one segment."""
+    """Yield the segments, with skipped bytes in a row joined into one segment."""
     for kind, group in groupby(segments, key=lambda segment: segment.kind):
         if kind is SegmentKind.SKIPPED:
             first = next(group)

@@ -8,7 +8,7 @@ from mbtool.modbus.packing import bit_bytes
 COUNTS = frozenset((2, *range(11, 19)))
 """Sub-functions of 08 that read a register or a counter (V1.1b3, 6.8.1)."""
 ODD_EXCEPTIONS = 0x40
-"""No known device uses exception codes from this one on, or exception code 0."""
+"""No known device uses exception code 0, this exception code or a higher one."""
 
 
 def is_odd_request(pdu: bytes) -> bool:
@@ -24,8 +24,8 @@ def is_odd_request(pdu: bytes) -> bool:
 def is_odd_response(pdu: bytes) -> bool:
     """True if a PDU with the form of a response has contents that no slave sends.
 
-    That is an odd number of bytes where registers are due, or an exception code that neither the
-    specification nor devices use.
+    That is an odd number of bytes in a response that brings registers, or an exception code that
+    neither the specification nor devices use.
     """
     if pdu[0] & EXCEPTION_BIT:
         return len(pdu) == 2 and not 0 < pdu[1] < ODD_EXCEPTIONS

@@ -14,21 +14,21 @@ from collections import deque
 SAMPLES = 16
 """The number of last waits that count. A wait is the time from a request to its retry."""
 MARGIN = 0.05
-"""The timeout may exceed the longest wait heard by half the spread of the waits, plus 5 % of the
-shortest wait divided by the number of waits."""
+"""The timeout may exceed the longest wait heard by half the spread of the waits (longest less
+shortest), plus 5 % of the shortest wait divided by the number of waits: few waits tell less."""
 DOUBTFUL_MARGIN = 0.4
-"""The timeout may be shorter than the shortest wait heard by half the spread of the waits, plus
-40 % of the shortest wait divided by the number of waits."""
+"""The timeout may be shorter than the shortest wait heard by half the spread of the waits (longest
+less shortest), plus 40 % of the shortest wait divided by the number of waits."""
 ENOUGH_WAITS = 3
 """From this many waits on, their spread is known well enough for STEADY_MARGIN."""
 STEADY_MARGIN = 0.03
 """From ENOUGH_WAITS waits on, the timeout may be shorter than the shortest wait heard by at most
 3 % of that wait, plus three times the spread divided by the number of waits less one."""
 EXACT_MARGIN = 0.001
-"""The timeout is surely over after the shortest wait heard, or up to 0.1 % earlier."""
+"""After the shortest wait heard, less 0.1 % of it, the timeout counts as certainly over."""
 GIVEN_MARGIN = 0.1
-"""A wait may differ from a timeout that the user names by 10 %: timers are late, and so are
-adapters."""
+"""A wait may differ by 10 % from a timeout that the user names, since timers and adapters are
+late."""
 TRIMMED = 8
 """The shortest eighth and the longest eighth of the waits do not count."""
 
@@ -43,9 +43,10 @@ class ResponseTimeout:
         self._waits: deque[int] = deque(maxlen=SAMPLES)
         self._is_given = given_ns is not None
         self._range: tuple[float, float] | None = None
-        """The shortest and the longest wait, in ns, that may end in a retry; None while unknown."""
+        """The shortest and the longest wait, in ns, after which a frame is taken for a retry; None
+        while the timeout is unknown."""
         self._running_until_ns = 0.0
-        """After a shorter wait than this, in ns, the timeout is certainly not over."""
+        """Until this wait, in ns, the timeout is certainly not over; 0 while it is unknown."""
         if given_ns is not None:
             self._running_until_ns = given_ns * (1 - GIVEN_MARGIN)
             self._range = given_ns * (1 - GIVEN_MARGIN), given_ns * (1 + GIVEN_MARGIN)
@@ -79,8 +80,8 @@ class ResponseTimeout:
     def share_over(self, wait_ns: int) -> float:
         """Return how sure it is, from 0 to 1, that the timeout is over after `wait_ns`.
 
-        The result is also 0 if the timeout is unknown, and after the longest wait that can end in a
-        retry.
+        The result is 0 if the timeout is unknown. It is also 0 for waits longer than those after
+        which the master repeats a request.
         """
         if self._range is None or not self._running_until_ns <= wait_ns <= self._range[1]:
             return 0.0
@@ -90,5 +91,5 @@ class ResponseTimeout:
         return (wait_ns - self._running_until_ns) / doubtful_ns
 
     def is_over_at(self, wait_ns: int) -> bool:
-        """True if the timeout is known and ends after about `wait_ns`."""
+        """True if the timeout is known and a frame after `wait_ns` is taken for a retry."""
         return self._range is not None and self._range[0] <= wait_ns <= self._range[1]

@@ -43,7 +43,8 @@ BEAM_WIDTH = 4
 """The most paths (explanations of the bytes so far) kept at an offset. They differ in their bus
 state, or one ends with a skipped byte and another does not."""
 MIN_HEAD = 3
-"""The number of bytes of a frame before its registers: unit, function and byte count."""
+"""The bytes of a response before its registers: unit, function and byte count. Fewer skipped bytes
+cannot be the beginning of a damaged response."""
 MAX_ENCLOSED = 2
 """The most frames in a row that the registers of another frame may contain: a request and its
 response."""
@@ -61,8 +62,8 @@ class PathSearch:
     ) -> None:
         """`roles` are the directions that frames can have.
 
-        That is one direction if only master or slaves are heard; then costs do not depend on the
-        bus state.
+        There is only one if the tap hears only the master or only the slaves. Then costs do not
+        depend on the bus state.
         """
         self._window = window
         self._data = window.data
@@ -122,7 +123,7 @@ class PathSearch:
     def _doubt_enclosed_frames(self, segments: list[Segment]) -> list[Segment]:
         """Mark frames as ambiguous if they may be register contents of one large damaged frame.
 
-        That is so if skipped bytes directly precede and follow them.
+        That is so for one or two frames if skipped bytes directly precede and follow them.
         """
         head, frames = -1, 0
         for index, segment in enumerate(segments):
@@ -137,10 +138,10 @@ class PathSearch:
         return segments
 
     def _may_touch_frame(self, segment: Segment, side: int) -> bool:
-        """True if skipped bytes are no noise and no silence separates one end from a frame there.
+        """True if a segment is skipped bytes other than noise, with no silence at one of its ends.
 
-        `side` is the offset of that end: 0 for the beginning, the number of skipped bytes for the
-        end.
+        `side` tells the end: 0 for the segment's beginning, the segment's size for its end. Without
+        a silence there, the skipped bytes and a frame beside them may be one damaged frame.
         """
         raw = self._data[segment.offset : segment.offset + segment.size]
         is_noise = len(raw) < MIN_HEAD or NOISE.issuperset(raw)
@@ -172,7 +173,7 @@ class PathSearch:
             self._limit = min(self._limit, path.cost + costs.BEAM_MARGIN)
 
     def _extend(self, offset: int, paths: list[Path]) -> None:
-        """Extend paths that end at an offset by each frame or skipped byte that may begin there."""
+        """Extend paths that end at an offset by each segment that may begin there."""
         frames = self._candidates.frames(offset)
         silent = self._window.silences[offset]
         likely = [path for path in paths if silent or self._may_begin_frame(path, offset)]
@@ -199,13 +200,20 @@ class PathSearch:
             self._add_skipped(offset, path, bool(frames), bool(unknown))
 
     def _is_silence_hidden(self, path: Path, offset: int) -> bool:
-        """True if a path ends with a few skipped bytes that hide the silence before a frame."""
+        """True if a path ends with a few skipped bytes and a silence precedes these.
+
+        The silence then counts as before the frame that begins at the offset behind them.
+        """
         return 0 < path.skipped < LONG_SKIP and (
             path.skipped > offset or self._window.silences[offset - path.skipped]
         )
 
     def _may_begin_frame(self, path: Path, offset: int) -> bool:
-        """True if a frame probably begins at an offset: behind a frame, or with a known start."""
+        """True if a frame probably begins at an offset, where `path` ends.
+
+        That is so behind a frame, and if the bytes there are the unit and function of an earlier
+        request or of the expected response.
+        """
         if path.ends_frame or (path.is_noise and path.skipped < LONG_SKIP):
             return True
         head = self._data[offset : offset + 2]
@@ -247,7 +255,8 @@ class PathSearch:
     ) -> None:
         """Extend a path by an incomplete frame, from an offset to the window's end.
 
-        `is_frame` is True if a complete frame begins at the offset too.
+        `state` is the bus state there, `start_cost` the cost in bits of a missing silence before
+        the frame. `is_frame` is True if a complete frame begins at the offset too.
         """
         before = path.cost + start_cost
         least = before + costs.INCOMPLETE + costs.EXPECTED_CONTENT + costs.INCOMPLETE_IN_PLACE
@@ -278,9 +287,10 @@ class PathSearch:
             self._keep_incomplete(incomplete)
 
     def _keep_incomplete(self, path: Path) -> None:
-        """Keep a path that ends in an incomplete frame if it is the cheapest so far.
+        """Keep a path that ends in an incomplete frame if it is the cheapest such path so far.
 
-        Of two paths to the same incomplete frame, the dearer one becomes a rival of the other.
+        Of two paths to the same incomplete frame, the one that costs more becomes a rival of the
+        other.
         """
         best = self._incomplete
         if best is not None and best.segment == path.segment:
@@ -295,7 +305,8 @@ class PathSearch:
     ) -> None:
         """Extend a path by each damaged frame that may begin at an offset.
 
-        `is_frame` is True if a frame with a correct CRC begins there too.
+        `state` is the bus state there, `start_cost` the cost in bits of a missing silence before
+        the frame. `is_frame` is True if a frame with a correct CRC begins there too.
         """
         found = self._candidates
         for one in found.damaged_request(offset) if is_frame else found.damaged(offset, state):
@@ -317,8 +328,8 @@ class PathSearch:
     def _add_skipped(self, offset: int, path: Path, is_frame: bool, is_unknown: bool) -> None:
         """Extend a path by one byte that belongs to no frame.
 
-        A frame with a correct CRC may begin there: if `is_frame` is True, one whose function tells
-        its size; if `is_unknown` is True, one whose function does not.
+        `is_frame` is True if a frame with a correct CRC whose function tells its size also begins
+        with this byte, `is_unknown` if one whose function does not tell its size does.
         """
         is_noise = self._data[offset] in NOISE and (path.ends_frame or path.is_noise)
         continues = path.skipped and is_noise is path.is_noise

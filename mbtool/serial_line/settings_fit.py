@@ -62,22 +62,23 @@ def settings_to_try() -> list[SerialFormat]:
 
 
 def other_parity(line: SerialFormat) -> SerialFormat:
-    """Return the same format with odd parity instead of even, and with even instead of any other.
+    """Return the format with parity odd if it is even, else even, and with one stop bit.
 
-    A port delivers the same bytes with both; only the errors that its driver marks differ.
+    A port delivers the same bytes with even and odd parity; only the errors that its driver marks
+    differ.
     """
     return SerialFormat(line.baud, line.data_bits, "O" if line.parity == "E" else "E", 1)
 
 
 @dataclass(frozen=True, slots=True)
 class SettingsScore:
-    """How well a line setting and mode explain the bytes heard."""
+    """Counts that tell how well a line setting and mode (RTU or ASCII) explain the bytes heard."""
 
     settings: LineSettings
     frames: int
     """The number of frames with a correct CRC or LRC."""
     failures: int
-    """The number of damaged frames and of other skipped bytes, those in a row counted once."""
+    """The number of damaged frames plus the number of runs of other skipped bytes."""
     framed: int
     """The number of bytes in frames with a correct CRC or LRC."""
     heard: int
@@ -128,7 +129,10 @@ class SettingsTrial:
         self._readings = [one for one in _readings(heard_as) if one.is_ascii or not only_ascii]
 
     def feed(self, data: bytes, damaged: Sequence[int], ts_ns: int) -> None:
-        """Take the bytes of one read, the offsets of damaged bytes, and the time of the last."""
+        """Take the bytes of one read; `ts_ns` is the time at which the last byte ended.
+
+        `damaged` are the offsets of the bytes that the driver marked as damaged.
+        """
         self.heard += len(data)
         self.marked += len(damaged)
         for reading in self._readings:
@@ -141,7 +145,7 @@ class SettingsTrial:
 
     @property
     def is_decided(self) -> bool:
-        """True if more bytes would not change the result."""
+        """True if enough bytes were heard: more would hardly change which settings are sure."""
         best = self.scores()[0]
         return (
             best.is_sure
@@ -220,7 +224,8 @@ def _as_heard(data: bytes, damaged: Sequence[int]) -> View:
 def _seven_bits(parity: str) -> Callable[[bytes, Sequence[int]], View]:
     """Make the function that reads bytes heard with 8 data bits as characters of 7.
 
-    The eighth bit is then the parity bit or, with `parity` N, the first of two stop bits.
+    The eighth bit is then the parity bit or, if `parity` is "N", the first of two stop bits. The
+    function takes the bytes and the offsets of those that the driver marked as damaged.
     """
     wrong = bytes(_is_wrong(byte, parity) for byte in range(256))
     low = bytes(byte & 0x7F for byte in range(256))

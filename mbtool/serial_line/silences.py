@@ -14,9 +14,9 @@ def silences(
 ) -> list[bool]:
     """Return for each byte True if a silence precedes it, and `at_end` as one more value.
 
-    A silence is at least `least_ns` from the end of one byte to the end of the next. `last_ns` is
-    when the byte before the first one ended; without it, a silence precedes the first. `at_end` is
-    True if a silence follows the last byte.
+    `times` are the ends of the bytes in ns. A silence is at least `least_ns` from the end of one
+    byte to the end of the next. `last_ns` is when the byte before the first one ended; if it is
+    None, a silence precedes the first byte. `at_end` is True if a silence follows the last byte.
     """
     first = last_ns is None or times[0] - last_ns >= least_ns
     between = [after - before >= least_ns for before, after in pairwise(times)]
@@ -24,16 +24,19 @@ def silences(
 
 
 def longest_silence_ns(times: Sequence[int], size: int, character_ns: int) -> int:
-    """Return the longest silence (ns) among the first `size` bytes; a byte takes `character_ns`."""
+    """Return the longest silence (ns) between the first `size` bytes, which must be two or more.
+
+    `times` are the ends of the bytes in ns; a byte takes `character_ns`.
+    """
     steps = map(int.__sub__, times[1:size], times[: size - 1])
     return max(max(steps) - character_ns, 0)
 
 
 def last_silence(times: Sequence[int], size: int, least_ns: int) -> int:
-    """Return the offset, among the first `size` bytes, of the byte behind the last silence.
+    """Return the offset of the byte directly behind the last silence inside the first `size` bytes.
 
-    A silence is `least_ns` or more from the end of a byte to the end of the next. There must be
-    one.
+    `times` are the ends of the bytes in ns. A silence is `least_ns` or more from the end of a byte
+    to the end of the next. There must be a silence.
     """
     offsets = range(size - 1, 0, -1)
     return next(offset for offset in offsets if times[offset] - times[offset - 1] >= least_ns)
