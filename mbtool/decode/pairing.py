@@ -1,12 +1,13 @@
 """Pairs the requests and responses of one serial line, and makes their transactions."""
 
 # One request is pending at a time. The next request ends it without an answer, with one exception:
-# if the next request is for another unit while the master of the pending one may still wait, a
-# second master may have overtaken it. Then its response is accepted until one more request comes.
-# If the times do not prove that the first master still waited, its response may also be late. That
-# is supposed, and request and response are marked as ambiguous, until the line has shown
-# ENOUGH_OVERTAKEN such responses among RECENT_REQUESTS requests. (network_pairing.py pairs the
-# requests and responses of a TCP connection.)
+# if the next request is for another unit while the master of the pending request may still wait, a
+# second master may have overtaken the first. Then the response to the overtaken request is accepted
+# until one more request comes. If the times do not prove that the first master still waited, it may
+# have given the request up, and the response may be late. Until the line has shown ENOUGH_OVERTAKEN
+# such responses among the last RECENT_REQUESTS requests, that is supposed: the request has no
+# answer, the response is unsolicited, and both are marked as ambiguous. (network_pairing.py pairs
+# the requests and responses of a TCP connection.)
 #
 # A request without an answer is a transaction of its own. `retries` of the next equal request
 # counts the requests before it that had no answer.
@@ -46,8 +47,9 @@ BUS_TIMEOUT_NS = 5_000_000_000
 """A request without a response is given up after this time, in ns. No master waits so long, so a
 late response is still paired with its request."""
 ENOUGH_OVERTAKEN = 3
-"""The line has two masters if this many of RECENT_REQUESTS requests were overtaken by another
-request and then answered. Responses that come too late are rarer."""
+"""The line has two masters if this many of the last RECENT_REQUESTS requests were overtaken by
+another request and then answered. With one master, a response comes after the next request only if
+it is late, and late responses are rarer than this."""
 RECENT_REQUESTS = 100
 EVEN = 0.5
 """The confidence (0 to 1) of each of two explanations that are equally likely."""
@@ -58,7 +60,10 @@ TWO_MASTERS = (
 
 
 def waits_before_any_retry(waited_ns: int) -> bool | None:
-    """True if every master, whatever its timeout, still waits `waited_ns` after its request."""
+    """True if every master, whatever its timeout, still waits `waited_ns` after its request.
+
+    False if some masters may have sent a retry by then.
+    """
     return waited_ns < LatencyStatistics.MIN_RETRY_NS
 
 
@@ -77,13 +82,13 @@ class Pairing:
         self._open: Adu | None = None
         self._overtaken: Adu | None = None
         """The request before the pending one, if a second master overtook it and its response may
-        still come."""
+        still come; else None."""
         self._is_surely_overtaken: bool
         """True if the master of the overtaken request certainly still waited. Set when a request is
         overtaken."""
         self._requests = 0
         self._slowest_ns = 0
-        """The longest time from a request to its response, in ns."""
+        """The longest time so far from a request's end to its response's start, in ns."""
         self._answered_at: deque[int] = deque(maxlen=ENOUGH_OVERTAKEN)
         """For each of the last overtaken requests that got a response: the number of requests heard
         by then."""
@@ -124,7 +129,7 @@ class Pairing:
         return done
 
     def advance(self, now_ns: int) -> list[Transaction]:
-        """Give up requests that have waited longer than the timeout; return their transactions."""
+        """Give up requests that waited more than BUS_TIMEOUT_NS; return their transactions."""
         done: list[Transaction] = []
         if (overtaken := self._overtaken) and now_ns - overtaken.end_ns > BUS_TIMEOUT_NS:
             self._overtaken = None
@@ -134,9 +139,9 @@ class Pairing:
         return done
 
     def _make_way(self, adu: Adu) -> list[Transaction]:
-        """End the pending requests when a new one comes, except one that it may have overtaken.
+        """End the pending requests when the request `adu` comes; return their transactions.
 
-        Returns the transactions of the ended requests.
+        If `adu` may have overtaken the last one, that becomes `_overtaken` instead.
         """
         request = self._open
         if request is None or adu.unit in (0, request.unit):
@@ -150,7 +155,11 @@ class Pairing:
         return done
 
     def _two_masters(self, adu: Adu) -> list[WireEvent]:
-        """Count a response to an overtaken request; report two masters once there are enough."""
+        """Count `adu`, a response to an overtaken request.
+
+        Returns the event TWO_MASTERS when ENOUGH_OVERTAKEN such responses were counted among the
+        last RECENT_REQUESTS requests; otherwise, and later, nothing.
+        """
         numbers = self._answered_at
         numbers.append(self._requests)
         is_enough = len(numbers) == ENOUGH_OVERTAKEN and numbers[-1] - numbers[0] < RECENT_REQUESTS
@@ -167,9 +176,10 @@ class Pairing:
         ]
 
     def _doubt_silence(self, adu: Adu) -> None:
-        """Mark the pending request as ambiguous if an equal frame after it may be its response.
+        """Mark the pending request as ambiguous if `adu` equals it and may be its response.
 
-        The outcome of a request is no more certain than the direction of the frame after it.
+        `adu` was taken for a request, but ambiguously. The outcome of the pending request is no
+        more certain than the direction of `adu`.
         """
         request = self._open
         if request is not None and request.raw == adu.raw and Verdict.AMBIGUOUS in adu.verdicts:
@@ -180,7 +190,8 @@ class Pairing:
     def close(self, end_ns: int | None = None) -> list[Transaction]:
         """End the line: return the transactions of the requests that have no response.
 
-        `end_ns` is when its capture ended; None if no response can come any more.
+        `end_ns` is when the capture ended: a request whose response may have come later is
+        not-captured. If `end_ns` is None, all these requests have no answer.
         """
         requests, self._overtaken, self._open = (self._overtaken, self._open), None, None
         return [
@@ -202,11 +213,11 @@ class Pairing:
 
 
 def _in_doubt(adu: Adu) -> Adu:
-    """Return the ADU as ambiguous, because it may belong to another transaction."""
+    """Return the ADU marked as ambiguous, because it may belong to another transaction."""
     verdicts = tuple(dict.fromkeys((*adu.verdicts, Verdict.AMBIGUOUS)))
     return replace(adu, confidence=min(adu.confidence, EVEN), verdicts=verdicts)
 
 
 def _answers(response: Adu, request: Adu) -> bool:
-    """True if a response has the unit and the function of a request."""
+    """True if a response has the unit and the function of a request; it may be an exception."""
     return request.unit == response.unit and is_response_code(request.pdu[0], response.pdu[0])

@@ -1,8 +1,8 @@
 """Finds where the frames of a serial line stand in the file that holds its bytes."""
 
-# The raw bytes of a splitter's events, in order, are the bytes that it was fed. So counting the
-# bytes of both gives the place of every frame: in a file of bytes the offset of its first byte, in
-# a file of packets the packet that brought its last byte.
+# The raw bytes of a splitter's events, in order, are the bytes that the splitter was fed. So a
+# count of the bytes fed and of the bytes in events gives the place of every frame: in a file of
+# bytes the offset of its first byte, in a file of packets the packet that brought its last byte.
 #
 # Memory: one mark for each read that still has bytes in the splitter.
 
@@ -36,7 +36,10 @@ class SerialOrigins:
         return len(self._marks)
 
     def note(self, size: int, place: StreamPlace | None) -> None:
-        """Note that the splitter is fed `size` bytes, which stand at `place` in a capture file."""
+        """Note that the splitter is fed `size` bytes, which stand at `place` in a capture file.
+
+        `place` is None if that is unknown.
+        """
         if size:
             self._marks.append((self._fed, self._fed + size, place))
             self._fed += size
@@ -55,7 +58,10 @@ class SerialOrigins:
         return found
 
     def _origin(self, first: int, last: int) -> Origin | None:
-        """Return where an ADU stands; its bytes are number `first` to `last` of all bytes fed."""
+        """Return where an ADU stands in its file; None if that is unknown.
+
+        `first` and `last` are the numbers of its bytes, counted from 0, among all bytes fed.
+        """
         for begin, end, place in self._marks:
             if place is None or place.origin is None:
                 continue

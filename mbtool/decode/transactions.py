@@ -22,7 +22,10 @@ MAX_CACHED_REQUESTS = 256
 
 @dataclass(frozen=True, slots=True)
 class Ends:
-    """The link of a transaction, and on a network the two ends of its connection."""
+    """The link of a transaction, and on a network the two ends of its connection.
+
+    An end is a host and port as text; None on a serial line.
+    """
 
     link: str
     master: str | None = None
@@ -41,8 +44,9 @@ def with_response(
 ) -> Transaction:
     """Make the transaction of a request and its response.
 
-    `verdicts` and `confidence` tell how surely the two belong together; they are combined with
-    those of the two frames. `retries` is the number of equal unanswered requests before.
+    `verdicts` and `confidence` (0 to 1) tell how surely the two belong together; the transaction
+    also gets the verdicts of both ADUs, and the lowest of the three confidences. `retries` is the
+    number of unanswered requests before `request` with the same unit and PDU.
     """
     noticed = [*request.verdicts, *response.verdicts, *verdicts]
     if request.missing or response.missing:
@@ -85,7 +89,7 @@ def with_response(
 def _cut(
     ends: Ends, request: Adu, response: Adu, verdicts: list[Verdict], confidence: float
 ) -> Transaction:
-    """Make the transaction of a request and response that were not captured whole."""
+    """Make the transaction of a request and its response, of which one was not captured whole."""
     facts = _facts(request)
     whole = None if response.missing else parse_pdu(response.pdu, Direction.RESPONSE)
     return _record(
@@ -111,8 +115,9 @@ def _cut(
 def _latency_ns(request: Adu, response: Adu) -> int | None:
     """Return the nanoseconds from the end of the request to the start of the response.
 
-    0 if the adapter merged the two in one read, so that the response seems to start earlier. None
-    if the capture's clock was set back in between.
+    0 if the response seems to start before the request ends, as when an adapter merges the two in
+    one read. None if the response seems to end before the request ends: the capture's clock was set
+    back.
     """
     if response.end_ns < request.end_ns:
         return None
@@ -120,7 +125,10 @@ def _latency_ns(request: Adu, response: Adu) -> int | None:
 
 
 def no_answer(ends: Ends, request: Adu, retries: int) -> Transaction:
-    """Make the transaction of a request without a response."""
+    """Make the transaction of a request without a response.
+
+    `retries` is the number of unanswered requests before it with the same unit and PDU.
+    """
     return _alone(ends, request, Outcome.NO_ANSWER, retries)
 
 
@@ -225,12 +233,15 @@ class _RequestFacts(msgspec.Struct, frozen=True):
 
 @lru_cache(maxsize=MAX_CACHED_REQUESTS)
 def _request_facts(request: bytes) -> _RequestFacts:
-    """Parse a request's PDU; cached, as masters repeat the same few requests."""
+    """Parse the PDU of a request. Results are cached, as masters repeat the same few requests."""
     return _RequestFacts.of(parse_pdu(request, Direction.REQUEST))
 
 
 def _facts(request: Adu) -> _RequestFacts:
-    """Return the fields that follow from a request; no values if the capture lacks bytes of it."""
+    """Return the fields that follow from a request's PDU.
+
+    If the capture lacks bytes of the request, its values are None.
+    """
     facts = _request_facts(request.pdu)
     if not request.missing:
         return facts
@@ -245,7 +256,11 @@ def _record(
     exception: int | None,
     **fields: Any,
 ) -> Transaction:
-    """Make the record of a transaction that has a request, a response or both."""
+    """Make the record of a transaction that has a request, a response or both.
+
+    `exception` is the exception code of the response, None if it has none; `fields` are further
+    fields of Transaction by name.
+    """
     adu = request or response
     assert adu is not None
     asked = None if request is None else request.origin
@@ -274,7 +289,10 @@ def _record(
 
 
 def add_origins(fields: dict[str, Any], request: Origin | None, response: Origin | None) -> None:
-    """Add to `fields` the file, packet, offset and addresses that two frames come from."""
+    """Add to `fields`, which are fields of Transaction by name, where the two ADUs come from.
+
+    These are the files, packets, offsets, MAC addresses and VLAN; an origin is None if unknown.
+    """
     addresses: LinkAddresses | None = None
     if request is not None:
         fields["file"] = request.file or None
@@ -300,7 +318,7 @@ def add_origins(fields: dict[str, Any], request: Origin | None, response: Origin
 
 
 def _values(pdu: Pdu) -> tuple[int, ...] | None:
-    """Return the registers (0..65535) or bits (0 or 1) that a PDU carries; None if none."""
+    """Return the registers (0..65535) or bits (0 or 1) that a PDU carries; None if it has none."""
     values = pdu.numbers("values")
     if values is not None:
         return values
@@ -320,7 +338,10 @@ def _values(pdu: Pdu) -> tuple[int, ...] | None:
 
 
 def _response_values(request: Pdu, response: Pdu) -> list[int] | None:
-    """Return the values that a response brings; None if it only repeats the request's."""
+    """Return the registers or bits that a response brings.
+
+    None if it brings none, or only repeats the values of the request.
+    """
     if request.code in WRITE_ONE:
         return None
     values = _values(response)

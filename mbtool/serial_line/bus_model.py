@@ -61,7 +61,7 @@ class Classification(msgspec.Struct, frozen=True, gc=False):
 
 
 _SLOW_NS = LatencyStatistics.MIN_WRITE_NS
-"""A response that comes sooner than this, in ns, is not taken for a retry."""
+"""A frame that equals its request and comes sooner than this, in ns, is surely no retry."""
 
 _REQUEST_BY_FORM = Classification(Direction.REQUEST, DirectionBy.FORM, 1.0)
 _RESPONSE_BY_FORM = Classification(Direction.RESPONSE, DirectionBy.FORM, 1.0)
@@ -72,14 +72,16 @@ class BusModel:
     """Classifies each frame of a line, and follows the bus state."""
 
     def __init__(self, *, timed: bool = True, response_timeout_ns: int | None = None) -> None:
-        """`timed` is False if the bytes' times are not known.
+        """`timed` is False if the bytes have no known times, as in a raw file.
 
-        `response_timeout_ns` is the master's timeout; None if it has to be learned.
+        `response_timeout_ns` is how long the master waits before it repeats a request; None if it
+        has to be learned.
         """
         self.history = LineHistory(timed=timed)
         self.history.timeout = ResponseTimeout(response_timeout_ns)
         self.states: list[CostedState] = [(0.0, BusState())]
-        """The possible bus states with their costs in bits, the most likely first."""
+        """The possible bus states, each with its cost in bits above the most likely one, which
+        comes first."""
 
     @property
     def state(self) -> BusState:
@@ -112,14 +114,18 @@ class BusModel:
         return Classification(direction, by, confidence_of(sum(other) - sum(best)))
 
     def cost(self, state: BusState, unit: int, pdu: bytes, role: Direction, at_ns: int) -> float:
-        """Return the cost, in bits, of taking a frame for request or response in a bus state."""
+        """Return the cost, in bits, of taking a frame for `role` in a bus state.
+
+        `at_ns` is when the first byte of the frame began.
+        """
         by_state, by_time = frame_cost(self.history, state, unit, pdu, role, at_ns)
         return by_state + by_time
 
     def _least_cost(self, unit: int, pdu: bytes, role: Direction, at_ns: int) -> CostParts:
-        """Return the least cost of a frame as `role` in any of the possible bus states.
+        """Return the least cost of taking a frame for `role` in one of the possible bus states.
 
-        The cost has two parts, in bits: by the bus state, and by the silence before the frame.
+        The cost in bits has two parts: the first follows from the bus state, the second from the
+        silence before the frame. `at_ns` is when the first byte of the frame began.
         """
         least = math.inf, 0.0
         for bits, state in self.states:
@@ -129,10 +135,11 @@ class BusModel:
         return least
 
     def expects(self, state: BusState, unit: int, code: int, size: int, role: Direction) -> bool:
-        """True if a frame with this unit, function and PDU size (0: unknown) is expected next.
+        """True if a frame with this unit, function code and PDU size is expected next.
 
-        A response is expected if it can answer the pending request. A request is expected if none
-        is pending and this function was requested of this unit before.
+        `size` is in bytes, 0 if unknown. A response is expected if it can answer the pending
+        request. A request is expected if no request is pending and this function was requested of
+        this unit before.
         """
         if role is Direction.RESPONSE:
             pending = state.pending
@@ -144,8 +151,8 @@ class BusModel:
     def expects_incomplete(self, head: bytes, sizes: Mapping[Direction, int]) -> bool:
         """True if `head` can be the incomplete beginning of the frame that is expected next.
 
-        `sizes` gives the size of the whole frame, in bytes, as a request and as a response, if
-        `head` tells it already.
+        `sizes` gives, by direction, the size in bytes of the whole frame; it has no entry for a
+        direction if `head` does not tell the size yet.
         """
         if len(self.states) > 1:
             return False
@@ -163,7 +170,8 @@ class BusModel:
     def silence_cost(self, state: BusState, *, is_last: bool = False) -> float:
         """Return the cost, in bits, of supposing that no response is missing in the last silence.
 
-        `is_last` is True if no frame after that silence is known yet.
+        Used where an adapter merges frames; the silence is `state.unexplained_silence_ns`.
+        `is_last` is True if the window has no frame after that silence.
         """
         if not state.unexplained_silence_ns:
             return 0.0
@@ -171,7 +179,8 @@ class BusModel:
         if doublings <= LatencyStatistics.MARGIN_DOUBLINGS:
             return 0.0
         cost = min(costs.LATE + costs.LATE_PER_DOUBLING * doublings, costs.MAX_LATENESS)
-        # An adapter that waits for more bytes before it hands them over makes such a silence too.
+        # An adapter that waits for more bytes before it delivers those it has makes such a silence,
+        # too.
         may_be_adapter = state.unexplained_silence_ns <= LatencyStatistics.ADAPTER_TIMER_NS
         return cost / 2 if is_last and may_be_adapter else cost
 
@@ -239,7 +248,7 @@ class BusModel:
             history.learn_latency(pending, pdu, start_ns, is_sure)
 
     def _learn_from_outcome(self, unit: int, pdu: bytes, start_ns: int) -> None:
-        """Learn from a new request if and how late the request before it was answered."""
+        """Learn from a new request if the request before it was answered, and after what time."""
         state = self._state_before(unit, pdu, start_ns)
         if state is None:
             return
@@ -253,8 +262,8 @@ class BusModel:
         ):
             is_slow = history.trusts_silences and latency_ns > _SLOW_NS
             went_on_ns = start_ns - (state.last_ns or start_ns)
-            # After a retry the master would have waited as long again. It sent sooner: it had a
-            # response.
+            # The frame before was the response or a retry. After a retry the master would have
+            # waited as long again. If it sent this request sooner, the frame was the response.
             is_response = went_on_ns < latency_ns * costs.SOONER
             if is_slow and (is_response or history.timeout.is_not_over(latency_ns)):
                 history.learn_echo(answered, latency_ns)
@@ -292,12 +301,12 @@ class BusModel:
         return [(bits - least, state) for bits, state in after]
 
     def may_be_reversed(self, start_ns: int) -> bool:
-        """True if all frames so far may have the opposite direction: requests may be responses.
+        """True if all requests so far may be responses, and all responses requests.
 
-        `start_ns` is when the next frame began, whose form fits both directions. No frame so far
-        has shown by its form if it is a request or a response, and two alternating silences do not
-        show which of them is the slave's response time. But the first two frames of a capture are
-        taken for a request and its response if the second comes soon.
+        That is so until a frame shows by its form that it is a request or a response: of two
+        alternating silences, either may be the slave's response time. But the first two frames of a
+        capture are taken for a request and its response if the second comes within MIN_WRITE_NS.
+        `start_ns` is when the next frame began.
         """
         state = self.state
         if not self.history.timed or state.direction_known:
@@ -324,11 +333,11 @@ class BusModel:
         return state.answered is not None and state.answered.is_same(unit, pdu)
 
     def may_be_slow(self, unit: int, pdu: bytes, start_ns: int) -> bool:
-        """True if a frame may be a retry or a slow response, and this line has shown neither.
+        """True if a frame that equals the pending request may be a retry or a slow response.
 
-        The frame equals the pending request. It comes so late that some masters would already
-        repeat the request, later than any response heard, but not much later than the slowest
-        responses of such lines.
+        It is False if this line has shown retries, or so slow a response. Else the frame must come
+        MIN_RETRY_NS or more after the request, when some masters repeat it, and at most
+        SLOW_DOUBLINGS doublings later than the longest response time of the line.
         """
         history, pending = self.history, self.state.pending
         if pending is None or not history.trusts_silences or history.timeout.is_known:
@@ -354,8 +363,8 @@ class BusModel:
     def hear_damaged_frame(self, frame: bytes, role: Direction, start_ns: int, end_ns: int) -> None:
         """Compute the possible bus states after a damaged frame. Nothing is learned from it.
 
-        `frame` is what was sent, with the damage repaired. The addressee may have received the
-        damage too, and ignored the frame.
+        `frame` is the whole frame as it was sent, with the damage repaired. The slave or master
+        that it was for may have received the damage too, and ignored the frame.
         """
         after = self._states_after(frame[0], frame[1:-2], role, start_ns, end_ns, 0, False)
         ignored = [
@@ -376,8 +385,8 @@ class BusModel:
     ) -> BusState:
         """Return the bus state after a frame that was heard in `state`.
 
-        `by_form` is True if by its form the frame can only have the direction `role`. `inside_ns`
-        is the longest silence inside the frame.
+        The frame was on the line from `start_ns` to `end_ns`. `by_form` is True if by its form the
+        frame can only have the direction `role`. `inside_ns` is the longest silence inside it.
         """
         silence_ns = self._unexplained_silence_ns(state, role, start_ns, inside_ns)
         pending, overdue, answered = state.pending, state.overdue, None
@@ -407,9 +416,9 @@ class BusModel:
     def _unexplained_silence_ns(
         self, state: BusState, role: Direction, start_ns: int, inside_ns: int
     ) -> int:
-        """Return the length, in ns, of the last silence up to the end of a frame.
-
-        It is 0 if the silence was the wait for a response that never came.
+        """Return the length, in ns, of the last silence before or inside a frame of a line whose
+        adapter merges frames. It is 0 if the silence was the wait for a response that never came,
+        and on any other line.
         """
         if self.history.trusts_silences or not self.history.timed:
             return 0
@@ -421,9 +430,9 @@ class BusModel:
 
 
 def roles_of(pdu: bytes) -> tuple[Direction, ...]:
-    """Return the directions that a PDU can have by function and length; both if it fits none.
+    """Return the directions that a PDU can have by its function and length.
 
-    A PDU of an unknown function fits none.
+    Both are returned if the PDU fits neither, as one of an unknown function does.
     """
     fitting = tuple(role for role in ROLES if pdu_length(pdu, role) == len(pdu))
     return fitting or ROLES

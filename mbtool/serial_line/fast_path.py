@@ -1,9 +1,9 @@
 """The fast path: recognises the next frame of an RTU line where no search is needed."""
 
 # Most bytes of a working line are decided here. A frame is certain if its function tells its
-# length, its CRC is correct in one direction only (or the other direction is far less likely), and
-# the bus state expects it. A silence or one more byte has to follow it. If the frame that is
-# expected is longer than the undecided bytes and can begin with them, they are certainly an
+# length, if its CRC is correct at the length of one direction only (or the other direction is far
+# less likely), and if the bus state expects it. A silence or one more byte has to follow it. If the
+# expected frame is longer than the undecided bytes and can begin with them, they are certainly an
 # incomplete frame, and the search waits for the rest.
 
 from __future__ import annotations
@@ -31,9 +31,11 @@ taken for a response only with at least this confidence (0.5 to 1). It is less t
 since the response's request came just before."""
 _REQUEST_ONLY = [Direction.REQUEST]
 _FAR_LESS_LIKELY = 10.0
-"""If two frames begin at the same byte, the one that costs this many bits more is ignored."""
+"""If two frames of different length begin at the same byte, the shorter one is ignored if it costs
+this many bits more than the longer one."""
 _MAX_COST = costs.REQUEST + costs.NEW_REQUEST
-"""The cost, in bits, of a request never heard before. A frame that costs more needs a search."""
+"""The cost, in bits, of a request never heard before. A frame that costs more is left to the
+search, unless it is a known request by its form."""
 
 
 class FastPath:
@@ -45,20 +47,21 @@ class FastPath:
         `max_size` is the number of bytes at which the search decides without waiting for a silence.
         """
         self.needed = MIN_FRAME
-        """The least number of undecided bytes with which anything can be decided."""
+        """The number of undecided bytes from which on `frame` may find a frame without a silence
+        behind it."""
         self._model = bus_model
         self._speaker = speaker
         self._max_size = max_size
         self._is_behind_noise = False
         self._roles = ROLES if speaker is None else (speaker,)
         self._sizes: list[tuple[Direction, int]] = []
-        """The size in bytes of the next frame as a request and as a response, once its bytes tell
-        it."""
+        """Each possible direction of the next frame with the frame's size in bytes in that
+        direction; empty until its bytes tell the sizes."""
 
     def restart(self, *, behind_noise: bool) -> None:
-        """Forget the sizes found for the next frame, since other bytes come next now.
+        """Forget the sizes of the next frame, since the first undecided byte has become another.
 
-        `behind_noise` is True if the bytes before them belong to no frame.
+        `behind_noise` is True if the byte before it belongs to no frame.
         """
         self._is_behind_noise = behind_noise
         self.needed = MIN_FRAME
@@ -95,10 +98,12 @@ class FastPath:
     def _valid_size(
         self, head: bytes, sizes: list[tuple[Direction, int]], start_ns: int
     ) -> tuple[int, list[Direction]]:
-        """Return the size with a correct CRC, and the directions that have it; 0 if there is none.
+        """Return the size in bytes at which the CRC is correct, and the directions with that size.
 
-        A frame that ends in 00 has a correct CRC one byte shorter too. So of two sizes, the longer
-        one counts if the other is far less likely. Otherwise the result is 0.
+        `sizes` are the sizes to try, `head` the next bytes, which began at `start_ns`. The size is
+        0 if no CRC is correct. A frame that ends in 00 has a correct CRC one byte shorter too. So
+        if two sizes are correct, the longer one counts if the shorter one is far less likely;
+        otherwise the size is 0.
         """
         have = len(head)
         valid = [(size, role) for role, size in sizes if size <= have and crc(head[:size]) == 0]
@@ -114,9 +119,10 @@ class FastPath:
         return (size, [role]) if is_certain else (0, [])
 
     def is_incomplete(self, data: bytes, silences_at: Sequence[int]) -> bool:
-        """True if the bytes are certainly the incomplete beginning of the frame that is expected.
+        """True if `data` is certainly the incomplete beginning of the frame that is expected.
 
-        `silences_at` are the offsets of the bytes that have a silence before them.
+        `silences_at` are the offsets in `data` of the bytes that have a silence before them: none
+        of these may begin a whole frame.
         """
         if self._speaker is not None:
             return False
@@ -133,7 +139,10 @@ class FastPath:
         return any(size <= len(data) and crc(data[:size]) == 0 for size in sizes)
 
     def _measure(self, data: bytes) -> list[tuple[Direction, int]]:
-        """Return the size of the next frame in each direction; empty if one is not known yet."""
+        """Return each possible direction of the frame that begins `data`, with its size in bytes.
+
+        The list is empty if the bytes do not tell the size in every direction.
+        """
         head = data[:MAX_RTU_ADU]
         sizes, longest = [], 0
         for role in self._roles:
@@ -151,7 +160,10 @@ class FastPath:
         return sizes
 
     def _is_known_request(self, unit: int, pdu: bytes) -> bool:
-        """True for a request heard before, if it cannot begin the response that is expected."""
+        """True if this request was heard before, and its bytes cannot begin the expected response.
+
+        It is False directly behind bytes that belong to no frame.
+        """
         is_due = any(
             state.pending is not None and state.pending.is_named_by(unit, pdu[0])
             for _, state in self._model.states
@@ -160,14 +172,18 @@ class FastPath:
         return is_heard and not is_due and not self._is_behind_noise
 
     def _is_direction_certain(self, classified: Classification, head: bytes, size: int) -> bool:
-        """True if the direction of a frame is certain although its form allows both."""
+        """True if the direction of a frame is certain although its form allows both directions.
+
+        `head` are the frame, which has `size` bytes, and bytes behind it.
+        """
         if self._model.history.trusts_silences:
             return classified.confidence >= SURE
         if classified.direction is Direction.REQUEST:
             return classified.confidence >= _REQUEST_CONFIDENCE
         # If silences do not tell who speaks, two equal frames may be a request and its echo, or a
-        # request and its retry. The frame after them can tell, if it has the same unit and
-        # function; and so can the length of the last silence.
+        # request and its retry. A third frame with the same unit and function can be the response
+        # to the retry, and a long last silence the wait for a missing response. Then the search has
+        # to decide.
         return (
             classified.confidence >= _RESPONSE_CONFIDENCE
             and not head.startswith(head[size : size + 2])

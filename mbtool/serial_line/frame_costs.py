@@ -38,16 +38,17 @@ USUAL_RETRIES = 3
 """Masters seldom repeat a request more often than this."""
 
 CostParts = tuple[float, float]
-"""The cost of a frame in two parts, in bits: one by the bus state, one by the silence before the
-frame."""
+"""The cost of a frame in bits, in two parts: the first follows from the bus state, the second from
+the silence before the frame."""
 
 
 def frame_cost(
     history: LineHistory, state: BusState, unit: int, pdu: bytes, role: Direction, at_ns: int
 ) -> CostParts:
-    """Return the cost of taking a frame for `role`; its first byte began at `at_ns`.
+    """Return the cost, in bits, of taking a frame for `role`; its first byte began at `at_ns`.
 
-    The cost has two parts, in bits: by the bus state, and by the silence before the frame.
+    The first part of the cost follows from the bus state, the second from the silence before the
+    frame. The second is 0 if silences do not tell who speaks.
     """
     if role is Direction.REQUEST:
         cost, by_time = _request_cost(history, state, unit, pdu, at_ns)
@@ -101,7 +102,11 @@ def _short_pause_cost(history: LineHistory, state: BusState, at_ns: int) -> floa
 def _early_cost(
     history: LineHistory, state: BusState, pending: PendingRequest, at_ns: int, *, is_retry: bool
 ) -> float:
-    """Return the cost, in bits, of a request that comes while the master should still wait."""
+    """Return the extra cost, in bits, of a request that comes while the master should still wait.
+
+    `pending` is the request for whose response it waits. `is_retry` is True if the new request,
+    which begins at `at_ns`, equals `pending`. 0 if the master has waited long enough.
+    """
     waited_ns, overdue = at_ns - pending.awaited_from_ns, state.overdue
     if history.latency.is_known and history.latency.doublings_late(waited_ns) < 0:
         return costs.EARLY_REQUEST
@@ -116,12 +121,18 @@ def _early_cost(
 
 
 def _may_be_second_response(answered: PendingRequest | None, unit: int, pdu: bytes) -> bool:
-    """True if a frame that equals the last response may be a second response of the same slave."""
+    """True if a frame that equals the last response may be a second response of the same slave.
+
+    `answered` is the request that the last response answered; None if that is unknown.
+    """
     return answered.unit == unit if answered else pdu[0] not in ECHOING
 
 
 def _new_request_cost(pdu: bytes) -> float:
-    """The cost, in bits, of a request that this line has not carried before."""
+    """The extra cost, in bits, of a request that this line has not carried before.
+
+    It is higher if the request breaks the standard's limits.
+    """
     request = parse_pdu(pdu, Direction.REQUEST)
     if pdu[0] in FUNCTIONS and request.problem is None and not keeps_limits(request):
         return costs.NEW_REQUEST + costs.MALFORMED
@@ -156,7 +167,10 @@ def _is_unrequested_exception(history: LineHistory, unit: int, pdu: bytes) -> bo
 
 
 def _answers_late(overdue: PendingRequest, unit: int, pdu: bytes, at_ns: int) -> bool:
-    """True if a frame can be the response to a request that the master has given up."""
+    """True if a frame can be a late response to `overdue`, a request that the master has given up.
+
+    `at_ns` is when the first byte of the frame began.
+    """
     if pdu == overdue.pdu and pdu[0] in NEVER_ECHOED:  # The master repeats its read.
         return False
     return at_ns - overdue.awaited_from_ns <= MAX_PENDING_NS and overdue.fits(unit, pdu)
@@ -165,7 +179,7 @@ def _answers_late(overdue: PendingRequest, unit: int, pdu: bytes, at_ns: int) ->
 def _late_response_cost(
     state: BusState, pending: PendingRequest | None, overdue: PendingRequest, pdu: bytes
 ) -> float:
-    # The request sent after the one that was given up: it waits for its response, or has got it.
+    # This is the request sent after the given-up one. It is pending, or was answered last.
     after = pending or state.answered
     is_other = after is not None and not after.is_same(overdue.unit, overdue.pdu)
     cost = costs.LATE_RESPONSE_TO_OTHER if is_other else costs.LATE_RESPONSE
@@ -178,7 +192,7 @@ def _late_response_cost(
 def _fitting_response_cost(
     history: LineHistory, state: BusState, pending: PendingRequest, pdu: bytes, at_ns: int
 ) -> CostParts:
-    """The cost, in bits, of a response that fits the pending request."""
+    """The cost, in bits, of a response that fits the pending request and begins at `at_ns`."""
     silence_ns, is_echo = at_ns - pending.awaited_from_ns, pdu == pending.pdu
     by_time = _lateness_cost(history, pending, silence_ns, is_echo=is_echo)
     if by_time and _is_only_a_response(history, pending, pending.unit, pdu):
@@ -188,7 +202,8 @@ def _fitting_response_cost(
     if not is_echo:
         return costs.RESPONSE, by_time
     if pdu[0] in NEVER_ECHOED:
-        # A read of 17 to 24 bits from 0300H to 03FFH has the form of its own response.
+        # A read of 17 to 24 bits from an address of 0300H to 03FFH has the form of its response:
+        # its third byte, 03, is the byte count.
         return costs.ECHO_OF_READ, by_time
     if pdu[0] not in ECHOING:
         return costs.ECHO_OF_UNKNOWN_FUNCTION, by_time or costs.ECHO_IN_TIME
@@ -203,7 +218,11 @@ def _fitting_response_cost(
 def _lateness_cost(
     history: LineHistory, pending: PendingRequest, silence_ns: int, *, is_echo: bool
 ) -> float:
-    """Return the cost, in bits, of the silence between a request and its response."""
+    """Return the cost, in bits, of the silence between a request and its response.
+
+    It is 0 unless the response is late. `is_echo` is True if the response equals the request, so
+    that it may be a retry instead.
+    """
     latency = history.latency
     if not is_echo:
         doublings = latency.doublings_late(silence_ns)
@@ -225,8 +244,8 @@ def _lateness_cost(
         return 0.0
     if history.all_echo_latencies.has_heard(silence_ns):
         most = min(most, costs.LATE_AS_OTHERS)
-    # An echo (a response that equals its request) later than any response may be a retry. So it has
-    # a margin only if it comes sooner than any retry.
+    # An echo (a response that equals its request) that comes later than any other response may be a
+    # retry. So MARGIN_DOUBLINGS is allowed for only if it comes sooner than any retry can.
     doublings = latency.doublings_late(silence_ns, LatencyStatistics.MIN_WRITE_NS)
     is_soon = silence_ns < LatencyStatistics.MIN_RETRY_NS
     if doublings <= (LatencyStatistics.MARGIN_DOUBLINGS if is_soon else 0.0):
@@ -250,6 +269,7 @@ def _is_only_a_response(
         return True
     if (unit, pdu) in history.requests or pending.expected.size != len(pdu):
         return False
-    # The same quantity from the same 256 addresses: probably the next request of the master's list.
+    # If function, high byte of the address and quantity are those of the pending request, the frame
+    # is probably the next request of the master's list.
     is_alike = (pdu[1], pdu[3:5]) == (pending.pdu[1], pending.pdu[3:5])
     return not is_alike and (pdu[0] not in READ_BITS or is_padded(pending.pdu, pdu))

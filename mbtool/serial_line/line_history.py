@@ -30,10 +30,11 @@ class LineHistory:
     """The facts learned from earlier frames of a line; the cost of a frame depends on them."""
 
     def __init__(self, *, timed: bool) -> None:
-        """`timed` is False if the bytes' times are not known."""
+        """`timed` is False if the bytes have no known times, as in a raw file."""
         self.timed = timed
         self.trusts_silences = timed
-        """True if silences tell who speaks; False without times or if the adapter merges frames."""
+        """True if silences tell who speaks. False if the bytes have no known times, or if the
+        adapter merges frames."""
         self.latency = LatencyStatistics()
         self.timeout = ResponseTimeout()
         self.echo_latencies: dict[tuple[int, int], LatencyStatistics] = {}
@@ -44,15 +45,14 @@ class LineHistory:
         self.unanswered: dict[int, int] = {}
         """By unit, the number of requests in a row that had no response."""
         self.answering: set[int] = set()
-        """The units that sent a response that cannot have been a
-        retry."""
+        """The units that sent a response which cannot have been a retry of the request."""
         self.shortest_pause_ns = 0.0
         """The shortest recent silence, in ns, from a response to the next request."""
         self.pauses = 0
         """The number of silences from a response to the next request that were heard."""
         self.unexplained_silences = LatencyStatistics()
-        """The lengths, in ns, of silences before merged frames if no response was missing in
-        them."""
+        """The longest silence before frames that the adapter merged, learned from silences in which
+        no response was missing."""
         self.repeat = LearnedCost(costs.REPEAT_AFTER_RESPONSE, costs.REPEAT_AFTER_RESPONSE_LIMITS)
         self.retry = LearnedCost(costs.RETRY, costs.RETRY_LIMITS)
         self.requests: dict[tuple[int, bytes], None] = {}
@@ -62,18 +62,19 @@ class LineHistory:
         self.units: set[int] = set()
 
     def has_function(self, head: bytes) -> bool:
-        """True if some request had the unit, and the function if given, with which a frame begins.
+        """True if some request had the unit, and the function, with which a frame begins.
 
-        `head` is the unit, or the unit and the function code, also that of an exception response.
+        `head` is the frame's first byte (then only the unit is compared) or its first two bytes.
+        The function code may be that of an exception response.
         """
         if len(head) == 1:
             return head[0] in self.units
         return len(head) == 2 and (head[0], head[1] & ~EXCEPTION_BIT) in self.functions
 
     def master_still_waits(self, waited_ns: int) -> bool | None:
-        """True if a master surely still waits for a response after `waited_ns`; else False.
+        """True if a master surely still waits for a response `waited_ns` after its request.
 
-        None if the silences heard on this line do not tell who speaks.
+        False if it may have sent a retry. None if silences do not tell who speaks on this line.
         """
         if not self.trusts_silences:
             return None
@@ -82,11 +83,11 @@ class LineHistory:
         return waited_ns < LatencyStatistics.MIN_RETRY_NS
 
     def silent_bits(self, state: BusState, pending: PendingRequest) -> float:
-        """The cost, in bits, of supposing that a unit answers though it gave no response lately.
+        """The cost, in bits, of supposing that a unit answers `pending` after it was silent lately.
 
-        It grows with the number of requests in a row that the unit did not answer. If silences do
-        not tell who speaks, it is higher for a request that equals its response, to a unit that
-        never answered while others did.
+        The cost grows with the number of requests in a row that the unit did not answer. If
+        silences do not tell who speaks, it is higher for a function whose response equals its
+        request, to a unit that never answered while others did.
         """
         unit = pending.unit
         unanswered = self.unanswered.get(unit, 0)
@@ -101,7 +102,7 @@ class LineHistory:
     ) -> None:
         """Learn from a request that came in a bus state. Its first byte began at `start_ns`.
 
-        `by_form` is True if by its form the frame cannot be a response.
+        `by_form` is True if by its form the request cannot be a response.
         """
         self.functions.add((unit, pdu[0]))
         self.units.add(unit)
@@ -127,9 +128,9 @@ class LineHistory:
     def learn_latency(
         self, pending: PendingRequest, pdu: bytes, start_ns: int, is_sure: bool
     ) -> None:
-        """Learn how long the slave took to answer `pending`; its response began at `start_ns`.
+        """Learn how long a slave took to answer `pending`; the response began at `start_ns`.
 
-        `is_sure` is True if the frame is surely a response.
+        `pdu` is the response's PDU. `is_sure` is True if it is surely a response and no retry.
         """
         latency_ns = start_ns - pending.awaited_from_ns
         if pdu != pending.pdu and is_sure:
@@ -138,9 +139,9 @@ class LineHistory:
             self.latency.learn_capped(latency_ns)
 
     def learn_echo(self, answered: PendingRequest, latency_ns: int) -> None:
-        """Learn how long a slave took for a response that equals its request.
+        """Learn that a slave took `latency_ns` for a response that equals the request `answered`.
 
-        `latency_ns` is that time; the frame after the response shows that it was no retry.
+        The frame after this response has shown that the response was no retry.
         """
         key = answered.unit, answered.pdu[0]
         self.echo_latencies.setdefault(key, LatencyStatistics()).learn(latency_ns)

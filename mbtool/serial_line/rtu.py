@@ -6,8 +6,8 @@
 # 1. The fast path (fast_path.py) tells if the next frame is certain, or certainly incomplete.
 # 2. At a silence of t3.5, the search (search.py) explains the buffered bytes. All are returned
 #    except an incomplete frame, which an adapter may have split. It stays buffered until HOLD_NS
-#    after its last byte. The bytes before it stay too if only its end can make their meaning
-#    certain, but for at most MAX_SILENCES silences.
+#    after its last byte. The bytes before the incomplete frame stay too if only its end can make
+#    their meaning certain, but for at most MAX_SILENCES silences.
 # 3. Without a silence, the search runs when the buffer (the window) is full. All but its last 256
 #    bytes are returned.
 #
@@ -48,11 +48,11 @@ MAX_SILENCES = 16
 incomplete. A frame of 256 bytes that comes in pieces of 32 bytes has 8 silences."""
 
 UNSURE = 0.79
-"""The confidence (0.5 to 1) of an ambiguous frame is at most this, just below `SURE`."""
+"""The confidence (0.5 to 1) of a frame that is found ambiguous is lowered to this, below `SURE`."""
 
 LONG_NOISE = 2 * WINDOW
-"""After this many bytes without a frame, the search runs only if a frame with a correct CRC is in
-the buffer: among so much noise, a damaged frame would mean nothing."""
+"""After this many bytes without a frame, the search runs only if the buffer has a frame with a
+correct CRC: a damaged frame that it found among so much noise would probably be noise, too."""
 
 _COPIED_RETRY = Classification(Direction.REQUEST, DirectionBy.TIMING, 1.0)
 
@@ -68,7 +68,7 @@ class RtuSplitter:
         timed: bool = True,
         speaker: Direction | None = None,
     ) -> None:
-        """`timed` is False if the bytes' times are made up, as for a file of bytes alone.
+        """`timed` is False if the bytes have no known times, as in a raw file.
 
         `speaker` is the direction of all frames if only one direction is heard; else None.
         """
@@ -95,14 +95,14 @@ class RtuSplitter:
         self._silences_at: list[int] = []
         """The offsets of the buffered bytes that have a silence of t3.5 before them."""
         self._noise_size = 0
-        """The number of bytes in a row, up to the last one returned, that belong to no frame."""
+        """The number of bytes returned since the last frame; they belong to no frame."""
         self._was_noise = False
         """True if the last skipped bytes were all noise, as heard when the bus changes
         direction."""
         self._follows_silence = True
         """True if a silence of t3.5 precedes the frame returned last."""
         self._last_end: tuple[int, Verdict] | None = None
-        """The end time (ns) of the last byte returned; the verdict on a frame directly after it."""
+        """When the last returned byte ended (ns), and the verdict on a frame directly behind it."""
 
     @property
     def is_idle(self) -> bool:
@@ -175,7 +175,7 @@ class RtuSplitter:
         return events
 
     def _hear_silence(self, events: list[Adu | Skipped], is_long: bool) -> None:
-        """Decide the buffered bytes at a silence; a long one ends an incomplete frame as well."""
+        """Decide the buffered bytes at a silence; if `is_long`, also an incomplete frame's bytes."""
         if len(self._data) > self._decided_size:
             self._silence_count += 1
             self._end_burst(events, may_continue=True)
@@ -204,7 +204,7 @@ class RtuSplitter:
         self._decided_size = len(self._data)
 
     def _emit_certain_frames(self, events: list[Adu | Skipped], burst_over: bool = False) -> None:
-        """Append the next frames to `events` as long as they are certain without a search."""
+        """Append frames while the fast path is certain. A silence follows them if `burst_over`."""
         while len(self._data) >= MIN_FRAME:
             last = self._echo.last
             if last and self._data.startswith(last) and self._take_copy(events):
@@ -237,8 +237,8 @@ class RtuSplitter:
         if not last or self._last_end is None or not self._data.startswith(last):
             return False
         size, first_ns = len(last), self._times[0]
-        # If the adapter merges frames, this may be a retry. But it then merges the request with the
-        # frame before it, too. So a silence before the request shows that this is a copy.
+        # An adapter that merges a request with its retry also merges it with the frame before. So
+        # if a silence precedes the request, these bytes are no retry but a copy.
         is_heard = self._model.history.trusts_silences and self._follows_silence
         is_glued = is_heard and first_ns - self._last_end[0] < self._silent_ns
         # If no silence follows, a longer frame may begin with the same bytes.
@@ -260,7 +260,7 @@ class RtuSplitter:
     ) -> None:
         """Explain the buffered bytes by a search; append all but an incomplete frame to `events`.
 
-        `keep` is the number of bytes at the end that stay undecided.
+        The last `keep` bytes stay undecided. The other arguments are explained in ByteWindow.
         """
         data, cuts, end = self._data, self._silences_at, len(self._data)
         is_long_noise = self._noise_size >= LONG_NOISE
@@ -288,7 +288,7 @@ class RtuSplitter:
             if segment.kind is SegmentKind.FRAME:
                 self._emit_frame(size, self._classified(segment), events)
                 if self._take_copy(events):
-                    # The search took the echoed copy for a frame: its later results are wrong.
+                    # The search took the echoed copy for a frame, so its later segments are wrong.
                     if self._data:
                         self._search(
                             events, may_continue=may_continue, must_decide=must_decide, keep=keep
@@ -301,7 +301,7 @@ class RtuSplitter:
                     self._hear_damage(segment, start_ns, end_ns)
 
     def _hear_damage(self, segment: Segment, start_ns: int, end_ns: int) -> None:
-        """Learn from damaged bytes, and compute the possible bus states after them."""
+        """Learn from skipped or damaged bytes, and compute the possible bus states after them."""
         self._statistics.one_bit.learn(bool(segment.repaired))
         if self._speaker is not None:
             return
@@ -319,13 +319,13 @@ class RtuSplitter:
         alone = self._model.classify(unit, pdu, start_ns, segment.roles)
         if alone.direction is segment.role:
             return Classification(segment.role, alone.by, segment.confidence)
-        # The bytes after this frame show that it has another direction than it seemed to have.
+        # Alone, this frame seems to have the other direction; the bytes after it decided.
         return Classification(segment.role, DirectionBy.IDLE, segment.confidence)
 
     def _emit_frame(
         self, size: int, classification: Classification, events: list[Adu | Skipped]
     ) -> None:
-        """Append the next frame to `events`, remove its bytes, and learn from it."""
+        """Append the frame of the first `size` bytes to `events`, remove it, and learn from it."""
         raw = self._data[:size]
         self._noise_size = 0
         times = self._times
@@ -375,7 +375,7 @@ class RtuSplitter:
         )
 
     def _learn(self, size: int, before_ns: int | None, longest_ns: int) -> None:
-        """Update the line statistics by the silences and the noise before and in the next frame."""
+        """Learn from the silences (ns) before and in the next frame, and from noise before it."""
         last, statistics = self._last_end, self._statistics
         was_skipped = last is not None and last[1] is Verdict.NOISE_BEFORE
         statistics.skip.learn(was_skipped)
@@ -396,7 +396,7 @@ class RtuSplitter:
     def _verdicts(
         self, size: int, before_ns: int | None, longest_ns: int, confidence: float
     ) -> tuple[Verdict, ...]:
-        """Return the verdicts on the next frame, which has `size` bytes."""
+        """Return the verdicts on the next frame, from the silences (ns) before and inside it."""
         verdicts, times = [], self._times
         if self._timed:
             if self._last_end is not None and before_ns is not None and before_ns < self._t3_5_ns:
@@ -414,7 +414,7 @@ class RtuSplitter:
         return tuple(dict.fromkeys(verdicts)) if verdicts else ()
 
     def _emit_skipped(self, size: int, events: list[Adu | Skipped]) -> None:
-        """Append skipped bytes to `events`: a frame with a wrong CRC, or bytes up to a silence."""
+        """Append the first `size` bytes as skipped: frames with a wrong CRC, others by bursts."""
         self._noise_size += size
         while size:
             cut = size
@@ -438,7 +438,7 @@ class RtuSplitter:
         return self._times[offset] - self._times[offset - 1] >= self._silent_ns
 
     def _remove(self, size: int, leaves: Verdict) -> None:
-        """Remove the first bytes; `leaves` is the verdict on a frame directly behind them."""
+        """Remove the first `size` bytes; `leaves` is the verdict on a frame directly behind."""
         self._last_end = self._times[size - 1], leaves
         self._data = self._data[size:]
         del self._times[:size]
