@@ -175,7 +175,7 @@ class RtuSplitter:
         return events
 
     def _hear_silence(self, events: list[Adu | Skipped], is_long: bool) -> None:
-        """Decide the buffered bytes at a silence; if `is_long`, those of an incomplete frame too."""
+        """Decide the buffered bytes at a silence; if `is_long`, an incomplete frame as well."""
         if len(self._data) > self._decided_size:
             self._silence_count += 1
             self._end_burst(events, may_continue=True)
