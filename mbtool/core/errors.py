@@ -25,7 +25,7 @@ class UsageError(MbtoolError):
 
 
 class ProfileError(UsageError):
-    """A key in a device profile has a value that is not allowed there."""
+    """A key in a device profile has a value that this key cannot have."""
 
     def __init__(self, file: str, key: str, problem: str) -> None:
         super().__init__(f"{file}: {key}: {problem}")

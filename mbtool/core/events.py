@@ -14,7 +14,7 @@ class EventKind(StrEnum):
     BAD_CHECK = "bad-check"
     """A frame whose CRC or LRC is wrong."""
     FOREIGN = "foreign"
-    """Well-formed bytes of another protocol."""
+    """Well-formed bytes of another protocol, such as an MBAP header whose protocol id is not 0."""
     LINE_ERROR = "line-error"
     """Errors that a port's driver reports: parity, framing, break, overrun. The time of the event
     may be up to 1 s after the error."""

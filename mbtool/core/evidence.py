@@ -33,7 +33,7 @@ class Stamp(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Endpoint:
-    """One end of a TCP connection."""
+    """One end of a TCP connection: a host (an IP address or a name) and a TCP port."""
 
     host: str
     port: int
@@ -53,8 +53,8 @@ class Connection:
     file. It tells two connections between the same endpoints apart."""
 
     def __hash__(self) -> int:
-        # The decoder looks a connection up for each segment, and a hash of all fields takes three
-        # times as long.
+        # These three fields tell most connections apart. The decoder looks a connection up for
+        # each segment, and a hash of all fields would take three times as long.
         return hash((self.number, self.master.port, self.slave.host))
 
     @property

@@ -21,7 +21,7 @@ to 200 ms)."""
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LinkLimits:
-    """The times that a master observes on a link."""
+    """What a master keeps to on a link: its timeout, its pauses, and if it sends one by one."""
 
     timeout_ns: int = RESPONSE_TIMEOUT_NS
     """The longest time that the master waits for a response, in ns."""
@@ -29,6 +29,7 @@ class LinkLimits:
     """True on a serial line and on RTU over TCP: the master sends no request while another one
     waits for its response."""
     pause_ns: int = 0
-    """The shortest pause between the last byte on the link and the next request, in ns."""
+    """The shortest pause between the last byte on the link and the next request, in ns; 0 for
+    none."""
     turnaround_ns: int = TURNAROUND_NS
     """The pause in ns after a broadcast, which has no response, before the next request."""

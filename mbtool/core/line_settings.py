@@ -16,7 +16,7 @@ _MODES = ("rtu", "ascii")
 
 @dataclass(frozen=True, slots=True)
 class LineSettings:
-    """The character format of a line, and its mode: RTU or ASCII."""
+    """The baud rate and character format of a serial line, and its mode: RTU or ASCII."""
 
     format: SerialFormat
     ascii: bool = False

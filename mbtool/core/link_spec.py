@@ -324,7 +324,7 @@ def _parse_endpoint(text: str, part: str) -> Endpoint:
             "for example 127.0.0.1:1502 or [::1]:1502"
         )
     if match["host"] is not None and match["host"].isdecimal():
-        # The system would take the text 1502 as the address 0.0.5.222.
+        # A host of digits only is refused: the system would take 1502 as the address 0.0.5.222.
         raise UsageError(
             f"link {text!r}: {part!r} names no host; write HOST:PORT, "
             f"for example 127.0.0.1:{part.partition(':')[0]}"

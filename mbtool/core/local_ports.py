@@ -17,7 +17,8 @@ class Trouble:
 
     problem: str
     remedy: str = ""
-    """A command that solves the problem, for the user. This program never runs it itself."""
+    """A command that solves the problem, for the user; "" if there is none. This program never runs
+    it itself."""
 
     def __str__(self) -> str:
         return f"{self.problem}: {self.remedy}" if self.remedy else self.problem
@@ -45,17 +46,18 @@ class LocalSerialPort:
     another order; None if there is none."""
     description: str = ""
     usb_id: str | None = None
-    """The ids of the USB adapter's vendor and product, for example 0403:6001."""
+    """The ids of the USB adapter's vendor and product, for example 0403:6001; None without one."""
     serial_number: str | None = None
     driver: str | None = None
     latency_timer_ms: int | None = None
     """The FTDI latency timer: the longest time in ms that the adapter waits for more bytes before
-    it delivers those it has."""
+    it delivers those it has; None for an adapter without such a timer."""
     fifo_bytes: int | None = None
     """The number of bytes that the port's UART collects before the driver gets them; None for a
     port without such a setting, such as a USB adapter."""
     low_latency: bool | None = None
-    """True if the driver delivers each byte at once."""
+    """True if the driver delivers each byte at once, False if it collects bytes; None if
+    unknown."""
     low_latency_support: bool | None = None
     holders: tuple[Holder, ...] = ()
     unseen_processes: int = 0

@@ -34,6 +34,6 @@ class ModemLines:
 
     @classmethod
     def parse(cls, text: str) -> ModemLines:
-        """Read the text that str() returns, such as `raised,off`."""
+        """Read the text that str() returns, such as `raised,off`: first DTR, then RTS."""
         dtr, _, rts = text.partition(",")
         return cls(ModemLine(dtr), ModemLine(rts))

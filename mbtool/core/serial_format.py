@@ -149,7 +149,7 @@ class SerialFormat:
 
     @classmethod
     def usual(cls, *, is_ascii: bool) -> Self:
-        """The default settings of an RTU or an ASCII line."""
+        """The default settings of a line: 19200-8E1 for RTU, 9600-7E1 for ASCII."""
         return cls(9600, 7) if is_ascii else cls()
 
     def demand_rtu(self, given: str, example: str) -> None:

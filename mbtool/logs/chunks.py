@@ -31,7 +31,8 @@ if TYPE_CHECKING:
 MAX_RATIO = 400
 
 CHUNK_HEAD = struct.Struct("<QQQII")
-"""Start time, end time, unpacked size, CRC, length of the field "compression"."""
+"""The beginning of a chunk's content: start time, end time, unpacked size, CRC, and the length of
+the field "compression"."""
 DATA_LENGTH = struct.Struct("<Q")
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 ZSTD_DATA_AT = CHUNK_HEAD.size + 4 + DATA_LENGTH.size
@@ -90,8 +91,8 @@ class Unpacker:
     def _unpacked(self, content: bytes, size: int) -> bytes:
         frame = content[ZSTD_DATA_AT:]
         try:
-            # zstd ignores max_output_size if the frame states its own size, so that size is checked
-            # first.
+            # If the frame states its own unpacked size, zstd ignores max_output_size. So the stated
+            # size is compared with the limits before.
             stated = zstandard.get_frame_parameters(frame).content_size
             if stated in (0, zstandard.CONTENTSIZE_UNKNOWN):
                 stated = size
@@ -122,7 +123,7 @@ def is_zstd(content: bytes) -> bool:
 
 
 def chunk_times(content: bytes) -> tuple[int, int]:
-    """The log times (ns) of a chunk's earliest and latest message, as its header says."""
+    """The log times (ns) of the earliest and the latest message in a chunk, as its head says."""
     start_ns, end_ns, *_ = CHUNK_HEAD.unpack_from(content)
     return start_ns, end_ns
 

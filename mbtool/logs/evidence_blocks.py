@@ -125,7 +125,9 @@ def _described(number: int) -> bytes:
 
 
 def _fields_of(message: bytes) -> tuple[dict[int, int], dict[int, bytes]]:
-    """Return the integer fields of a message, and its length-delimited fields, both by number.
+    """Return the values of a message's integer fields and of its other fields, by field number.
+
+    The others are length-delimited: their values are bytes.
 
     Raises ValueError if the bytes are no message of joined reads.
     """

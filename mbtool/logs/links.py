@@ -23,7 +23,7 @@ to one network, so that they are decoded together."""
 
 
 class LinkMetadata(Protocol):
-    """The metadata on links and devices that a log has, or a capture made from a log."""
+    """The metadata on links and devices of a log, or of a pcapng file that `convert` made."""
 
     @property
     def capture(self) -> Mapping[str, str]: ...

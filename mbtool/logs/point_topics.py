@@ -26,7 +26,10 @@ class PointTopics:
         self._taken: set[str] = set()
 
     def name_of(self, point: PointMessage) -> str | None:
-        """Return the name of a point's topic; None if MAX_POINT_TOPICS points already have one."""
+        """Return the name of a point's topic, always the same for the same point.
+
+        Returns None if the point has no topic yet and MAX_POINT_TOPICS other points have one.
+        """
         key = point.link, point.unit_id, point.name
         name = self._names.get(key)
         if name is None and len(self._names) < MAX_POINT_TOPICS:

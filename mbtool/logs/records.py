@@ -1,4 +1,4 @@
-"""Reads the records of an MCAP file one by one, and can read bytes ahead of them."""
+"""Reads the records of an MCAP file one by one, and can look at the bytes behind the next one."""
 
 # The mcap package's StreamReader accepts a truncated field, trusts every length, and cannot wait
 # for more bytes. So only its record classes are used here.
@@ -94,7 +94,10 @@ class RecordStream:
         self.take(len(MAGIC))
 
     def look_at_record(self) -> McapRecord | None:
-        """Return the next record without consuming it; None if it is too long or incomplete."""
+        """Return the next record without consuming it.
+
+        Returns None if the file ends inside it, or if it states more than MAX_RECORD bytes.
+        """
         head = self.look(RECORD_HEAD.size)
         if len(head) < RECORD_HEAD.size:
             return None

@@ -66,8 +66,8 @@ _SHARED = frozenset((schemas.POINT_VALUE, schemas.LOG))
 
 _IS_MESSAGE = int(Opcode.MESSAGE)
 MAX_HEAD_RECORDS = 100
-"""At most this many records at the beginning are searched for a sign that the file is a log of
-mbtool."""
+"""If none of this many records at the beginning shows that the file is a log of mbtool, it counts
+as none."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -47,8 +47,8 @@ class Rotation:
     size: int | None = None
     """The size on disk, in bytes, at which a file ends; None for a limit in time."""
     time_ns: int | None = None
-    """The time in ns, from the file's first tick, after which a file ends; None for a limit in
-    size."""
+    """How long a file lasts, in ns, counted from the first call of `tick` for it; None for a limit
+    in size."""
 
     @classmethod
     def parse(cls, text: str) -> Self:
@@ -67,7 +67,7 @@ class Rotation:
 
 
 class RotatingLog(ClosesOnExit):
-    """A LogWriter that starts the next file when one has reached its limit."""
+    """Writes a log as LogWriter does, but begins a new file when one has reached its Rotation."""
 
     def __init__(
         self,

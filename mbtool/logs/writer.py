@@ -229,7 +229,7 @@ class LogWriter(ClosesOnExit):
         self._container.add_attachment(clean, PROFILE_MEDIA_TYPE, profile_json)
 
     def tick(self, now_ns: int) -> None:
-        """Flush to the file if that is due at `now_ns`, the time of a clock that goes forward.
+        """Flush to the file if that is due. `now_ns` is the time in ns of a clock that never steps.
 
         Raises OutputError if the file cannot be written.
         """
@@ -380,7 +380,7 @@ def _finding(code: str, item: NamedTransaction, ts_ns: int) -> LogMessage:
 
 
 def _clean(values: Mapping[str, str]) -> dict[str, str]:
-    """Replace characters that UTF-8 cannot encode: a command line may hold any bytes."""
+    """Replace characters that UTF-8 cannot encode by "?": a command line may hold any bytes."""
     return {_text(key): _text(value) for key, value in values.items()}
 
 

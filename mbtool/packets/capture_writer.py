@@ -81,7 +81,10 @@ class PcapngWriter:
         self._stream.write(struct.pack("<I", kind) + size + body + size)
 
     def write_names(self, names: Mapping[bytes, str]) -> None:
-        """Write host names for Wireshark to show; the keys are IPv4 addresses, 4 bytes each."""
+        """Write the host names that Wireshark shows in place of IPv4 addresses.
+
+        The keys of `names` are the addresses, 4 bytes each.
+        """
         records = b"".join(
             _option(_IPV4_NAME, address + name.encode() + b"\0") for address, name in names.items()
         )

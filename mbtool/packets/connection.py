@@ -370,7 +370,7 @@ class TcpConnection:
 
         With `force` all missing bytes are treated as lost.
         """
-        # Each pass of the loop delivers bytes or gives up a hole, so it ends.
+        # Each pass delivers bytes or gives up a hole, or else is the last one: the loop ends.
         moved = True
         while moved:
             moved = False
@@ -381,7 +381,7 @@ class TcpConnection:
                     self._deliver(stream, stream.release())
                     moved = True
             if not moved:
-                # First a stream whose beginning is undecided (the capture starts in its middle).
+                # Try first a stream whose first byte is not yet known (`joining`).
                 streams = sorted(self._directions[0], key=lambda stream: not stream.joining)
                 moved = any(self._give_up(stream, force) for stream in streams)
 

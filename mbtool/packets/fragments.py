@@ -247,7 +247,7 @@ class Fragments:
         return done
 
     def close(self) -> list[Datagram]:
-        """End the capture: give up and return the packets that are not whole."""
+        """At the end of the capture, give up the packets that are not whole, and return them."""
         given_up = [self._give_up(key, DatagramEnd.INCOMPLETE) for key in list(self._datagrams)]
         return list(chain.from_iterable(given_up))
 
@@ -277,7 +277,7 @@ def find_fragment(data: bytes, at: int, original_length: int) -> Fragment | None
     if found is None:
         return None
     key, following, start, is_last, begin, end = found
-    # If an IP header claims more bytes than its frame has, the claim is wrong (as in read_segment).
+    # An IP header that claims more bytes than its frame has is wrong, so the frame's end counts.
     length = min(end, original_length) - begin
     if not is_last:
         length &= ~7  # Offsets are multiples of 8 bytes.

@@ -262,7 +262,11 @@ class TcpReassembler:
         return True
 
     def _finish(self, datagrams: list[Datagram], ts_ns: int) -> None:
-        """Follow the packets that reassembly made whole, and report what was wrong with others."""
+        """Take the TCP segments of reassembled packets; report fragments that overlap or are
+        missing.
+
+        `datagrams` are the packets whose reassembly has ended, whole or not.
+        """
         for datagram in datagrams:
             data, length = datagram.packet()
             place = find_tcp(data, 0, length)

@@ -124,7 +124,7 @@ def read_segment(data: bytes, at: int, place: TcpPlace, original_length: int) ->
     )
     header = (offset >> 4) * 4
     begin = place.start + header
-    # If an IP header claims more bytes than its frame has, the claim is wrong: nothing is missing.
+    # An IP header that claims more bytes than its frame has is wrong, so the frame's end counts.
     end = min(place.end, original_length)
     if header < 20 or not begin <= end <= begin + MAX_PAYLOAD:
         return None

@@ -173,8 +173,8 @@ class Stream:
         """
         self.origin = (sequence - LEAD) & _MASK
         self.joining = True
-        # Bytes before this number count as acknowledged. So the wait for them is short: they come
-        # only if the capture swapped packets.
+        # Bytes before the first segment seen (at position LEAD) count as acknowledged. So the wait
+        # for them is short: they come only if the capture swapped packets.
         self.acknowledge(LEAD, arrival, ts_ns)
 
     def begins_at(self, sequence: int) -> bool:
@@ -208,10 +208,10 @@ class Stream:
         return not (undecided or self.held or self.finish is not None)
 
     def awaits(self, sequence: int) -> bool:
-        """True if a segment with this sequence number brings the next byte, and nothing is
-        undecided.
+        """True if a segment with this sequence number can be delivered at once.
 
-        No bytes wait for earlier ones, no FIN has come, and the stream's beginning is known.
+        It then begins with the next byte to deliver, no bytes wait for earlier ones, no FIN has
+        come, and the stream's beginning is known.
         """
         origin = self.origin
         return (
@@ -313,7 +313,7 @@ class Stream:
         return False
 
     def is_overfull(self) -> bool:
-        """True if more than MAX_HELD_BYTES or MAX_HELD_PIECES wait for earlier bytes."""
+        """True if more than MAX_HELD_BYTES bytes, or more than MAX_HELD_PIECES pieces, wait."""
         return self.held_bytes > MAX_HELD_BYTES or len(self.held) > MAX_HELD_PIECES
 
     def advance(self, data: bytes, length: int) -> None:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
 GATHER_NS = 1_000_000_000
-"""The shortest time between two reports, in ns."""
+"""The shortest time between two reports of errors of one port, in ns."""
 SHOWN = 8
 """The number of damaged bytes whose values a report shows."""
 

@@ -60,7 +60,7 @@ def local_ports(root: Path = Path("/")) -> list[LocalSerialPort]:
 
 
 def ports_by_pyserial() -> list[LocalSerialPort]:
-    """The serial ports as pyserial lists them, on any system."""
+    """Return the serial ports as pyserial lists them, which works on any system."""
     return [
         LocalSerialPort(
             device=info.device,

@@ -38,7 +38,7 @@ _COUNT = struct.Struct("<q")
 _PIPE_SIZE = 2**20
 
 MAX_DATA = getattr(select, "PIPE_BUF", 4096) - _HEADER.size
-"""The most bytes of data that a record can have."""
+"""The most bytes of data that a record can have, so that the record is not larger than PIPE_BUF."""
 
 
 class RecordKind(IntEnum):
@@ -89,7 +89,10 @@ class RecordWriter:
         self._let_writes_wait(False)
 
     def put(self, kind: RecordKind, ts_ns: int, data: bytes = b"") -> None:
-        """Write a record; if the pipe is full, drop it and count its data as lost."""
+        """Write a record with its time in UTC ns; if the pipe is full, drop the record.
+
+        The bytes of a dropped DATA or ANSWER record are counted for the next LOST record.
+        """
         if self._lost and self._write(RecordKind.LOST, ts_ns, _COUNT.pack(self._lost)):
             self._lost = 0
         if self._lost or not self._write(kind, ts_ns, data):

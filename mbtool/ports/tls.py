@@ -81,8 +81,9 @@ def server_context(tls: ListenTls) -> ssl.SSLContext:
 def why_outdated(option: str, cert: str) -> str | None:
     """Return a line for the user if the tap's own certificate has expired, otherwise None.
 
-    An expired certificate is still used, as not every peer checks the date. The result is also None
-    if the extra mbtool[tls] is not installed, or if the file cannot be read.
+    `cert` is the path of the certificate file, and `option` the option that named it. An expired
+    certificate is still used, as not every peer checks the date. The result is also None if the
+    extra mbtool[tls] is not installed, or if the file cannot be read.
     """
     try:
         end = end_of(Path(cert).read_bytes())

@@ -320,7 +320,7 @@ class _Unpacked(io.RawIOBase):
         """The number of bytes that may still be unpacked; it grows with the packed bytes read."""
 
     def is_log(self) -> None:
-        """Lower the limit on unpacked bytes to that of a compressed log."""
+        """Lower the limit on unpacked bytes, as the content is a log (see FREE_BYTES_OF_LOG)."""
         self._left -= FREE_BYTES - FREE_BYTES_OF_LOG
 
     def readable(self) -> bool:

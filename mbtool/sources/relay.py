@@ -146,7 +146,7 @@ class TcpRelay:
         return result.onward
 
     def answer_refused(self) -> None:
-        """Send the master the exceptions that can be sent now, and record them."""
+        """Send the master the exceptions that can be sent now, and record them as the slave's."""
         assert self.screen is not None
         onward = self.master.transport
         due = self.screen.due()

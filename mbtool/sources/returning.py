@@ -134,7 +134,7 @@ class ReturningSource(LiveSource[SerialLink | InterfaceLink]):
         return False
 
     def _must_end_within(self, pause_s: float) -> bool:
-        """Wait for `pause_s` seconds; return True as soon as this source is to end."""
+        """Wait for `pause_s` seconds; return True, even earlier, if this source is to end."""
         self._wanted.wait(pause_s)
         return self._is_closing
 

@@ -343,9 +343,9 @@ def _are_sent(found: Sequence[Character]) -> bool:
 
 
 def _repeats(one: Sequence[Character], other: Sequence[Character], tolerance: float) -> bool:
-    """True if nearly all characters of `one` are in `other` at the same time.
+    """True if at least the share _SAME of the characters of `one` are in `other` at the same time.
 
-    `tolerance` is the largest difference of their starts, in samples.
+    `tolerance` is the largest difference, in samples, between the starts of two equal characters.
     """
     same = at = 0
     for character in one:

@@ -5,7 +5,8 @@
 # process with a busy decoder, characters would arrive in bursts.
 #
 # The ends are named like any terminal (/dev/pts/7). Symbolic links can give them other names. An
-# existing symbolic link of such a name is replaced; any other file of that name is an error.
+# existing symbolic link of such a name is replaced if its target is gone; any other file of that
+# name, also the link of a running line, is an error.
 
 from __future__ import annotations
 
