@@ -58,7 +58,7 @@ def _addresses(points: list[Point], span: range) -> set[int]:
 def _touches(point: Point, span: range) -> bool:
     """True if `span` contains an address of the point.
 
-    For a point in a block, the addresses from the block's first one up to the point count, too.
+    Here, a point in a block also has all addresses from the block's first one up to its own.
     """
     last = point.addresses[-1] + point.words - 1
     first = point.address if point.block is None else point.block

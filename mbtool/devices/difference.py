@@ -10,7 +10,7 @@ import msgspec
 
 
 class DifferenceKind(StrEnum):
-    """Tells in which aspect two captures differ: a latency, a value, and so on."""
+    """The aspect in which two captures differ, such as a latency or a value."""
 
     SLAVE = "slave"
     REQUEST = "request"
@@ -20,14 +20,16 @@ class DifferenceKind(StrEnum):
 
 
 class Side(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """One of the two captures, at the place where they differ."""
+    """What one of the two captures has where they differ."""
 
     text: str
     """This capture's content in words, for a user; empty if the capture has nothing there."""
     count: int | None = None
-    """Number of transactions in this capture that the difference is about."""
+    """Number of transactions in this capture that the difference is about; None if they were not
+    counted."""
     values: list[int] | None = None
-    """The values of the register in this capture, if a single register differs; otherwise None."""
+    """The different values that the register had in this capture, in the order of their first
+    appearance. None if the difference is not about a single register."""
     median_ns: int | None = None
     p95_ns: int | None = None
 

@@ -286,7 +286,8 @@ class _Vocabulary:
         last = bisect_left(addresses, address + quantity)
         points = self._points[table, writing][first:last] if last > first else []
         # A block is a range of registers that a device returns only to a read from the block's
-        # first address on. Such a read has only points of the block; any other read has none.
+        # first address on. Such a read has only points of this block; any other read has only
+        # points outside all blocks.
         block = address if any(point.block == address for point in points) else None
         complete = [
             point

@@ -1,5 +1,7 @@
 """Describes a transaction in one line, in the words of its device's manual."""
 
+# Examples of such lines, each with the addresses and the named values of a transaction:
+#
 #     0102H A/D conversion enable/disable setting: CH1 CH2 CH6 CH8 enabled
 #     X10..X17 A/D conversion completion flag: CH1 CH2 CH6 CH8 on
 #     RWr2..RWr9 digital operation value: CH1 12000, CH2 4000, ...

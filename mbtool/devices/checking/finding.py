@@ -1,4 +1,4 @@
-"""A finding: says which rule is broken, where and when."""
+"""A finding of `mbtool check`: says which rule is broken, where and when."""
 
 from __future__ import annotations
 
@@ -42,7 +42,10 @@ class Finding:
 def transaction_finding(
     code: str, transaction: NamedTransaction, message: str, *, ts_ns: int | None = None
 ) -> Finding:
-    """Make a finding about a transaction. Its time is `ts_ns`, or else the transaction's start."""
+    """Make a finding with the code of a rule about a transaction.
+
+    Its time is `ts_ns`, or the transaction's start if that is None.
+    """
     return Finding(
         code=code,
         message=message,
@@ -58,7 +61,10 @@ def transaction_finding(
 
 
 def event_finding(code: str, event: WireEvent, message: str | None = None) -> Finding:
-    """Make a finding about a wire event. Without `message`, it has the message of the event."""
+    """Make a finding with the code of a rule about a wire event.
+
+    If `message` is None, the finding has the message of the event.
+    """
     return Finding(
         code=code,
         message=event.message if message is None else message,

@@ -212,7 +212,9 @@ def _is_identification(transaction: NamedTransaction) -> bool:
 
 
 def _function(transaction: NamedTransaction) -> str:
-    """The function code as text, for function 2B with the MEI type: `2B/0E`, `11H`."""
+    """Return the function code as text, such as `11H`; for function 2B with the MEI type,
+    `2B/0E`.
+    """
     if transaction.function == ENCAPSULATED:
         return f"2B/{transaction.sub_function:02X}"
     return f"{transaction.function:02X}H"

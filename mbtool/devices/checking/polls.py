@@ -144,7 +144,10 @@ class PollRules:
             poll.note_all(times)
 
     def close(self) -> Iterator[Finding]:
-        """Report the irregular polls at the end of the capture."""
+        """Yield a finding for each regular poll with irregular periods.
+
+        Call this method at the end of the capture.
+        """
         for poll in self._polls.values():
             text = _text(poll)
             if text is not None and poll.first is not None:

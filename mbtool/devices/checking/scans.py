@@ -176,9 +176,10 @@ def _request(transaction: NamedTransaction) -> int:
 
 
 def _is_missing(transaction: NamedTransaction, profile: Profile | None) -> bool:
-    """True if the unit refuses the function with exception 01, or should not have it.
+    """True if the unit refuses the request's function with exception 01, or probably does not have
+    it.
 
-    A unit should not have a function that neither the standard nor its profile lists.
+    It probably does not have a function that neither the standard nor its profile lists.
     """
     if transaction.exception == ExceptionCode.ILLEGAL_FUNCTION:
         return True

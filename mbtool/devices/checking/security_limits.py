@@ -46,10 +46,10 @@ class SecurityLimits:
 
     second_writer: SecurityLimit = SecurityLimit(1, 10 * _SECOND_NS)
     write_flood: SecurityLimit = SecurityLimit(300, 5 * _SECOND_NS)
-    """The limit for writes to one slave on a network."""
+    """The limit for the writes of one master to one slave on a network (SEC-102)."""
     line_write_flood: SecurityLimit = SecurityLimit(150, 5 * _SECOND_NS)
-    """The limit for writes on a serial line, which carries about 40 writes per second at 9600
-    baud."""
+    """The limit for all writes on a serial line (SEC-102). It is lower than that for networks,
+    because a line carries only about 40 writes per second at 9600 baud."""
     stop_command: SecurityLimit = SecurityLimit(1, 60 * _SECOND_NS)
     host_scan: SecurityLimit = SecurityLimit(10, 60 * _SECOND_NS)
     unit_scan: SecurityLimit = SecurityLimit(10, 60 * _SECOND_NS)

@@ -1,6 +1,6 @@
 """Reads the rows below the headings of a register list."""
 
-# A row with an address is a value. A row without an address is one of these:
+# A row with an address describes a value. A row without an address is one of these:
 #
 # - a heading that names a table ("Input registers", "Eingangsregister (FC 04)"): the rows below it
 #   that name no table are in this table
@@ -64,8 +64,8 @@ class BodyReader:
         self._section: TableCell | None = None
         self._rows: list[ListRow] = []
         self._follows_row = False
-        """True if the last row that was read has a value, or adds bits or texts to a value. Then
-        the next row may add to that value."""
+        """True if the row read before has a value, or adds bits or texts to a value. Then the next
+        row may add to that value, too."""
 
     def read(self) -> list[ListRow]:
         """Return the rows that have an address.

@@ -3,7 +3,7 @@
 # These entries become points (Home Assistant, integration Modbus):
 #
 #     sensors                  registers with type, scale, offset, precision, unit, swap, count
-#     binary_sensors           a coil or a discrete input; the whole register if it reads one
+#     binary_sensors           a coil or a discrete input; a whole register if the entry reads one
 #     switches, lights, fans   the coil or holding register that they write
 #     climates                 the measured temperature, and the register of the wanted temperature
 #

@@ -2,7 +2,7 @@
 
 # The table of a row comes from the first of these sources that names one:
 #
-#     1  the row's number (4x0001, HR1, 40001)
+#     1  the row's address as the list writes it (4x0001, HR1, 40001)
 #     2  the row's table column, or the heading above the row
 #     3  the user (--table)
 #     4  if no source names one, an on/off value is a coil, or a discrete input if the list says
