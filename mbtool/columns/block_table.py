@@ -35,7 +35,7 @@ class TransactionBatch:
     arrays as a whole, from SYN to FIN."""
     made: list[NamedTransaction] = field(default_factory=list)
     """The transactions that were read from arrays but are not common reads or writes
-    (usual_rows.py), so that an object was made of each."""
+    (usual_rows.py), so that an object was made for each."""
 
 
 class BlockTables:

@@ -157,7 +157,7 @@ class ColumnDecoder:
         """True if plain stretches of the block may be read from arrays.
 
         That is so if the order in which packets of different connections are decoded makes no
-        difference to the results.
+        difference to the results. It makes one, for example, if the packets' times go back.
         """
         segments = headers.segments
         if not len(segments.index):

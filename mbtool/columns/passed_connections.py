@@ -110,8 +110,8 @@ def _ended(
     connections: list[Connection],
     is_lower: list[bool],
 ) -> Iterator[EndedConnection]:
-    """Yield an EndedConnection for each connection in `whole`. By it the reassembler recognises
-    segments of the connection that come after its end.
+    """Yield an EndedConnection for each connection in `whole`. The reassembler uses it to recognise
+    segments that come after the end of the connection.
 
     `is_lower` is True for a connection whose master is the lower one of its two ends (by port, then
     address).

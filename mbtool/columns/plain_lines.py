@@ -68,7 +68,7 @@ class LineBatch:
     are missing for a connection that was read from arrays as a whole, from SYN to FIN."""
     made: list[NamedTransaction] = field(default_factory=list)
     """The transactions that were read from arrays but are not common reads or writes
-    (usual_rows.py), so that an object was made of each."""
+    (usual_rows.py), so that an object was made for each."""
 
 
 class BlockLines:
@@ -132,8 +132,9 @@ class BlockLines:
     def _forms_of(
         self, rows: PlainRows, usual: UsualValues, chosen: Int64s
     ) -> tuple[list[str], list[int]]:
-        """Return the templates for the rows with the indices `chosen`, and for each of these rows
-        the index of its template.
+        """Return the templates (lines with %s in place of each field that differs within a group)
+        for the rows with the indices `chosen`, and for each of these rows the index of its
+        template.
         """
         numbers: dict[object, int] = {}
         place_of = np.array([numbers.setdefault(one, len(numbers)) for one in rows.addresses])

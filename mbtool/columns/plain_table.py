@@ -1,8 +1,8 @@
 """Makes a pyarrow table of the transactions that were read from arrays."""
 
 # The table has a row per transaction. The columns of common reads and writes (usual_rows.py) are
-# computed from the arrays. Of every other transaction an object is made first, equal to the
-# Decoder's (plain_transactions.py).
+# computed from the arrays. For every other transaction, an object equal to the Decoder's is made
+# first (plain_transactions.py).
 #
 # The function's name, the reference and the findings of a common read or write depend only on its
 # function, address and quantity. So one transaction object is made for each combination of these
@@ -44,7 +44,7 @@ class PlainTables:
 
     def table(self, rows: PlainRows) -> tuple[pa.Table, list[NamedTransaction]]:
         """Return a table of all transactions in `rows`, and a list of those that are not common
-        reads or writes, of which objects had to be made.
+        reads or writes, for which objects had to be made.
         """
         usual = UsualValues(rows)
         chosen = np.flatnonzero(usual.is_usual)

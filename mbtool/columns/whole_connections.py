@@ -46,7 +46,7 @@ class WholeConnections:
     flow: Int64s
     """The number of the connection's flow: its pair of IP addresses and TCP ports."""
     stretch: Int64s
-    """The index, among the block's plain stretches, of its only one, which has all its
+    """The index of its only plain stretch among those of the block. This stretch has all its
     transactions."""
     opening: Int64s
     """The index in `Segments` of its SYN."""

@@ -28,8 +28,8 @@ _WRITE_QUANTITY = slice(7, 9)
 """The slice of a PDU that has the quantity to write, in a request with function 17H."""
 
 Ranges = dict[str, tuple[float | None, float | None]]
-"""By the name of a point: the least and the greatest value that its manual allows; None where there
-is no limit."""
+"""By the name of a point: the least and the greatest value that the device's manual allows; None
+where there is no limit."""
 
 
 def finding_text(code: str, profile: Profile | None = None) -> str:
@@ -153,8 +153,8 @@ def fixed_data(profile: Profile) -> dict[int, bytes]:
 
 
 def has_other_data(transaction: Transaction, fixed: bytes) -> bool:
-    """True if the bytes after the function code of a request do not begin with `fixed`, as the
-    manual demands.
+    """True if the manual demands that the bytes after a request's function code begin with `fixed`,
+    and those of this request do not.
     """
     data = request_data(transaction)
     return data is not None and not data.startswith(fixed)

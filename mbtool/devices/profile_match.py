@@ -86,7 +86,11 @@ class ProfileMatch:
 
     @property
     def score(self) -> int:
-        """A score from 0 to 100: how well the profile explains the slave."""
+        """A score from 0 to 100 for how well the profile explains the slave.
+
+        It is 100 or 0 if a model code decides. Otherwise `share` gives up to 90, and a name and a
+        refusal that confirm the profile give 5 each.
+        """
         if self.is_other_model:
             return 0
         if self.is_model:

@@ -42,8 +42,9 @@ class ScaleFactors:
         """Take a transaction into account, and return the slave's powers of ten, by the name of the
         point that holds them.
 
-        `read` are the points in the response, each with the index of its first value. If a point of
-        `names` has a value that is no exponent from -10 to 10, its power becomes unknown.
+        `read` are the points in the response, each with the index of its first value. If such a
+        point should hold a power of ten, but its value is not from -10 to 10, its power becomes
+        unknown.
         """
         key = (transaction.link, transaction.destination, transaction.unit)
         powers = self._slaves.pop(key, None)

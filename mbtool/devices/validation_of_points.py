@@ -30,7 +30,7 @@ class PartErrors:
 
 
 def validate_point(point: Point, errors: PartErrors) -> None:
-    """Check that the keys of a point fit together; does not compare them with the areas of the
+    """Check that the keys of a point fit together. Does not compare them with the areas of the
     profile.
 
     Raises ProfileError for the first mistake.

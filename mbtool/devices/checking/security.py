@@ -53,7 +53,10 @@ class SecurityRules:
         self._scans.transaction(transaction, source, slave, profile)
 
     def takes(self, run: QuietRun) -> bool:
-        """True if the method `run` may count these transactions together, not one by one."""
+        """True if the method `run` may count these transactions together, not one by one.
+
+        That is so if the rules about masters and those about scans both allow it.
+        """
         return self._masters.takes(run) and self._scans.takes(run)
 
     def run(self, run: QuietRun) -> None:

@@ -1,6 +1,6 @@
 """Makes findings from the finding codes of transactions, with figures in their messages."""
 
-# naming.py has put the codes of these findings into the transactions. `mbtool check` names every
+# naming.py has put the codes of the findings into the transactions. `mbtool check` names every
 # transaction again before it checks them, so that today's rules also apply to a log from an older
 # version, or to a log without the slave's profile.
 

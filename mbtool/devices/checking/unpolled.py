@@ -112,12 +112,15 @@ class Unpolled:
         self._scans: LruDict[_Scope, _UnpolledThings] = LruDict(lambda: _UnpolledThings(limit))
 
     def is_polled(self, scope: _Scope, item: Hashable) -> bool:
-        """True if a thing (an IP address, unit, function or register) is known to be polled."""
+        """True if `item`, an IP address, unit, function or register, is known to be polled.
+
+        `scope` is the source, slave and unit to which the item belongs.
+        """
         return (scope, item) in self._polled
 
     def set_polled(self, scope: _Scope, item: Hashable) -> None:
-        """Remember that the master polls a thing (an IP address, unit ...), so that it is not
-        counted.
+        """Remember that the master polls `item`, an IP address, unit, function or register, so that
+        the item is not counted. `scope` is the source, slave and unit to which it belongs.
         """
         self._attempts.pop((scope, item), None)
         self._polled[scope, item] = None

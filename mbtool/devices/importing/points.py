@@ -121,8 +121,8 @@ def _size(row: ListRow, area: Area, words: int) -> int:
     """Return the number of addresses that a row takes; `words` is the number for one value of its
     type.
 
-    Raises ValueError if the row's number is no multiple of `words`, or if the row ends beyond
-    address 65535.
+    Raises ValueError if the row's number of registers is no multiple of `words`, or if the row ends
+    beyond address 65535.
     """
     size = row.address.registers or (None if area.table.is_bits else row.registers) or words
     if size % words:
