@@ -22,14 +22,14 @@ class AlikeRequests:
     """
 
     like: NamedTransaction
-    """One of these transactions as an example; it may come from an earlier batch."""
+    """One of the transactions as an example of all; it may come from an earlier batch."""
     count: int
     begin_ns: int
     """The time (UTC ns) of the earliest request of the group."""
     end_ns: int
     """The time (UTC ns) of the latest response of the group."""
     latencies: list[int]
-    """The latency of each request in ns, in the order of the responses."""
+    """The latency (ns) of each request of the group, in the order of the responses."""
 
 
 @dataclass(slots=True)
@@ -42,7 +42,7 @@ class AnsweredRun:
     """
 
     kinds: list[AlikeRequests]
-    """The groups of equal requests, in the order in which they first appear."""
+    """The groups of equal requests, in the order in which they first appear in the batch."""
     kind: list[int]
     """For each transaction, the index in `kinds` of its group."""
     request_ns: list[int]

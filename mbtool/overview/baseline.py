@@ -264,7 +264,7 @@ def _macs(old: InventoryDocument, new: InventoryDocument) -> Iterator[InventoryC
 
 def _absent(old: InventoryDocument, new: InventoryDocument) -> Iterator[InventoryChange]:
     """Yield a change for each host with units that answered in the older inventory and are missing
-    in the newer one.
+    in the newer one. One change names all these units of a host.
     """
     present = {_key(row) for row in new.slaves}
     gone: dict[tuple[str, int | None], list[SlaveRow]] = {}

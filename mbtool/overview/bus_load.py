@@ -46,7 +46,7 @@ class BusLoad:
     watched_ns: int
     spent: LineTime
     other_ns: int
-    """The time (ns) taken by characters that belong to no frame."""
+    """The time (ns) taken by characters that belong to no frame, such as noise."""
 
     def share(self, ns: int) -> float:
         """Return `ns` as a share (0 to 1) of the time during which the line was watched."""

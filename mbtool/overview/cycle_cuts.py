@@ -19,8 +19,8 @@ MIN_CYCLES = 3
 """A sequence of requests must repeat at least this often to count as a poll cycle, as two equal
 sequences may be chance."""
 MIN_REQUESTS = 6
-"""All repetitions of a poll cycle together must have at least this many requests. So one request
-that was sent three times is no cycle."""
+"""All repetitions of a poll cycle together must have at least this many requests. So a single
+request that was sent only three times is no cycle."""
 _TRANSITIONS = 64
 """At most this many transitions (pairs of polls that follow each other) are tried as the beginning
 of a cycle, the most frequent first. In a cycle with more steps than that, all transitions are
@@ -47,7 +47,7 @@ class PollStart(NamedTuple, Generic[P]):
 
 
 class CutCycles(NamedTuple, Generic[P]):
-    """A sequence of requests, cut into poll cycles."""
+    """A sequence of requests in order of time, cut into poll cycles."""
 
     starts: Sequence[PollStart[P]]
     cuts: Sequence[int]

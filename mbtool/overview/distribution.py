@@ -34,7 +34,9 @@ class Bucket(NamedTuple):
 
 
 class Distribution:
-    """A set of durations in ns. Negative ones, caused by a clock that was set back, are ignored."""
+    """A set of durations in ns. `add` ignores negative durations, which come from a clock that was
+    set back.
+    """
 
     __slots__ = ("_buckets", "_limit", "bits", "count", "greatest", "least", "total")
 

@@ -134,7 +134,9 @@ def _confirmation(slave: ObservedSlave, profile: Profile, match: ProfileMatch) -
 
 
 def _names_model(slave: ObservedSlave, profile: Profile) -> bool:
-    """True if an identity text of the slave contains the profile's model name."""
+    """True if an identity text of the slave contains a word of the profile's name or title that
+    names a model, such as lt830.
+    """
     known = set(_MODEL_WORD.findall(f"{profile.title} {profile.name}".lower()))
     said = " ".join(slave.identity.values()).lower()
     return bool(known & set(_MODEL_WORD.findall(said)))

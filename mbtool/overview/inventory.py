@@ -49,14 +49,16 @@ MAX_TEXTS = 4
 
 MODEL_CODE = "model code"
 _WHOLE_DEVICE = frozenset((0, 255))
-"""Unit ids that address the host itself and no unit behind it (MODBUS Messaging on TCP/IP V1.0b,
-4.4.2)."""
+"""Unit ids that address the host itself, and not a unit behind it (MODBUS Messaging on TCP/IP
+V1.0b, 4.4.2)."""
 
 _Poll = tuple[SeenSlave, "SeenMaster | None", tuple[SeenUse, ...]]
 
 
 class Inventory:
-    """Collects the masters and slaves of all transactions that are added."""
+    """Collects the slaves and masters that occur in transactions. Transactions are added with `add`
+    or `add_run`; `document` returns the result.
+    """
 
     def __init__(self) -> None:
         self.transactions = 0
@@ -68,7 +70,7 @@ class Inventory:
         self._requests = 0
 
     def add(self, transaction: NamedTransaction) -> None:
-        """Add one transaction."""
+        """Count a transaction for its slave, master and functions."""
         self.transactions += 1
         poll = self._poll(transaction)
         if poll is not None:
@@ -115,8 +117,9 @@ class Inventory:
             poll = self._begin(transaction, master)
             if poll is None:
                 return None
-            # A request without an address may ask for the slave's identity. Each response to such
-            # a request is evaluated, since it may contain a new text.
+            # A request without an address may ask for the slave's identity, and its response may
+            # contain a new text. So it is not put into the table of equal requests, and each
+            # response is evaluated.
             is_identity = transaction.address is None
             if not is_identity and len(self._polls) < MAX_POLLS:
                 self._polls[key] = poll
@@ -259,7 +262,9 @@ class Inventory:
         self._requests += len(slave.observed.requests) - before
 
     def _gateways(self) -> set[tuple[str, int | None]]:
-        """The hosts, each with its port, at which two or more units answer."""
+        """The pairs of host and port at which two or more units have answered; unit ids 0 and 255
+        are not counted, as they may address the host itself.
+        """
         units = Counter(
             (one.host, one.port)
             for one in self._slaves.values()

@@ -24,7 +24,7 @@ AddressRange = tuple[int, int]
 
 
 class AddressRanges:
-    """A set of addresses to which ranges can be added."""
+    """A set of register or bit addresses, to which ranges of addresses can be added."""
 
     __slots__ = ("_firsts", "_lasts", "left_out")
 

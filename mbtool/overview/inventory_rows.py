@@ -17,13 +17,13 @@ MODBUS_PORT = 502
 
 
 class Role(StrEnum):
-    """The role of a unit or host on the network or the line."""
+    """The part that a unit or host plays on the network or the serial line."""
 
     SLAVE = "slave"
     GATEWAY = "gateway"
     """A slave at a host where several units answer: the host is a gateway to them."""
     SILENT = "silent"
-    """A unit that was asked and never answered."""
+    """A unit that was asked and never answered, or that a gateway could not reach."""
     UNHEARD = "unheard"
     """A unit that was asked, and whose responses, if it gave any, the capture could not contain. An
     example is a capture of only the master's packets."""
@@ -33,7 +33,7 @@ class Role(StrEnum):
 
 
 class FunctionUse(msgspec.Struct, kw_only=True):
-    """The requests of one master to one unit with one function code."""
+    """What the requests of one master to one unit with one function code accessed."""
 
     function: int
     name: str
@@ -46,12 +46,12 @@ class FunctionUse(msgspec.Struct, kw_only=True):
     """The addresses that were in at least one request not answered with an exception; the request
     may also have got no response at all."""
     refused: list[AddressRange] = []
-    """The addresses for which every request got an exception response."""
+    """The addresses in requests that were answered with an exception, without those in `ranges`."""
     unsupported: int = 0
-    """The number of requests that were answered with exception 01, illegal function."""
+    """The number of requests that were answered with exception code 01, illegal function."""
     left_out: int = 0
-    """The number of address ranges that were not kept, because the lists had reached the limit
-    MAX_RANGES of inventory_ranges.py."""
+    """The number of address ranges that were not kept, because `ranges` or `refused` already had
+    MAX_RANGES ranges (inventory_ranges.py)."""
 
     @property
     def all_ranges(self) -> list[AddressRange]:
@@ -59,7 +59,7 @@ class FunctionUse(msgspec.Struct, kw_only=True):
 
 
 class IdentityText(msgspec.Struct, frozen=True, kw_only=True):
-    """A text by which a slave identifies itself."""
+    """A text with which a slave identifies itself, such as a vendor's name."""
 
     function: int
     """The function code of the response that contained the text: 2BH (device identification), 11H
@@ -85,7 +85,7 @@ class ProfileFit(msgspec.Struct, kw_only=True):
 
 
 class SlaveRow(msgspec.Struct, kw_only=True):
-    """One unit of one host."""
+    """What the captures show about one unit of one host, or of one serial line."""
 
     host: str
     port: int | None = None
@@ -108,7 +108,8 @@ class SlaveRow(msgspec.Struct, kw_only=True):
     unanswered: int = 0
     """The number of requests that got no response, or only a gateway's exception response."""
     exceptions: dict[int, int] = {}
-    """The number of exception responses, by exception code."""
+    """The number of exception responses, by exception code. Exceptions of a gateway are among
+    them."""
     first_ns: int = 0
     last_ns: int = 0
     answered_ns: int = 0
@@ -132,16 +133,16 @@ class SlaveRow(msgspec.Struct, kw_only=True):
 
 
 class MasterRow(msgspec.Struct, kw_only=True):
-    """A host that sends requests."""
+    """What the captures show about a host that sends requests."""
 
     host: str
     macs: list[str] = []
     makers: list[str] = []
     requests: int = 0
     slaves: int = 0
-    """The number of units that this master sent requests to."""
+    """The number of units to which this master sent requests."""
     written: int = 0
-    """The number of units that this master sent write requests to."""
+    """The number of units to which this master sent write requests."""
     first_ns: int = 0
     last_ns: int = 0
 
@@ -156,8 +157,8 @@ class InventoryDocument(msgspec.Struct, kw_only=True):
     slaves: list[SlaveRow] = []
     masters: list[MasterRow] = []
     left_out: dict[str, int] = {}
-    """What the inventory lacks because a memory limit was reached: texts that name the data, each
-    with the number of missing items."""
+    """How much the inventory lacks because a memory limit was reached. The keys are texts such as
+    "requests were not compared with profiles"; the values are numbers."""
 
 
 def shown_host(host: str, port: int | None) -> str:
@@ -168,7 +169,9 @@ def shown_host(host: str, port: int | None) -> str:
 
 
 def iso_time(ns: int) -> str:
-    """Format a time in UTC ns as ISO 8601 with microseconds; empty outside the years 1 to 9999."""
+    """Format a time (UTC ns) as ISO 8601 with microseconds. Returns an empty text for a time
+    outside the years 1 to 9999.
+    """
     try:
         moment = datetime.fromtimestamp(ns // 1_000_000_000, UTC)
     except (OverflowError, ValueError, OSError):

@@ -1,6 +1,7 @@
 """The data that the inventory collects about slaves, functions and masters while it reads."""
 
-# Memory: at most MAX_MACS MAC addresses for each host; the caller limits the number of objects.
+# Memory: each object has at most MAX_MACS MAC addresses. The caller limits the numbers of
+# SeenSlave, SeenMaster and SeenUse.
 
 from __future__ import annotations
 
@@ -24,7 +25,7 @@ UNANSWERED = frozenset((Outcome.NO_ANSWER, Outcome.NOT_CAPTURED, Outcome.BROADCA
 
 @dataclass(slots=True)
 class Seen:
-    """When a host or unit was seen first and last (UTC ns), and with which MAC addresses."""
+    """When a unit or a master was seen first and last (UTC ns), and with which MAC addresses."""
 
     first_ns: int
     last_ns: int = 0
@@ -92,10 +93,11 @@ class SeenSlave:
 
 @dataclass(slots=True)
 class SeenMaster:
-    """A host that sends requests."""
+    """What was seen of a host that sends requests."""
 
     seen: Seen
     requests: int = 0
     slaves: set[int] = field(default_factory=set)
-    """The slaves that this master sent requests to: the `id()` of each SeenSlave."""
+    """The slaves that this master sent requests to. Each is identified by the `id()` of its
+    SeenSlave."""
     written: set[int] = field(default_factory=set)

@@ -19,16 +19,16 @@ HOUR_NS = 3_600_000_000_000
 
 
 class HourCount(NamedTuple):
-    """The number of requests in one hour that begins at `begin_ns` (UTC ns)."""
+    """The number of requests in the hour that begins at `begin_ns` (UTC ns)."""
 
     begin_ns: int
     requests: int
     missing: int
-    """The number of requests that got no answer."""
+    """The number of requests in the hour that got no answer."""
 
 
 class Hours:
-    """Counts requests and missing answers by hour (UTC)."""
+    """Counts the requests of a link, and the missing answers to them, for each hour (UTC)."""
 
     def __init__(self) -> None:
         self._hours: dict[int, list[int]] = {}
@@ -70,12 +70,14 @@ class LinkStatistics:
         self._format_of = format_of
         self.transport: Transport | None = None
         self.format: SerialFormat | None = None
-        """The settings of a serial line; None on a network, or if the bytes have no times."""
+        """The baud rate and character format of a serial line; None on a network, and if the bytes
+        have no times."""
         self.has_times = True
         """False for a serial line whose bytes have no times, because the capture file stores only
         the bytes."""
         self.is_mixed = False
-        """True if the settings of the line are not the same in all captures that were read."""
+        """True if the baud rate, the character format or the transport of the link differs between
+        the captures that were read."""
         self.other_bytes = 0
         """The number of bytes on the line that belong to no frame. This includes the second copy of
         frames that an adapter hears twice, because it hears its own bytes."""
@@ -85,7 +87,7 @@ class LinkStatistics:
         self._earlier_ns = 0
         self._span: tuple[int, int] | None = None
         self._is_new = True
-        """True until the first transaction of the current capture is noted."""
+        """True until the first transaction of the current capture on this link is noted."""
 
     def note(self, one: NamedTransaction) -> None:
         """Extend the time during which the link was watched, so that it includes the transaction

@@ -18,12 +18,15 @@ MAX_ASKED = 2048
 
 
 class TapedRequest(NamedTuple):
-    """A request, with the poll that it belongs to. Requests sort by time, then by number."""
+    """A request, and the poll that it belongs to. Requests compare by time, and at equal times by
+    number.
+    """
 
     at_ns: int
     """The time (UTC ns) of the request's last byte."""
     number: int
-    """The running number of the transaction, in the order in which transactions were completed."""
+    """The number of the transaction, in the order in which transactions were completed. It
+    is 0 if the request was added to the tape in a batch."""
     poll: PollStatistics
     end_ns: int
     """The time (UTC ns) of the response's last byte; without a response, of the request's last
@@ -93,7 +96,9 @@ class MasterTape:
         return self._last is not None and self._last.is_missing
 
     def cut(self) -> None:
-        """Forget all requests, because another capture begins."""
+        """Forget all requests, because a new capture begins, which does not continue the poll
+        cycles of the last one.
+        """
         self._asked.clear()
         self._later.clear()
         self._last = None

@@ -49,11 +49,11 @@ if TYPE_CHECKING:
 P = TypeVar("P", bound="Hashable")
 
 MOST = 0.9
-"""If at least this share (0 to 1) of the requests is in equal cycles, these are accepted, and no
-other way of grouping the polls is tried."""
+"""If at least this share (0 to 1) of the requests is in equal cycles, the cycles are accepted, and
+the polls are not grouped in another way."""
 MANY = 0.4
-"""At least this share (0 to 1) of the requests must be in equal cycles for the cycle to be a polled
-list."""
+"""If the polls cannot be grouped, a cycle is taken as a polled list only if at least this share (0
+to 1) of the requests is in equal cycles."""
 _REGULAR = 0.2
 """The time from one request of a poll to the next is regular if it differs from the poll's median
 period by at most this share of the median."""
@@ -124,9 +124,10 @@ class PollList(Generic[P]):
     """A sequence of requests that a master sends again and again, in cycles. Times are in ns."""
 
     steps: tuple[PollStep[P], ...]
-    """The steps in the order of the requests; the first one follows the longest pause."""
+    """The steps in the order in which the master sends them; the longest pause is before the first
+    one."""
     cycles: int
-    """The number of cycles that had exactly the steps of the list, in their order."""
+    """The number of cycles that had exactly the steps of the list, in the order of the list."""
     other_cycles: int
     """The number of cycles that lacked a step of the list, had another one in addition, or had the
     steps in another order."""
@@ -134,9 +135,11 @@ class PollList(Generic[P]):
     """The durations (ns), sorted, of the cycles that had exactly the steps of the list; each counts
     from the beginning of the cycle to that of the next."""
     whole_ns: int | None
-    """The median duration of the cycles in which no answer is missing; None if there is none."""
+    """The median duration (ns) of the cycles in which no answer is missing; None if there are no
+    such cycles."""
     missing_ns: int | None
-    """The median duration of the cycles in which an answer is missing; None if there is none."""
+    """The median duration (ns) of the cycles in which at least one answer is missing; None if there
+    are no such cycles."""
 
     @property
     def period_ns(self) -> int:
@@ -168,12 +171,12 @@ class PollList(Generic[P]):
 
 @dataclass(frozen=True, slots=True)
 class PollLists(Generic[P]):
-    """The sequences of requests that a master sends in cycles, and its other requests."""
+    """The lists that a master polls in cycles, and the requests that it sends in between."""
 
     lists: tuple[PollList[P], ...]
     """The polled lists, the one with the shortest period first."""
     between: Mapping[P, int]
-    """For each poll that is in no list, the number of its requests, not counting retries."""
+    """For each poll that is in no list, the number of its requests; retries are not counted."""
     timeout_ns: int | None
     """The estimated response timeout of the master (ns); None if the master never waited in
     vain."""

@@ -69,14 +69,14 @@ class PollStatistics:
         self.device = first.device
         self.tally = RequestTally()
         self.period = Distribution(_PERIOD_BUCKETS)
-        """The times (ns) from one request of the poll to the next; retries are left out."""
+        """The times (ns) from one request of the poll to the next; retries are no requests here."""
         self.repetitions = 0
         """The number of retries: requests that directly follow an equal request without a
         response."""
         self._last_ns: int | None = None
 
     def begin(self, at_ns: int) -> None:
-        """Note a request of the poll that is no retry, at `at_ns` (UTC ns)."""
+        """Note a request of the poll that is no retry. `at_ns` (UTC ns) is its time."""
         if self._last_ns is not None:
             self.period.add(at_ns - self._last_ns)
         self._last_ns = at_ns

@@ -28,9 +28,10 @@ WINDOW = 2048
 
 
 class _AskedColumns(NamedTuple):
-    """Answered TCP requests in the order of their responses, as three lists of equal length.
+    """Answered TCP requests in the order in which they were added, as three lists of equal length.
 
-    The lists hold the time of each request, its poll, and the time of its response (UTC ns).
+    The lists have the time of each request (UTC ns), its poll, and the time of its response (UTC
+    ns).
     """
 
     at_ns: list[int]
@@ -46,7 +47,8 @@ class RequestOrder:
     def __init__(self, links: Mapping[str, LinkStatistics]) -> None:
         self._links = links
         self.tapes: OrderedDict[tuple[str, str], MasterTape] = OrderedDict()
-        """The last requests of each master, by link and the master's host."""
+        """The tape (the last requests) of each master; the key is the link and the master's
+        host."""
         self.late = 0
         """The number of requests left out because a later request had already been passed on."""
         self._heap: list[TapedRequest] = []

@@ -11,11 +11,13 @@ if TYPE_CHECKING:
     from mbtool.devices.named_transaction import NamedTransaction
 
 MAX_EXCEPTIONS = 256
-"""The number of possible exception codes: a code is one byte."""
+"""The most exception codes that are counted separately: all that are possible, as a code is one
+byte."""
 
 
 class RequestTally:
-    """The outcomes and latencies of a group of transactions: of one poll, function or unit.
+    """The number of outcomes, and the latencies, of a group of transactions: those of a poll, a
+    function, a unit or a link.
 
     A transaction whose request or response is missing from the capture has an outcome of its own
     (NOT_CAPTURED), so that it does not count against the device.
@@ -39,7 +41,8 @@ class RequestTally:
         self.requests = 0
         """The number of transactions whose request is in the capture."""
         self.exceptions: dict[int, int] = {}
-        """The number of requests answered with an exception response, by exception code."""
+        """The number of requests answered with an exception response; the key is the exception
+        code."""
         self.exception_names: dict[int, str] = {}
         self.unsolicited_exceptions = 0
         """The number of exception responses without a request; these are not in `exceptions`."""
@@ -47,7 +50,8 @@ class RequestTally:
         """The number of requests without a valid response, because the response that came had a
         wrong CRC or LRC. They are counted as unanswered, too."""
         self.retries = 0
-        """The number of requests that repeat an equal request which got no response."""
+        """The number of requests that are retries: they repeat an equal request which got no
+        response."""
         self.latency = Distribution()
         """The latencies (ns): the times from the end of a request to the start of its response."""
         self.request_bytes = 0

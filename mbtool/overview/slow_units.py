@@ -13,8 +13,8 @@ if TYPE_CHECKING:
 K = TypeVar("K")
 
 SLOW = 3
-"""A unit is slow if its median latency is at least this many times the median of the other units'
-median latencies, and at least SLOW_NS."""
+"""A unit is slow if its median latency is at least this many times the usual one. The usual one is
+the median of the other units' median latencies. The latency must also be at least SLOW_NS."""
 SLOW_NS = 10_000_000
 """The least median latency of a slow unit, in ns."""
 ENOUGH_ANSWERS = 5

@@ -71,7 +71,7 @@ class Statistics:
         self.devices: dict[tuple[str, int], str] = {}
         self.function_names: dict[int, str] = {}
         self.connections: dict[tuple[str, str], ConnectionTally] = {}
-        """The counts of TCP connections, by link and the master's host."""
+        """The counts of TCP connections; the key is the link and the master's host."""
         self.transactions = 0
         self._order = RequestOrder(self.links)
         self._damaged = DamagedAnswers()

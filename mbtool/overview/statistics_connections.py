@@ -32,10 +32,11 @@ class ConnectionTally:
     """The number of connections that a tap (a relay between master and slave) refused, for example
     because it could not reach the slave."""
     closed: dict[str, int] = field(default_factory=dict)
-    """The number of closed connections by reason: finished, reset, refused, replaced, idle,
-    discarded, capture-end, other."""
+    """The number of closed connections, by the reason that the CLOSED event names: finished (FIN),
+    reset (RST), refused, replaced by a new connection with the same ports, idle for long,
+    discarded (too many connections), capture-end (still open then), or other."""
     keep_alives: int = 0
-    """The number of TCP keep-alive probes, from both ends."""
+    """The number of TCP keep-alive probes that master and slave sent."""
     unanswered_keep_alives: int = 0
     """The number of keep-alive probes that the peer had not answered when a connection closed."""
     most_at_once: int = 0
@@ -43,7 +44,7 @@ class ConnectionTally:
     _open: int = 0
 
     def add(self, event: WireEvent) -> None:
-        """Count an event of kind OPENED, CLOSED or REFUSED."""
+        """Count an event about a connection: OPENED, CLOSED, or REFUSED by a tap."""
         if event.kind is EventKind.REFUSED:
             self.refused_by_tap += 1
         elif event.kind is EventKind.OPENED:

@@ -30,7 +30,7 @@ class FunctionReport:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PollReport:
-    """The statistics of one poll, and for how long its transactions occupied the serial line."""
+    """The statistics of one poll, and how much of a serial line's time its transactions took."""
 
     poll: PollStatistics
     line_time: LineTime | None
@@ -66,7 +66,7 @@ class LinkReport:
     tally: RequestTally
     load: BusLoad | None
     functions: list[FunctionReport]
-    """One entry for each pair of unit and function, sorted by unit, then function."""
+    """One entry for each pair of unit and function code, sorted by unit, then by function code."""
     polls: list[PollReport]
     """The polls, in the order in which they were first seen."""
     masters: list[MasterReport]

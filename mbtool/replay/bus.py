@@ -36,7 +36,7 @@ BEHIND_NS = 1_000_000
 
 @dataclass(frozen=True, slots=True)
 class ByteRun:
-    """Bytes to be sent without a silence between them."""
+    """Bytes that are sent one right after the other, without a silence between them."""
 
     position_ns: int
     """The recorded time of the first byte, in ns from the beginning of the part that is played."""
@@ -64,8 +64,8 @@ class BusPlayer:
         the first byte."""
         self.bytes = 0
         self.delayed = 0
-        """The number of runs sent more than BEHIND_NS late because the port was still sending
-        earlier bytes."""
+        """The number of runs that were sent more than BEHIND_NS after their recorded time because
+        the port was still sending earlier bytes."""
         self.lateness = Sample()
         """How late (ns) each run was sent after its recorded time. Runs counted in `delayed` and
         runs that the user sent with the step key are left out."""

@@ -24,9 +24,9 @@ _STEP = 2
 
 
 class PlayClock:
-    """Tells the position in a recording that is played, for each real time.
+    """Tells which position of a recording is played at a given real time.
 
-    It does not advance before `run` is called, and after `pause`.
+    The position does not advance before `run` is called, and after `pause`.
     """
 
     def __init__(
@@ -64,7 +64,7 @@ class PlayClock:
         return self._anchor_ns is not None
 
     def position(self, now_ns: int) -> int:
-        """The position at a real time, in ns of recorded time since the beginning of the
+        """The position at the real time `now_ns`, in ns of recorded time since the beginning of the
         first lap.
         """
         if self._anchor_ns is None or self._rate is None:
@@ -72,7 +72,9 @@ class PlayClock:
         return self._anchor_position_ns + (now_ns - self._anchor_ns) * self._rate // 1
 
     def in_recording(self, position_ns: int) -> int:
-        """Convert a position to the time in ns since its lap began: 0 to the recording's length."""
+        """Convert a position to the time (ns) since its lap began; the result is between 0 and the
+        recording's length.
+        """
         if self._lap_ns is not None:
             position_ns %= self._lap_ns
         return min(max(position_ns, 0), self.length_ns)
@@ -88,7 +90,7 @@ class PlayClock:
         return self._lap_ns is not None
 
     def lap_begin(self, lap: int) -> int:
-        """The position at which a lap begins; laps are numbered from 0."""
+        """The position (ns) at which the lap with this number begins; laps are numbered from 0."""
         return lap * self._lap_ns if self._lap_ns is not None else 0
 
     def is_over(self, now_ns: int) -> bool:

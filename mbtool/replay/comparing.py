@@ -53,12 +53,12 @@ divided by old) are alike: the greater factor is at most ALIKE times the smaller
 
 @dataclass(frozen=True, slots=True)
 class Ignored:
-    """The parts of captures that are not compared."""
+    """What the user wants to leave out of the comparison of two captures."""
 
     spans: Sequence[Span] = ()
     """Registers and bits whose values are not compared."""
     latency: bool = False
-    """True if latencies are not compared."""
+    """True if latencies shall not be compared."""
 
 
 def differences(
@@ -109,7 +109,9 @@ def _only_slave(key: SlaveKey, one: SlaveTraffic | None, other: SlaveTraffic | N
 
 @dataclass(frozen=True, slots=True)
 class _LatencyShift:
-    """A significant change of one request's latencies between captures `a` and `b`."""
+    """A significant change of the latencies of one request from capture `a` to capture `b`.
+    `is_slower` is True if they became longer.
+    """
 
     request: RequestKey
     p: float
@@ -135,7 +137,7 @@ class _LatencyShift:
 
 
 class _SlaveComparison:
-    """Compares one slave's traffic in two captures."""
+    """Compares the requests, values and latencies of one slave in two captures."""
 
     def __init__(
         self,
@@ -146,9 +148,10 @@ class _SlaveComparison:
         ignored: Ignored,
         alpha: float,
     ) -> None:
-        """Compare the traffic `a` and `b` of one slave.
+        """Prepare to compare the traffic `a` and `b` of one slave, each from one capture.
 
-        `alpha` is the significance level of each statistical test.
+        `alpha` is the significance level of each statistical test; `ignored` says what is not
+        compared.
         """
         self._key = key
         self._a = a
@@ -292,9 +295,10 @@ def _name(key: RequestKey, request: RequestTraffic) -> str | None:
 
 
 def _is_same(a: ObservedValues, b: ObservedValues) -> bool:
-    """True if a register had the same values in both captures.
+    """True if a register had the same set of values in both captures.
 
-    If it had more than MAX_VALUES values, only the least and the greatest value are compared.
+    If it had more than MAX_VALUES values in one of them, only the least and the greatest value are
+    compared.
     """
     bounds = (a.least, a.greatest) == (b.least, b.greatest)
     return a.values.keys() == b.values.keys() or (bounds and not (a.is_all and b.is_all))

@@ -49,7 +49,9 @@ class _SentRequest:
 
 
 class Conductor:
-    """Plays the recorded requests of a script once, or in a loop without end."""
+    """Decides which recorded request of a script is sent when; plays the script once, or in a loop
+    without end.
+    """
 
     def __init__(self, script: Script, clock: PlayClock, judge: Judge, limits: LinkLimits) -> None:
         self._queue = PlayQueue(script.steps, clock)
@@ -64,7 +66,7 @@ class Conductor:
         """How late (ns) requests were sent after their recorded time. Requests that had to wait for
         anything but the clock, such as a response, are left out."""
         self.unsolicited = 0
-        """The number of responses that belonged to no pending request."""
+        """The number of responses that came when no request was pending for them."""
 
     @property
     def has_ended(self) -> bool:

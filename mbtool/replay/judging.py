@@ -77,7 +77,7 @@ class Tolerance:
 
 @dataclass(slots=True)
 class _RequestResult:
-    """The results of one request and its repetitions."""
+    """The results of one request and its repetitions, as they are collected."""
 
     step: Step
     count: int = 0
@@ -141,9 +141,9 @@ class RequestReport(msgspec.Struct, frozen=True, kw_only=True):
     """The addresses in the request, in the notation of the device; its bytes if it has none."""
     count: int
     different: int
-    """The number of responses that differed from the recorded ones."""
+    """The number of responses to the request that differed from the recorded ones."""
     time_ns: int
-    """The sum of the latencies of all responses to the request, in ns."""
+    """The sum of the latencies of all new responses to the request, in ns."""
     problems: list[str]
     """One text for each outcome that differs from the recorded one, and one if the latencies are
     too long, such as "recorded ok, answered exception 02"."""
@@ -186,7 +186,7 @@ class Judge:
         self.count = 0
         """The number of played requests that were judged, also those without a response."""
         self.wrong = 0
-        """The number of compared responses that differed from the recorded ones."""
+        """The number of requests whose new response (or silence) differed from the recorded one."""
 
     def judge(self, step: Step, response: bytes | None, latency_ns: int | None) -> bool:
         """Compare the new response to a step (a recorded request) with the recorded response.
@@ -219,7 +219,9 @@ class Judge:
         return is_right
 
     def differences(self) -> list[Difference]:
-        """Return all differences, sorted by unit: outcomes first, then values, then latencies."""
+        """Return all differences, sorted by unit. For each unit, outcomes come first, then values,
+        then latencies.
+        """
         alpha = self._alpha()
         results = self._results.values()
         outcomes = (one for result in results for one in _outcomes(result))
@@ -370,7 +372,7 @@ class Judge:
 
 
 def _soonest(values: Iterable[float]) -> float:
-    """The 2nd percentile of `values`; the least of fewer than 50 values."""
+    """The 2nd percentile of `values`; of fewer than 50 values, the least one."""
     ordered = sorted(values)
     return ordered[len(ordered) // 50]
 
@@ -423,10 +425,10 @@ def _length(pdu: bytes) -> str:
 
 
 def _differing_bytes(pdu: bytes, other: bytes) -> tuple[str, str]:
-    """Return two PDUs as short texts in which their difference can be seen.
+    """Return two PDUs as short texts in which a difference of the PDUs can be seen.
 
-    The texts show the first SHOWN_BYTES bytes of both; if these are equal, the bytes from the first
-    difference on.
+    Each text shows SHOWN_BYTES bytes: the first ones if the PDUs differ in these, otherwise those
+    from the first difference on.
     """
     first = next((at for at, (a, b) in enumerate(zip(pdu, other, strict=False)) if a != b), None)
     if first is None or first < SHOWN_BYTES:

@@ -1,8 +1,11 @@
 """Decides how long a slave that plays a recording takes for each response."""
 
 # A recorded latency is divided by the rate of playing (recorded time divided by real time); a fixed
-# latency is in real time. A response that is not recorded, but made from the register image or by a
-# simulated device, gets a latency that the recording has for the unit and function.
+# latency is in real time.
+#
+# Some responses are not recorded, but made from the register image or by a simulated device. Unless
+# the latency is fixed, they get the median of the latencies that the recording has for the unit and
+# function, or one drawn from these.
 
 from __future__ import annotations
 
@@ -60,7 +63,9 @@ class FixedLatency:
 
 
 class SampledLatency:
-    """Gives each response a latency drawn from those recorded for its unit and function."""
+    """Gives each response, recorded or not, a latency drawn at random from those recorded for its
+    unit and function.
+    """
 
     is_recorded_time = True
 

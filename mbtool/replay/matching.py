@@ -36,13 +36,14 @@ _EXCEPTION_BIT = 0x80
 
 
 class MatchStrategy(StrEnum):
-    """How to find the answer to a request."""
+    """How the player finds the answer to a request of the live master."""
 
     AUTO = "auto"
     """As KEY. For a request that the recording lacks, the response comes from the register image
     (the recorded values at the player's time), else from the simulated device."""
     SEQUENCE = "sequence"
-    """A request is answered only if it is the next one in the recording."""
+    """Only the request that comes next in the recording is answered; any other gets no recorded
+    answer."""
     KEY = "key"
     """Each time the same request (unit, function, addresses and values) comes, it gets its next
     recorded answer."""
@@ -54,8 +55,8 @@ class MatchStrategy(StrEnum):
 
     @property
     def by_clock(self) -> bool:
-        """True if the position in the recording follows the clock; False if it follows the
-        requests.
+        """True if the clock gives the position in the recording; False if the requests of the live
+        master move it.
         """
         return self in (MatchStrategy.TIME, MatchStrategy.IMAGE)
 
@@ -109,7 +110,7 @@ class Found(NamedTuple):
 
 
 class Matcher(Protocol):
-    """Finds the recorded answers to requests."""
+    """Finds the recorded answer to a request. Each class that does so follows another strategy."""
 
     def find(self, key: Key, moment: Moment) -> Found | NoAnswer: ...
 

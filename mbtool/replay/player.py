@@ -81,7 +81,8 @@ class AnsweredFrom(StrEnum):
     PROFILE = "profile"
     """The simulated device that was made from the device's profile."""
     NOWHERE = "never recorded"
-    """The request got an exception or no response, as the recording tells nothing about it."""
+    """An exception response or no response, because the recording tells nothing about the
+    request."""
 
 
 class Device(Protocol):
@@ -94,7 +95,7 @@ class Device(Protocol):
 
 
 class RecordedSlave:
-    """A Responder that answers like the slaves of a recording."""
+    """A Responder that answers as the slaves of a recording did."""
 
     def __init__(
         self,
@@ -146,7 +147,7 @@ class RecordedSlave:
         self.answered_from: Counter[AnsweredFrom] = Counter()
         """The number of requests from the live master, by what their answers were taken from."""
         self.missed = 0
-        """The number of requests from the live master that have no answer in the recording."""
+        """The number of requests that are not in the recording, to units that answer in it."""
 
     @property
     def asked(self) -> int:
@@ -154,7 +155,7 @@ class RecordedSlave:
         return self.answered_from.total()
 
     def begin(self, now_ns: int) -> None:
-        """Start the clock, if it has not been started; the first request does so, too."""
+        """Start the clock, unless it was started before. The first request starts it, too."""
         self._steering.begin(now_ns)
 
     def respond(self, unit: int, pdu: bytes, now_ns: int) -> Response | None:
@@ -183,7 +184,9 @@ class RecordedSlave:
         return self._make_up(unit, pdu, found, now_ns)
 
     def control(self, control: Control, now_ns: int) -> None:
-        """Apply a key that the user has pressed: pause, step, faster or slower."""
+        """Carry out the command of a key that the user has pressed: pause, step, faster or
+        slower.
+        """
         self._steering.apply(control, now_ns)
 
     def progress(self, now_ns: int) -> Progress:
@@ -275,7 +278,8 @@ class RecordedSlave:
         values = (response.numbers() or ())[: len(access.reads)]
         if response.problem is not None or len(values) < len(access.reads):
             return answer
-        # A matcher by the clock may find an answer recorded later than the clock's time.
+        # If the matcher uses the clock, the answer may have been recorded later than the clock's
+        # time.
         place = min(self._place(), Place(self._lap, recorded.at_ns))
         shown = self._writes.in_answer(unit, access.table, access.reads.start, values, place)
         return answer if shown == list(values) else response_to(request, pdu, shown)

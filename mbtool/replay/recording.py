@@ -43,7 +43,7 @@ Key = tuple[int, bytes]
 
 @dataclass(frozen=True, slots=True)
 class RecordedAnswer:
-    """The recorded response to one request, or the lack of a response."""
+    """The recorded response to a request; it may be that there was none."""
 
     pdu: bytes | None
     """The PDU of the response; None if there was no intact response."""
@@ -67,7 +67,7 @@ class Recording:
 
     def __init__(self) -> None:
         self.units: set[int] = set()
-        """The units that answered at least one request."""
+        """The units from which the recording has at least one intact response."""
         self.answers: dict[Key, list[RecordedAnswer]] = {}
         self.order: list[tuple[Key, RecordedAnswer]] = []
         self._values: dict[tuple[int, Table], Timeline] = {}
@@ -191,7 +191,8 @@ class Recording:
         at_ns = _answered_ns(transaction)
         for unit in self.units if is_broadcast else (transaction.unit,):
             timeline = self._values.setdefault((unit, access.table), Timeline())
-            # A mask write (16H) changes only some bits, so the value before the write is needed.
+            # A mask write (16H) changes only some bits of a register, so the register's value
+            # before it is needed.
             before = timeline.last(access.writes) if request.code == 0x16 else []
             if access.writes:
                 after = None if before is None else values_after(request, before)

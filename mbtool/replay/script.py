@@ -37,7 +37,7 @@ class Step:
     unit: int
     pdu: bytes
     expected: bytes | None
-    """The PDU of the recorded response; None if there was none, or if it was not captured."""
+    """The PDU of the recorded response; None if there was none, or if the capture lost it."""
     latency_ns: int | None
     """The latency of the recorded response in ns; None if there was none."""
     is_broadcast: bool
@@ -72,7 +72,8 @@ class Script:
         asked.sort(key=lambda each: each[0])
         steps: list[Step] = []
         pdus: dict[bytes, bytes] = {}
-        """Gives equal PDUs one common bytes object, to save memory."""
+        """Each PDU as key and as value, so that equal PDUs share one bytes object and memory is
+        saved."""
         open_until: dict[int, int] = {}
         """The requests that were pending when the present request was recorded. The key is the
         number of the request's step, the value the time (UTC ns) at which its response came."""
@@ -103,7 +104,7 @@ class Script:
 
     @property
     def length_ns(self) -> int:
-        """The time in ns from the first request to the last."""
+        """The time (ns) from the first request of the script to the last."""
         return self.steps[-1].position_ns if self.steps else 0
 
     @property

@@ -38,7 +38,7 @@ probability is at most this much higher, which allows for rounding errors."""
 
 @dataclass(frozen=True, slots=True)
 class Shift:
-    """The result of a rank test of samples a and b."""
+    """The result of a rank test that compares the samples a and b."""
 
     p: float
     """The p-value: the probability of a difference at least as great as the one found, if both

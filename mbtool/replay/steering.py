@@ -33,7 +33,8 @@ class Progress:
     """The state of a player, to be shown to the user."""
 
     position_ns: int
-    """Recorded time in ns from the beginning of the part that is played."""
+    """The position in ns of recorded time, from the beginning of the part that is played; each lap
+    begins at 0."""
     length_ns: int
     lap: int
     """How many times the recording was played to its end before; 0 in the first round."""
@@ -72,7 +73,9 @@ class Steering:
         self.has_begun = False
 
     def begin(self, now_ns: int) -> None:
-        """Start the clock at the first call, unless the user has paused it."""
+        """Start the clock when this is called first. If the user has paused the player before, the
+        clock stays paused.
+        """
         if not self.has_begun:
             self.has_begun = True
             if not self.is_paused:

@@ -127,7 +127,7 @@ class RequestTraffic:
 
 @dataclass(slots=True)
 class ObservedValues:
-    """The values that a register or bit had."""
+    """The different values that a register or bit had in a capture."""
 
     values: dict[int, None] = field(default_factory=dict)
     """The different values, as keys of a dict that keeps the order in which they were first seen;
@@ -243,9 +243,10 @@ class Traffic:
         return self._has_all_slaves and all(slave.is_complete for slave in self._slaves.values())
 
     def slaves(self, unique: frozenset[int]) -> dict[SlaveKey, SlaveTraffic]:
-        """Return the traffic of each slave.
+        """Return the traffic of each slave of the capture.
 
-        A unit in `unique` is identified by its number alone, any other by number and link.
+        A slave whose unit number is in `unique` is identified by that number alone, any other by
+        number and link.
         """
         return {
             SlaveKey(unit, None if unit in unique else link): slave

@@ -81,7 +81,9 @@ def values_text(observed: ObservedValues, point: PointInstance | None) -> str:
 
 
 def latency_side(sample: Sample) -> Side:
-    """The median and 95th percentile of a sample of latencies; the sample must not be empty."""
+    """Return the median and the 95th percentile of latencies (ns), also as a text. The sample must
+    not be empty.
+    """
     ordered = sorted(sample.values)
     median, p95 = median_low(ordered), ordered[min(len(ordered) - 1, len(ordered) * 95 // 100)]
     return Side(

@@ -37,7 +37,9 @@ def transport_of(link: LinkSpec) -> Transport:
 
 
 class Asker:
-    """Sends requests to one unit, and returns each with its response as a named transaction."""
+    """Sends requests to one unit as its master, and returns each with its response as a named
+    transaction.
+    """
 
     def __init__(self, master: MasterLink, link: LinkSpec, unit: int, profile: Profile | None):
         self._master = master

@@ -122,7 +122,7 @@ NOTHING = CheckedRecord(None, None, [])
 
 
 class CheckRun:
-    """Reads files once, checks them and counts the findings."""
+    """Reads files once, checks their content against the rules, and counts the findings."""
 
     def __init__(
         self,

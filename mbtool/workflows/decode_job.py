@@ -46,7 +46,7 @@ class JobOptions:
     rtu_ports: Sequence[int] = ()
     any_port: bool = False
     is_anew: bool = False
-    """True to decode again also the captures that an earlier job has decoded."""
+    """True to decode captures again that an earlier job has decoded."""
     share: tuple[int, int] | None = None
     """For a job that several machines share: the number of this machine's part, from 0, and the
     number of all parts. None to decode all captures."""
@@ -63,7 +63,9 @@ class JobOptions:
 
 @dataclass(slots=True)
 class DecodeJob:
-    """Decodes the captures that match patterns into a folder, or a prefix of an object store."""
+    """Decodes the captures whose paths match patterns. The results go into a folder, or to a prefix
+    of an object store.
+    """
 
     patterns: Sequence[str]
     output: str
@@ -75,7 +77,8 @@ class DecodeJob:
     """The outcomes of captures that an earlier job decoded, but could not read to their ends."""
 
     def run(self, executor: Executor) -> Iterator[FileOutcome]:
-        """Decode the captures that are not decoded yet, and yield the outcome of each.
+        """Decode the captures that are not decoded yet, with the processes of `executor`, and yield
+        the outcome of each.
 
         Raises InputError if there are no captures, OutputError if the output cannot be used.
         """

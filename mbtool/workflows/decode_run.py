@@ -64,7 +64,8 @@ class DecodeTask(msgspec.Struct, frozen=True, kw_only=True):
     records: list[str]
     """For each file, the name (without suffix) of the record to write when the file was decoded."""
     older: list[list[str]]
-    """For each file, the names of the records that earlier jobs wrote for the same path."""
+    """For each file, the names of the records that earlier jobs wrote for the same path. They
+    are deleted or replaced once the file is decoded."""
     ports: list[int] = []
     rtu_ports: list[int] = []
     any_port: bool = False
@@ -78,7 +79,8 @@ class FileOutcome(msgspec.Struct, kw_only=True, omit_defaults=True):
     changed_ns: int
     sha256: str = ""
     parquet: str = ""
-    """The path of the file's Parquet file, below the output folder; empty if there is none."""
+    """The path of the Parquet file made from this file, relative to the output folder; empty if
+    there is none."""
     transactions: int = 0
     error: str = ""
     """Why the file was not read, or not to its end; empty if it was read to its end."""

@@ -66,7 +66,9 @@ the demo's slaves always respond."""
 
 @dataclass(frozen=True, slots=True)
 class Agreement:
-    """The result of comparing the responses replayed from the log with the recorded ones."""
+    """The result of comparing the responses of the replayed slaves with those of the
+    recorded ones.
+    """
 
     asked: int
     differences: tuple[Exchange, ...]

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DiffOptions:
-    """How two captures are read, and which transactions and values of them are compared."""
+    """How two captures are read, and which of their transactions and values are compared."""
 
     reading: ReadingOptions
     wanted: Callable[[NamedTransaction], bool] = lambda _: True

@@ -30,7 +30,7 @@ class ExportForm(StrEnum):
 
     @property
     def suffixes(self) -> tuple[str, ...]:
-        """The suffixes that a file of this format may have."""
+        """The suffixes that the name of a file in this format may have."""
         match self:
             case ExportForm.TOML:
                 return (".toml",)

@@ -50,8 +50,8 @@ def recover(
 
 
 def loss_text(loss: LogLoss) -> str:
-    """Describe a lost part of a log in one line: its position in the file, its bytes, its times,
-    and the damage.
+    """Describe a lost part of a log in one line: its bytes in the file, its times, and the
+    damage.
     """
     size = loss.end - loss.offset
     return f"lost: bytes {loss.offset} to {loss.end} ({size:,} bytes), {_times(loss)}: {loss.what}"

@@ -135,7 +135,7 @@ class BusRun:
 
 
 def _let_pass(player: BusPlayer) -> None:
-    """Wait until the last byte has left the port, as closing the port earlier could discard it."""
+    """Wait until the port has sent its last byte, as closing it earlier could discard bytes."""
     if player.passed_ns is not None:
         time.sleep(max(player.passed_ns - time.monotonic_ns(), 0) / _NS)
 

@@ -55,7 +55,7 @@ to read them."""
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MasterOptions(PlayOptions):
-    """The options for replaying a recording as the master."""
+    """The options for replaying a recording as the master, which sends the recorded requests."""
 
     is_loop: bool = False
     timeout_ns: int = _NS
@@ -74,7 +74,7 @@ class Report(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     recording: str
     link: str
     requests: int
-    """The number of requests that were sent."""
+    """The number of requests that were sent, repetitions in a loop included."""
     different: int
     """The number of requests whose responses were not as recorded."""
     unsolicited: int

@@ -163,7 +163,9 @@ class SiteRun:
 
 
 class PlayedSite:
-    """The slaves of a recording on their links; their clocks start at the same time."""
+    """The slaves of a recording on their links. Their clocks start together, at the first request
+    on any link.
+    """
 
     def __init__(self, played: Sequence[tuple[SitePlayer, PlayedSlave]]) -> None:
         self.played = played

@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 RECORDED, NONE, SAMPLED = "recorded", "none", "sampled"
 _DURATION = re.compile(r"(\d{1,6}(?:\.\d{1,6})?)(us|ms|s)", re.ASCII)
 MAX_LATENCY_NS = 1_000_000_000_000
-"""The longest time (ns) that --latency accepts, 1000 s: no master waits that long."""
+"""The longest time (ns) that --latency accepts: 1000 s, longer than any master waits."""
 _UNITS_NS = {"us": 1_000, "ms": 1_000_000, "s": 1_000_000_000}
 _SEED = 0
 """The seed of the random numbers for `--latency sampled`. It is fixed, so that all runs draw the
@@ -56,7 +56,9 @@ same latencies."""
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SlaveOptions(PlayOptions):
-    """The options for replaying a recording as the slave."""
+    """The options for replaying a recording as the slave, which answers with the recorded
+    responses.
+    """
 
     match: MatchStrategy = MatchStrategy.AUTO
     on_miss: OnMiss = OnMiss.IMAGE

@@ -58,7 +58,7 @@ limit, as a reason may contain a text that the master sent."""
 
 
 class Sniffer:
-    """Captures from links, decodes, and writes a log if wanted.
+    """Captures bytes and packets from links, decodes them, and writes them to a log if wanted.
 
     It is a context manager: entering it opens the links, leaving it completes the log.
     """
@@ -190,7 +190,9 @@ class Sniffer:
             raise lost
 
     def _tell_clock_step(self) -> None:
-        """Put an event into the inbox if somebody has set the system's clock."""
+        """Put an event into the inbox if somebody has set the system's clock since the last
+        call.
+        """
         at_ns = now_ns()
         if at_ns - self._looked_ns < CLOCK_LOOK_NS:
             return

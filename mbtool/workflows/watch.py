@@ -343,7 +343,11 @@ def make_watched(
     format_of: Callable[[str], SerialFormat | None],
     profile_for: Callable[[NamedTransaction], Profile | None],
 ) -> Watched:
-    """Create the data that a view shows, still empty."""
+    """Return the data that a view shows, still without records.
+
+    `format_of` returns the baud rate and character format of a link by name, and `profile_for` the
+    device profile for a transaction; both return None if there is none.
+    """
     return Watched(format_of, profile_for)
 
 

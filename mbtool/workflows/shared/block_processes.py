@@ -129,7 +129,9 @@ class BlockProcesses:
 
 
 class _BlockProcess:
-    """One child process that prints decoded blocks."""
+    """One child process that prints decoded blocks, with the files in memory and the thread for its
+    replies.
+    """
 
     def __init__(self, format_: str, output: int | None) -> None:
         self._slots = [_file_in_memory() for _ in range(SLOTS)]

@@ -191,7 +191,9 @@ def _cut(chunk: Chunk, line: SerialFormat) -> Iterator[_Heard]:
 
 
 def _evidence(path: str, options: ReadingOptions) -> Iterator[tuple[LineSettings, Chunk]]:
-    """Yield the chunks of serial bytes in a file, each with the settings of its line."""
+    """Yield the chunks of serial lines in a file, without decoding them, each with the settings of
+    its line.
+    """
     given = options.line or LineSettings(SerialFormat())
     with open_capture(path, options.line) as capture:
         if capture.kind is CaptureKind.MCAP:

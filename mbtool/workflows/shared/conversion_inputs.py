@@ -47,7 +47,7 @@ class _InputFile(NamedTuple):
 
 @dataclass(slots=True)
 class InputGroup:
-    """The input files that together are one capture, and the options for reading them."""
+    """Input files that together are one capture, and what is known of them."""
 
     paths: list[str]
     options: ReadingOptions

@@ -64,7 +64,7 @@ class EvidenceMarks:
 
 
 class EvidenceReading(Reading):
-    """Decodes captures once, and notes which packets and frames each transaction consists of."""
+    """Decodes a capture, and notes which packets and frames each transaction consists of."""
 
     def __init__(self, paths: Sequence[str], options: ReadingOptions) -> None:
         super().__init__(paths, options)

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from mbtool.logs.messages import DecodingMark, LogItem
 
 HEARTBEAT_NS = 60_000_000_000
-"""The time in ns between two heartbeats."""
+"""The time (ns) from one heartbeat to the next, while nothing changes."""
 
 
 class StatusLog(FindingsLog, Protocol):
@@ -82,7 +82,9 @@ class Counts:
 
 
 class HeartbeatLog:
-    """Passes all items on to a log writer, counts them, and adds the heartbeats."""
+    """A log writer that passes all items on to another one, counts them, and adds the
+    heartbeats.
+    """
 
     def __init__(
         self,

@@ -23,7 +23,8 @@ class MissingParts:
     def __init__(self) -> None:
         self._cut = 0
         self._shortest = self._longest = 0
-        """The lengths in bytes of the shortest and the longest cut packet."""
+        """The captured lengths, in bytes, of the shortest and the longest cut packet; 0 if none was
+        cut."""
         self._dropped = 0
         self._left_out: list[str] = []
 

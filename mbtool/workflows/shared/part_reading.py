@@ -19,7 +19,7 @@ class PartReading(Reading):
     """
 
     def parts(self) -> Iterator[Record | AnsweredRun]:
-        """Yield all transactions and events.
+        """Yield all transactions and events, one by one.
 
         A subclass may yield many answered requests together as one AnsweredRun.
         """

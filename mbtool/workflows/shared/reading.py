@@ -91,7 +91,7 @@ class Reading:
         self._items = 0
         """The number of items decoded so far: packets, serial reads, events of ports or taps."""
         self._serial_packets = 0
-        """The number of packets that contain bytes of a serial line."""
+        """The number of packets read so far that contain bytes of a serial line."""
         self._has_found = False
         """True once a transaction or event was found in the files."""
         self._has_decoded = False
@@ -371,7 +371,7 @@ class Reading:
             )
 
     def _end_capture(self) -> Iterator[Record]:
-        """End the capture: yield the records that its decoder still holds."""
+        """End the capture: yield the transactions and events that its decoder still holds."""
         decoder, self._decoder = self._decoder, None
         self._part, self._seam = None, Seam()
         if decoder is not None:

@@ -48,7 +48,7 @@ BEHIND_NS = 250_000_000
 recording is killed and there is no mark, the log lacks at most the decoded records of this time,
 and what was not on the disk yet."""
 _MARK_NS = 100_000_000
-"""While the decoder is behind, a mark is written to the log at this interval (ns)."""
+"""While the decoder is behind, a mark that says so is written to the log at this interval (ns)."""
 
 
 class Log(Protocol):
@@ -154,7 +154,9 @@ class Recorder:
             self._thread = None
 
     def close(self) -> None:
-        """Complete the log, after `stop`. Raises OutputError if it cannot be written."""
+        """Complete the log; call it after `stop`. Raises OutputError if the log cannot be
+        written.
+        """
         final = {
             "discarded_packets": str(self._discarded_packets),
             "discarded_bytes": str(self._discarded_bytes),

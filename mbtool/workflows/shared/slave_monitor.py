@@ -115,7 +115,9 @@ class SlaveMonitor:
         ]
 
     def missed(self) -> int:
-        """Return the number of requests dropped since the last call."""
+        """Return the number of requests that were dropped since the last call, because too many
+        waited to be shown.
+        """
         told, self._missed_told = self._missed_told, self._missed
         return self._missed_told - told
 

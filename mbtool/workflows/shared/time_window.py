@@ -42,7 +42,7 @@ class TimeWindow:
 
     @classmethod
     def parse(cls, start: str | None, end: str | None) -> TimeWindow:
-        """Parse the values of --start and --end.
+        """Make a window from the values of --start and --end; None for an option that is not given.
 
         Raises UsageError for a text that is no time, and for an end that is not after the start.
         """
@@ -55,7 +55,7 @@ class TimeWindow:
 
     @property
     def is_whole(self) -> bool:
-        """True if the window is the whole capture."""
+        """True if the window is the whole capture, as neither --start nor --end is given."""
         return self.start is None and self.end is None
 
     @property
