@@ -318,7 +318,7 @@ class Decoder:
         if detector is not None and state is ProtocolState.UNDECIDED:
             detector.hold(item.event)
             return []
-        # For an unrecognised connection, report only data lost to a limit.
+        # For a connection without a detector, report only data that was dropped at a limit.
         is_reported = state is None and item.event.kind is EventKind.DISCARDED
         return [item.event] if is_reported else []
 
@@ -376,7 +376,7 @@ class Decoder:
         )
 
     def _is_expected(self, connection: Connection) -> bool:
-        """True if Modbus is expected: one of the ports is named, or `any_port` is off."""
+        """True if Modbus is expected: `any_port` is off, or the user named a port, or it is 502."""
         ports = self._ports
         named = connection.slave.port in ports or connection.master.port in ports
         return named or not self._any_port

@@ -15,7 +15,7 @@ _PATTERNS = {
     "LDAP": re.compile(rb"(?s)\x30(?:\x84....|[\x05-\x7F])\x02[\x01-\x04]"),
     # RFC 1006, 6: version 3, a zero, the length, and the length and kind of a COTP header.
     "TPKT, as of S7 or RDP": re.compile(rb"(?s)\x03\x00...[\xE0\xD0\xF0]"),
-    # [C706], 12.6.3: version 5.0 or 5.1, a packet type.
+    # The Open Group's C706, 12.6.3: version 5.0 or 5.1, then a packet type of 00 to 13H.
     "DCE/RPC": re.compile(rb"\x05[\x00\x01][\x00-\x13]"),
 }
 _TLS_RECORD = re.compile(rb"(?s)[\x14-\x17]\x03[\x01-\x04](?:[\x00-\x3F].|[\x40-\x48].)")

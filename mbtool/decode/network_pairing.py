@@ -79,7 +79,8 @@ response is still paired with its request."""
 MAX_HELD = 32
 """The most responses held back until something decides which request they answer."""
 HOLD_NS = 3_000_000_000
-"""The longest time that a response is held back, in ns. A user who watches sees it that late."""
+"""The longest time that a response is held back, in ns: a user who watches a live capture sees the
+transaction so much later."""
 DOUBTFUL = 0.5
 """The confidence (0 to 1) of a transaction whose response may as well belong to another request."""
 

@@ -219,5 +219,5 @@ def _in_doubt(adu: Adu) -> Adu:
 
 
 def _answers(response: Adu, request: Adu) -> bool:
-    """True if a response has the unit and the function of a request; it may be an exception."""
+    """True if a response, or exception response, has the unit and the function of a request."""
     return request.unit == response.unit and is_response_code(request.pdu[0], response.pdu[0])

@@ -123,7 +123,7 @@ class ProtocolDetector:
             _ProtocolCandidate(
                 connection, rtu=framing, swapped=swap, expected=expected and not (framing and tcp)
             )
-            # RTU first: 01 03 00 00 00 02 C4 0B is an RTU frame and also a Modbus/TCP ADU.
+            # RTU comes first: an RTU frame like 01 03 00 00 00 02 C4 0B is a Modbus/TCP ADU, too.
             for swap in roles
             for framing, is_possible in ((True, rtu), (False, tcp))
             if is_possible
@@ -378,7 +378,7 @@ class _ProtocolCandidate:
                 self.is_ruled_out = True
 
     def may_begin_with(self, heads: Mapping[Direction, bytes]) -> bool:
-        """True if `heads`, the first bytes by direction, are empty or may begin an ADU."""
+        """True if no bytes came, `heads` (by direction) may begin an ADU, or an ADU was damaged."""
         if any(_has_bad_check(one) for one in self.decoded) or not any(heads.values()):
             return True
         if not self._is_rtu:

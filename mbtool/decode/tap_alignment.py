@@ -67,7 +67,7 @@ class TapRequest:
 
 
 def can_answer(request: Adu, response: Adu) -> bool:
-    """True if `response` has the unit and the function of `request`; it may be an exception."""
+    """True if a response, or exception response, has the unit and the function of a request."""
     return request.unit == response.unit and is_response_code(request.pdu[0], response.pdu[0])
 
 

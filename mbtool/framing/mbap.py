@@ -59,8 +59,9 @@ LONGEST_LENGTH = 1454
 messages of up to about 1 KB."""
 
 MAX_REQUEST_NS = 30_000_000_000
-"""A request gets a remark if its first and last byte are further apart than this, in ns. FA3
-modules disconnect a master that takes longer, by default (their manual, 10.3, register 00F5H)."""
+"""A request gets the verdict LATE_PARTS if its first and last byte are further apart than this, in
+ns. By default, FA3 modules disconnect a master that takes longer (their manual, 10.3, register
+00F5H)."""
 
 _LENGTH_END = MBAP_BYTES - 1
 _MODBUS = b"\x00\x00"

@@ -2,9 +2,9 @@
 
 # A burst is the bytes from one silence of t3.5 to the next. An adapter or a program that holds
 # bytes back for up to 255 ms delivers a request and its retry as one burst, like a request and its
-# response. The silence between the two then tells nothing. Such an adapter shows no short silence:
-# the next burst comes when the time is over. Only a full buffer is delivered sooner, so the
-# silences before and behind it tell nothing.
+# response. Then the silence between two frames does not tell who speaks. Such an adapter shows no
+# short silence between bursts, since it delivers the next burst only when its time is over. Only a
+# full buffer is delivered sooner, so the silences before and behind it are not counted.
 
 from __future__ import annotations
 
@@ -41,11 +41,12 @@ class BurstStatistics:
         self._size = 0
         """The number of bytes of the current burst so far."""
         self._silence_ns = inf
-        """The silence before the current burst, in ns."""
+        """The silence before the current burst, in ns; inf if it is unknown or lies inside a frame,
+        so that it does not count."""
         self._was_full = False
         """True if the burst before the current one was a full buffer."""
         self._shortest_ns = inf
-        """The shortest recent silence between two bursts, in ns."""
+        """The shortest recent silence between two bursts, in ns; inf before the first one."""
         self._bursts = 0
         """The number of bursts before which the silence was compared with the shortest one."""
 

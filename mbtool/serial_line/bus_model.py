@@ -226,7 +226,10 @@ class BusModel:
     def _learn_response(
         self, pending: PendingRequest, pdu: bytes, start_ns: int, is_sure: bool
     ) -> None:
-        """Learn from a frame that fits the pending request as its response."""
+        """Learn from a response that fits the pending request and began at `start_ns`.
+
+        `is_sure` is False if the frame is ambiguous: it may be a retry instead.
+        """
         history = self.history
         latency_ns = start_ns - pending.awaited_from_ns
         if is_sure and pdu != pending.pdu:
@@ -335,9 +338,9 @@ class BusModel:
     def may_be_slow(self, unit: int, pdu: bytes, start_ns: int) -> bool:
         """True if a frame that equals the pending request may be a retry or a slow response.
 
-        It is False if this line has shown retries, or so slow a response. Else the frame must come
-        MIN_RETRY_NS or more after the request, when some masters repeat it, and at most
-        SLOW_DOUBLINGS doublings later than the longest response time of the line.
+        It is False if this line has shown retries, or a response as slow. Otherwise it is True if
+        the frame comes MIN_RETRY_NS or more after the request, when some masters repeat it, but
+        within 8 times (SLOW_DOUBLINGS) the longest response time of the line.
         """
         history, pending = self.history, self.state.pending
         if pending is None or not history.trusts_silences or history.timeout.is_known:

@@ -179,7 +179,8 @@ UNKNOWN_CRC_COINCIDENCE = 8.0
 that their function does not tell: about 256 lengths were tried, so chance makes one of them fit
 more often."""
 DAMAGED = 10.0
-"""The cost, in bits, of a frame of the expected size with a wrong CRC."""
+"""The cost, in bits, of a frame with a wrong CRC that has the size its function tells: on a good
+line, one frame in a thousand is damaged."""
 DAMAGED_OTHER_SIZE = 3.0
 """Extra cost, in bits, of a damaged frame that lost bytes, or whose size only the silences around
 it tell."""
@@ -257,8 +258,8 @@ with the unit and function of a request that is pending, given up or just answer
 are 16 bits of evidence."""
 ENDS_IN_ZERO = 5.0
 """Extra cost, in bits, of a frame that ends in 00, if its function does not tell its size: its CRC
-is correct without that byte too. One frame in 256 ends in 00, and one stray byte in four is 00, so
-it depends on how frequent stray bytes are on this line."""
+is correct without that byte too. One frame in 256 ends in 00, and one stray byte in four is 00. So
+the 00 may be either, and which is more likely depends on how frequent stray bytes are."""
 ENDS_IN_ZERO_MORE = 6.0
 """Extra cost, in bits, of each further 00 at the end of a frame whose function does not tell its
 size: one byte in 256 of a CRC is 00 (8 bits), but one stray byte in four (2 bits). So the 00 is 6

@@ -61,7 +61,7 @@ class LineStatistics:
         self.glue = LearnedCost(costs.GLUED if timed else 0.0, costs.GLUED_LIMITS)
         self.split = LearnedCost(costs.SPLIT, costs.SPLIT_LIMITS)
         self.one_bit = LearnedCost(costs.RARE_ONE_BIT, costs.RARE_ONE_BIT_LIMITS)
-        """The cost of explaining damage by one wrong bit. Only damaged frames are counted."""
+        """The cost of explaining damage by one wrong bit, learned from damaged frames only."""
 
 
 class LatencyStatistics:
@@ -70,13 +70,13 @@ class LatencyStatistics:
     __slots__ = ("_heard", "_longest_ns")
 
     INITIAL_NS = 200_000_000
-    """The response time assumed to be the longest until enough responses are heard, in ns: slow
-    devices take so long."""
+    """The longest response time, in ns, that is assumed before the first response. Slow devices
+    take so long."""
     MIN_NS = 10_000_000
     """The longest response time is never taken to be less than this, in ns, since adapters deliver
     bytes in blocks."""
     ENOUGH_RESPONSES = 16
-    """Number of responses after which INITIAL_NS no longer counts."""
+    """The number of responses from which on INITIAL_NS no longer counts."""
     MIN_WRITE_NS = 20_000_000
     """A response to a write that takes no longer than this, in ns, is never late, however fast the
     line's reads are."""
