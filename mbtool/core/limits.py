@@ -21,7 +21,7 @@ to 200 ms)."""
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LinkLimits:
-    """What a master keeps to on a link: its timeout, its pauses, and if it sends one by one."""
+    """The rules that a master keeps on a link: its timeout, its pauses, one request at a time."""
 
     timeout_ns: int = RESPONSE_TIMEOUT_NS
     """The longest time that the master waits for a response, in ns."""

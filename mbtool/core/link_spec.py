@@ -110,7 +110,10 @@ class AutoLink:
     only_ascii: bool = False
 
     def settled(self, format_: SerialFormat, *, ascii: bool) -> SerialLink:  # noqa: A002
-        """Return the serial link with these ports and the settings that were found by listening."""
+        """Return the serial link with these ports and the settings that were found by listening.
+
+        `ascii` is True if the line carries ASCII, False if it carries RTU.
+        """
         return SerialLink(self.ports[0], format_, ascii, *self.ports[1:])
 
     @property

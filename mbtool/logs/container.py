@@ -86,7 +86,7 @@ class Container:
         return len(self._chunk) + len(self._sealed)
 
     def add_topic(self, name: str, schema: TopicSchema) -> Topic:
-        """Add a topic with the schema of its messages.
+        """Add the topic `name`, such as "/bus/events", with the schema of its messages.
 
         The caller adds at most MAX_CHANNELS topics: MCAP has 16 bits for a channel's id.
         """
@@ -114,7 +114,7 @@ class Container:
         return topic
 
     def add_message(self, topic: Topic, log_ns: int, publish_ns: int, data: bytes) -> None:
-        """Add a message with its log and publish time (ns).
+        """Add a message, encoded as `data`, with its log time and its publish time (ns).
 
         Times outside 0 to MAX_TIME are set to the nearer limit.
         """

@@ -44,7 +44,10 @@ class ImpossibleItems:
         return True
 
     def events(self, ts_ns: int) -> Iterator[WireEvent]:
-        """Yield one event that tells how many messages were left out. A second call yields none."""
+        """Yield one event that tells how many messages were left out; none if there were none.
+
+        `ts_ns` is the event's time in UTC ns. A second call yields nothing.
+        """
         if self._count:
             text = (
                 f"{self._count} {plural(self._count, 'message')} of the log left out, with numbers "
@@ -55,7 +58,10 @@ class ImpossibleItems:
 
 
 def _field(data: bytes, name: str) -> object:
-    """Return one field of a JSON message; "too deep" if the message nests too deep to be parsed."""
+    """Return the value of the field `name` of `data`, a message in JSON.
+
+    Returns "too deep" if the message nests too deep to be parsed.
+    """
     try:
         return msgspec.json.decode(data, type=dict[str, object])[name]
     except RecursionError:

@@ -67,7 +67,10 @@ class Rotation:
 
 
 class RotatingLog(ClosesOnExit):
-    """Writes a log as LogWriter does, but begins a new file when one has reached its Rotation."""
+    """A log in several files: writes as LogWriter does, and begins a new file at each limit.
+
+    A Rotation gives the limit, a size or a time.
+    """
 
     def __init__(
         self,
@@ -145,7 +148,10 @@ class RotatingLog(ClosesOnExit):
         self._add_to_each(lambda writer: writer.add_profile(name, profile_json))
 
     def give_points_topics(self) -> None:
-        """From now on, write each point (a named value) that changes to a topic of its own, too."""
+        """Have each point (a named value of a device) written to a topic of its own, too.
+
+        From now on, a point is written there whenever it has changed.
+        """
         self._add_to_each(lambda writer: writer.give_points_topics())
 
     def add_status(self, values: Mapping[str, str]) -> None:

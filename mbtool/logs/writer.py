@@ -214,16 +214,19 @@ class LogWriter(ClosesOnExit):
         self._container.add_metadata(DEVICE, _clean({"who": who, "profile": profile}))
 
     def give_points_topics(self) -> None:
-        """From now on, write each point (a named value) that changes to a topic of its own, too."""
+        """Have each point (a named value of a device) written to a topic of its own, too.
+
+        From now on, a point is written there whenever it has changed.
+        """
         self._point_topics = PointTopics()
 
     def add_status(self, values: Mapping[str, str]) -> None:
-        """Add a heartbeat: metadata on the state of the recording."""
+        """Add a heartbeat: `values` describe the state of the recording, and become metadata."""
         self._join_reads()
         self._container.add_metadata(STATUS, _clean(values))
 
     def add_profile(self, name: str, profile_json: bytes) -> None:
-        """Attach a complete device profile, as JSON."""
+        """Attach the complete device profile `name`, as JSON."""
         self._join_reads()
         (clean,) = _clean({name: ""})
         self._container.add_attachment(clean, PROFILE_MEDIA_TYPE, profile_json)
@@ -352,9 +355,9 @@ class LogWriter(ClosesOnExit):
 
 
 def topic_name(link: str, kind: str) -> str:
-    """The name of a topic, such as "/bus/events".
+    """The name of a topic: "/bus/events" for the link "bus" and the kind "events".
 
-    Link "" stands for a topic that all links share.
+    Link "" stands for a topic that all links share: "/events".
     """
     return f"/{link.replace('/', '_')}/{kind}" if link else f"/{kind}"
 

@@ -381,7 +381,7 @@ class TcpConnection:
                     self._deliver(stream, stream.release())
                     moved = True
             if not moved:
-                # Try first a stream whose first byte is not yet known (`joining`).
+                # Try first a stream whose beginning is not yet known: no gap is reported for it.
                 streams = sorted(self._directions[0], key=lambda stream: not stream.joining)
                 moved = any(self._give_up(stream, force) for stream in streams)
 

@@ -207,10 +207,11 @@ class Fragments:
         return self._cost
 
     def feed(self, fragment: Fragment, ts_ns: int, link: str, scope: str = "") -> list[Datagram]:
-        """Take a fragment; return the packets whose reassembly ended, whole or given up.
+        """Take a fragment that was captured at `ts_ns` (UTC ns).
 
-        `link` is the interface that captured the fragment. Only fragments with the same `scope`
-        are put together: the interface, or "" to put fragments from all interfaces together.
+        Returns the packets whose reassembly ended with it, whole or given up. `link` is the
+        interface that captured the fragment. Only fragments with the same `scope` are put together:
+        the interface, or "" to put fragments from all interfaces together.
         """
         done = self.advance(ts_ns)
         key = (scope, fragment.key)
@@ -318,7 +319,8 @@ def fragment_events(
 ) -> list[WireEvent]:
     """Return the events to report for a packet whose reassembly ended at `ts_ns` (UTC ns).
 
-    They report fragments that overlap or are missing.
+    They report fragments that overlap or are missing. The ports are those of the TCP header in the
+    packet.
     """
     reports = []
     if datagram.overlap is Overlap.SAME:

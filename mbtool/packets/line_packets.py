@@ -114,14 +114,18 @@ class LineEnds(NamedTuple):
 
     @classmethod
     def of(cls, link_number: int, unit: int, master_port: int = MASTER_PORT) -> LineEnds:
-        """Return the addresses for link number `link_number` (1 to 255) and a unit."""
+        """Return the addresses for link number `link_number` (1 to 255) and a unit.
+
+        `master_port` is the master's made-up UDP port.
+        """
         return cls(bytes((10, 0, 0, link_number)), bytes((10, 0, link_number, unit)), master_port)
 
 
 def line_datagram(ends: LineEnds, number: int, payload: bytes, *, is_request: bool) -> bytes:
     """Return an IPv4 packet with a UDP datagram that carries `payload`.
 
-    The lower 16 bits of `number` become the identification in the IPv4 header.
+    The master sends it if `is_request` is True, else the slave. The lower 16 bits of `number`
+    become the identification in the IPv4 header.
     """
     source, destination = ends.master, ends.slave
     ports = [ends.master_port, MODBUS_PORT]

@@ -53,7 +53,7 @@ class PcapForm(NamedTuple):
     order: str
     """The byte order as a format character of `struct`: `<` or `>`."""
     unit_ns: int
-    """The nanoseconds in one unit of the fraction of a second."""
+    """The nanoseconds in one unit of a time stamp's fraction of a second: 1000 or 1."""
     extra: int
     """The number of bytes that each record's header has beyond the usual 16."""
     link_type: int

@@ -262,7 +262,8 @@ class _Reader:
 def _options(header: Struct, data: bytes) -> dict[int, bytes]:
     """Return the contents of a block's options by option code.
 
-    If the list of options is cut off, only those before the cut are returned.
+    `data` has the options, `header` is the format of an option's code and length. If the list of
+    options is cut off, only those before the cut are returned.
     """
     options: dict[int, bytes] = {}
     at = 0

@@ -241,7 +241,8 @@ class TcpReassembler:
     def _feed_ip(self, data: bytes, at: int, length: int, ts_ns: int, link: str) -> bool:
         """Take the IP packet at offset `at` of `data`; return False if it is a fragment or no TCP.
 
-        `length` is how many bytes the captured packet had on the wire.
+        `length` is how many bytes the captured packet had on the wire, `ts_ns` its time in UTC ns,
+        and `link` the interface that captured it.
         """
         place = find_tcp(data, at, length)
         if place is None:
@@ -265,7 +266,7 @@ class TcpReassembler:
         """Take the TCP segments of reassembled packets; report fragments that overlap or are
         missing.
 
-        `datagrams` are the packets whose reassembly has ended, whole or not.
+        `datagrams` are the packets whose reassembly has ended at `ts_ns` (UTC ns), whole or not.
         """
         for datagram in datagrams:
             data, length = datagram.packet()

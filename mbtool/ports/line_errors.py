@@ -100,7 +100,7 @@ class LineErrors:
         return () if now_ns < self._due_ns else self.tell_all(now_ns)
 
     def tell_all(self, now_ns: int) -> list[LineTrouble]:
-        """Return reports of all errors not yet reported, even if no report is due."""
+        """Return reports of all errors not yet reported, even if none is due at `now_ns`."""
         grown = self._grown()
         marked = self._marked_text()
         said = [text for text in (marked, _counted_text(grown)) if text]

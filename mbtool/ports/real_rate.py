@@ -24,7 +24,11 @@ baud."""
 
 
 def demand_rate(fd: int, port: str, baud: int) -> None:
-    """Raise LinkError if the port's real rate differs from `baud` by more than TOLERANCE."""
+    """Raise LinkError if the port's real rate differs from `baud` by more than TOLERANCE.
+
+    `fd` is the descriptor of the open port, `port` its path. Nothing is raised if the system does
+    not tell the real rate.
+    """
     real = real_rate(fd)
     if real is not None and abs(real - baud) > TOLERANCE * baud:
         raise LinkError(

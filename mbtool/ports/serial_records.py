@@ -99,7 +99,7 @@ class RecordWriter:
             self._lost += len(data) if kind in _READS else 0
 
     def put_count(self, kind: RecordKind, ts_ns: int, count: int) -> None:
-        """Write a record whose data is one number."""
+        """Write a record whose data is the number `count`, with its time in UTC ns."""
         self.put(kind, ts_ns, _COUNT.pack(count))
 
     def end(self, ts_ns: int, error: str = "") -> None:

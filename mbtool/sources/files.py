@@ -368,7 +368,7 @@ class _Unpacked(io.RawIOBase):
 
 
 def _unpacked(name: str, head: bytes, stream: io.BufferedIOBase) -> _Unpacked | None:
-    """Return the unpacked content of a stream; None if the stream is not compressed."""
+    """Return the unpacked content of a stream; None if it is not compressed, as `head` shows."""
     if head.startswith(_GZIP):
         gzip_window = 16 + zlib.MAX_WBITS
         return _Unpacked(stream, lambda: zlib.decompressobj(gzip_window), zlib.error, name)

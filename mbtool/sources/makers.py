@@ -40,7 +40,10 @@ def maker(mac: str) -> str | None:
 
 @lru_cache(maxsize=MAX_KNOWN)
 def _maker_of(block: str) -> str | None:
-    """Look up the maker by the first 36 bits of a MAC address, written AA:BB:CC:DD:E."""
+    """Return the maker for `block`, the first 36 bits of a MAC address, written AA:BB:CC:DD:E.
+
+    Returns None if unknown.
+    """
     text = _list()
     for prefix in (f"{block}0/36", f"{block[:10]}0/28", f"{block[:8]} ", f"{block[:8]}\t"):
         at = text.find(f"\n{prefix}")
