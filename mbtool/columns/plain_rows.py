@@ -246,7 +246,7 @@ class TransactionArrays:
         self, block: PacketBlock, firsts: Int64s, requests: Octets, responses: Octets
     ) -> list[tuple[LinkAddresses | None, LinkAddresses | None]]:
         """Return the MAC addresses and VLAN in the packets of request and response, for each of the
-        transactions with the indices `firsts`.
+        transactions with the indices `firsts`; None for a packet without MAC addresses.
 
         `requests` and `responses` are the rows that `_link_headers` gives for these transactions.
         """

@@ -140,7 +140,7 @@ def _column(field: pa.Field, values: Any, count: int) -> pa.Array:
 
 def _words(texts: list[str], indices: Int64s, missing: Bools | None = None) -> pa.Array:
     """Return a column of texts. Row i has the text `texts[indices[i]]`, or null if `missing[i]` is
-    True.
+    True. If `missing` is None, no row has null.
     """
     index = pa.array(
         np.where(missing, 0, indices) if missing is not None else indices, mask=missing

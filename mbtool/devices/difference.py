@@ -43,9 +43,11 @@ class Difference(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """The link of the slave; None if the unit alone identifies the slave."""
     function: int | None = None
     reference: str | None = None
-    """The addresses that differ, in the vendor's notation, such as `HR400001`."""
+    """The addresses that differ, in the vendor's notation, such as `HR400001`; None if the
+    difference is not about addresses."""
     name: str | None = None
-    """The name that the device's manual has for the addresses in `reference`."""
+    """The name that the device's manual has for the addresses in `reference`; None if it has
+    none."""
     what: str
     """The thing that differs: `read` (values that were read), `written` (values that were written),
     `slave`, or the name of a function."""

@@ -38,8 +38,8 @@ _WRITTEN_IN_HEX = (
 def dump_profile(profile: Profile, comments: Mapping[str, Sequence[str]] | None = None) -> str:
     """Return the TOML text of a profile.
 
-    `comments` has sentences to write as comments before a part of the file. Its keys name the
-    parts: "" for the whole file, `functions`, `areas "NAME"` or `points "NAME"`.
+    `comments` has sentences to write as comments before a part of the file; None for no comments.
+    Its keys name the parts: "" for the whole file, `functions`, `areas "NAME"` or `points "NAME"`.
     """
     about = comments or {}
     blocks = [

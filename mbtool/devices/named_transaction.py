@@ -35,7 +35,8 @@ class NamedTransaction(Transaction, frozen=True, kw_only=True, omit_defaults=Tru
     device: str | None = None
     """The name of the slave's profile; None if the slave has none."""
     reference: str | None = None
-    """The addresses of the request, in the vendor's notation: `HR400001..400002`."""
+    """The addresses of the request, in the vendor's notation: `HR400001..400002`. None if the
+    request has no addresses."""
     points: list[PointValue] = []  # noqa: RUF012 - msgspec copies an empty list per record
     """The named values in the response, or in the request if it writes. A failed write has them,
     too."""

@@ -35,7 +35,7 @@ where there is no limit."""
 def finding_text(code: str, profile: Profile | None = None) -> str:
     """Describe what a finding code means, in a few words for a message.
 
-    With a profile, the text has the profile's figures: `limit is 100`.
+    If `profile` is not None, the text has the profile's figures: `limit is 100`.
     """
     parsed = DeviceCode.parse(code)
     if parsed is None:
@@ -82,7 +82,7 @@ def finding_text(code: str, profile: Profile | None = None) -> str:
 def request_findings(profile: Profile | None, transaction: Transaction) -> Iterator[str]:
     """Yield the finding codes for the function, the addresses and the quantities of a request.
 
-    Without a profile, only the standard's rules are checked.
+    If `profile` is None, only the standard's rules are checked.
     """
     function = transaction.function
     written = written_by_17h(transaction)
@@ -192,8 +192,8 @@ def written_by_17h(transaction: Transaction) -> tuple[int, int] | None:
 
 
 def unit_finding(profile: Profile | None, unit: int) -> str:
-    """Return the finding code for a unit number that a slave, or a slave with this profile, cannot
-    have on a serial line.
+    """Return the finding code for a unit number that a slave with this profile cannot have on a
+    serial line. If `profile` is None, the code is that of the standard's rule.
     """
     if profile is None or profile.last_unit is None or unit > LAST_UNIT:
         return "MB-108"

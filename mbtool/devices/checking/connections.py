@@ -192,8 +192,8 @@ class ConnectionRules:
 def _keys(event: WireEvent) -> tuple[tuple[str, str | None], ...]:
     """The two keys that the connection of an event may have in ConnectionRules.
 
-    A key is the link and the HOST:PORT of the master. The master may be the event's source or its
-    destination.
+    A key is the link and the HOST:PORT of the master (None if unknown). The master may be the
+    event's source or its destination.
     """
     return (event.link, event.source), (event.link, event.destination)
 

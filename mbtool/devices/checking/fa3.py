@@ -78,8 +78,8 @@ class _Module:
     """HOST:PORT of the master that requested a remote reset; None once its connection is closed."""
     reset_ns: int | None = None
     reported: set[str | None] = field(default_factory=set)
-    """HOST:PORT of each master for which it was reported that it used the module too soon after the
-    last reset. This is reported once for each master."""
+    """HOST:PORT of each master (None if unknown) for which it was reported that it used the module
+    too soon after the last reset. This is reported once for each master."""
     is_requested: bool = False
     """True from the write that sets Y9, the request flag, to the write that clears it."""
     is_completed: bool = False

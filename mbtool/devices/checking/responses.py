@@ -65,7 +65,7 @@ repeats."""
 @dataclass(slots=True)
 class _ConnectionState:
     since_ns: int | None = None
-    """The time of the connection's first transaction or event, in ns."""
+    """The time of the connection's first transaction or event, in ns; None before that."""
     is_complete: bool = False
     """True if the connection was opened during the capture, and no bytes were lost since."""
     has_request: bool = False
@@ -250,7 +250,9 @@ class ResponseRules:
         return self._no_response_finding(oldest)
 
     def _forget(self, connection: _Connection, unit: int | None = None) -> None:
-        """Drop the pending requests of a connection, or of one unit on it, without a finding."""
+        """Drop the pending requests to one unit on a connection, or to all its units if `unit` is
+        None, without a finding.
+        """
         for key in [k for k in self._pending if k[0] == connection and unit in (None, k[1])]:
             self._pending_count -= len(self._pending.pop(key))
 
@@ -289,7 +291,10 @@ def _unsolicited_text(transaction: NamedTransaction) -> str:
 
 
 def _needs_no_response(transaction: NamedTransaction, profile: Profile | None) -> bool:
-    """True if the slave carries out the request, but must not respond to it."""
+    """True if the slave carries out the request, but must not respond to it.
+
+    `profile` is the slave's; None if it has none.
+    """
     if transaction.transport is Transport.RTU_TCP and transaction.unit == 0:
         return True
     if transaction.function == _DIAGNOSTICS and transaction.sub_function == _FORCE_LISTEN_ONLY:

@@ -55,7 +55,7 @@ class ScanRules:
         """Count the next transaction for the rules about scans. It must have a request.
 
         `source` is the master's IP address and `slave` the slave's HOST:PORT. On a serial line,
-        both are the name of the line.
+        both are the name of the line. `profile` is the slave's; None if it has none.
         """
         if not self._units.is_polled((source, slave), transaction.unit):
             self._note_unit(transaction, source, slave)
@@ -179,7 +179,8 @@ def _is_missing(transaction: NamedTransaction, profile: Profile | None) -> bool:
     """True if the unit refuses the request's function with exception 01, or probably does not have
     it.
 
-    It probably does not have a function that neither the standard nor its profile lists.
+    It probably does not have a function that neither the standard nor the unit's profile lists.
+    `profile` is None if the unit has none.
     """
     if transaction.exception == ExceptionCode.ILLEGAL_FUNCTION:
         return True

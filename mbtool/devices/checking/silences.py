@@ -218,8 +218,8 @@ def _which_t3_5(format_: SerialFormat | None, *, keeps_characters: bool = False)
     """Return a text for a message that says how long t3.5 is, if the standard fixes its length
     (above 19200 baud); else an empty text.
 
-    `keeps_characters` is True if a silence is shorter than the fixed t3.5, but not shorter than 3.5
-    characters.
+    `format_` has the settings of the line; None if they are unknown. `keeps_characters` is True if
+    a silence is shorter than the fixed t3.5, but not shorter than 3.5 characters.
     """
     if format_ is None or not format_.has_fixed_silences:
         return ""

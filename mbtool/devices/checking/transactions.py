@@ -88,7 +88,7 @@ class TransactionRules:
         """Return the message of a finding about a rule in the device's manual.
 
         `letter` is the kind of rule, such as Q; `text` says what the manual demands: `limit is
-        100`.
+        100`. `profile` is the slave's; None if it has none.
         """
         if letter == "F":
             return text

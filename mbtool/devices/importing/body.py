@@ -85,7 +85,8 @@ class BodyReader:
         return merge_bits(good, self._report)
 
     def _read(self, number: int, row: Sequence[str], address: AddressCell | None) -> bool:
-        """Read the row with the number `number` in the file. `address` is the address in its cell.
+        """Read the row with the number `number` in the file. `address` is the address in its cell,
+        None if the cell has none.
 
         Returns True if the row has a value, or adds bits or texts to the value in the row above.
         """

@@ -159,8 +159,9 @@ class Sheet:
 def find_sheet(text: str, file: str, named: Mapping[Meaning, str] | None = None) -> Sheet:
     """Split the text of a CSV file into cells and find its columns.
 
-    `named` are the headings that the user names, by meaning. Raises UsageError if the text is no
-    CSV, has no column of addresses or several, or lacks a column that the user names.
+    `named` are the headings that the user names, by meaning; None if the user names none. Raises
+    UsageError if the text is no CSV, has no column of addresses or several, or lacks a column that
+    the user names.
     """
     named = named or {}
     problems: list[str] = []

@@ -44,10 +44,11 @@ class ImportOptions:
     """The headings of the columns that the user names, by meaning."""
     addresses: AddressStyle | None = None
     table: Table | None = None
-    """The table of the rows for which the list names none."""
+    """The table of the rows for which the list names none; None if the user names no table."""
     scaling: Scaling | None = None
     word_order: WordOrder | None = None
-    """The word order of the values for which the list names none."""
+    """The word order of the values for which the list names none; None if the user names no
+    order."""
     skip_bad: bool = False
     """True to leave out unreadable rows. If it is False and a row is unreadable, no profile is
     made."""

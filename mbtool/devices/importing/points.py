@@ -51,8 +51,9 @@ def make_points(
 ) -> list[RowPoint]:
     """Make the points of the rows, sorted by table and address.
 
-    `word_order` is the user's, for values for which the register list names none. A row that cannot
-    be a point is left out, and becomes a problem in the report.
+    `word_order` is the one that the user names for values for which the list names none; None
+    stands for the high word first. A row that cannot be a point is left out, and becomes a problem
+    in the report.
     """
     made: list[RowPoint] = []
     is_named = False

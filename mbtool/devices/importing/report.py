@@ -23,7 +23,7 @@ class ImportReport:
         self.bad_rows: set[int] = set()
 
     def tell(self, remark: str, row: int | None = None) -> None:
-        """Add a remark on the whole list, or on the row with the number `row`.
+        """Add a remark on the row with the number `row`, or on the whole list if `row` is None.
 
         Equal remarks on several rows become one remark with the numbers of all these rows.
         """

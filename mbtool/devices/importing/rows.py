@@ -251,7 +251,7 @@ class RowReader:
         """The row's texts that are kept as notes of the point.
 
         They are all texts of the row except its name and `used`, the text of the cell that lists
-        the meanings of numbers or bits.
+        the meanings of numbers or bits (None if there is no such cell).
         """
         notes = [
             text for text in self._words(self._row) if text not in (self.name(self._row), used)

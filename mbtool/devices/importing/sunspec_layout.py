@@ -158,7 +158,7 @@ class ModelLayout:
 
         `prefix` begins the name of each point. `repeat` is the number of copies of each group whose
         count only the device knows. `words` is the number of registers that the model has in the
-        device; points beyond it are left out.
+        device; points beyond it are left out. It is None if the device was not read.
         """
         self._end = ADDRESSES if words is None else min(self.at + words, ADDRESSES)
         self._add_group(_Place(file, repeat, words is not None), model.group, (prefix,))
