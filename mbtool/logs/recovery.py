@@ -66,8 +66,8 @@ _SHARED = frozenset((schemas.POINT_VALUE, schemas.LOG))
 
 _IS_MESSAGE = int(Opcode.MESSAGE)
 MAX_HEAD_RECORDS = 100
-"""If none of this many records at the beginning shows that the file is a log of mbtool, it counts
-as none."""
+"""The most records at the beginning of a file that are searched for a sign that it is a log of
+mbtool. If none of them has one, the file counts as no log."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

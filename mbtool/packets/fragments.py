@@ -209,7 +209,7 @@ class Fragments:
     def feed(self, fragment: Fragment, ts_ns: int, link: str, scope: str = "") -> list[Datagram]:
         """Take a fragment that was captured at `ts_ns` (UTC ns).
 
-        Returns the packets whose reassembly ended with it, whole or given up. `link` is the
+        Returns the packets whose reassembly has ended by then, whole or given up. `link` is the
         interface that captured the fragment. Only fragments with the same `scope` are put together:
         the interface, or "" to put fragments from all interfaces together.
         """

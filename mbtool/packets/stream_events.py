@@ -21,7 +21,8 @@ class CloseReason(StrEnum):
     REPLACED = "replaced"
     """The two ends opened another connection with the same addresses and ports."""
     IDLE = "idle"
-    """No segment came for IDLE_NS (reassembler.py, 2 h); the connection is then forgotten."""
+    """Nothing came for too long: no segment for IDLE_NS (2 h) in a capture, or no byte for the idle
+    time after which a tap closes a connection."""
     DISCARDED = "discarded"
     """The reassembler had too many connections, and this was the least recently used one."""
     CROWDED_OUT = "unused, so it made room for another"

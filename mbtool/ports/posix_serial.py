@@ -157,8 +157,8 @@ def _claim(fd: int) -> None:
 def _set_modem_lines(fd: int, port: str, wanted: ModemLines) -> None:
     """Do with DTR and RTS what `wanted` says: OFF drops the line now, RAISED does nothing.
 
-    With KEEP both lines stay raised when the port is closed. Raises LinkError if the driver cannot
-    drop a line.
+    With KEEP for either line, closing the port drops neither. Raises LinkError if the driver cannot
+    drop a line now.
     """
     lines = ((wanted.dtr, "DTR", termios.TIOCM_DTR), (wanted.rts, "RTS", termios.TIOCM_RTS))
     if ModemLine.KEEP in (wanted.dtr, wanted.rts):
