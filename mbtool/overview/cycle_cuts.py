@@ -64,10 +64,11 @@ class CutCycles(NamedTuple, Generic[P]):
 
 
 def usual_cycles(starts: Sequence[PollStart[P]]) -> CutCycles[P] | None:
-    """Cut requests into cycles, so that as many requests as possible are in equal cycles.
+    """Cut the requests `starts`, which are in order of time, so that as many as possible are in
+    equal cycles.
 
-    The cuts are at one transition, which means wherever a certain poll follows a certain other
-    poll. Returns None if no sequence repeats often enough to be a cycle.
+    All cuts are at one transition, that is wherever a certain poll follows a certain other poll.
+    Returns None if no sequence repeats often enough to be a cycle.
     """
     places: defaultdict[tuple[P, P], list[int]] = defaultdict(list)
     for at, (before, start) in enumerate(pairwise(starts), 1):
@@ -87,7 +88,7 @@ def usual_cycles(starts: Sequence[PollStart[P]]) -> CutCycles[P] | None:
 
 
 def _cut(starts: Sequence[PollStart[P]], first: P, places: list[int]) -> CutCycles[P] | None:
-    """Cut requests into cycles before each index in `places`; each cycle then begins with the poll
+    """Cut the requests `starts` before each index in `places`; each cycle then begins with the poll
     `first`.
 
     Returns None if no sequence of polls repeats often enough to be a cycle.

@@ -303,10 +303,11 @@ def _count(
 def _widen(
     use: SeenUse | None, transaction: NamedTransaction, address: int | None, quantity: int | None
 ) -> None:
-    """Add the addresses of a request to those that `use` (one function of one master at one slave)
-    keeps: to the refused ones if the response is an exception, else to the asked ones.
+    """Add the addresses of a request, `quantity` (None for 1) from `address` on, to `use`, which is
+    one function of one master at one slave.
 
-    Does nothing if `use` or `address` is None.
+    They go to the refused addresses if the response is an exception, else to the asked ones. Does
+    nothing if `use` or `address` is None.
     """
     if use is None or address is None:
         return

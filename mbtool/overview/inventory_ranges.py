@@ -4,7 +4,8 @@
 # sorted; ranges that overlap or touch are merged.
 #
 # A set holds at most MAX_RANGES ranges. A scan of every second register would need more. At the
-# limit, a new range is only counted, unless it overlaps or touches a range of the set.
+# limit, a new range is not added, but counted in `left_out`, unless it overlaps or touches a range
+# of the set.
 
 from __future__ import annotations
 

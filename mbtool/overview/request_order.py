@@ -109,7 +109,8 @@ class RequestOrder:
             [one.end_ns for one in held] + run.response_ns,
         )
         order = sorted(range(len(asked.at_ns)), key=asked.at_ns.__getitem__)
-        # By how many positions, at most, a request arrived later than it comes in order of time.
+        # The greatest number of positions by which a request stands later in `asked` than in order
+        # of time.
         behind = max(map(sub, order, count()))
         is_simple = (
             len(order) > WINDOW >= behind

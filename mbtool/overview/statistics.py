@@ -67,7 +67,8 @@ class Statistics:
         MAX_POLLS."""
         self.groups: dict[Group, RequestTally] = {}
         """The counts of transactions that have no poll: responses without a request, and all
-        transactions of polls that were removed because there were more than MAX_POLLS."""
+        transactions of polls that were removed because there were more than MAX_POLLS. The key is
+        link name, unit and function code."""
         self.devices: dict[tuple[str, int], str] = {}
         self.function_names: dict[int, str] = {}
         self.connections: dict[tuple[str, str], ConnectionTally] = {}

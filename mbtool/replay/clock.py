@@ -110,24 +110,26 @@ class PlayClock:
         return self._anchor_ns - (self._anchor_position_ns - position_ns) / self._rate // 1
 
     def run(self, now_ns: int) -> None:
-        """Start the clock, or continue after a pause."""
+        """Start the clock at the real time `now_ns`, or continue after a pause."""
         if self._anchor_ns is None:
             self._anchor_ns = now_ns
 
     def pause(self, now_ns: int) -> None:
-        """Stop the clock until `run` is called."""
+        """Stop the clock at the real time `now_ns`, until `run` is called."""
         self._anchor_position_ns = self.position(now_ns)
         self._anchor_ns = None
 
     def jump(self, position_ns: int, now_ns: int) -> None:
-        """Continue at another position; if the clock is paused, it stays paused there."""
+        """Continue at another position from the real time `now_ns` on; a paused clock stays paused
+        there.
+        """
         self._anchor_position_ns = position_ns
         if self._anchor_ns is not None:
             self._anchor_ns = now_ns
 
     def set_rate(self, rate: Fraction, now_ns: int) -> None:
-        """Set the rate (recorded time divided by real time), limited to the range SLOWEST to
-        FASTEST.
+        """Set the rate (recorded time divided by real time) from the real time `now_ns` on. It is
+        limited to the range SLOWEST to FASTEST.
         """
         self.jump(self.position(now_ns), now_ns)
         self._rate = min(max(rate, SLOWEST), FASTEST)

@@ -146,7 +146,8 @@ class Conductor:
         return self._judge.judge(request.step, pdu, max(start_ns - request.sent_ns, 0))
 
     def expire(self, now_ns: int) -> list[tuple[Step, bool]]:
-        """Give up the requests that have waited as long as the time-out allows.
+        """Give up the requests that at the real time `now_ns` have waited as long as the time-out
+        allows.
 
         Returns a pair for each: its step, and True if the recording has no response to that request
         either, so that the silence is as recorded.

@@ -121,7 +121,7 @@ def _begins_like_response(asked: Transaction, raw: bytes) -> bool:
 
 
 def _body(transport: Transport, raw: bytes) -> bytes:
-    """Return the bytes of a serial ADU from the unit on, with the checksum.
+    """Return the bytes of a serial ADU, given as captured, from the unit on, with the checksum.
 
     An ASCII frame is converted from hexadecimal digits up to the first carriage return; the result
     is empty if it contains other characters.

@@ -67,7 +67,8 @@ class LiveWrites:
     def keep(
         self, unit: int, table: Table, address: int, value: int, *, recorded: int, place: Place
     ) -> None:
-        """Keep a value that the live master wrote with an acknowledged write.
+        """Keep a value that the live master wrote to an address of `unit` with an acknowledged
+        write.
 
         `place` is the player's position in the recording at the write; `recorded` is the recorded
         value of the address at that position.
@@ -83,7 +84,7 @@ class LiveWrites:
         values[address] = _LiveValue(value, place, writes)
 
     def shown(self, unit: int, table: Table, address: int, recorded: int, place: Place) -> int:
-        """Return the value of an address that a response shows.
+        """Return the value of an address of `unit` that a response shows.
 
         This is the live master's, or `recorded`, the recorded value at `place`, if the live master
         did not write or a later recorded write has ended its write.
@@ -96,8 +97,8 @@ class LiveWrites:
     def in_answer(
         self, unit: int, table: Table, start: int, values: Sequence[int], place: Place
     ) -> list[int]:
-        """Return the values of a recorded response, with those replaced that the live master has
-        written.
+        """Return the values of a recorded response of `unit`, with those replaced that the live
+        master has written.
 
         `values` are the recorded values, from address `start` on; `place` is the position at which
         the response was recorded.
@@ -115,8 +116,8 @@ class LiveWrites:
     def _has_ended(
         self, live: _LiveValue, unit: int, table: Table, address: int, place: Place
     ) -> bool:
-        """True if the recording has a write to the address between the live write `live` and
-        `place`.
+        """True if the recording has a write to the address after the live write `live`, up to the
+        position `place`.
         """
         if place < live.place:
             return False

@@ -291,7 +291,7 @@ class RecordedSlave:
         return 0 if self._clock.rate is None else round(latency_ns / self._clock.rate)
 
     def _make_up(self, unit: int, pdu: bytes, found: NoAnswer, now_ns: int) -> Response | None:
-        """Make a response to a request that has no recorded answer.
+        """Make a response to a request (its PDU is `pdu`) to which the recording has no answer.
 
         `found` says why: the matcher wants the register image, or the recording lacks the request.
         Returns None if no response is to be sent.
@@ -337,7 +337,8 @@ class RecordedSlave:
     def _from_device(
         self, unit: int, request: Pdu, access: RegisterAccess | None, pdu: bytes, now_ns: int
     ) -> Response | None:
-        """Return the simulated device's response, None for no response.
+        """Return the simulated device's response to a request, None for no response. `pdu` is the
+        request's PDU, and `access` the registers that it addresses (None for none).
 
         Before that, the device is given the present values of those addressed registers that the
         recording has.

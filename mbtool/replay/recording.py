@@ -168,7 +168,7 @@ class Recording:
         self.order.append((key, answer))
 
     def _add_latencies(self, asked: Iterable[Transaction]) -> None:
-        """Collect the latencies of all transactions, by unit and function.
+        """Collect the latencies of the transactions `asked`, by unit and function code.
 
         The key (unit, None) has the latencies of all functions of a unit.
         """

@@ -73,8 +73,8 @@ class Steering:
         self.has_begun = False
 
     def begin(self, now_ns: int) -> None:
-        """Start the clock when this is called first. If the user has paused the player before, the
-        clock stays paused.
+        """Start the clock at the first call, at the real time `now_ns`. If the user has paused the
+        player before, the clock stays paused.
         """
         if not self.has_begun:
             self.has_begun = True

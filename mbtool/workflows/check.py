@@ -114,7 +114,8 @@ class CheckedRecord(NamedTuple):
     """The transaction or event as it was read. None at the end of a capture, when findings about
     the whole capture come, and for a record outside of the time that is checked."""
     named: Record | None
-    """The same as `record`, but a transaction of a log has names from the profiles in use now."""
+    """The same as `record`, None included; but a transaction of a log has names from the profiles
+    in use now."""
     findings: list[FileFinding]
 
 

@@ -116,9 +116,9 @@ class Conversion:
         """Write the file `out`. Its suffix gives the format: `.mcap` for a log, `.pcap` or
         `.pcapng`.
 
-        With `topic_per_point`, each named value (point) gets a topic of its own in a log. Raises
-        UsageError if the file cannot be created, or if its format cannot hold the input;
-        OutputError if writing fails.
+        With `overwrite`, an existing file is replaced. With `topic_per_point`, each named value
+        (point) gets a topic of its own in a log. Raises UsageError if the file cannot be created,
+        or if its format cannot hold the input; OutputError if writing fails.
         """
         check_path(Path(out), replace=overwrite)
         self._read_marks()
@@ -133,7 +133,7 @@ class Conversion:
 
     def _write_new(self, out: str, place: Path, *, topic_per_point: bool) -> Converted:
         """Write to the path `place`, at which no file exists yet. Delete the new file if its format
-        cannot hold the input. `out` is the path in messages.
+        cannot hold the input. `out` is the path in messages; `topic_per_point` is as for `write`.
         """
         try:
             return self._write_to(out, place, topic_per_point=topic_per_point)
@@ -144,7 +144,7 @@ class Conversion:
 
     def _write_to(self, out: str, place: Path, *, topic_per_point: bool) -> Converted:
         """Write to the path `place`. `out` is the path in messages, and its suffix gives the
-        format.
+        format; `topic_per_point` is as for `write`.
         """
         suffix = PurePath(out).suffix.lower()
         if suffix == ".mcap":

@@ -169,7 +169,7 @@ def local_processes(processes: int) -> LocalProcesses:
 def dask_cluster(address: str) -> DaskCluster:
     """Return an executor that uses the workers of the Dask scheduler at `address`.
 
-    Raises LinkError or UsageError if the scheduler or its workers cannot be used.
+    Raises UsageError if dask is not installed, LinkError if no scheduler answers.
     """
     return DaskCluster(address, decode_run)
 

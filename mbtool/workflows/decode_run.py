@@ -219,7 +219,7 @@ class _RunWork:
 
     def _write(self, one: _Input, transactions: int) -> None:
         """Copy the finished Parquet file of the input file `one` to the output, and write its
-        record.
+        record. `transactions` is their number in the Parquet file.
         """
         assert one.number is not None
         outcome, folder = self.outcomes[one.number], self._task.folders[one.number]
@@ -307,8 +307,10 @@ def _renamed(text: str, inputs: Sequence[_Input]) -> str:
 
 
 def main() -> None:
-    """Read tasks from standard input, one a line, and write the outcomes of each, until standard
-    input ends.
+    """Read tasks from standard input, and write their outcomes to standard output, until the input
+    ends.
+
+    Each is a line: JSON written in hexadecimal digits.
     """
     for line in sys.stdin.buffer:
         sys.stdout.buffer.write(decode_run(bytes.fromhex(line.decode())).hex().encode() + b"\n")

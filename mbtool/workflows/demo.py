@@ -160,8 +160,8 @@ class Demo:
 
 
 def _answer(master: MasterLink, unit: int, pdu: bytes) -> bytes | None:
-    """Send a request, at most three times, until a response comes; return its PDU, None if none
-    came.
+    """Send a request (its PDU) to `unit`, at most three times, until a response comes. Return its
+    PDU, None if none came.
 
     On a busy machine the virtual line may deliver a response in parts, which the master does not
     accept.

@@ -40,8 +40,8 @@ class Comparison(msgspec.Struct, frozen=True, kw_only=True):
     a_transactions: int
     b_transactions: int
     is_whole: bool
-    """False if some transactions were not compared, because their number exceeded a memory limit of
-    replay/traffic.py."""
+    """False if not everything was compared, because a capture has more slaves, or a slave more
+    requests or registers, than the memory limits of replay/traffic.py allow."""
     differences: list[Difference]
 
 

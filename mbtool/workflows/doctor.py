@@ -194,7 +194,8 @@ def capture_check(trouble: Trouble | None) -> MachineCheck:
 
 def wireshark_check(environment: Mapping[str, str]) -> MachineCheck:
     """Check if Wireshark, where it is installed, offers serial lines: it does if the scripts of
-    `mbtool extcap --install` exist.
+    `mbtool extcap --install` exist. `environment` has the environment variables, which say where
+    they belong.
     """
     name = "Wireshark"
     program = shutil.which("wireshark") or shutil.which("tshark")

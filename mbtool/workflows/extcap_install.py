@@ -29,8 +29,10 @@ _MAX_SCRIPT_BYTES = 4096
 
 
 def scripts(environment: Mapping[str, str], platform: str = sys.platform) -> list[Path]:
-    """Return the paths at which the scripts belong on this system. Raises UsageError if the user's
-    home folder is unknown.
+    """Return the paths at which the scripts belong. `environment` has the environment variables;
+    `platform` is the system, as sys.platform names it.
+
+    Raises UsageError if the user's home folder is unknown.
     """
     if platform == "win32":
         if not environment.get("APPDATA"):

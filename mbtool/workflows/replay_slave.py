@@ -83,12 +83,13 @@ class SlaveRun:
         recorded: Recorded | None = None,
         origin_ns: int | None = None,
     ) -> None:
-        """Read the recording. If it is cut or damaged, use the part that can be read.
+        """Read the recording at `path`. If it is cut or damaged, use the part that can be read.
 
-        `recorded` has the recording's transactions if the caller has already read the file. --start
-        and --end count from `origin_ns` (UTC ns), or from the first request if it is None. Raises
-        InputError if the file cannot be read or has no request to answer. Raises UsageError if the
-        options contradict each other or do not fit the recording.
+        `recorded` has the recording's transactions if the caller has already read the file.
+        `on_remark` gets lines for the user about the file. --start and --end count from `origin_ns`
+        (UTC ns), or from the first request if it is None. Raises InputError if the file cannot be
+        read or has no request to answer. Raises UsageError if the options contradict each other or
+        do not fit the recording.
         """
         if options.rate is None and options.match.by_clock:
             raise UsageError(

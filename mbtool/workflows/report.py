@@ -64,8 +64,11 @@ class ReportRun:
         *,
         everything: bool = False,
     ) -> None:
-        """Prepare to read. With `everything`, the page has all transactions, however large it
-        becomes; otherwise only as many as TransactionRows keeps.
+        """Prepare to read. `codes` chooses the findings that the page has, and `window` the part of
+        the captures; None for all.
+
+        With `everything`, the page has all transactions, however large it becomes; otherwise only
+        as many as TransactionRows keeps.
         """
         self._files = files
         self._options = options

@@ -68,8 +68,10 @@ def device_slave(
     """Return a shell (a TCP endpoint or serial line) with simulated devices, not yet started.
 
     `profile` is that of `unit`, the first device, and `image_file` gives the values of its
-    registers; `others` has further devices by unit. The first device's rules decide which TCP
-    connections are accepted and when they are closed. `monitor` gets each request and response.
+    registers; `others` has further devices by unit. The first device keeps its non-volatile
+    registers in `state_file`, and its rules decide which TCP connections are accepted and when they
+    are closed. `fault_file` describes faults to simulate. `monitor` gets each request and response.
+    With `strict_timing`, a request on an RTU line whose silences are wrong gets no response.
     `wrapped` gets the responder that answers, and returns the one to use in its place. `on_trouble`
     gets a line for the user when a capture with values is incomplete, and when the state file
     cannot be written while the slave runs.
@@ -108,7 +110,8 @@ def _play(
     """Make the device of a station on the link `where`; return it, and the responder that answers
     its requests.
 
-    The responder is the device itself, or a DrivenDevice if values change over time.
+    The responder is the device itself, or a DrivenDevice if values change over time. `on_trouble`
+    gets a line for the user about an incomplete capture with values.
     """
     profile = station.profile
     if isinstance(where, SerialLink) and where.ascii:
@@ -125,8 +128,8 @@ def _play(
 def _with_silences(
     where: SerialLink | TcpLink, stations: Mapping[int, Station]
 ) -> SerialLink | TcpLink:
-    """Return the link `where`. A serial line is returned with the silences (t1.5, t3.5) that the
-    profiles of its devices demand.
+    """Return the link `where`. A serial line gets the silences (t1.5, t3.5) that the profiles of
+    `stations`, the devices by unit, demand.
     """
     if not isinstance(where, SerialLink):
         return where

@@ -35,11 +35,13 @@ class Saver(Protocol):
     """
 
     def what(self, watched: Watched, *, is_filtered: bool) -> str:
-        """Return a text for the user that says which transactions `job` would save."""
+        """Return a text for the user that says which transactions `job` would save. `is_filtered`
+        is True if the user's filter is on.
+        """
 
     def job(self, watched: Watched, *, is_filtered: bool, out: str) -> Job:
         """Return a function that saves transactions to the file `out`. It is called in another
-        thread, as saving may take long.
+        thread, as saving may take long. `is_filtered` is True if the user's filter is on.
 
         That function returns a line for the user. It raises UsageError if the file cannot be
         created, OutputError if writing fails.

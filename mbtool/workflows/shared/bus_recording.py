@@ -133,8 +133,10 @@ def _of_line(
     link: SerialLink,
     on_remark: Callable[[str], None],
 ) -> list[Begun]:
-    """Return the bytes of the recorded serial line `name` in order of time. Raises UsageError if
-    the line has another mode (RTU or ASCII) than `link`, on which it is to be played.
+    """Return the bytes of the recorded serial line `name` in order of time.
+
+    `on_remark` gets a line for the user if the bytes have no times. Raises UsageError if the line
+    has another mode (RTU or ASCII) than `link`, on which it is to be played.
     """
     if path == STANDARD_INPUT:
         raise UsageError("standard input: a recording of a serial line is read twice; name a file")

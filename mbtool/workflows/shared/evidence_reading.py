@@ -46,7 +46,8 @@ class EvidenceMarks:
     """
 
     frames: dict[StreamKey, list[WireFrame]] = field(default_factory=dict)
-    """For serial lines and taps: the frames in each stream of bytes, in the order of the stream."""
+    """For serial lines and taps, the frames in each stream of bytes, in the order of the stream.
+    The key is the stream's link, direction and TCP connection."""
     skipped: dict[StreamKey, list[SkippedBytes]] = field(default_factory=dict)
     """For each stream of a serial line with one tap: the bytes that belong to no frame, with the
     events about them, in the order of the stream."""

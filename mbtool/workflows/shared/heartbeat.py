@@ -23,7 +23,8 @@ if TYPE_CHECKING:
     from mbtool.logs.messages import DecodingMark, LogItem
 
 HEARTBEAT_NS = 60_000_000_000
-"""The time (ns) from one heartbeat to the next, while nothing changes."""
+"""The longest time (ns) from one heartbeat to the next. One also comes when a link is lost or is
+back."""
 
 
 class StatusLog(FindingsLog, Protocol):
