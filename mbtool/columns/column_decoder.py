@@ -158,6 +158,7 @@ class ColumnDecoder:
 
         That is so if the order in which packets of different connections are decoded makes no
         difference to the results. It makes one, for example, if the packets' times go back.
+        `numbers` has the flow number of each segment.
         """
         segments = headers.segments
         if not len(segments.index):

@@ -147,10 +147,11 @@ def _places(rows: PlainRows) -> list[_Place]:
 def between(
     rows: PlainRows, is_usual: Bools, records: list[tuple[int, Record]]
 ) -> list[tuple[int, Record | None]]:
-    """Return, in order, what stands between the rows for which `is_usual` is True.
+    """Return, in order, what stands between the rows for which `is_usual` is True: the Decoder's
+    `records`, and the other rows.
 
-    An item is one of two pairs: a record of the Decoder, after the index of the row before which it
-    was completed; or None, after the index of a row for which `is_usual` is False.
+    An item is one of two pairs: a record, after the index of the row before which it was completed;
+    or None, after the index of a row for which `is_usual` is False.
     """
     places = np.searchsorted(order_of(rows.response), [place for place, _ in records]).tolist()
     found: list[tuple[int, Record | None]] = [

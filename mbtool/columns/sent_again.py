@@ -31,7 +31,7 @@ def is_sent_again(segments: Segments, order: Int64s, flows: Int64s, data: Octets
     bytes, or the request that this previous segment answers.
 
     `order` has indices in `Segments`, sorted by connection, then by time. `flows` has the flow
-    number of each segment in `order`.
+    number of each segment in `order`, and `data` the bytes of the block.
     """
     found = np.zeros(len(order), np.bool_)
     places = np.flatnonzero(segments.size[order] > 1)

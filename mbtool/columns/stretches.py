@@ -235,7 +235,8 @@ def _whole_adus(begin: Int64s, size: Int64s, data: Octets) -> tuple[Bools, npt.N
 
 
 def _pair(payloads: _Payloads, data: Octets) -> tuple[PlainTransactions, Int64s]:
-    """Pair each request with the response in the next payload.
+    """Pair each request with the response in the next payload. `data` has the bytes of the
+    payloads.
 
     Returns the transactions, and the index of the first transaction of each plain stretch.
     """

@@ -87,7 +87,8 @@ class UsualRows:
 
     def _is_padded(self, is_exception: Bools) -> Bools:
         """Return for each row True if a bit that carries no value is set in the last byte of its
-        coils or discrete inputs.
+        coils or discrete inputs. `is_exception` is True for a row whose response is an exception
+        response.
 
         Such a row gets a finding, so it must be made a transaction object.
         """

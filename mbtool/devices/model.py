@@ -398,7 +398,7 @@ class Profile(_Part, frozen=True, kw_only=True):
     def area(
         self, table: Table, address: int, quantity: int = 1, *, writing: bool = False
     ) -> Area | None:
-        """The area that contains a whole range of addresses; None if there is none.
+        """The area that contains all `quantity` addresses from `address` on; None if there is none.
 
         If one area is for reading and another for writing, `writing` chooses between them.
         """

@@ -275,11 +275,11 @@ class _Vocabulary:
     def _points_in(
         self, table: Table, address: int, quantity: int, *, writing: bool
     ) -> tuple[tuple[int, PointInstance], ...]:
-        """Return the points that are completely in a range of addresses, each with the index of its
-        first value in the range.
+        """Return the points that are completely among the `quantity` addresses from `address` on,
+        each with the index of its first value there.
 
-        If there are any, each address of the range without a point gets one, named by its
-        reference. `writing` is True for the points that a write may contain.
+        If there are any, each of these addresses without a point gets one, named by its reference.
+        `writing` is True for the points that a write may contain.
         """
         addresses = self._addresses.get((table, writing), [])
         first = bisect_left(addresses, address)

@@ -388,6 +388,7 @@ def _compare_transports(slave: ObservedSlave, profile: Profile, against: list[st
 
     It is 0 if they have one in common, and 1 for a serial device on a network, which may be behind
     a gateway. In any other case it is so large that the explained requests cannot outweigh it.
+    Unless it is 0, adds a sentence to `against`.
     """
     spoken = set(profile.transports)
     if slave.transports & spoken or not slave.transports:
@@ -405,7 +406,8 @@ def _compare_unit(slave: ObservedSlave, profile: Profile, against: list[str]) ->
     """Return the number of contradictions about the slave's unit: 0 if the device can have this
     unit.
 
-    Otherwise the number is so large that the explained requests cannot outweigh it.
+    Otherwise the number is so large that the explained requests cannot outweigh it, and a sentence
+    is added to `against`.
     """
     last = profile.last_unit
     on_line = any(one.is_serial for one in slave.transports)

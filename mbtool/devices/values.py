@@ -135,7 +135,8 @@ class PointInstance:
         return value
 
     def _decode_scaled(self, word: int, ratio: tuple[int, int, int]) -> PointValue:
-        """Decode a scaled number in one register. For such points, this is faster than `_decode`.
+        """Decode a scaled number from the register `word`. For such points, this is faster than
+        `_decode`.
 
         `ratio` has three integers (a, b, c) for value = (number * a + b) / c.
         """

@@ -199,7 +199,7 @@ def _keys(event: WireEvent) -> tuple[tuple[str, str | None], ...]:
 
 
 def is_foreign_message(raw: bytes) -> bool:
-    """True if bytes look like one Modbus/TCP message, except that its protocol id is not 0."""
+    """True if `raw` looks like one Modbus/TCP message, except that its protocol id is not 0."""
     if len(raw) < _LENGTH_END + 2 or raw[2:4] == b"\x00\x00":
         return False
     return len(raw) == _LENGTH_END + int.from_bytes(raw[4:6])

@@ -216,7 +216,9 @@ class ResponseRules:
                     yield self._no_response_finding(one)
 
     def _advance(self, now_ns: int) -> Iterator[Finding]:
-        """Give a finding for each request that has waited more than PATIENCE_NS for a response."""
+        """Give a finding for each request that has waited more than PATIENCE_NS for a response at
+        the time `now_ns`.
+        """
         self._last_ns = max(self._last_ns, now_ns)
         while self._pending:
             transactions = next(iter(self._pending.values()))

@@ -159,8 +159,8 @@ class ScanRules:
 def _finding(code: str, transaction: NamedTransaction, text: str) -> Finding:
     """Make a finding about several units, functions or registers from the first case of a scan.
 
-    The finding has no unit, function and reference, because these belong to the first case only.
-    `text` is its message.
+    `code` is the code of the rule, `text` the message. The finding has no unit, function and
+    reference, because these belong to the first case only.
     """
     one = transaction_finding(code, transaction, text)
     return replace(one, unit=None, function=None, reference=None)

@@ -31,8 +31,8 @@ _WRITE_FUNCTIONS = {Table.COILS: (0x05, 0x0F), Table.HOLDING_REGISTERS: (0x06, 0
 
 
 def make_areas(made: Sequence[RowPoint]) -> tuple[list[Area], list[Point], dict[str, FunctionRule]]:
-    """Return the areas, the points, and a rule for each function, by its code as two hexadecimal
-    digits.
+    """Return the areas and the points of a profile, and a rule for each function, by its code as
+    two hexadecimal digits. `made` are the points of the register list, sorted by table and address.
 
     A point gets a key `access` only if its access differs from that of its area. The functions are
     those that the list names, and those that read and write the tables of the list.

@@ -192,7 +192,7 @@ def _texts(row: ListRow, type_: TypeSpelling) -> tuple[dict[int, str], list[str]
 
 def _limits(row: ListRow, kind: PointType, words: int) -> tuple[dict[str, float], list[str]]:
     """Return the keys `minimum`, `maximum` and `default` of a point, and notes about those of them
-    that the point cannot have.
+    that the point cannot have. `words` is the number of registers of its value.
 
     If a value is scaled, the list does not say whether its range and default are before or after
     scaling. Then they become notes.

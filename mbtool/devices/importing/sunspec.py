@@ -131,7 +131,8 @@ def _prefixes(models: Sequence[SunModel]) -> list[str]:
 def _repeat(file: str, model: SunModel, place: FoundModel) -> int:
     """Compute how often the repeating groups of a model occur in a device.
 
-    It follows from the length of the model in the device, which `place` has.
+    It follows from the length of the model in the device, which `place` has. `file` is the name of
+    the model's file, for messages.
     """
     once, none = words_of(file, model, 1), words_of(file, model, 0)
     if once <= none:

@@ -99,7 +99,7 @@ class SunModel(msgspec.Struct, frozen=True):
 
 def words_of(file: str, model: SunModel, repeat: int) -> int:
     """Return the number of registers of a SunSpec model that has `repeat` copies of each group
-    whose count only the device knows.
+    whose count only the device knows. `file` is the name of the model's file, for messages.
     """
     layout = ModelLayout(0)
     begin = layout.at
@@ -156,9 +156,10 @@ class ModelLayout:
     ) -> None:
         """Give the points of a model their addresses, from the current address on.
 
-        `prefix` begins the name of each point. `repeat` is the number of copies of each group whose
-        count only the device knows. `words` is the number of registers that the model has in the
-        device; points beyond it are left out. It is None if the device was not read.
+        `file` is the name of the model's file, for messages. `prefix` begins the name of each
+        point. `repeat` is the number of copies of each group whose count only the device knows.
+        `words` is the number of registers that the model has in the device; points beyond it are
+        left out. It is None if the device was not read.
         """
         self._end = ADDRESSES if words is None else min(self.at + words, ADDRESSES)
         self._add_group(_Place(file, repeat, words is not None), model.group, (prefix,))
