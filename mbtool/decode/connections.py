@@ -265,8 +265,8 @@ class ConnectionDecoder:
         end, received = progress.captured - progress.unread, progress.received
         losses: list[_LostBytes] = []
         if events or direction is Direction.RESPONSE:
-            # An incomplete request may acknowledge lost responses. They are reported once the
-            # request is complete, as requests lost before it have to be reported first.
+            # A request that is incomplete so far may acknowledge lost responses. These are reported
+            # once the request is complete, as requests lost before it have to be reported first.
             of_responses = other is Direction.RESPONSE
             lost = self._progress[other].acknowledge(received, of_responses=of_responses)
             self._pairing.response_is_cut = of_responses and self._progress[other].has_part
@@ -303,8 +303,9 @@ def _paired(
     link: str,
     endpoints: tuple[str, str],
 ) -> list[Decoded]:
-    """Pair the ADUs among a splitter's events; return ADUs, transactions and other events.
+    """Give the ADUs among a splitter's events to `pairing`.
 
+    Returns the ADUs, the transactions that they complete, and an event for each skipped piece.
     `endpoints` are the sender and receiver of skipped bytes.
     """
     decoded: list[Decoded] = []

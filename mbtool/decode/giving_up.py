@@ -76,5 +76,5 @@ def give_up_lost(readings: Sequence[PairReading], *, is_sequential: bool) -> Non
 
 
 def request_key(request: Adu) -> tuple[int, bytes]:
-    """Return the unit and PDU of a request; a retry has equal ones."""
+    """Return the unit and PDU of a request; a retry has the same unit and PDU."""
     return request.unit, request.pdu

@@ -61,7 +61,7 @@ class MasterHabits:
         self._fastest_ns: dict[int | None, int] = {}
         """By function code, the shortest latency, in ns."""
         self.longest_ns = 0
-        """The longest latency of all, in ns."""
+        """The longest latency of all responses so far, in ns."""
         self._in_a_row = 0
         """The number of requests in a row that came while no other request waited for a
         response."""
@@ -123,7 +123,8 @@ class MasterHabits:
             self._note_id(transaction_id)
 
     def _note_id(self, transaction_id: int) -> None:
-        # A retry may have the id of its first request, so an equal id says nothing.
+        # A retry may have the id of its first request. So an equal id does not show that ids are
+        # constant, and is ignored.
         if self._last_id is not None and transaction_id != self._last_id:
             counts_up = (transaction_id - self._last_id & 0xFFFF) < 0x8000
             self.ids_count_up = counts_up and (self.ids_count_up or not self.ids_vary)
@@ -200,9 +201,10 @@ class MasterHabits:
         self.longest_ns = max(self.longest_ns, latency_ns)
 
     def is_too_early(self, function: int, latency_ns: int) -> bool:
-        """True if a latency is less than half the shortest latency of this slave so far.
+        """True if a latency is less than half the shortest one so far of this function code.
 
-        A negative latency says nothing: the capture has request and response in the wrong order.
+        False if the latency is negative: then the capture has request and response in the wrong
+        order.
         """
         return 0 <= 2 * latency_ns < self._fastest_ns.get(function, 0)
 

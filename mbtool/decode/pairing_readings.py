@@ -52,8 +52,8 @@ UNASKED = 6.0
 """The cost (in units of LATE) of a response that no request asked for. It is high, so that a
 response goes to any request that it can answer."""
 TOO_EARLY = 1.0
-"""Extra cost (in units of LATE) of a response in less than half the shortest latency of this slave
-so far."""
+"""Extra cost (in units of LATE) of a response in less than half the shortest latency that responses
+with this function code had so far."""
 TOO_SLOW = 0.5
 """Extra cost (in units of LATE) of a response that takes longer than `MasterHabits.slow_ns`, if its
 request is not given up."""
@@ -281,7 +281,11 @@ def options(
 
 
 def _too_late(reading: PairReading, response: Adu, place: AduPlace | None) -> set[int]:
-    """Return the numbers of requests that were given up too long ago to get this response."""
+    """Return the numbers of the given-up requests that are too old to get this response.
+
+    The newest MAX_LATE given-up requests that the response fits by id, unit and function can get
+    it. `place` is where the response stands in the connection; None if unknown.
+    """
     late = [
         one for one in reading.waiting if one.number in reading.given_up and one.adu is not None
     ]

@@ -1,4 +1,4 @@
-"""Describes transactions of a TCP connection that were read from arrays of packets."""
+"""Describes transactions of a TCP connection that the array decoder (columns/) decoded."""
 
 # A plain stretch is a part of a TCP connection in which each segment with bytes is one whole ADU of
 # Modbus/TCP, in order; a response follows each request, with its transaction id, unit and function,
@@ -32,8 +32,8 @@ class PlainStretch(NamedTuple):
     """The length of the last response in bytes."""
     transaction_ids: Sequence[int]
     latencies: Mapping[int, Sequence[int]]
-    """By function code, the time from request to response of each transaction, in ns, in their
-    order."""
+    """By function code, the time from request to response of each transaction, in ns, in the order
+    of the transactions."""
 
 
 def plain_request(raw: bytes, ts_ns: int) -> Adu:

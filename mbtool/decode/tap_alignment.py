@@ -1,4 +1,4 @@
-"""Aligns the requests of one tap with the responses of another, whose times differ."""
+"""Aligns the requests that one tap heard with the responses that another tap heard."""
 
 # Each of the two adapters delivers bytes with its own delay, so a response can seem to begin before
 # its request has ended. These rules hold on every line, within the difference of the delays:

@@ -55,8 +55,8 @@ if TYPE_CHECKING:
 MIN_LENGTH = 2
 MAX_LENGTH = 1 + MAX_PDU
 LONGEST_LENGTH = 1454
-"""The length of an ADU that fills the TCP segment of an Ethernet packet, 1460 bytes. UMAS agrees on
-messages of up to about 1 KB."""
+"""The largest length field that is accepted: that of an ADU which fills the TCP segment of an
+Ethernet packet, 1460 bytes. Schneider's UMAS has messages of up to about 1 KB."""
 
 MAX_REQUEST_NS = 30_000_000_000
 """A request gets the verdict LATE_PARTS if its first and last byte are further apart than this, in

@@ -63,7 +63,8 @@ class RtuStreamSplitter:
     def gap(self, missing: int = 0) -> list[Adu | Skipped]:
         """Note that the capture lacks bytes here: return the buffered bytes, as `close` does.
 
-        A frame whose end is missing is skipped, since no CRC confirms it.
+        A frame whose end is missing is skipped, since no CRC confirms it. `missing`, the number of
+        missing bytes, has no influence.
         """
         return self.close()
 
@@ -97,7 +98,10 @@ class RtuStreamSplitter:
         return events
 
     def _size_at(self, place: int) -> int | None:
-        """Return the size of the frame at an index; 0 if none, None if more bytes are needed."""
+        """Return the size in bytes of the frame that begins at an index of the buffer.
+
+        0 if no frame with a correct CRC begins there, None if more bytes are needed to know.
+        """
         start = self._buffer.peek(MAX_RTU_ADU, place)
         size = frame_size(start, self._direction)
         if size is None:

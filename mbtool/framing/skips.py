@@ -19,7 +19,7 @@ MAX_RUN = 1024
 
 
 class SkipRun:
-    """Skipped bytes in a row that are not reported yet; less than MAX_RUN of them."""
+    """Skipped bytes in a row that no event has reported yet; fewer than MAX_RUN of them."""
 
     __slots__ = ("_bytes", "_first_ns", "_why")
 
@@ -38,7 +38,10 @@ class SkipRun:
         return MAX_RUN - len(self._bytes)
 
     def add(self, data: bytes, ts_ns: int, events: list[Adu | Skipped]) -> None:
-        """Add bytes that arrived at `ts_ns`; each MAX_RUN bytes, append one event to `events`."""
+        """Add skipped bytes that arrived at `ts_ns`.
+
+        Appends one event to `events` whenever MAX_RUN bytes are collected.
+        """
         while data:
             if not self._bytes:
                 self._first_ns = ts_ns

@@ -94,7 +94,7 @@ def _id_text(data: bytes) -> str:
 
 
 def text_of(data: bytes) -> str:
-    """Return bytes as text: printable ASCII unchanged, other bytes in hexadecimal.
+    """Return bytes as text: printable ASCII unchanged, each other byte in hexadecimal.
 
     Bytes 00 and spaces at the end are left out.
     """

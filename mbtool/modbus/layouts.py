@@ -39,7 +39,7 @@ COIL_VALUES = {0x0000: 0, 0xFF00: 1}
 
 
 class Tail(Protocol):
-    """The part of variable length at the end of a layout. `at` is its offset in `pdu`."""
+    """The part of variable length at the end of a layout; `at` is the tail's offset in `pdu`."""
 
     def length(self, pdu: bytes, at: int) -> int | None:
         """The tail's length in bytes.

@@ -172,7 +172,7 @@ class Candidates:
     def _begins_after_silence(self, offset: int) -> bool:
         """True if a silence precedes the byte at `offset` and a frame begins there.
 
-        Its CRC is correct, and its function tells its size or it ends at the next silence.
+        The frame has a correct CRC, and ends where its function tells or at the next silence.
         """
         if not self._window.silences[offset]:
             return False

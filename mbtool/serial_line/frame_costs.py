@@ -92,7 +92,11 @@ def _request_cost(
 
 
 def _short_pause_cost(history: LineHistory, state: BusState, at_ns: int) -> float:
-    """Return the cost, in bits, of repeating an answered request after an unusually short pause."""
+    """Return the extra cost, in bits, of a request that equals the one just answered.
+
+    It is 0 unless the pause between the response and the request, which begins at `at_ns`, is
+    unusually short.
+    """
     if history.pauses < ENOUGH_PAUSES or state.last_ns is None:
         return 0.0
     is_short = at_ns - state.last_ns < history.shortest_pause_ns * costs.SHORT_PAUSE_SHARE

@@ -38,10 +38,10 @@ class LineHistory:
         self.latency = LatencyStatistics()
         self.timeout = ResponseTimeout()
         self.echo_latencies: dict[tuple[int, int], LatencyStatistics] = {}
-        """By unit and function, the response time of writes whose response equals the request. In
-        many devices they take longer than reads."""
+        """By unit and function, the longest response time of writes whose response equals the
+        request. In many devices a write takes longer than a read."""
         self.all_echo_latencies = LatencyStatistics()
-        """The response times of all writes in `echo_latencies` together."""
+        """The longest response time of all writes in `echo_latencies` together."""
         self.unanswered: dict[int, int] = {}
         """By unit, the number of requests in a row that had no response."""
         self.answering: set[int] = set()
