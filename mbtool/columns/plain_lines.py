@@ -227,8 +227,8 @@ class BlockLines:
 
 
 class _HexMark:
-    """Stands for the raw bytes of a request or response: its hexadecimal text is the field's
-    mark.
+    """Takes the place of a request's or response's raw bytes while a template is made: its
+    hexadecimal text is the field's mark.
     """
 
     def __init__(self, name: str) -> None:

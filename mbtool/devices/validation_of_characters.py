@@ -27,7 +27,8 @@ _ALLOWED_IN_NOTES = "\n\r\t"
 
 
 def validate_characters(profile: Profile, file: str) -> None:
-    """Raise ProfileError for the first text of a profile that has a control character.
+    """Raise ProfileError for the first text of a profile that has a control character; a note may
+    have line ends and tabs.
 
     `file` is the name of the profile's file, for the message.
     """

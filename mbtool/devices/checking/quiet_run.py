@@ -48,8 +48,8 @@ class QuietConnection(NamedTuple):
     last_request_ns: int
     last_response_ns: int
     recent: list[tuple[int, int, int]]
-    """Transaction id, time of the request (ns) and time of the response (ns) of the last
-    transactions."""
+    """For each of the last transactions (at most connections.MAX_RECENT): transaction id, time of
+    the request (ns) and time of the response (ns)."""
 
 
 @dataclass(slots=True)

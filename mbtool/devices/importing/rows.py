@@ -196,7 +196,7 @@ class RowReader:
 
     def _scaled(self, type_: TypeSpelling | None) -> tuple[float, int | None, str | None]:
         """Return the scale, the number of decimals, and the unit of measure of the row's value; the
-        last two are None if unknown.
+        last two are None if unknown. `type_` is the type of the value, None if the row names none.
 
         The scale is the product of the row's factors. If the row has no factor, the scale is the
         factor in the cell of the unit (0.1 in `0.1 V`). If that cell has none, it follows from the
