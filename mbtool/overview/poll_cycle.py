@@ -311,7 +311,7 @@ def _is_evenly_asked(cycles: CutCycles[P], poll: P) -> bool:
 
 
 def _groups(starts: Sequence[PollStart[P]]) -> list[set[P]]:
-    """Group the polls whose own periods are regular and equal; each set is a group.
+    """Return groups of polls: the polls of a group have regular periods that are equal.
 
     A poll without a regular period joins the group in whose cycles it comes equally often. Returns
     an empty list if no poll is regular, or if all polls would be in one group.

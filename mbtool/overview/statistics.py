@@ -130,8 +130,8 @@ class Statistics:
             poll.cut()
 
     def settle(self, before_ns: int | None = None) -> None:
-        """Count the requests that still wait to be sorted by time in periods, poll cycles and
-        hours: those before `before_ns` (UTC ns), or all if it is None.
+        """Take the requests that still wait, in order of time, and count them in the periods, poll
+        cycles and hours: those before `before_ns` (UTC ns), or all if it is None.
         """
         self._order.settle(before_ns)
 

@@ -235,8 +235,8 @@ class _SlaveComparison:
                 )
 
     def _shift(self, request: RequestKey) -> Iterator[_LatencyShift]:
-        """Yield the change of a request's latencies from capture a to capture b, once; nothing if
-        it is insignificant or too small.
+        """Yield one _LatencyShift if the latencies of a request changed significantly from capture
+        a to capture b, and by at least a medium shift; else nothing.
         """
         a, b = (side.requests[request].latencies for side in (self._a, self._b))
         shift = rank_sum(a.values, b.values)

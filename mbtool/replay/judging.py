@@ -90,7 +90,7 @@ class _RequestResult:
     answered: Sample = field(default_factory=Sample)
     """The latencies (ns) that were measured when the recording was played."""
     time_ns: int = 0
-    """The sum of all latencies measured when the recording was played, in ns."""
+    """The sum (ns) of all latencies measured for the request when the recording was played."""
     registers: set[tuple[str | None, ValueKey]] = field(default_factory=set)
     """The registers whose values differed from the recorded ones: pairs of the name of the device's
     profile (None without profile) and the register."""

@@ -13,8 +13,8 @@ if TYPE_CHECKING:
 
 
 class PlayItem(Protocol):
-    """A part of a recording, such as a request, to be played `position_ns` (ns of recorded time)
-    after the beginning.
+    """A part of a recording, such as a request. It is to be played at `position_ns` (ns of recorded
+    time since the beginning of the played part).
     """
 
     @property

@@ -89,7 +89,9 @@ class Device(Protocol):
     """A simulated device that answers requests that the recording cannot answer."""
 
     def learn(self, table: Table, address: int, value: int) -> None:
-        """Set a register or bit to the value that it has in the recording."""
+        """Set a register or bit to its recorded value, or to the value that the live master has
+        written since.
+        """
 
     def respond(self, unit: int, pdu: bytes, now_ns: int) -> Response | None: ...
 

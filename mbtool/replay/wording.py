@@ -1,4 +1,6 @@
-"""Formats the names and values in differences between recordings, or between responses."""
+"""Formats the names and values in differences between two recordings, or between recorded and new
+responses.
+"""
 
 from __future__ import annotations
 

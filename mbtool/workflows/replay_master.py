@@ -191,8 +191,9 @@ class MasterRun:
             begin_ns = time.monotonic_ns()
             master.send(step.number, step.unit, step.pdu)
             end_ns = time.monotonic_ns()
-            # A slave on this machine may respond before the time `end_ns` is read. Then the latency
-            # would be negative, counted from `end_ns`.
+            # A slave on this machine may respond before the time `end_ns` is read. A latency
+            # counted from `end_ns` would be negative then, so after a short call it counts from
+            # `begin_ns`.
             conductor.note_sent(step, begin_ns if end_ns - begin_ns < _AT_ONCE_NS else end_ns)
             return
         wake_ns = conductor.wake_ns(now_ns)

@@ -100,7 +100,7 @@ class LiveStatistics:
             self.statistics.add(record)
 
     def advance(self, now_ns: int) -> None:
-        """Count the transactions whose requests are more than ORDERED_AFTER_NS before `now_ns` (UTC
-        ns) in periods, poll cycles and hours. These need them sorted by time.
+        """Take the transactions whose requests are more than ORDERED_AFTER_NS before `now_ns` (UTC
+        ns), in order of time, and count them in the periods, poll cycles and hours.
         """
         self.statistics.settle(now_ns - ORDERED_AFTER_NS)

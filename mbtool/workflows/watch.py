@@ -5,8 +5,8 @@
 # records at a time.
 #
 # A file is first read to its end, and the view shows all of it. Then the user can play it back from
-# any position. A jump back starts again with its first record. While a file is played, the time in
-# the view is the recorded time at the present position.
+# any position. A jump back starts again with the file's first record. While a file is played,
+# the time in the view is the recorded time at the present position.
 #
 # Memory: all records of the files, if they are at most MAX_CACHED, so that a jump back need not
 # decode the files again.
