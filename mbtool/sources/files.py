@@ -131,7 +131,7 @@ class CaptureFile:
 
     @property
     def link(self) -> str:
-        """The name of the serial line in the file: the file's name without its suffix."""
+        """The name of the file's serial line: the file's name without its suffix, or "stdin"."""
         return "stdin" if _is_standard_input(self._file) else PurePath(self.name).stem
 
     def serial(self, line: LineSettings | None) -> SerialBytes:
