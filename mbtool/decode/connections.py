@@ -322,8 +322,9 @@ def _paired(
 def _until_unread(events: list[Adu | Skipped], end_ns: int | None) -> int | None:
     """Return the time (ns) from which on the capture may lack responses; None if `end_ns` is None.
 
-    `end_ns` is when the capture ended. Skipped bytes among `events`, the last ones of a splitter,
-    may begin a response. So their time is returned if it is earlier.
+    `end_ns` is when the capture ended. `events` are those that the splitter returned at its end.
+    Skipped bytes among them may begin a response, so the time of these bytes is returned if it is
+    earlier.
     """
     if end_ns is None:
         return None

@@ -197,7 +197,7 @@ class Decoder:
         return RestingConnection(connection, decoder, place)
 
     def opens_modbus_tcp(self, ends: FlowEnds) -> bool:
-        """True if no connection is open between `ends` and neither port is for RTU over TCP."""
+        """True if a SYN between `ends` begins a new connection, on no port for RTU over TCP."""
         known = self._reassembler.find(ends)
         _, lower, _, upper = ends
         return (known is None or known.closed) and self._rtu_ports.isdisjoint((lower, upper))
@@ -376,7 +376,7 @@ class Decoder:
         )
 
     def _is_expected(self, connection: Connection) -> bool:
-        """True if Modbus is expected: `any_port` is off, or the user named a port, or it is 502."""
+        """True if Modbus is expected: `any_port` is off, or a port is 502 or named by the user."""
         ports = self._ports
         named = connection.slave.port in ports or connection.master.port in ports
         return named or not self._any_port

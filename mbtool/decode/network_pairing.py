@@ -144,7 +144,7 @@ class NetworkPairing:
         """Note at `at_ns` that the capture lacks `lost` bytes of a direction (0: number unknown).
 
         `end` is the stream position behind the lost bytes; None if unknown. Returns the
-        transactions that this decides, as of requests whose responses are lost.
+        transactions that this decides, such as those of requests whose responses are lost.
         """
         done: list[Transaction] = []
         if direction is Direction.REQUEST:
@@ -422,7 +422,7 @@ class NetworkPairing:
         return with_response(self._ends, one.adu, response, retries, verdicts, confidence)
 
     def _take_retries(self, answered: OpenRequest) -> int:
-        """Count the equal unanswered requests before this request; each counts only once."""
+        """Count the unanswered requests that `answered` repeats; no later request counts them."""
         (reading,) = self._readings
         if not (self._unanswered or reading.passed or reading.waiting):
             return 0

@@ -258,7 +258,7 @@ def is_before(one: OpenRequest, other: OpenRequest, habits: MasterHabits) -> boo
 def options(
     reading: PairReading, response: Adu, place: AduPlace | None, habits: MasterHabits
 ) -> Iterator[PairOption]:
-    """Yield the requests of a reading that a response may answer, each with the cost of that.
+    """Yield the requests of a reading that a response may answer, each with its cost (see LATE).
 
     `place` is where the response stands in the connection; None if unknown.
     """

@@ -378,7 +378,7 @@ class _ProtocolCandidate:
                 self.is_ruled_out = True
 
     def may_begin_with(self, heads: Mapping[Direction, bytes]) -> bool:
-        """True if no bytes came, `heads` (by direction) may begin an ADU, or an ADU was damaged."""
+        """True if no bytes came, the first ones (`heads`) may begin an ADU, or a CRC was wrong."""
         if any(_has_bad_check(one) for one in self.decoded) or not any(heads.values()):
             return True
         if not self._is_rtu:

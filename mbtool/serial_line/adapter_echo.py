@@ -128,7 +128,11 @@ class AdapterEcho:
             self.last = b""
 
     def _end_single(self) -> None:
-        """Count the last request as one without a copy, if a copy would have been certain."""
+        """Count the last request as one without a copy.
+
+        Nothing is counted if the frame may have been a response and the adapter is not known to
+        echo.
+        """
         if not (self._is_certain or self.echoes):
             return
         self._has_single = True

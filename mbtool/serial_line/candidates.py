@@ -38,7 +38,7 @@ tried."""
 LOST_BYTES = (1, 2)
 """A damaged frame is also tried as a frame of which 1 or 2 bytes were lost."""
 LONG_SKIP = 4
-"""Skipped bytes in a row may contain a damaged request or response if they are this many."""
+"""This many skipped bytes in a row, or more, may contain a damaged request or response."""
 
 NOISE = frozenset(b"\x00\xf8\xfc\xfe\xff")
 """The bytes that receivers hear when the bus changes direction: one low period, read as a byte."""

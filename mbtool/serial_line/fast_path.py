@@ -35,7 +35,7 @@ _FAR_LESS_LIKELY = 10.0
 this many bits more than the longer one."""
 _MAX_COST = costs.REQUEST + costs.NEW_REQUEST
 """The cost, in bits, of a request never heard before. A frame that costs more is left to the
-search, unless it is a known request by its form."""
+search, unless by its form it can only be a request, and this request was heard before."""
 
 
 class FastPath:
@@ -59,9 +59,9 @@ class FastPath:
         direction; empty until its bytes tell the sizes."""
 
     def restart(self, *, behind_noise: bool) -> None:
-        """Forget the sizes of the next frame, since the first undecided byte has become another.
+        """Forget the sizes of the next frame, since it begins at another byte than before.
 
-        `behind_noise` is True if the byte before it belongs to no frame.
+        `behind_noise` is True if the byte before the next frame belongs to no frame.
         """
         self._is_behind_noise = behind_noise
         self.needed = MIN_FRAME

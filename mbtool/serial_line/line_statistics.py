@@ -106,7 +106,7 @@ class LatencyStatistics:
     def learn_capped(self, latency_ns: int) -> None:
         """Note a latency (ns) of what may be no response.
 
-        It can at most double the longest latency.
+        It counts only up to twice the remembered longest latency.
         """
         self.learn(min(latency_ns, 2 * int(self._longest_ns)))
 

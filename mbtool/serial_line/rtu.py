@@ -102,7 +102,7 @@ class RtuSplitter:
         self._follows_silence = True
         """True if a silence of t3.5 precedes the frame returned last."""
         self._last_end: tuple[int, Verdict] | None = None
-        """When the last returned byte ended (ns), and the verdict on a frame directly behind it."""
+        """When the last returned byte ended (ns), and the verdict on a frame behind it; or None."""
 
     @property
     def is_idle(self) -> bool:
@@ -204,7 +204,7 @@ class RtuSplitter:
         self._decided_size = len(self._data)
 
     def _emit_certain_frames(self, events: list[Adu | Skipped], burst_over: bool = False) -> None:
-        """Append frames while the fast path is certain. A silence follows them if `burst_over`."""
+        """Append frames while the fast path is certain; `burst_over`: a silence ends the bytes."""
         while len(self._data) >= MIN_FRAME:
             last = self._echo.last
             if last and self._data.startswith(last) and self._take_copy(events):

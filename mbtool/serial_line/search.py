@@ -200,9 +200,9 @@ class PathSearch:
             self._add_skipped(offset, path, bool(frames), bool(unknown))
 
     def _is_silence_hidden(self, path: Path, offset: int) -> bool:
-        """True if a path ends with a few skipped bytes and a silence precedes these.
+        """True if a path ends with a few skipped bytes that directly follow a silence.
 
-        The silence then counts as before the frame that begins at the offset behind them.
+        Then a frame behind these bytes, at `offset`, costs little for having no silence before it.
         """
         return 0 < path.skipped < LONG_SKIP and (
             path.skipped > offset or self._window.silences[offset - path.skipped]
