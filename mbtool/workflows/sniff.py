@@ -76,9 +76,10 @@ class Sniffer:
     ) -> None:
         """Prepare to capture from `links`.
 
-        `begin_log` creates the log writer; None for no log. `ports` are the TCP ports to capture.
-        Taps accept only masters in `allowed`. With `reconnects`, a serial port or interface that
-        was lost (unplugged) is opened again when it is back; otherwise its link ends.
+        `begin_log` creates the log writer; None for no log. `ports` are the TCP ports to capture
+        from interfaces, empty for all. Taps accept only masters in `allowed`. With `reconnects`, a
+        serial port or interface that was lost (unplugged) is opened again when it is back;
+        otherwise its link ends.
 
         `on_remark` gets a line for the user in these cases: a link is lost while others remain
         open, or comes back; a source has lost bytes or packets, so that the log lacks them; a tap

@@ -209,7 +209,7 @@ class Reading:
             raise self.results.refused[self._paths[0]]
 
     def _demand_file(self, path: str, known: set[object]) -> None:
-        """Check one file; add it to `known`, the files so far, so that one named twice is found."""
+        """Check one file; raise UsageError if it is in `known`, the files so far, else add it."""
         place, is_pipe = place_of(path)
         if not is_pipe:
             with open_capture(path, self._options.line) as capture:
