@@ -152,7 +152,7 @@ class KeyMatcher:
 
 
 class SequenceMatcher:
-    """Answers a request only if it comes next in the recording; any other request is a miss."""
+    """Answers a request only if it comes next in the recording; any other gets NoAnswer.MISS."""
 
     def __init__(self, recording: Recording, on_end: OnEnd) -> None:
         self._order = recording.order
