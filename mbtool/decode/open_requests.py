@@ -31,7 +31,7 @@ class OpenRequest(msgspec.Struct, gc=False, eq=False, kw_only=True):
     """The request's ADU; None if the capture lacks the request."""
     place: AduPlace | None = None
     is_pipelined: bool = False
-    """True if the master sent this request while others waited for their responses."""
+    """True if the master sent this request while other requests waited for their responses."""
     exists: bool = True
     """False if the capture lacks this request and the number of lost bytes does not prove that it
     was sent: 30 lost bytes may be one request or two."""

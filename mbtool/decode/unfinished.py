@@ -22,7 +22,8 @@ SLOWER = 3
 def may_be_answered(waited_ns: int, slowest_ns: int, *, is_given_up: bool = False) -> bool:
     """True if the response to a request may still come after a wait of `waited_ns`.
 
-    `slowest_ns` is the longest latency on the same link so far, in ns.
+    `slowest_ns` is the longest latency on the same link so far, in ns. `is_given_up` is True if the
+    master no longer waits for the response.
     """
     return waited_ns < max(USUAL_NS, 0 if is_given_up else SLOWER * slowest_ns)
 

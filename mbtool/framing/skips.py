@@ -34,7 +34,7 @@ class SkipRun:
 
     @property
     def room(self) -> int:
-        """The number of bytes that can be added before an event reports them."""
+        """The number of bytes that can still be added until MAX_RUN bytes are collected."""
         return MAX_RUN - len(self._bytes)
 
     def add(self, data: bytes, ts_ns: int, events: list[Adu | Skipped]) -> None:

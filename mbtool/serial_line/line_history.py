@@ -1,6 +1,7 @@
 """The history of a serial line: the requests, response times and repetitions heard so far."""
 
-# Memory: at most MAX_REQUESTS requests, and two entries for each function of each unit.
+# Memory: at most MAX_REQUESTS requests, and for each function of each unit one entry in `functions`
+# and one in `echo_latencies`.
 
 from __future__ import annotations
 

@@ -414,7 +414,7 @@ class RtuSplitter:
         return tuple(dict.fromkeys(verdicts)) if verdicts else ()
 
     def _emit_skipped(self, size: int, events: list[Adu | Skipped]) -> None:
-        """Append the first `size` bytes as skipped: frames with a wrong CRC, others by bursts."""
+        """Skip the first `size` bytes: an event for a frame with a wrong CRC, or for each burst."""
         self._noise_size += size
         while size:
             cut = size
