@@ -92,7 +92,8 @@ def _ask_all(
 ) -> None:
     """Send the requests, print their transactions, and exit with 1 if one failed.
 
-    A request fails if it gets an exception, a malformed response or none.
+    `requests` are PDUs. A request fails if it gets an exception response, a malformed response or
+    none. If Ctrl-C comes before the first transaction, `if_interrupted` is printed.
     """
     from mbtool.cli.ask_options import print_asked
     from mbtool.workflows.ask import ANSWERED_OUTCOMES

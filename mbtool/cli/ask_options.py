@@ -131,8 +131,9 @@ class AskedSlave:
     ) -> Iterator[tuple[Asker, RecordOutput]]:
         """Open the link and standard output; yield the asker, which sends requests, and the output.
 
-        If Ctrl-C ends the context, `if_interrupted` is printed. Raises LinkError if the slave
-        cannot be reached.
+        With `is_summed`, a line that counts the transactions is printed at the end. If Ctrl-C
+        comes before the first transaction, it prints `if_interrupted` instead. Raises LinkError if
+        the slave cannot be reached.
         """
         from mbtool.cli.options import condition
         from mbtool.cli.output import open_output
@@ -156,9 +157,9 @@ class AskedSlave:
 
 
 def print_asked(asker: Asker, out: RecordOutput, pdu: bytes) -> NamedTransaction:
-    """Send one request and print its transaction.
+    """Send the request `pdu`, print its transaction on `out`, and return the transaction.
 
-    If the line brought bytes that are no response, they are printed first, as events.
+    Bytes received that are no response are printed before it, as events.
     """
     transaction, events = asker.ask(pdu)
     for event in events:

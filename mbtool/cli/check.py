@@ -162,8 +162,9 @@ def _finished(
 ) -> Iterator[_Printer]:
     """Yield the printer, and complete the output when the context ends, even by an error.
 
-    After that, the user gets remarks and the number of findings, unless there was nothing to check.
-    With `stays`, an error leaves an older file at `path` as it was.
+    Then print the remarks and one sentence with the number of findings; after an error, the
+    sentence is printed only if a transaction was read before. `path` is the output file, None for
+    standard output. With `stays`, an error leaves an older file at `path` as it was.
     """
     from mbtool.cli.talk import Interrupted, say
 

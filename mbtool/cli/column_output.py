@@ -1,4 +1,4 @@
-"""Prints transactions that are decoded as arrays; from large files with several processes."""
+"""Prints the transactions of the array decoder; for large files it uses several processes."""
 
 from __future__ import annotations
 
@@ -23,12 +23,15 @@ if TYPE_CHECKING:
     Note = Callable[[Record], None]
 
 WORTH_PROCESSES = 64 * 1024 * 1024
-"""If the files have fewer bytes than this together, starting another process costs more than it
-saves."""
+"""If the unpacked files have fewer bytes than this in total, one process prints them: starting
+another one takes longer than it saves."""
 
 
 def processes_for(files: Sequence[str], jobs: int | None) -> int:
-    """Return the number of processes that decode the files; `jobs` is the user's limit or None."""
+    """Return the number of processes for printing the files.
+
+    That is 1 for small files and on Windows; else `jobs`, or all cores if `jobs` is None.
+    """
     from mbtool.workflows.shared.reading_choice import unpacked_bytes
 
     if sys.platform == "win32" or unpacked_bytes(files) < WORTH_PROCESSES:
@@ -46,10 +49,10 @@ def cores() -> int:
 def print_columns(
     columns: ColumnReading, out: RecordOutput, note: Note, interrupt: Interrupt, jobs: int
 ) -> None:
-    """Print all transactions of a reading that decodes many packets at once.
+    """Print all transactions of `columns`, a reading by the array decoder, to `out`.
 
-    `note` gets the records that may be worth a remark: events, transactions that were decoded one
-    by one or have an unusual form, and reads of SunSpec models.
+    `jobs` is the number of processes. `note` gets each record that may be worth a remark: events,
+    transactions that were decoded one by one or have an unusual form, and reads of SunSpec models.
     """
     from mbtool.columns.sunspec_rows import SunSpecReads
 
@@ -78,7 +81,10 @@ def print_columns(
 
 
 def _processes(out: RecordOutput, jobs: int) -> BlockProcesses | None:
-    """Start processes that print; None for one job, or if the system starts no more processes."""
+    """Start `jobs` processes that turn decoded transactions into output.
+
+    Returns None if `jobs` is 1, or if the system starts no more processes.
+    """
     if jobs == 1:
         return None
     from mbtool.workflows.shared.block_processes import BlockProcesses
@@ -99,7 +105,10 @@ def _print_apart(
     interrupt: Interrupt,
     processes: BlockProcesses,
 ) -> None:
-    """Print with other processes what this process decodes."""
+    """Decode in this process, and let `processes` turn the transactions into output.
+
+    The processes return text lines, which this process prints; a Parquet file one of them writes.
+    """
     is_table = out.takes_tables
     try:
         for printed in interrupt.breakable(processes.printed(columns.decoded())):

@@ -151,7 +151,10 @@ class _PlainValues:
     """Converts the values of one parameter; typer calls it in place of pydantic."""
 
     def coerce(self, value: Any, param: Any, ctx: Any) -> Any:
-        """Convert a value of the command line: None, a text, or several texts."""
+        """Convert a value of the command line to the parameter's type; the arguments are typer's.
+
+        `value` is None for an option that was not given, else a text or several texts.
+        """
         is_several = param.multiple or param.nargs == -1
         if value is None:
             return () if is_several else None
@@ -171,7 +174,7 @@ class _PlainValues:
 
 
 def _in_plain_words(message: str, value: Any) -> str:
-    """Return pydantic's message about a wrong value in plain words."""
+    """Return pydantic's message about the wrong `value` in plain words, for the user."""
     for beginning, words in _NUMBERS.items():
         if message.startswith(beginning):
             return f"{value!r} is not {words}{message.removeprefix(beginning).partition(',')[0]}"

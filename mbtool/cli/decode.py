@@ -213,9 +213,10 @@ def _columns(
     output: str | None,
     events: EventChoice | None,
 ) -> ColumnReading | None:
-    """Return a reading that decodes many transactions at once, as arrays, if that is of use.
+    """Return a reading by the array decoder if format and files allow it, else None.
 
-    If it returns None, the transactions must be decoded one by one.
+    The format must be Parquet, or JSON lines or CSV without events. With None, the caller decodes
+    the transactions one by one.
     """
     from mbtool.cli.output import OUTPUT_FORMATS
     from mbtool.cli.printers import demand_columns
@@ -234,9 +235,10 @@ def _columns(
 def _reading(
     files: list[str], options: ReadingOptions, output: str | None, *, is_cut: bool
 ) -> Reading:
-    """Return a reading that yields records one by one; it decodes as arrays where that is faster.
+    """Return a reading that yields records one by one.
 
-    `is_cut` is True if files may not be read to their end, such as with --limit or --follow.
+    It uses the array decoder where that is faster. `is_cut` is True if the files may not be read to
+    their end, such as with --limit or --follow; then it decodes packet by packet.
     """
     from mbtool.workflows.shared.reading import Reading
     from mbtool.workflows.shared.reading_choice import column_reading
@@ -246,9 +248,10 @@ def _reading(
 
 
 def _worth_bytes(output: str | None) -> float:
-    """Return the size in bytes from which files are decoded as arrays.
+    """Return the least size in bytes, of all files together, for the array decoder.
 
-    It is infinite on a terminal, where the first rows should appear at once.
+    It is infinite if rows go to a terminal, where the first rows should appear at once. `output` is
+    the path of the output file, None for standard output.
     """
     is_shown = output is None and sys.stdout is not None and sys.stdout.isatty()
     return math.inf if is_shown else _WORTH_BYTES
@@ -256,7 +259,11 @@ def _worth_bytes(output: str | None) -> float:
 
 @contextmanager
 def _with_remarks(reading: Reading, hints: ModelHints, window: TimeWindow) -> Iterator[None]:
-    """Print the remarks about the files when the context ends, even by an error."""
+    """When the context ends, even by an error, print the remarks about the files.
+
+    They come from the reading, from `hints` about device models, and from `window`, if no
+    transaction lies between --start and --end.
+    """
     from mbtool.cli.talk import say
 
     try:
@@ -268,7 +275,7 @@ def _with_remarks(reading: Reading, hints: ModelHints, window: TimeWindow) -> It
 
 
 def _is_piped() -> bool:
-    """True if standard input is a pipe or the like, and not a regular file."""
+    """True if standard input is a pipe, a socket or a terminal, and not a regular file."""
     try:
         return not stat.S_ISREG(os.fstat(0).st_mode)
     except OSError:  # Standard input is closed: opening it will raise the error.

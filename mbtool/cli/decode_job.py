@@ -51,7 +51,11 @@ class JobOptionGroup(OptionGroup):
 
 
 def is_job(files: Sequence[str], output: str | None, group: JobOptionGroup) -> bool:
-    """True if each capture is to be decoded into a Parquet file of its own."""
+    """True if each capture is to be decoded into a Parquet file of its own.
+
+    That is so with --cluster or --share, if an input or the output is in an object store (a URL),
+    and if the output is a folder.
+    """
     return (
         group.cluster is not None
         or group.share is not None
@@ -70,9 +74,10 @@ def run_job(
     *,
     overwrite: bool,
 ) -> None:
-    """Decode the files into a Parquet file each, and print how many were decoded.
+    """Decode each file into a Parquet file in the folder `output`, and print how many were decoded.
 
-    Raises InputError if a file could not be read to its end, after all others are decoded.
+    `jobs` is the number of processes, None for one per core. Raises UsageError if options do not
+    fit, and InputError after the last file if one could not be read to its end.
     """
     from mbtool.cli.printers import demand_columns
 

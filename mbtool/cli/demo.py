@@ -68,7 +68,7 @@ def demo(
 
 @contextmanager
 def _log_told(write: str | None) -> Iterator[None]:
-    """Print the name of the log if Ctrl-C ends the context."""
+    """Print the path `write` of the log if Ctrl-C ends the context and the log exists."""
     try:
         yield
     except KeyboardInterrupt:

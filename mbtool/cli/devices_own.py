@@ -99,7 +99,11 @@ def draft(
 def _draft_sunspec(
     file: str, options: ReadingOptions, who: Who | None, folder: str, output: str | None
 ) -> None:
-    """Make a SunSpec device's profile from the models that the capture shows it to have."""
+    """Write the profile of a SunSpec device, made of the models that masters read in the capture.
+
+    `folder` has the definitions of the models, in JSON. `who` chooses the device; with None the
+    capture must show only one. `output` is the file to write, None for standard output.
+    """
     from mbtool.workflows.shared.sunspec_devices import SunSpecDevices, SunSpecFolder, only_map
 
     models, devices = SunSpecFolder(folder), SunSpecDevices()
@@ -181,9 +185,9 @@ def survey(
 ) -> tuple[ObservedSlaves, InputError | None]:
     """Read a capture or log to its end, print remarks about it, and return its slaves.
 
-    The second value is None, or the error if the file is cut or damaged and has slaves before that
-    place; the caller raises it after it has printed these slaves. Raises InputError if there are no
-    slaves before it.
+    `who` limits the slaves; None takes all. The second returned value is None if the whole file
+    was read. If the file is cut or damaged, it is the error, to be raised by the caller after
+    printing the slaves before the damage; without such slaves the error is raised here.
     """
     from mbtool.workflows.shared.observed_slaves import ObservedSlaves
 
@@ -197,9 +201,10 @@ def survey(
 def _survey(
     file: str, options: ReadingOptions, take: Callable[[Iterator[Record]], None]
 ) -> InputError | None:
-    """Give all records of a capture or log to `take`, and print remarks about the file.
+    """Call `take` once with all records of a capture or log, and print remarks about the file.
 
-    Returns the error if the file is cut or damaged, else None.
+    Returns the error if the file is cut or damaged, else None. Raises InputError if nothing in the
+    file could be decoded.
     """
     from mbtool.cli.talk import interruptible, interruption_told, say
     from mbtool.core import CutError, DamageError

@@ -149,7 +149,11 @@ def _write(
     *,
     everything: bool,
 ) -> None:
-    """Write the inventory; with a baseline, a table or CSV has only the changes since it."""
+    """Write the inventory in one of the formats to `file`.
+
+    `new` are the changes since the baseline, None without a baseline. With a baseline, a table or
+    CSV has only the changes. `everything` lets the table show all rows.
+    """
     from mbtool.cli.console import PipeConsole
     from mbtool.views.inventory_changes import print_changes
     from mbtool.views.inventory_cyclonedx import inventory_cyclonedx
@@ -173,7 +177,10 @@ def _write(
 
 
 def _sentence(document: InventoryDocument, new: Sequence[InventoryChange] | None) -> str:
-    """Sum up: `2 hosts with 5 units, 1 master in 812 transactions`."""
+    """Sum up an inventory: `2 hosts with 5 units, 1 master in 812 transactions`.
+
+    `new` are the changes since the baseline, which are counted first; None without a baseline.
+    """
     from mbtool.core.wording import counted
     from mbtool.overview.inventory_rows import Role
 

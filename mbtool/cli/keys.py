@@ -28,7 +28,8 @@ if TYPE_CHECKING:
     from mbtool.replay.steering import Progress
 
 KEYS = ("space pauses, s steps, + and - change the speed, q ends", "keys: space s + - q")
-"""Two texts that name the keys and their effect; the second one fits a terminal of 80 columns."""
+"""Two texts that name the keys and their effect. The progress line uses the second, shorter one if
+the first does not fit behind it, as on 80 columns."""
 
 _LOOK_S = 0.03
 """Time in s between two checks for keys: too short for a person to notice."""
@@ -64,9 +65,10 @@ class Keyboard:
         self.has_quit = False
 
     def controls(self) -> Sequence[Control]:
-        """Return the commands of the keys pressed since the last call.
+        """Return the commands of the keys that were pressed since the last call.
 
-        The terminal is read at most every 30 ms.
+        The terminal is read at most every 30 ms; a call before that returns nothing. The key q
+        gives no command, but sets `has_quit`.
         """
         now_s = time.monotonic()
         if not self._is_open or now_s - self._looked_s < _LOOK_S:
@@ -141,7 +143,10 @@ def controlled() -> Iterator[tuple[Keyboard | None, Callable[[], bool]]]:
 
 
 def _terminal() -> int | None:
-    """Return the descriptor of standard input if it is a terminal with mbtool in the foreground."""
+    """Return the file descriptor of standard input, if it is a terminal and mbtool its foreground.
+
+    Otherwise keys cannot be read, and the result is None.
+    """
     try:
         descriptor = sys.stdin.fileno()
         is_ours = os.isatty(descriptor) and os.tcgetpgrp(descriptor) == os.getpgrp()

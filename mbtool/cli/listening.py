@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 def heard_ports(links: Sequence[LinkSpec], options: PortOptions) -> TcpPorts:
     """Return the TCP ports of --port and --rtu-port; 502 if --port names none.
 
-    Raises UsageError for a text that is no port, and for a port that both options name.
+    If --port is given but no link is an interface (net:), print that it has no effect. Raises
+    UsageError for a text that is no port, and for a port that both options name.
     """
     from mbtool.cli.talk import say
     from mbtool.core import InterfaceLink
@@ -43,8 +44,8 @@ def allowed_networks(
 ) -> AllowedPeers:
     """Return the networks whose masters a tap accepts, and the limits of their connections.
 
-    Raises UsageError for a text that is no network, and if networks or limits are given without a
-    tap.
+    `networks` are the texts of --allow; None and () admit only masters on this machine. Raises
+    UsageError for a text that is no network, and if networks or limits are given without a tap.
     """
     from mbtool.core import TapLink, UsageError
     from mbtool.ports.allowed_peers import AllowedPeers
@@ -62,9 +63,10 @@ def allowed_networks(
 
 
 def read_only_taps(links: Sequence[LinkSpec], ports: TcpPorts) -> list[LinkSpec]:
-    """Return the links, with each tap made read-only: it refuses requests that write.
+    """Return the links, with each tap made read-only, so that it refuses requests that write.
 
-    Raises UsageError if no link is a tap.
+    A tap whose target has one of the RTU ports carries RTU over TCP, else Modbus/TCP. Raises
+    UsageError if no link is a tap.
     """
     from mbtool.core import TapLink, UsageError
 
@@ -88,9 +90,11 @@ def sniffer_of(
     *,
     reconnects: bool = False,
 ) -> Sniffer:
-    """Make a sniffer that calls `on_remark` with a message when something goes wrong.
+    """Make a sniffer, which listens on the links and decodes what it hears.
 
-    Without `on_remark`, the message is printed. `begin` opens the log.
+    `begin` creates its log; with None nothing is logged. `on_remark` gets each message about a
+    problem, such as a lost link; with None it is printed. With `reconnects`, the sniffer opens a
+    lost link again.
     """
     from mbtool.cli.talk import say
     from mbtool.decode.decoder import Decoder

@@ -42,9 +42,10 @@ class LiveOutput(RecordOutput):
         is_hurried: Callable[[], bool],
         is_silent: bool = False,
     ) -> None:
-        """`is_kept` is True if a log keeps the records; with `is_silent` they are only counted.
+        """Print to `file`, which messages call `name`, in the form of the printer that is made.
 
-        `is_hurried` returns True once the user has asked for the end of the command.
+        `is_kept` is True if a log keeps the records, too. With `is_silent`, records are only
+        counted. `is_hurried` returns True once the user has asked for the end of the command.
         """
         queue = unwaited(file)
         super().__init__(queue, name, make_printer, events, wanted, limit, order)
@@ -53,7 +54,7 @@ class LiveOutput(RecordOutput):
         self._is_hurried = is_hurried
         self._has_reader = not is_silent
         self._not_shown = 0
-        """Number of records left out since the last one that was printed."""
+        """Number of records left out since the last printed record, as the reader was too slow."""
 
     def wait(self) -> None:
         if self._has_reader:
@@ -85,9 +86,10 @@ class LiveOutput(RecordOutput):
             say(f"mbtool: {self._name} takes no text, so the last rows are not shown")
 
     def _write(self, *writes: Callable[[], None]) -> None:
-        """Call the functions that write, unless the reader has closed the output.
+        """Call the functions `writes`, unless the reader has closed the output.
 
-        Raises BrokenPipeError if the reader closes it and no log keeps the records.
+        If the reader closes the output now, the recording goes on if a log keeps the records; else
+        the error is raised: BrokenPipeError, or OutputError if a terminal was closed.
         """
         if not self._has_reader:
             return

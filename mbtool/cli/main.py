@@ -185,12 +185,15 @@ _ELSEWHERE = {
     "--baudrate": _SETTINGS,
     "--parity": _SETTINGS,
 }
-"""Advice for options that other programs have. For each of them: the option of the called command
-that does the same ("" if no option does), and the advice."""
+"""Advice for options that other programs have. Each maps to the mbtool option that does the same
+and the advice. The advice is given only if the called command has this option; "" always holds."""
 
 
 def _elsewhere(option: str | None, context: typer.Context | None) -> str | None:
-    """Return the advice for an option that the command does not have; None if there is none."""
+    """Return the advice in _ELSEWHERE for an option that the called command does not have.
+
+    Returns None if there is no advice. `context` belongs to the called command.
+    """
     parameters = context.command.params if context is not None else []
     own = {name for one in parameters for name in one.opts} | {""}
     return next(
@@ -199,7 +202,10 @@ def _elsewhere(option: str | None, context: typer.Context | None) -> str | None:
 
 
 def _usage(error: typer.TyperException, command: str) -> str:
-    """Return the message for a wrong command line; it names the --help that lists the options."""
+    """Return the message about a wrong command line; it ends with the command's --help.
+
+    `command` is named if the error does not say in which command it arose.
+    """
     message = error.format_message().replace("Value error, ", "").rstrip(".")
     context = getattr(error, "ctx", None)
     where = context.command_path if context is not None else command

@@ -81,7 +81,12 @@ class Polling:
         *,
         is_table: bool,
     ) -> None:
-        """`changes` finds values that differ from the last response; None prints every response."""
+        """`requests` are PDUs; their transactions are printed on `out` and counted in `tally`.
+
+        `changes` finds the values that differ from those of the last response to the same request;
+        with None, every response is printed. `is_table` is True if `out` prints a table, which
+        then shows only the changed values.
+        """
         self._asker = asker
         self._out = out
         self._requests = requests
@@ -90,9 +95,11 @@ class Polling:
         self._is_table = is_table
 
     def run(self, interrupt: Interrupt, period_ns: int, count: int | None) -> None:
-        """Poll until Ctrl-C, or for `count` rounds; `period_ns` is the time between two rounds.
+        """Send all requests once in each round, until Ctrl-C or for `count` rounds.
 
-        A round that takes longer than the period delays the next one; missed rounds are left out.
+        With `count` None there is no limit. A round begins `period_ns` after the begin of the one
+        before. If a round takes longer, the next one begins at its end, and later rounds are due
+        from there.
         """
         due_ns = time.monotonic_ns()
         rounds = 0

@@ -28,7 +28,10 @@ class Printer(ABC):
 
     @abstractmethod
     def print(self, record: Record, number: int) -> None:
-        """Print a record; `number` counts the transactions read so far, from 1."""
+        """Print a record.
+
+        `number` is the number of transactions read up to here, with this one, printed or not.
+        """
 
     def pause(self) -> None:  # noqa: B027 - most printers buffer nothing
         """Print buffered rows now, as the next record may take a while."""
@@ -40,7 +43,7 @@ class Printer(ABC):
 def printer_for(
     format_: Format, file: TextIO, profile_for: ProfileFor, table: TableOptions | None = None
 ) -> Printer:
-    """Return a printer to a file in a format.
+    """Return a printer that writes records to `file` in the format.
 
     `profile_for` returns the device profile for a transaction; `table` has the options of a table.
     """
@@ -75,11 +78,14 @@ class _TablePrinter(Printer):
 
 
 class LinesPrinter(Printer):
-    """Prints each transaction as one line, whose text does not depend on earlier lines."""
+    """Prints JSON lines or CSV: one line for a transaction, independent of earlier lines.
+
+    So several processes can make lines of one output.
+    """
 
     format: Format
     separator: str
-    """The text between two numbers of a list of values."""
+    """The text between two values of a transaction: a comma in JSON, a space in CSV."""
 
     def __init__(self, file: TextIO) -> None:
         self._file = file
@@ -142,7 +148,7 @@ class ParquetPrinter(Printer):
             self._rows.write(record)
 
     def print_table(self, table: Table) -> None:
-        """Print transactions that are given as a table of columns."""
+        """Write the transactions of an Arrow table, which has one row for each."""
         self._rows.write_table(table)
 
     def flush(self) -> None:

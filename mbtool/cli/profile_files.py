@@ -28,7 +28,10 @@ OutputOption = Annotated[
 
 
 def profile_name(file: str, output: str | None) -> str | None:
-    """Return a profile name made from the name of the file; None if both are standard streams."""
+    """Return a profile name, made from the name of the output file, or else of the input file.
+
+    Returns None if that file is `-`, a standard stream. `output` is None if not given.
+    """
     from mbtool.devices.profile_template import name_for
 
     return name_for(output or file) if _STANDARD not in (output or file,) else None

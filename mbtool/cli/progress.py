@@ -21,14 +21,17 @@ T = TypeVar("T")
 
 _APPEARS_S = 1.0
 _LOOK_EVERY = 100
-"""The clock is read once for this many records, as reading it is slow, and after each block of
-rows."""
+"""With single records, the clock is read at every 100th, as reading it is slow. A record that is a
+block of several rows is so rare that the clock is read at each."""
 _PAUSE_S = 0.1
 """The bar is updated at most this often, in s."""
 
 
 def with_progress(reading: Reading, records: Iterator[T]) -> Iterator[T]:
-    """Pass records on, and show on a terminal how much of the files has been read."""
+    """Yield `records`, and show on a terminal how much of the files has been read.
+
+    `reading` is what yields the records; it knows the share of the bytes read so far.
+    """
     return _shown(reading, records) if sys.stderr.isatty() else records
 
 

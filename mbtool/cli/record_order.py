@@ -24,17 +24,20 @@ SORTED: dict[SortKey, Callable[[tuple[Record, int]], Any]] = {
 
 
 def _latency_ns(record: Record) -> float:
-    """Return the negative latency in ns, or infinity if there is none: the slowest sorts first."""
+    """Return the sort key for the slowest first: the negative latency in ns.
+
+    It is infinity for a record without latency, which comes last.
+    """
     latency_ns = _field_of(record, "latency_ns")
     return inf if latency_ns is None else -latency_ns
 
 
 def _field_of(record: Record, field: str) -> int | None:
-    """Return a field of a transaction; None for an event."""
+    """Return the value of `field` in a transaction; None for an event, which has no such field."""
     value: int | None = getattr(record, field, None)
     return value
 
 
 def start_ns(record: Record) -> int:
-    """Return the time by which records are sorted, in ns since 1970."""
+    """Return the time by which records are sorted, in ns since 1970: their start, or the event."""
     return record.ts_ns if isinstance(record, WireEvent) else record.start_ns

@@ -35,10 +35,11 @@ _MAX_RANGES_BYTES = 1 << 20
 def play_as_master(
     file: str, to: LinkSpec, options: MasterOptions, report_file: Path | None, learn: Path | None
 ) -> None:
-    """Send the requests, and print which responses differ. Exits with 1 if one does.
+    """Send the requests of the recording `file` to the slave `to`, and compare its responses.
 
-    `report_file` gets the result, even if the slave cannot be reached; then LinkError is raised.
-    `learn` gets the ranges of registers that differ.
+    Prints the responses that differ from the recorded ones, and exits with 1 if one does. The
+    result is written to `report_file`, even if the slave cannot be reached; then LinkError is
+    raised. `learn` is a file to which the ranges of registers that differ are added.
     """
     if report_file is not None and report_file.suffix not in (".json", ".xml"):
         raise UsageError(f"--report {report_file}: name a .json file, or .xml for JUnit")

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from mbtool.workflows.shared.slave_monitor import SlaveMonitor
 
 _NAME_WIDTH = 21
-"""The width of an IPv4 address and a port, in characters."""
+"""Width of the column of slaves in characters: enough for an IPv4 address and a port."""
 
 
 def play_as_slave(
@@ -104,7 +104,10 @@ class Exchanges:
 
 
 def _steer(keys: Keyboard, played: PlayedSite) -> None:
-    """Apply the keys that the user pressed to all slaves, and show the progress of the replay."""
+    """Apply the keys that the user pressed to all slaves, and show the progress of the replay.
+
+    Raises typer.Exit after the key q.
+    """
     for control in keys.controls():
         for _, slave in played.played:
             slave.control(control)
@@ -114,7 +117,11 @@ def _steer(keys: Keyboard, played: PlayedSite) -> None:
 
 
 def _progress(each: Sequence[Progress], played: PlayedSite) -> Progress:
-    """Return the progress of the farthest slave, with the number of requests to all slaves."""
+    """Return the progress of the slave that is farthest in the recording.
+
+    `each` has the progress of every slave. With several slaves, its text counts the requests to
+    all of them.
+    """
     farthest = max(each, key=lambda one: (one.lap, one.position_ns))
     if len(each) == 1:
         return farthest

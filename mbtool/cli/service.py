@@ -35,7 +35,10 @@ class ServiceRun:
         self._status_ns = self._alive_ns = 0
 
     def with_heartbeats(self, create: Callable[[], StatusLog]) -> HeartbeatLog:
-        """Create the log with `create`, and return it wrapped so that it also gets heartbeats."""
+        """Create the log with `create`, and return it in a wrapper that also gives it heartbeats.
+
+        Heartbeats are records that say at intervals that the recording runs (docs/service.md).
+        """
         self._log = HeartbeatLog(create(), self._lost_links, now_ns())
         return self._log
 
@@ -45,7 +48,10 @@ class ServiceRun:
         self._manager.ready(self._sentence())
 
     def look(self) -> None:
-        """Send the service manager the messages that are due; called several times a second."""
+        """Send the messages that are due to the service manager; called several times a second.
+
+        They are a status every STATUS_NS, and a sign of life three times in the watchdog's time.
+        """
         at_ns = monotonic_ns()
         if at_ns - self._status_ns >= STATUS_NS:
             self._status_ns = at_ns

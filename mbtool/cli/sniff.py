@@ -247,9 +247,11 @@ def _end(
     tell_suspension: Callable[[], None],
     run: ServiceRun | None,
 ) -> Callable[[int], bool]:
-    """Return a function that takes the time in ns and returns True if the run must end.
+    """Return a function that takes the time in ns since 1970 and returns True if sniff must end.
 
-    The function also flushes the output, and sends messages of the service that are due.
+    It must end after Ctrl-C, after --limit rows or after `duration_s` seconds (None: no limit). At
+    each call the function also flushes the output, calls `tell_suspension`, and lets `run` send
+    its messages to the service manager.
     """
     from mbtool.ports.clock import now_ns
 
@@ -273,7 +275,10 @@ def _show(
     ends: Callable[[int], bool],
     is_hurried: Callable[[], bool],
 ) -> None:
-    """Print records as they come, and remarks on device models and on lines that cannot be read."""
+    """Print records as they come, and remarks on device models and on lines that cannot be read.
+
+    `devices` are the profiles of --device, and `lines` the serial lines by the name of their link.
+    """
     from mbtool.cli.talk import say
     from mbtool.workflows.shared.model_hints import ModelHints
     from mbtool.workflows.shared.unreadable_lines import UnreadableLines

@@ -35,8 +35,8 @@ if TYPE_CHECKING:
     from mbtool.workflows.stats import LiveStatistics
 
 _LINK_KINDS = ("rtu:", "ascii:", "net:", "tap:", "rtutap:", "tcp:", "rtu+tcp:")
-"""The beginnings of a LINK. tcp: and rtu+tcp: are among them although stats cannot listen on these:
-the error message then says so."""
+"""The beginnings of a LINK. stats cannot listen on tcp: and rtu+tcp:. They are listed so that the
+error message names a link that cannot be heard, and not a file that does not exist."""
 REFRESH_NS = 1_000_000_000
 """The least time between two refreshes of the figures of a live link, in ns."""
 REFRESH_SHARE = 10
@@ -138,7 +138,7 @@ class _Shown:
             sys.stdout.flush()
 
     def lines(self, links: Sequence[LinkReport], console: Console) -> list[Text]:
-        """Return the lines that fit a console."""
+        """Return the lines of the table; on a terminal, they are fitted to its width and height."""
         from rich.text import Text
 
         from mbtool.views.statistics_table import statistics_lines
@@ -240,7 +240,11 @@ def _end(
     live: LiveStatistics,
     refresh: Callable[[], None],
 ) -> Callable[[int], bool]:
-    """Return a function that takes the time in ns, refreshes the view, and is True at the end."""
+    """Return a function that takes the time in ns since 1970 and returns True if stats must end.
+
+    It must end after Ctrl-C or `duration_s` seconds (None: no limit). When a refresh is due, the
+    function brings `live` up to this time and calls `refresh`.
+    """
     from mbtool.ports.clock import now_ns
 
     end_ns = inf if duration_s is None else now_ns() + duration_s * 1e9

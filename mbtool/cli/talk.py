@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 PATIENCE_S = 0.5
-"""A recording waits at most this many seconds for standard error to take a message; once it has
-waited in vain, it no longer waits."""
+"""While a recording runs, `say` waits at most this many seconds for standard error to take a
+message. After it has waited in vain once, it drops such messages without waiting."""
 
 _wipes: list[Callable[[], None]] = []
 """Functions that erase lines that are redrawn in place, such as the progress line."""
@@ -29,7 +29,7 @@ class _Waiting:
     """Says how long `say` waits if standard error takes no text, as on a stopped terminal."""
 
     patience_s: float | None = None
-    """Drop the message after this many seconds; None to wait for ever."""
+    """A message is dropped after this many seconds; with None, `say` waits for ever."""
 
 
 @contextmanager
@@ -93,7 +93,10 @@ def escaped(text: str) -> str:
 
 @contextmanager
 def redrawn_line(wipe: Callable[[], None]) -> Iterator[None]:
-    """While the context is open, call `wipe` before each message, to erase a redrawn line."""
+    """While the context is open, call `wipe` before each message.
+
+    `wipe` erases a line that is redrawn in place, such as the progress of a replay.
+    """
     _wipes.append(wipe)
     try:
         yield

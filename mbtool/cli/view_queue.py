@@ -24,18 +24,21 @@ if TYPE_CHECKING:
 MAX_WAITING = 2**20
 """The queue is full at this many bytes of text: about 10,000 rows."""
 STUCK_S = 0.5
-"""When the user has asked for the end, a reader that takes nothing for this many seconds is no
-longer waited for."""
+"""After the user has asked for the end, the command stops waiting for a reader that takes no text
+for this many seconds."""
 HURRY_S = 1.0
-"""When the user has asked for the end, the command waits at most this many seconds for the
-reader."""
+"""After the user has asked for the end, the command waits at most this many seconds in all for the
+reader to take the remaining text."""
 _LOOK_S = 0.05
 _PIECE = 2**12
 """Bytes in one write: a pipe that has any room takes this many at once."""
 
 
 class ViewQueue:
-    """A text file whose writes do not wait. The next call raises an error of the writing thread."""
+    """A text file whose writes do not wait: its own thread writes the text.
+
+    An error of that thread is raised by the next call of `write`, `flush` or `drain`.
+    """
 
     def __init__(self, file: TextIO) -> None:
         """`file` is open and has a file descriptor; nobody else writes to it."""
@@ -65,7 +68,10 @@ class ViewQueue:
         return self._descriptor
 
     def write(self, text: str) -> int:
-        """Queue a text. Raises the OSError of an earlier write."""
+        """Put text into the queue, and return its number of characters.
+
+        Raises the OSError with which the thread failed to write earlier text.
+        """
         self.flush()
         data = text.encode(self.encoding, "backslashreplace")
         if data:
@@ -78,12 +84,12 @@ class ViewQueue:
         return len(text)
 
     def flush(self) -> None:
-        """Raise the OSError of an earlier write; does not wait for text to be written."""
+        """Raise the OSError with which the thread failed, if any; does not wait for the queue."""
         if self._error is not None:
             raise self._error
 
     def drain(self, is_hurried: Callable[[], bool]) -> bool:
-        """Wait until all text is written; return True if it is.
+        """Wait until the whole queue is written; return False if it gave up before that.
 
         Once `is_hurried` returns True, stop waiting after HURRY_S, or sooner when the reader takes
         nothing for STUCK_S. Raises the OSError of a write.

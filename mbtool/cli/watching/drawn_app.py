@@ -48,8 +48,8 @@ _SHARE = 8
 _LONGEST_PAUSE_S = 2.0
 _LOOK_S = 1.0
 _LOOK_SHARE = 50
-"""The search for slaves in trouble runs each second; if it takes long, the time between two
-searches is this many times as long as one takes."""
+"""The search for slaves in trouble runs each second. If a search takes over 1/50 s, the next one
+begins only after 50 times the time that this one took."""
 _TYPING_S = 0.15
 """A filter is applied when the user has typed nothing for this long, in s."""
 _SEEK_NS = 10_000_000_000
@@ -210,7 +210,10 @@ class DrawnApp(App[int]):
         return f"no {self.view.what} {'heard yet' if self.feed.is_live else 'up to here'}"
 
     def _places(self, width: int) -> Mapping[str, PlaceColumn]:
-        """Return the columns of links and of masters, each only if there are several."""
+        """Return the columns that show the link and the master of a row, by column name.
+
+        A column is left out if there is only one link or one master.
+        """
         statistics = self.board.statistics
         with self.feed.lock:
             links = tuple(statistics.links)
@@ -230,7 +233,10 @@ class DrawnApp(App[int]):
         self._next_look_s = began_s + max(_LOOK_S, _LOOK_SHARE * took_s)
 
     def _drawn(self, began_s: float) -> None:
-        """Set the time of the next drawing by the processor time that this one took."""
+        """Set the time of the next drawing by the processor time that this one took.
+
+        `began_s` is the thread's processor time in seconds at the start of this drawing.
+        """
         took_s = time.thread_time() - began_s
         pause_s = min(max(_SHARE * took_s, self.view.pause_s), _LONGEST_PAUSE_S)
         self._next_draw_s = time.perf_counter() + pause_s

@@ -19,10 +19,11 @@ _HEX = re.compile(r"(?:0x)?((?:[0-9a-f]{2}[ :]?)+)", re.IGNORECASE)
 def find_row(
     rows: Sequence[Any], columns: Sequence[WatchColumn], text: str, start: int, step: int
 ) -> int | None:
-    """Return the index of the next row that has `text`, or the bytes that it gives in hexadecimal.
+    """Return the index of the next row that shows `text`, or whose frames have its bytes.
 
-    The search begins beside row `start`, goes down (`step` 1) or up (-1), and wraps around at the
-    end. Returns None if no row matches.
+    `text` stands for bytes if it is hexadecimal, such as `01 03`. The search begins with the row
+    after `start` (`step` 1) or before it (-1), and wraps around; row `start` itself comes last.
+    Returns None if no row matches.
     """
     wanted, data = text.lower(), hex_bytes(text)
     context = DrawContext()

@@ -85,7 +85,11 @@ class LiveTable(Widget, can_focus=True):
         *,
         empty: str = "",
     ) -> None:
-        """Draw these rows, or the text `empty` if there is none; the cursor stays on its row."""
+        """Draw these rows, or the text `empty` if there are none; the cursor stays on its row.
+
+        `sorted_by` has the name of the column that the rows are sorted by (None: not sorted), and
+        True if the greatest value comes first.
+        """
         self._empty = empty
         self.rows, self._columns, self._drawing = rows, columns, context
         self._sorted_by = sorted_by
@@ -121,7 +125,7 @@ class LiveTable(Widget, can_focus=True):
 
     @property
     def _may_follow(self) -> bool:
-        """True if the newest row is the last one, as rows are not sorted by a column."""
+        """True if the view shows its newest row last, and rows are not sorted by a column."""
         return self.can_follow and self._sorted_by[0] is None
 
     can_follow = False
@@ -129,7 +133,7 @@ class LiveTable(Widget, can_focus=True):
 
     @property
     def page(self) -> int:
-        """The number of rows that the screen has room for."""
+        """The number of rows that the table has room for on the screen, without the titles."""
         return max(self.size.height - 1, 1)
 
     def render_line(self, y: int) -> Strip:
@@ -162,7 +166,10 @@ class LiveTable(Widget, can_focus=True):
         self.move(-_WHEEL_ROWS)
 
     def _place_of_cursor(self, rows: Sequence[Any]) -> int:
-        """Return the new index of the cursor's row, after rows were added or left out."""
+        """Return the index in `rows` of the row that the cursor is on, found by its key.
+
+        If that row is gone, returns the old index, or the last row (-1 if there are no rows).
+        """
         at = self._cursor
         if at < len(rows) and rows[at].key == self._key:
             return at

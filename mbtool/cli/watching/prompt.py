@@ -82,9 +82,9 @@ def read_filter(text: str) -> Where | None:
 
 
 def why_wrong(text: str, error: UsageError) -> tuple[int, str]:
-    """Return where in a filter text an error is, and the reason.
+    """Return the place of the error in the filter `text`, and the reason for the user.
 
-    The place is the index of a character; if it is not known, the length of the text.
+    The place is the index of a character from 0; if it is not known, the length of the text.
     """
     reason = str(error).partition(": ")[2] if ": " in str(error) else str(error)
     if not str(error).startswith("--where"):

@@ -36,9 +36,9 @@ class PromptedApp(DrawnApp):
         self._thaw()
 
     def _thaw(self) -> None:
-        """Draw with a changed filter.
+        """Draw the screen after the filter has changed.
 
-        A frozen view is frozen anew, as its old rows had another filter.
+        A frozen screen is frozen again at this moment, since its rows passed the old filter.
         """
         if self.frozen is not None:
             self.frozen = None
@@ -63,9 +63,10 @@ class PromptedApp(DrawnApp):
         return apply
 
     def apply_filter(self, text: str) -> bool:
-        """Filter by a text and return True.
+        """Set the filter to the expression `text` and return True; an empty text removes it.
 
-        If the text is wrong, keep the old filter and show where.
+        If the expression is wrong, keep the old filter, show the place of the error, and return
+        False.
         """
         try:
             wanted = read_filter(text)

@@ -25,7 +25,10 @@ if TYPE_CHECKING:
 
 
 class LineRow(NamedTuple):
-    """A line of text on the view of bus load, links, polls and cycles."""
+    """A line of text on the view `bus`, which shows bus load, links, polls and cycles.
+
+    `key` is the number of the line, from 0; `style` is that of the text, such as `bold red`.
+    """
 
     key: int
     text: str
@@ -47,7 +50,7 @@ class WatchView:
     can_follow: bool = False
     """True if the newest row is the last one."""
     pause_s: float = 0
-    """The least time between two drawings, in s, for rows that take long to make."""
+    """The least time between two drawings in seconds; more than 0 if its rows take long to make."""
 
 
 def _line_rows(board: Board, width: int) -> list[LineRow]:
