@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from mbtool.views.changed_points import PointsRead
 
 MANY_BITS = 8
-"""If a request or response has more bits than this, a cell shows them in groups of GROUP bits."""
+"""If a request or response has more bits than this, a cell shows them in groups of eight bits."""
 GROUP = 8
 FOLDED = 4
 """If at least this many equal values follow each other, a cell shows one and a count: `0 x24`."""

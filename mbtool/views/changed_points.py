@@ -24,7 +24,8 @@ class ChangedPoints:
     def of(self, transaction: NamedTransaction) -> PointsRead:
         """Return the points of a response, those with changed values first; remember all values.
 
-        A point that is read for the first time counts as unchanged, but as unseen.
+        A point has changed if its text differs from that of the last reading. A point that is read
+        for the first time has not changed, but is worth showing (PointsRead.fresh).
         """
         points = transaction.read_points
         if not points:
@@ -58,10 +59,10 @@ class PointsRead(NamedTuple):
     every: Sequence[PointValue]
     """All points of the response; those whose values changed since the last reading come first."""
     fresh: Sequence[PointValue]
-    """The points worth showing: all except numbers that did not change since the last reading.
-    Empty if no point changed and none was read for the first time."""
+    """The points worth showing: those that changed, those read for the first time and, if there are
+    any of these, all points shown as words, such as `on`. Empty if nothing changed or was new."""
     has_unseen: bool = False
-    """True if the response has a point that was never read before."""
+    """True if at least one point of the response is read for the first time."""
 
 
 _NO_POINTS = PointsRead((), ())

@@ -83,7 +83,7 @@ class CodeSummary:
         summary.add(finding)
 
     def places(self) -> list[PlaceSummary]:
-        """Return the summaries of the places, the one with most findings first."""
+        """Return the summaries of at most MAX_PLACES places, the one with most findings first."""
         return sorted(self._places.values(), key=lambda one: -one.number)
 
 

@@ -64,16 +64,16 @@ def _print_summary(console: Console, results: Sequence[MatchResult]) -> None:
 
 
 def shown_matches(result: MatchResult) -> Sequence[ProfileMatch]:
-    """Return the profiles to show: those with the best score, and at least MIN_SHOWN.
+    """Return the profiles to show: all with the best score, and at least MIN_SHOWN if there are.
 
-    Profiles with score 0 are never shown.
+    The score says how well a profile explains the slave's traffic. One with score 0 is not shown.
     """
     scored = [one for one in result.matches if one.score > 0]
     return scored[: max(MIN_SHOWN, len(result.best))]
 
 
 def match_record(result: MatchResult) -> dict[str, Any]:
-    """Return a result as JSON data, with all profiles, even those with score 0."""
+    """Return the result for one slave as JSON data, with all profiles, even those of score 0."""
     slave = result.slave
     where: dict[str, Any] = {"link": slave.link, "destination": slave.destination}
     return {

@@ -46,7 +46,11 @@ class PlaceColumns:
         changed."""
 
     def decide(self, sample: Iterable[Places]) -> None:
-        """Choose the columns for the first rows of a table from their links, masters and units."""
+        """Choose which of link, master and unit are columns at the begin of a table.
+
+        `sample` has link, master and unit of the first rows, which are examined before any is
+        printed.
+        """
         trial = PlaceColumns()
         seen: list[set[str]] = [set() for _ in PLACES]
         for places in sample:
@@ -59,7 +63,10 @@ class PlaceColumns:
                 self._shorten(column, texts)
 
     def note(self, places: Places) -> None:
-        """Note the link, master and unit of the next row; this may make one of them a column."""
+        """Note the link, master and unit of the next row.
+
+        One of them becomes a column from this row on if it now changes often (MANY_CHANGES).
+        """
         self._count += 1
         for index, text in enumerate(places):
             last = self._last[index]
@@ -75,7 +82,10 @@ class PlaceColumns:
                 self._shorten(column, (last, text))
 
     def cell(self, column: TableColumn, places: Places) -> str:
-        """Return the text of the link, master or unit in a row: `.7` if its column is shortened."""
+        """Return the text of the link, master or unit in a row.
+
+        In a shortened column it is the last number of the address, such as `.7`.
+        """
         text = places[PLACES.index(column)]
         network = self.networks.get(column)
         if network is not None and text.startswith(f"{network}."):
@@ -83,7 +93,11 @@ class PlaceColumns:
         return text
 
     def heading(self, record: NamedTransaction) -> str:
-        """Return the heading of the next rows: link, master and unit, unless they are columns."""
+        """Return the heading of the next rows, beginning with `record`.
+
+        It has link, master and unit, except those that are columns. Of a shortened column it has
+        the part that all addresses share: `master 10.0.0.*`.
+        """
         link, master, unit = self._last
         parts = []
         if TableColumn.LINK not in self.in_row:

@@ -92,7 +92,8 @@ def extents(
 ) -> list[Extent]:
     """Return the least and the greatest value within each of `count` equal parts of the time.
 
-    A part begins with the last value of the part before.
+    The time goes from `begin_ns` to `end_ns`. A value lasts until the next sample, so the last
+    value of one part counts in the next part, too. A part before the first sample has None.
     """
     in_order = sorted(samples, key=lambda one: one.ts_ns)
     held: float | None = None
@@ -123,7 +124,7 @@ def _chart(one: ValueSeries, begin_ns: int, end_ns: int, size: PlotSize) -> list
     room = (high_value - low_value) or 1
 
     def row_of(value: float) -> int:
-        """Return the row of dots in which a value is drawn; 0 is the top row."""
+        """Return the row of dots for a value: 0, the top row, for the greatest value."""
         return steps - round((value - low_value) / room * steps)
 
     spans = [None if one is None else (row_of(one[1]), row_of(one[0])) for one in columns]
@@ -131,10 +132,10 @@ def _chart(one: ValueSeries, begin_ns: int, end_ns: int, size: PlotSize) -> list
 
 
 def _cells(spans: Sequence[tuple[int, int] | None], row: int, size: PlotSize) -> str:
-    """Draw one row of characters.
+    """Draw row `row` of a chart's characters, counted from 0 at the top.
 
-    `spans` has the first and last dot of each column, from the top. A column without values has
-    None in place of its dots.
+    `spans` has, for each column of dots, the rows of its first and last dot, also from 0 at the
+    top; None for a column without values.
     """
     if not size.unicode:
         return "".join("*" if one and one[0] <= row <= one[1] else " " for one in spans)
@@ -150,7 +151,10 @@ def _cells(spans: Sequence[tuple[int, int] | None], row: int, size: PlotSize) ->
 
 
 def _labels(one: ValueSeries, rows: int) -> list[str]:
-    """Return a label for each row: the greatest value at the top, the least one at the bottom."""
+    """Return the labels at the left of a chart, one for each of its `rows`.
+
+    The top one is the greatest value of the series, the bottom one the least; the others are empty.
+    """
     numbers = [sample.value for sample in one.samples]
     if one.bit or not numbers:
         return [""] * (1 if one.bit else rows)

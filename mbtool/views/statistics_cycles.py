@@ -37,7 +37,8 @@ _STEP = (
     StatisticsColumn("miss", 6),
 )
 _LISTS_WITH_STEPS = 5
-"""A section with N rows of lists shows the polls (repeated requests) of N / 5 lists one by one."""
+"""A section that may have N rows shows a row for each of N poll lists, but only for N / 5 of them
+the single polls."""
 
 Found = tuple["LinkReport", "MasterReport", "PollList[PollStatistics]"]
 
@@ -71,9 +72,9 @@ def cycle_lines(links: Sequence[LinkReport], width: int | None, top: int) -> lis
 
 
 def _untold_lists(number: int, shown: int) -> list[StyledLine]:
-    """Return a line that says how many lists, beyond `shown`, have no rows for their polls.
+    """Return a line that says for how many of `number` poll lists the polls are not shown.
 
-    Returns no line if there are none.
+    `shown` is the number of those whose polls are shown; if they are all, there is no line.
     """
     if number <= shown:
         return []
@@ -125,7 +126,10 @@ def _repeated_line(one: PollList[PollStatistics], width: int | None) -> list[Sty
 
 
 def _between_lines(links: Sequence[LinkReport], width: int | None, top: int) -> list[StyledLine]:
-    """Return lines about polls (repeated requests) in no list of their master, and on timeouts."""
+    """Return lines on the polls that a master sends between its poll lists, and on its timeout.
+
+    `width` is the terminal's, None on a pipe; `top` limits the rows.
+    """
     lines = []
     for link in links:
         for master in link.masters:

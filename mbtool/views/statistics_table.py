@@ -44,7 +44,7 @@ FEWEST = 3
 """Each section keeps this many rows, however small the terminal is."""
 USUAL = 10
 MOST_IMPORTANT = 3
-"""This many sections, the most important ones, are shown even on the smallest terminal."""
+"""The first sections, this many, are shown even on the smallest terminal: they matter most."""
 _ALIKE = 0.7
 _BAR = 30
 _EATERS = 3
@@ -110,7 +110,11 @@ def statistics_lines(
 def _joined(
     sections: Sequence[tuple[str, list[StyledLine]]], left_out: Sequence[str], width: int | None
 ) -> list[StyledLine]:
-    """Return the lines of all sections, and a line that names what had no room."""
+    """Return the lines of all sections, then a line that names what had no room, if anything.
+
+    `sections` are pairs of name and lines. `left_out` names the sections that had no room; the
+    lines themselves name the columns that had none. `width` is the terminal's, None on a pipe.
+    """
     lines: list[StyledLine] = []
     for _, section in sections:
         lines += [StyledLine(""), *section] if lines else section
@@ -283,7 +287,10 @@ def _histogram(links: Sequence[LinkReport]) -> list[StyledLine]:
 
 
 def _joined_below(finest_ns: int, buckets: list[Bucket]) -> list[Bucket]:
-    """Join all buckets of the histogram below `finest_ns` into one; return that and the others."""
+    """Return the buckets, with all whose upper bound is at most `finest_ns` joined into one.
+
+    A bucket has the number of latencies between its bounds in ns.
+    """
     below = sum(one.number for one in buckets if one.high_ns <= finest_ns)
     first = [Bucket(0, finest_ns, below)] if below else []
     return [*first, *(one for one in buckets if one.high_ns > finest_ns)]

@@ -228,7 +228,8 @@ class TransactionTable:
     def _fit_widths(self, rows: Sequence[_TableRow]) -> None:
         """Make the columns of links, hosts, devices and files as wide as these rows need.
 
-        In a pipe they are never narrower than usual, as wider cells may follow.
+        `rows` are those printed first. In a pipe, columns have at least the width in _WIDTHS,
+        since a later row may need it.
         """
         for column in self._columns if self._is_chosen else self._places.in_row:
             if column in _FITTED:
@@ -312,7 +313,7 @@ class TransactionTable:
 
 
 def _aligned(column: TableColumn, width: int) -> Callable[[str], str]:
-    """Return a function that pads a text to the width of its column."""
+    """Return a function that pads a cell's text with spaces to `width` characters."""
     return f"{{:{'>' if column in _RIGHT else '<'}{width}}}".format
 
 

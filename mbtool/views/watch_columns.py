@@ -25,8 +25,8 @@ _LONGEST_PART = 12
 """A text that is too long is cut between words, unless its last word is longer than this, in
 characters."""
 LEAST_REST = 22
-"""A column that shares the remaining width gets at least this many characters, or others are left
-out."""
+"""Columns of width 0 share the width that the others leave. If one of them would get fewer
+characters than this, another column is left out."""
 
 
 @dataclass(slots=True)
@@ -82,10 +82,10 @@ def fitted(
     chosen: Collection[str] | None = None,
     places: Mapping[str, PlaceColumn] | None = None,
 ) -> list[FittedColumn]:
-    """Return the columns that fit a width, in characters; `chosen` names those that the user wants.
+    """Return the columns to show on a screen of `width` characters, with their widths.
 
-    Without a choice, the columns in `places` (link and master) are shown with the width given
-    there.
+    If `chosen` names columns, exactly these are shown. With None, the usual columns are shown, as
+    many as fit, and those in `places` (link and master) always, with the width given there.
     """
     places = places or {}
     if chosen is None:
@@ -112,7 +112,10 @@ def fitted(
 
 
 def _placed(column: WatchColumn, places: Mapping[str, PlaceColumn]) -> WatchColumn:
-    """Return a link or master column changed so that it is always shown; others unchanged."""
+    """Return a column; if `places` has it, with the width given there and never left out.
+
+    `places` has link and master, if there are several.
+    """
     place = places.get(column.name)
     return column if place is None else replace(column, width=place.width, rank=0, is_usual=True)
 

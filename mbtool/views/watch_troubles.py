@@ -19,13 +19,14 @@ FEW = 0.01
 this (0.01 is 1 %)."""
 ENOUGH = 3
 _MORE = " more: key 5"
-"""Follows the number of troubled slaves for which the line has no room; key 5 opens their table."""
+"""Ends the line on slaves with troubles, after the number of those that had no room in it. The key
+5 opens the table of slaves."""
 
 
 def slave_trouble(row: WatchedSlaveRow, *, is_short: bool = False) -> str:
     """Return what is wrong with a slave, the worst first; empty if nothing is.
 
-    With `is_short`, the text for a slow slave leaves out the latency of the others.
+    With `is_short`, the text for a slow slave leaves out the median latency of the other slaves.
     """
     if row.answered_ns is None and row.missing:
         is_damaged = row.damaged * 2 > row.missing
@@ -67,9 +68,10 @@ def trouble_line(rows: Sequence[WatchedSlaveRow], width: int) -> str:
 def _line(
     sick: Sequence[WatchedSlaveRow], network: str | None, width: int, *, is_short: bool
 ) -> str:
-    """Return slaves and their troubles, as many as fit `width` characters; always the first one.
+    """Return the first of the slaves `sick` with their troubles, as many as fit `width` characters.
 
-    `network` is the prefix to leave out of the names of links; None leaves out the links.
+    The first slave is always named. `network` is the prefix that is left out of the names of links;
+    with None, the links are left out.
     """
     text = ""
     for at, row in enumerate(sick):

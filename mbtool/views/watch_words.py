@@ -57,7 +57,11 @@ def count(number: int) -> str:
 
 
 def sparkline(values: Sequence[float | None], width: int) -> str:
-    """Draw the last `width` values as bars between their least and greatest; None becomes an x."""
+    """Draw the last `width` values, one character each: a low bar for the least, a high one for the
+    greatest.
+
+    None, a request without a response, and a number that is not finite become MISSING.
+    """
     shown = values[-width:]
     numbers = [one for one in shown if one is not None and one == one and abs(one) != float("inf")]
     low, high = (min(numbers), max(numbers)) if numbers else (0, 0)

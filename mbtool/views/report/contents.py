@@ -209,10 +209,10 @@ def _link_columns(contents: ReportContents, link: LinkReport) -> dict[str, Any]:
 
 
 def _values(values: Values, begin_ns: int) -> dict[str, Any]:
-    """Return the values that changed as series, and the last value of those that never changed.
+    """Return the values of registers and points for the page, as JSON data.
 
-    A sample is the time in ms since the first bin, and the value. If there are many series, each is
-    thinned out to fewer samples.
+    A value that changed gives a series of samples, one that never changed only its last text. A
+    sample is [ms since `begin_ns`, value]. If there are many series, each keeps fewer samples.
     """
     moving = {key: one for key, one in values.series.items() if one.changes and one.samples}
     most = min(max(MAX_SAMPLES // max(len(moving), 1), LEAST_SAMPLES), MOST_SAMPLES)
@@ -244,7 +244,10 @@ def _values(values: Values, begin_ns: int) -> dict[str, Any]:
 
 
 def _kind(series: ValueSeries) -> str:
-    """Return how the page draws a series of values: as `bit`, `state` or `number`."""
+    """Return how the page draws a series: as `bit`, `state` or `number`.
+
+    A series is a state if the device's manual has words for its values.
+    """
     if series.bit or (series.texts and {one.value for one in series.samples} <= {0, 1}):
         return "bit"
     are_words = any(text and text[0] not in _NUMBER_BEGINS for text in series.texts.values())

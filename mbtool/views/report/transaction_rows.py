@@ -50,8 +50,8 @@ class TransactionRows:
         self._kinds: Counter[tuple[str, int, str]] = Counter()
         self._more = 0
         self._by_time: dict[tuple[str, int | None, int], tuple[list[int], dict[str, None]]] = {}
-        """The row and its finding codes, by link, unit and start time in ns; `mark` looks them
-        up."""
+        """Each kept row and the codes of its findings, by the transaction's link, unit and start
+        in ns since 1970; `mark` looks up the row of a finding here."""
         self.begin_ns: int | None = None
         self.rows: list[list[int]] = []
         self.transactions = 0
@@ -62,7 +62,8 @@ class TransactionRows:
     def add(self, one: NamedTransaction, codes: Iterable[str]) -> None:
         """Count a transaction, and keep a row for it if it is among the first ones or failed.
 
-        `codes` are findings (broken rules) about it, beside its own.
+        `codes` are the codes of findings (broken rules) about it that the rules of `check` gave,
+        beside the decoder's own in `one.findings`.
         """
         self.transactions += 1
         codes = dict.fromkeys((*one.findings, *codes))
@@ -126,7 +127,10 @@ class TransactionRows:
         self._by_time[one.link, one.unit, one.start_ns] = row, codes
 
     def _place(self, text: str) -> int:
-        """Return the index of a text in `texts`; a new text is cut to its limit and appended."""
+        """Return the index of a text in the list `texts`, to which a new text is appended.
+
+        A new text is cut to the length that ROOM gives.
+        """
         place = self._places.get(text)
         if place is not None:
             return place

@@ -31,13 +31,13 @@ if TYPE_CHECKING:
 IN_SENTENCE = 3
 """The first sentence of a report names at most this many troubles; the page lists all below it."""
 FEW = 0.01
-"""If a smaller share of requests than this (0.01 is 1 %) failed, the text gives the number, and the
-trouble is minor."""
+"""If less than this share of a unit's requests failed (0.01 is 1 %), the trouble is minor, and its
+text gives the number of failures and not the share."""
 SLOWER = 2
 """A unit has become slower if its mean latency at the end is at least this many times that of its
 first half, and at least SLOW_NS more."""
 _ENOUGH_BINS = 8
-"""With fewer bins of time than this, no time is given since when a unit is slower."""
+"""A unit with fewer bins of time than this is never reported as having become slower."""
 JOINED_SLOW = 3
 """If at least this many units are slow, they are reported as one trouble."""
 _MANY_REFUSING = 4
@@ -49,7 +49,8 @@ beginning."""
 _ENDED = 0.25
 """A trouble that does not show in this last share (0.25 is 25 %) of a unit's time has ended."""
 _ENOUGH = 3
-"""Fewer failures than this are minor; a trouble in fewer bins than this gets no time."""
+"""A trouble with fewer failures than this is minor. If the failures lie in fewer bins of time than
+this, the text does not say since when or until when they came."""
 _DAY_NS = 86_400_000_000_000
 
 
@@ -90,7 +91,7 @@ class _Unit:
     name: str
     tally: RequestTally
     history: History | None
-    """None if the bytes of its line have no times."""
+    """Counts over time; None if the capture of the unit's line has no times."""
 
     def trouble(self, rank: Rank, text: str, weight: float, word: str = "") -> VerdictTrouble:
         search = f"{link_word(self.row.link)}unit:{self.row.unit} {word}".rstrip()
@@ -119,7 +120,7 @@ class ReportVerdict:
 
 
 def link_word(link: str) -> str:
-    """Return a link as a word for the search field, with a space; empty for a name with spaces."""
+    """Return the link and a space, for the page's search field; empty if the link has spaces."""
     return "" if " " in link else f"{link} "
 
 
@@ -193,7 +194,7 @@ def _all_well(
 
 
 def _joined_refusals(troubles: list[VerdictTrouble], units: int) -> list[VerdictTrouble]:
-    """Join the troubles of many refusing units into one: the master asks for what they lack."""
+    """Join the refusals of many of the `units` into one trouble: the requests are wrong."""
     refusing = [one for one in troubles if one.rank is Rank.FAILING and one.is_refusal]
     if len(refusing) < _MANY_REFUSING or len(refusing) * 2 < units:
         return troubles
@@ -210,7 +211,7 @@ def _joined_refusals(troubles: list[VerdictTrouble], units: int) -> list[Verdict
 
 
 def _joined_slow(troubles: list[VerdictTrouble], units: int) -> list[VerdictTrouble]:
-    """Join the troubles of many slow units into one: devices of their kind may be slow."""
+    """Join the slowness of many of the `units` into one trouble: their kind may just be slow."""
     slow = [one for one in troubles if one.rank is Rank.SLOW]
     if len(slow) < JOINED_SLOW:
         return troubles
@@ -265,7 +266,7 @@ def _line_troubles(links: Sequence[LinkReport], history: History) -> list[Verdic
 
 
 def _rank(grave: Rank, share: float, count: int) -> Rank:
-    """Return `grave` if a failure is frequent, else MINOR; `share` is its share of the requests."""
+    """Return `grave` if share and count of the failures reach FEW and _ENOUGH, else MINOR."""
     return grave if share >= FEW and count >= _ENOUGH else Rank.MINOR
 
 
