@@ -60,7 +60,7 @@ _PLACES = {
     "sniff": ("api.live_capture", "sniff"),
     **{name: ("core.errors", name) for name in _ERRORS},
 }
-"""For each public name: its module, and its name in that module."""
+"""For each public name: its module, relative to the package mbtool, and its name in there."""
 
 __all__ = [
     "Capture",

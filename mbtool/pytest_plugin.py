@@ -125,7 +125,10 @@ def mbtool_line() -> Iterator[MakesLine]:
 def pytest_runtest_makereport(
     item: pytest.Item, call: pytest.CallInfo[None]
 ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-    """Keep the traffic of a failed test in logs; its slaves still run at this moment."""
+    """Write the traffic of a failed test to logs, and add a section about it to the report.
+
+    The test's slaves still run at this moment.
+    """
     report = yield
     slaves = item.stash.get(_SLAVES, None)
     if report.failed and slaves and report.when != "teardown":
@@ -160,7 +163,10 @@ def _started(
 
 
 def _kept(item: pytest.Item, number: int, slave: mbtool.ObservedShell) -> str:
-    """Write the traffic of a slave to a log, and return the slave's part of the report."""
+    """Write the traffic of a slave to a log, and return the slave's text for the test report.
+
+    `number` is the slave's number in the test, from 1; it is part of the log's name.
+    """
     import mbtool
 
     lines = slave.lines()
@@ -193,7 +199,10 @@ def log_name(test: str, number: int) -> str:
 
 
 def _demand_known(fixture: str, made: type, options: dict[str, Any]) -> None:
-    """Raise TypeError for an argument that the class does not have, and suggest a similar name."""
+    """Raise TypeError for a name in `options` that is no argument of the class `made`.
+
+    The message begins with the name of the fixture, and suggests a similar name.
+    """
     __tracebackhide__ = True
     from difflib import get_close_matches
     from inspect import signature
@@ -207,6 +216,6 @@ def _demand_known(fixture: str, made: type, options: dict[str, Any]) -> None:
 
 
 def _beside(request: pytest.FixtureRequest, path: Any) -> Path:
-    """Return the path beside the test's file if a file is there; else the path as given."""
+    """Return `path` in the folder of the test's file if a file is there; else `path` as given."""
     beside = request.path.parent / path
     return beside if beside.exists() else Path(path)

@@ -39,7 +39,7 @@ class ByteDecoder:
     """
 
     def __init__(self, link: str = "rtu@19200-8E1", *, devices: Devices | None = None) -> None:
-        """`link` says on what the bytes were heard.
+        """`link` says where the bytes come from.
 
         It is a serial line ("rtu@19200-8E1", "ascii@9600-7E1"), or one TCP connection ("tcp",
         "rtu+tcp"). `devices` gives units their profiles: {5: "idec-ft1a-touch"}. Raises UsageError
@@ -49,7 +49,7 @@ class ByteDecoder:
         self._connection: Connection | None = None
         self._line: SerialLink | None = None
         self._count = 0
-        """Number of bytes so far."""
+        """Number of bytes that `feed` was given so far."""
         if link in _STREAMS:
             self._connection = Connection(Endpoint("master", 0), Endpoint(_HOST, MODBUS_PORT))
         else:

@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from mbtool.devices import NamedTransaction
 
 _TABLE_ROWS = 65_536
-"""Transactions that are decoded one by one are put into tables of this many rows, which are
-joined."""
+"""If transactions are decoded one by one, `table` collects this many as Python objects, turns them
+into a table, and joins the tables at the end. This saves memory."""
 
 
 class Capture:
@@ -116,7 +116,10 @@ class Capture:
         return whole_table([*parts, row_table(rows)])
 
     def _columns(self) -> list[Table] | None:
-        """Return the tables of files that can be decoded as arrays; None for other files."""
+        """Return all transactions as tables, made by the array decoder.
+
+        Returns None if it cannot decode these files, or does not support the options.
+        """
         from mbtool.workflows.shared.column_reading import ColumnReading, can_read_columns
 
         if not can_read_columns(self._paths, self._options):
@@ -142,9 +145,10 @@ class Capture:
             self._finish(reading)
 
     def _finish(self, reading: Reading, error: CutError | DamageError | None = None) -> None:
-        """Store the remarks about the files, and raise the error that ended the reading.
+        """Store the remarks about the files, and raise `error`, which ended the reading, if any.
 
-        With `incomplete=True`, the error becomes a remark instead.
+        With `incomplete=True`, the error becomes a remark instead. Raises InputError if nothing in
+        the files could be decoded.
         """
         self.remarks = [*reading.remarks]
         if error is not None:

@@ -42,11 +42,11 @@ class LiveCapture:
         self._stopping = threading.Event()
         self._sniffer: Sniffer | None = None
         self._stream: Iterator[Record] = iter(())
-        """The only iterator over the records; all calls share it, so that no record is lost between
-        them."""
+        """The only iterator over the records. All calls of `records` and `transactions` take from
+        it, so that no record is lost between two calls."""
         self._end_ns = inf
-        """The time at which the current call ends, in ns since 1970; infinite if it has no time
-        limit."""
+        """The time at which the current call of `records` or `transactions` ends, in ns since 1970;
+        infinite if the call has no time limit."""
         self.remarks: list[str] = []
         """Lines about the links, such as that bytes were lost or a master was turned away."""
 

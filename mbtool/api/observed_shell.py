@@ -246,7 +246,10 @@ def _touches(one: NamedTransaction, span: Span) -> bool:
 
 
 def _parts(one: NamedTransaction, span: Span) -> list[range]:
-    """Return the address ranges that a request reads or writes in the table of `span`."""
+    """Return the address ranges that a request reads or writes in the table of `span`.
+
+    There are two for a request that reads and writes (17H), and none for another table.
+    """
     function = FUNCTIONS.get(one.function)
     if function is None or function.table is not span.table or one.address is None:
         return []
@@ -259,8 +262,8 @@ def _parts(one: NamedTransaction, span: Span) -> list[range]:
 def _written_at(one: NamedTransaction, span: Span) -> list[int] | None:
     """Return the values that a request writes from the first address of `span` on.
 
-    They are cut at the end of `span`, unless `span` is a single address. None if the request writes
-    none there.
+    Values behind the end of `span` are left out, unless `span` is a single address. Returns None if
+    the request writes nothing, or begins behind the first address of `span`.
     """
     function = FUNCTIONS.get(one.function)
     first = one.write_address if one.function == _READ_WRITE else one.address

@@ -33,7 +33,8 @@ class Executor(Protocol):
     def run(self, tasks: Sequence[bytes]) -> Iterator[tuple[bytes, bytes | str]]:
         """Yield pairs of a task and its result, in the order in which the tasks end.
 
-        The result is a text with the reason if the task failed.
+        A task is bytes that the caller has serialised, and so is its result. If the task failed,
+        the result is a text with the reason.
         """
 
 
@@ -43,7 +44,9 @@ class LocalProcesses:
     def __init__(self, start: Callable[[], subprocess.Popen[bytes]], processes: int) -> None:
         """`start` starts a process that reads tasks and writes results.
 
-        Each task and each result is a line of hexadecimal digits.
+        At most `processes` run at once. A task is one line on the process's standard input: its
+        bytes in hexadecimal digits. The process answers it with one such line on standard output,
+        the bytes of the result.
         """
         self.processes = processes
         self._start = start
@@ -107,7 +110,7 @@ class DaskCluster:
     """Runs tasks on the workers of a Dask scheduler. Each must have mbtool[cluster] installed."""
 
     def __init__(self, address: str, work: Work) -> None:
-        """Connect to the scheduler at `address`; the workers call `work` for each task.
+        """Connect to the scheduler at `address`; its workers call `work` with each task's bytes.
 
         Raises UsageError if dask is not installed, and LinkError if no scheduler answers.
         """

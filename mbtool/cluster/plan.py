@@ -64,7 +64,7 @@ class InputFile:
 
 @dataclass(frozen=True, slots=True)
 class Around:
-    """The files before and after one file of a rotated capture, in the order of the capture."""
+    """The neighbours of one file of a rotated capture that are read with it, in capture order."""
 
     before: tuple[InputFile, ...]
     after: tuple[InputFile, ...]
@@ -94,15 +94,18 @@ def plan(files: Iterable[InputFile], most: int = MAX_FILES) -> list[FileRun]:
 
 
 def files_each(files: int, processes: int) -> int:
-    """The number of files that one decoder should decode in a row, so that all processes are busy.
+    """Return how many files one decoder should decode in a row, so that all processes are busy.
 
-    `files` is the number of all files.
+    `files` is the number of all files, `processes` that of the processes that decode them.
     """
     return min(max(-(-files // (processes * RUNS_EACH)), MIN_FILES), MAX_FILES)
 
 
 def remaining(run: FileRun, is_done: Callable[[InputFile, Around], bool]) -> list[FileRun]:
-    """Return the parts of a run that are not decoded yet, each with consecutive files."""
+    """Return the files of a run that are not done, as runs of files that follow each other.
+
+    `is_done` returns True for a file that was decoded by an earlier command.
+    """
     found = []
     pairs = zip(run.files, run.around, strict=True)
     for done, some in groupby(pairs, key=lambda pair: is_done(*pair)):
@@ -162,7 +165,10 @@ def _runs(group: Sequence[InputFile], most: int) -> Iterator[FileRun]:
 
 
 def _near(files: Sequence[InputFile]) -> tuple[InputFile, ...]:
-    """The first of `files`, as many as are needed for NEAR_BYTES bytes together."""
+    """Return the first of `files`, as many as are needed for NEAR_BYTES bytes in all.
+
+    Returns all of them if they have fewer bytes.
+    """
     size = 0
     for count, file in enumerate(files, 1):
         size += file.size
@@ -172,9 +178,9 @@ def _near(files: Sequence[InputFile]) -> tuple[InputFile, ...]:
 
 
 def _group(path: str) -> tuple[str, str]:
-    """The folder and name of a path, with # in place of dates and numbers.
+    """Return the folder of a path with # for each date, and the file name with # for each number.
 
-    They are the same for all files of one rotated capture.
+    Both are the same for all files of one rotated capture.
     """
     folder, _, name = path.rpartition("/")
     return _DATE.sub("#", folder), _DIGITS.sub("#", name)

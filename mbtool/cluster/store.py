@@ -209,8 +209,10 @@ def _opened(address: str) -> tuple[Any, str]:
 
 
 def _options(scheme: str) -> str:
-    """The options to append to the address of a store: the server and region of a store that is not
-    Amazon's, which pyarrow does not take from the environment itself.
+    """Return the query, beginning with `?`, to append to a store's address; empty if not s3.
+
+    If AWS_ENDPOINT_URL names a store that is not Amazon's, the query has this server and the region
+    in AWS_REGION: pyarrow does not take them from the environment itself.
     """
     endpoint = os.environ.get("AWS_ENDPOINT_URL_S3") or os.environ.get("AWS_ENDPOINT_URL")
     if scheme != "s3":

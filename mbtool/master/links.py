@@ -79,7 +79,7 @@ class Exchange(NamedTuple):
 
     request: Adu
     response: Adu | None
-    """None if no response came in time, or if the request was a broadcast."""
+    """The response; None if none came in time, or if the request was a broadcast."""
     unread: tuple[Skipped, ...]
     """Bytes that came after the request and are no ADU, such as a frame with a wrong CRC."""
 
@@ -94,7 +94,7 @@ class MasterLink(ABC):
     _request: Adu
     """The request sent last, with the time when it was sent."""
     _response: Adu | None = None
-    """The last response that belongs to a request."""
+    """The last response received that belongs to a request; None before the first one."""
 
     def __init__(self) -> None:
         self._unread: deque[Skipped] = deque(maxlen=MAX_UNREAD)
@@ -150,7 +150,7 @@ class MasterLink(ABC):
         return Exchange(self._request, response, tuple(self._unread))
 
     def _is_answered(self) -> bool:
-        """Wait for the response to the last request of `exchange`; False if it does not come."""
+        """Wait for the response to the last request; False if it does not come in time."""
         until_ns = time.monotonic_ns() + self.limits.timeout_ns
         rest_ns = self.limits.timeout_ns
         while self._asked not in self.lost():
@@ -165,7 +165,7 @@ class MasterLink(ABC):
     def _note_request(
         self, unit: int, pdu: bytes, raw: bytes, transaction_id: int | None = None
     ) -> None:
-        """Keep the request that has just been sent."""
+        """Store the request that was sent just now, with the bytes `raw` of its ADU."""
         now_ns = time.monotonic_ns()
         self._request = Adu(
             start_ns=now_ns,

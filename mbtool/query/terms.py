@@ -79,8 +79,9 @@ def why_never_true(left: Term, right: Term, *, membership: bool) -> str | None:
 def why_out_of_range(left: Term, right: Term, compare: str) -> str | None:
     """Say why a comparison of a name with a number is useless; None if it is not.
 
-    It is useless if the name can never have this number (for `<` and the like: no number that is
-    less, and so on). `compare` is the operator: `==`, `!=`, `in`, `not in`, `<`, `<=`, `>` or `>=`.
+    It is useless if the name can never have this number, as in `unit == 300` and `unit != 300`, or
+    none in this range, as in `unit < 0`. `compare` is the operator: `==`, `!=`, `in`, `not in`,
+    `<`, `<=`, `>` or `>=`.
     """
     if compare in ("in", "not in"):
         return _first(why_out_of_range(left, item, "==") for item in right.items)
@@ -132,7 +133,7 @@ def _either(choices: tuple[str, ...]) -> str:
 
 
 def host_of(endpoint: str | None) -> str | None:
-    """The host in a text such as `10.0.0.9:502` or `[fe80::1]:502`; None for None."""
+    """Return the host in an endpoint such as `10.0.0.9:502` or `[fe80::1]:502`; None for None."""
     if endpoint is None:
         return None
     if endpoint.startswith("["):

@@ -140,7 +140,10 @@ class _Compiler:
     def _chain(
         self, left: ast.expr, operators: Sequence[ast.cmpop], rights: Sequence[ast.expr]
     ) -> Where:
-        """Compile one or several comparisons in a row, as in `40 <= address < 50`."""
+        """Compile a chain of comparisons, such as `40 <= address < 50`.
+
+        `left` is its first term, `rights` has the term after each operator.
+        """
         terms = [self._term(node) for node in (left, *rights)]
         compares = []
         for at, one_operator in enumerate(operators):
@@ -185,7 +188,10 @@ class _Compiler:
             terms[other] = _moment(repr(text), ns)
 
     def _fitting(self, left: ast.expr, call: ast.Call, *, negated: bool) -> Where:
-        """Compile `left like "..."` or `left matches "..."`."""
+        """Compile `left like "..."` or `left matches "..."`; with `negated`, `left not like "..."`.
+
+        `call` is the right side, which the parser sees as a call: like("...").
+        """
         match call:
             case ast.Call(
                 func=ast.Name(id="like" | "matches" as word),
@@ -304,10 +310,10 @@ def _wildcards(pattern: str) -> str:
 
 
 def _of_endpoints(left: Term, right: Term, sign: ast.cmpop) -> _Compare | None:
-    """Return the function that compares an address with a port and texts that may lack the port.
+    """Return a function for the comparison of an endpoint with texts that may lack the port.
 
-    None for other comparisons. `"10.0" in source` is another one: its text may be any part of the
-    address.
+    An endpoint is an address with a port. Returns None for any other comparison, such as
+    `"10.0" in source`, which looks for a part of the text. `sign` is the operator.
     """
     is_equality = isinstance(sign, ast.Eq | ast.NotEq)
     if right.is_endpoint and left.constant is not None and is_equality:

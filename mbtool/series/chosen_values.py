@@ -36,7 +36,10 @@ class NamedAddresses(NamedTuple):
 
 
 class _PointMatch(NamedTuple):
-    """The user's texts that name a point, and the addresses of the point (empty if not known)."""
+    """The user's texts that name a point, and the point's addresses in its table.
+
+    `addresses` is an empty range if the profile does not give them.
+    """
 
     texts: set[str]
     addresses: range
@@ -51,7 +54,9 @@ class ChosenValues:
         find: Callable[[str, Profile | None], NamedAddresses | None],
         profile_for: Callable[[NamedTransaction], Profile | None],
     ) -> None:
-        """`find` returns the addresses that a text names in a profile; None if it names none.
+        """`texts` are the names and references that the user gave.
+
+        `find` returns the addresses that such a text names in a profile; None if it names none.
 
         `profile_for` returns the profile of a transaction's slave; None if it has none.
         """

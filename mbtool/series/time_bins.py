@@ -24,8 +24,8 @@ _WIDTHS_NS = (
 )  # fmt: skip
 
 Bin = list[int]
-"""The sums in one span of time. The last two items are the least and the greatest value in it; both
-are 0 if it has no value."""
+"""The sums in one span of time, such as requests and bytes; their meaning is the caller's. The last
+two items are the least and the greatest value noted in the span by note_value; both 0 if none."""
 LEAST, GREATEST = -2, -1
 
 
@@ -83,18 +83,19 @@ class TimeBins:
         return self._last - self._first + 1 if self._rows else 0
 
     def column(self, row: Hashable, place: int) -> list[int]:
-        """One sum of a row over time: its value in each bin, 0 where the row has none.
+        """Return one sum of a row for each bin, from the first to the last; 0 in an empty bin.
 
-        `place` is the index of the sum in a bin.
+        `place` is the index of the sum in a bin, such as UnitSum.RETRIES.
         """
         bins = self._rows.get(row, {})
         numbers = range(self._first, self._last + 1)
         return [bins[one][place] if one in bins else 0 for one in numbers]
 
     def _reach(self, number: int, at_ns: int) -> int:
-        """Extend the bins to a time before the first or after the last; return the bin's number.
+        """Add bins up to the time `at_ns`, which is before the first bin or after the last.
 
-        If there would be too many bins, they become wider.
+        `number` is the time's bin at the present width. If there would be too many bins, all become
+        wider; so the number of the time's bin is returned.
         """
         first, last = min(self._first, number), max(self._last, number)
         while last - first >= self._limit and self._step + 1 < len(_WIDTHS_NS):

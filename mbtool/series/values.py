@@ -102,9 +102,10 @@ class Values:
     def _registers(
         self, one: NamedTransaction, table: Table, count: int
     ) -> list[ValueSeries | None]:
-        """The series for the registers or bits of a poll, in the order of their addresses.
+        """Return the series of values for the registers or bits of a poll, in address order.
 
-        None stands for a register whose values are not collected. `count` is their number.
+        `count` is the number of the poll's registers; series are made for at most MAX_OF_POLL. None
+        stands for a register that is not collected, as there are too many others.
         """
         first = one.address or 0
         addresses = range(first, first + min(count, MAX_OF_POLL))
@@ -126,9 +127,10 @@ class Values:
 def _add_changes(
     followed: Sequence[ValueSeries | None], values: Sequence[int], before: Sequence[int], at_ns: int
 ) -> None:
-    """Add the values that differ from `before`, the last values of the same registers or bits.
+    """Add to the series in `followed` those values that differ from `before`.
 
-    If `before` has another length than `values`, add all values.
+    The three sequences are in the order of the poll's addresses. `before` has the values of the
+    last response; if its length differs, all values are added.
     """
     if len(before) != len(values):
         before = [-1] * len(values)

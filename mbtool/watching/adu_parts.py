@@ -41,7 +41,10 @@ def adu_parts(transport: Transport, raw: bytes, direction: Direction) -> list[Ad
 def _body_parts(
     body: bytes, header: tuple[tuple[str, int], ...], direction: Direction
 ) -> list[AduPart]:
-    """Return the fields of header and PDU; `header` has name and width in bytes of its fields."""
+    """Return the fields of `body`, an ADU without its CRC or LRC.
+
+    `header` has name and width in bytes of each field before the function code.
+    """
     at = sum(width for _, width in header)
     fields = [*header, ("function", 1)]
     if len(body) > at:

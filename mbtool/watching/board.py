@@ -53,10 +53,10 @@ class Board:
         *,
         kept: int = MAX_KEPT,
     ) -> None:
-        """`format_of` returns a serial link's settings by its name, `profile_for` a slave's
-        profile.
+        """Make an empty board that keeps at most `kept` records.
 
-        `kept` limits the number of records in `records`.
+        `format_of` returns the character format of a link by its name, None if the link is not
+        serial. `profile_for` returns the profile of a transaction's slave, None if it has none.
         """
         self.profile_for = profile_for
         self.statistics = Statistics(format_of)
@@ -73,7 +73,10 @@ class Board:
         """The time of the last record, in ns since 1970."""
 
     def add(self, kept: KeptRecord, *, listed: bool = True) -> None:
-        """Take the next record. With `listed` false it is counted, but not kept in `records`."""
+        """Take the next record, with its numbers in the capture.
+
+        With `listed` false it changes all figures, but is not kept in `records`.
+        """
         record = kept.record
         if listed:
             self.records.append(kept)
@@ -104,9 +107,10 @@ class Board:
             self._note_trouble(code, kept, record.link, record.unit, at_ns)
 
     def advance(self, before_ns: int | None) -> None:
-        """Let the statistics process requests before `before_ns` (ns since 1970) in order of time.
+        """Let the statistics count the requests from before `before_ns` (ns since 1970).
 
-        They wait for earlier requests that may still come; None processes all of them.
+        The statistics hold requests back to count them in order of time, as records do not come in
+        that order. The caller says that no earlier request will come; None counts all that wait.
         """
         self.statistics.settle(before_ns)
 
@@ -224,7 +228,10 @@ class Board:
 
 
 def _note_changes(poll: WatchedPoll, values: Sequence[int], at_ns: int) -> None:
-    """Note the time at which values of a poll changed; `values` are the new ones."""
+    """Set the time of the last change to `at_ns` for each value of the poll that has changed.
+
+    `values` are the new values. If their number differs from the last one, all have changed.
+    """
     before = poll.values or []
     changed = poll.changed_ns
     if len(values) != len(before):

@@ -22,9 +22,9 @@ class PollRow(NamedTuple):
 
     key: Hashable
     kept: KeptRecord
-    """The last transaction."""
+    """The last transaction of this poll."""
     is_damaged: bool
-    """True if its response came with a wrong CRC or LRC."""
+    """True if the response in the last transaction came with a wrong CRC or LRC."""
     poll: PollKey
     function_name: str
     reference: str | None
@@ -66,8 +66,8 @@ class WatchedPointRow(NamedTuple):
     is_written: bool
     history: Sequence[float]
     pair: tuple[int, int] | None
-    """The values of the register and the next one, for a float; None if they were not read
-    together."""
+    """The numbers in this register and in the next one, to be shown as a 32-bit float; None if no
+    response had both."""
 
 
 class RecordRow(NamedTuple):

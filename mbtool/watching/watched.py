@@ -59,9 +59,10 @@ class Watched:
             self._add_filtered(self.filtered, kept)
 
     def advance(self, before_ns: int | None) -> None:
-        """Let the statistics process requests before `before_ns` (ns since 1970) in order of time.
+        """Let the statistics count the requests from before `before_ns` (ns since 1970).
 
-        They wait for earlier requests that may still come; None processes all of them.
+        The statistics hold requests back to count them in order of time, as records do not come in
+        that order. The caller says that no earlier request will come; None counts all that wait.
         """
         self._settled_ns = before_ns
         self.whole.advance(before_ns)
@@ -69,7 +70,10 @@ class Watched:
             self.filtered.advance(before_ns)
 
     def restart(self) -> None:
-        """Forget all records, but not the filter and the marks, as the file is read again."""
+        """Forget all records, because a file is played from its beginning again.
+
+        The filter and the marks stay.
+        """
         self._order = self._numbers = 0
         self.whole = self._board()
         if self.filtered is not None:
@@ -88,13 +92,13 @@ class Watched:
 
     @property
     def filtered_from(self) -> int:
-        """The number of older records, which are no longer kept and which no new filter sees."""
+        """The number of oldest records that are no longer kept; no new filter sees them."""
         return self.whole.records[0].order - 1 if self.whole.records else 0
 
     def mark(self, kept: KeptRecord) -> bool:
-        """Mark a record, or remove its mark.
+        """Mark a record; if it is marked already, remove its mark.
 
-        Returns False if MAX_MARKED records are marked already.
+        Returns False, and marks nothing, if MAX_MARKED other records are marked.
         """
         if self.marked.pop(kept.order, None) is not None:
             return True
@@ -107,9 +111,9 @@ class Watched:
         return Board(self._format_of, self._profile_for, kept=self._kept)
 
     def _add_filtered(self, board: Board, kept: KeptRecord) -> None:
-        """Add a record if it passes the filter.
+        """Add a record to the filter's board if it passes the filter.
 
-        Events are only counted, as filters do not fit them.
+        A filter is for transactions only, so an event changes the figures but is not listed.
         """
         if isinstance(kept.record, WireEvent):
             board.add(kept, listed=False)

@@ -24,7 +24,7 @@ NEVER_NS = 0
 """Stands for the time of a change if there was none."""
 
 _FAULTS = (Outcome.EXCEPTION, Outcome.NO_ANSWER, Outcome.MALFORMED)
-"""Outcomes that count as errors of a request. A response that the capture lacks is no error."""
+"""Outcomes that count as errors. A request whose response the capture lacks is not one of them."""
 
 
 class KeptRecord(NamedTuple):
@@ -62,7 +62,10 @@ class WatchedPoll:
     _period_at: int = 0
 
     def refresh_period(self) -> None:
-        """Compute the median period again if there are an eighth more requests than last time."""
+        """Compute `period_ns` again if the number of periods has grown by more than an eighth.
+
+        Doing it for each request would take too long.
+        """
         count = self.statistics.period.count
         if count > self._period_at + self._period_at // 8:
             self._period_at = count
@@ -102,7 +105,8 @@ class WatchedPoint:
     ) -> None:
         """Note a value that was read or written at `at_ns` (ns since 1970).
 
-        The first one is no change.
+        `value` is None if the value is a text only. The point's first value is not counted as a
+        change.
         """
         self.is_written = written
         if text == self.text and value == self.value:

@@ -21,9 +21,9 @@ from enum import Enum, auto
 
 MAX_NOTES = 16
 SPARE_NS = 1_000_000_000
-"""If the limit of connections is reached, a connection that is older than this, in ns, and has sent
-nothing is closed in favour of a new one (TCP guide, V1.0b, 4.3.2: the oldest unused connection is
-closed)."""
+"""Least age, in ns, of a connection that is closed in favour of a new one. This happens if `places`
+masters are connected and one of them has sent nothing since it connected (TCP guide, V1.0b, 4.3.2:
+the oldest unused connection is closed)."""
 
 
 class Loss(Enum):
@@ -110,7 +110,11 @@ class ConnectionPolicy:
         return None
 
     def admit(self, host: str, now_ns: int) -> Admission:
-        """Decide whether a master that has connected from the address `host` may stay."""
+        """Decide whether a master that has connected from the IP address `host` may stay.
+
+        If `places` masters are connected, the oldest one that has sent nothing leaves for it; if
+        all have sent something, the new one is refused.
+        """
         leaves = None
         if len(self.peers) >= self.places:
             leaves = next((one for one in self.peers if _is_unused(one, now_ns)), None)

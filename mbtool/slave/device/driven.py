@@ -46,9 +46,10 @@ class DrivenDevice:
         return self._device.respond(unit, pdu, now_ns)
 
     def _between(self, now_ns: int) -> Sequence[int]:
-        """Return moments between the last computation and `now_ns`, at equal distances.
+        """Return moments in ns between the last computation and `now_ns`, at equal distances.
 
-        They are at least RESOLUTION_NS apart, and fewer than MAX_BETWEEN.
+        They are at least RESOLUTION_NS apart. There are fewer than MAX_BETWEEN, and none if less
+        than two RESOLUTION_NS have passed.
         """
         passed_ns = now_ns - self._last_ns
         count = min(passed_ns // RESOLUTION_NS, MAX_BETWEEN)

@@ -96,12 +96,12 @@ def load_image(
 ) -> list[Driven]:
     """Write the constant values of a file into an image, and return the values that change.
 
-    `source` is the file, or its keys and values; captures that it names are then looked for in the
-    current directory. `only` is given for the file in which a device's state is saved: then it may
-    set only these addresses, each to the content of a register, and no value may change. `recall`
-    reads values from captures; None if the file may not name any. Raises InputError for a file that
-    is no TOML, UsageError for a wrong key or value; the image then holds the values of the lines
-    before the wrong one.
+    `source` is the path of the file, or a mapping with its keys and values. Captures that it names
+    are looked for beside the file, or in the current directory. `only` is None for start values.
+    For the file that keeps a device's state it lists the addresses that may be set, each to the
+    content of a register. `recall` reads values from captures; with None the file may not name any.
+    Raises InputError for a file that is no TOML, and UsageError for a wrong key or value; the image
+    then holds the values of the lines before the wrong one.
     """
     hint = "write lines such as HR400001 = 4660"
     targets = ValueTargets(profile)
@@ -153,7 +153,7 @@ def _is_among(table: Table, span: range, parts: Sequence[tuple[Table, range]]) -
 
 
 class _Movement:
-    """A changing value as the values file describes it, such as `{ ramp = [0, 9] }`."""
+    """Reads the TOML table of one changing value, such as `{ ramp = [0, 9] }`."""
 
     def __init__(
         self,

@@ -52,14 +52,15 @@ _PLAIN_READS = READS - {0x17}
 
 
 _Known = tuple[bytes, bytearray, slice, bool]
-"""How to answer a read whose checks were passed before. The function code and byte count of the
-response; the bytes of the table; the slice of them that holds the values; True if they are bits."""
+"""How to answer a read that has passed its checks before: the first two bytes of the response
+(function code and byte count), the bytes of the whole table, the slice of them that holds the
+values, and True if the values are bits."""
 
 
 class DeviceResponder:
-    """A simulated device that answers requests.
+    """A simulated device that answers requests from its register image.
 
-    Between two requests, other code may change its image.
+    Between two requests, other code may change the image, such as that of changing values.
     """
 
     def __init__(self, behaviour: Behaviour) -> None:

@@ -121,7 +121,10 @@ class Walk:
         return self._value
 
     def _turned_back(self, value: float) -> float:
-        """Reflect a value outside the range of the walk at the limit that it has crossed."""
+        """Return the value, brought back into the range of the walk if it is outside.
+
+        It lies as far inside the limit that it has crossed as it was outside.
+        """
         width = self.highest - self.lowest
         if not width:
             return self.lowest

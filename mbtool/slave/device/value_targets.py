@@ -64,10 +64,11 @@ class ValueTarget:
         return self.point.words if self.point is not None else 1
 
     def registers(self, value: object, *, stored: bool = False) -> list[int]:
-        """Convert a value of the file to the contents of the registers, or of the bit.
+        """Convert a value of the file to the contents of the target's registers, or of its bit.
 
-        If `stored`, a whole number is a register's content, even if a point begins at the address.
-        Raises UsageError for a value that the registers or the bit cannot hold.
+        With `stored`, a whole number is taken as a register's content. Without it, a whole number
+        for a named point, or for one of several registers, is in the point's unit. Raises
+        UsageError for a value that the registers or the bit cannot hold.
         """
         if isinstance(value, bool):
             if not self.table.is_bits:
@@ -80,11 +81,11 @@ class ValueTarget:
         return self._encoded(self.point, value)
 
     def all_registers(self, value: object, *, stored: bool = False) -> list[int]:
-        """Convert a value, or a list of contents of consecutive registers or bits, to register
-        contents.
+        """Convert a value as `registers` does, or a list of numbers to as many registers or bits.
 
-        Raises UsageError as `registers` does, for an empty list, and for a list where the key is
-        the name of a point.
+        Each number of a list is the content of one register or bit, beginning at the target's
+        address. Raises UsageError as `registers` does, for an empty list, and for a list where the
+        key is the name of a point.
         """
         if not isinstance(value, list):
             return self.registers(value, stored=stored)
@@ -111,8 +112,8 @@ class ValueTarget:
     def _encoded(self, point: Point, value: float | str) -> list[int]:
         """Return the register contents of a value in the point's unit.
 
-        If the point's scale is in another register of the device, a value given for an address, not
-        for the point's name, is not scaled.
+        Some points have their scale in another register of the device. It is applied only if the
+        key was the point's name; a value for an address is stored without it.
         """
         if point.scale_from is not None and not self.is_named:
             point = replace(point, scale_from=None)
@@ -205,7 +206,10 @@ class ValueTargets:
         return table, address
 
     def _meanings(self, key: str) -> Iterator[str]:
-        """Yield the names of the points that a reference may mean; each is in another area."""
+        """Yield the names of all points that the reference `key` may mean, one in each area.
+
+        The same reference, such as T5, may stand for points in several areas.
+        """
         for area in self._profile.areas:
             try:
                 place = parse_reference(replace(self._profile, areas=[area]), key)

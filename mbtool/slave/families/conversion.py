@@ -55,8 +55,9 @@ class Sampling:
 
 
 class PeriodMean:
-    """Averages the input over one period after the other; returns the mean of the last complete
-    one.
+    """Averages the input over periods of equal length that follow each other without a gap.
+
+    Its result is the mean of the last complete period.
     """
 
     def __init__(self, period_ns: int, value: int, now_ns: int) -> None:

@@ -156,8 +156,8 @@ class Fa3AnalogInput(_Fa3Analog):
     def convert(self, now_ns: int) -> Sequence[_InputChannel | None]:
         """Convert the inputs that the image holds, and return the channels with their new values.
 
-        A disabled channel is None. In an average, an input that has changed counts with its new
-        value from this call on.
+        There are eight items; a disabled channel is None. An average counts the new value of an
+        input from `now_ns` on, and its old value until then.
         """
         for one, value in zip(self._channels, self._inputs(), strict=True):
             if one is not None:
@@ -194,8 +194,8 @@ class Fa3AnalogInput(_Fa3Analog):
     ) -> list[_InputChannel | None]:
         """Start conversion with the settings in the holding registers; return the new channels.
 
-        Each channel shows the value that it had in `before`, or 0, until its first new value is
-        complete.
+        `before` has the eight channels so far, None for a channel that did not convert. Until its
+        first new value is complete, a channel shows the value that it had in `before`, or 0.
         """
         channels: list[_InputChannel | None] = []
         for setting, value, last in zip(self._read_settings(), self._inputs(), before, strict=True):

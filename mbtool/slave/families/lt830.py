@@ -78,7 +78,10 @@ class Lt830(Behaviour):
     def _after(
         self, place: PointInstance, table: Table, writes: range, values: Sequence[int]
     ) -> PointValue:
-        """Return a point's value as it would be after a write to some or all of its registers."""
+        """Return the value that the point at `place` would have after a write.
+
+        The write puts `values` into the addresses `writes`, which may be part of the point.
+        """
         raw = self.image.get(table, place.address, place.words)
         for at in range(place.words):
             if place.address + at in writes:

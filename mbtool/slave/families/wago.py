@@ -82,8 +82,8 @@ class Wago(Behaviour):
         self._counters = self._first_counters()
         self._went_well = 0
         self._at_first: list[int] | None = None
-        """The watchdog settings, as register contents, that a restart of the coupler brings back.
-        They were read at the first request, or saved later by a master; None before the first
+        """The contents that a restart of the coupler gives the watchdog's registers SETTINGS: those
+        at the first request; time and mask as a master saved them last. None before the first
         request."""
         self._set_idle_time()
 

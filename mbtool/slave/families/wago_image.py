@@ -51,15 +51,16 @@ class ProcessImage:
         self._parts = _digital_parts(image.get(HOLDING, _SIZES.start, len(_SIZES)))
 
     def is_made_of_bits(self, span: range) -> bool:
-        """True if some of these registers hold digital data."""
+        """True if at least one register of the addresses `span` shows digital inputs or outputs."""
         return any(
             words.start < span.stop and span.start < words.stop for _, words, _ in self._parts
         )
 
     def read(self, span: range, values: list[int]) -> list[int]:
-        """Insert the digital inputs and outputs that appear in registers into `values`; return it.
+        """Return the contents of the registers `span`, with digital inputs and outputs filled in.
 
-        `values` are the contents of the registers `span` in the image.
+        `values` are the contents of these registers in the image; registers that show digital data
+        are replaced in this list.
         """
         for base, words, bits in self._parts:
             for at in range(max(words.start, span.start), min(words.stop, span.stop)):
@@ -69,7 +70,10 @@ class ProcessImage:
         return values
 
     def standing(self, table: Table, span: range) -> list[int]:
-        """Return the values that would be replaced if a master wrote to these addresses."""
+        """Return the present values of what a write to the addresses `span` would change.
+
+        They are read where the image stores the outputs, which differs from `span`.
+        """
         span = stored_range(table, span)
         values = self._image.get(table, span.start, len(span))
         return values if table.is_bits else self.read(span, values)
@@ -96,10 +100,10 @@ class ProcessImage:
 
 
 def _digital_parts(sizes: Sequence[int]) -> list[tuple[int, range, range]]:
-    """Return the places of the digital outputs, and of the digital inputs.
+    """Return an item for the digital outputs and one for the digital inputs, if there are any.
 
-    Each item has the address of the first bit, the range of registers that show the bits, and the
-    range of the bits. There is no item for outputs, or inputs, without digital data.
+    Each item has the address of the first bit, the addresses of the registers that show the bits,
+    and the addresses of the bits. `sizes` are the contents of the registers _SIZES, in bits.
     """
     parts = []
     for base, analog, digital in ((_OUTPUT_BASE, *sizes[::2]), (0, *sizes[1::2])):
@@ -112,7 +116,10 @@ def _digital_parts(sizes: Sequence[int]) -> list[tuple[int, range, range]]:
 
 
 def stored_range(table: Table, span: range) -> range:
-    """Return the addresses where values written to `span` are stored and read back."""
+    """Return the addresses at which the image stores values that a master writes to `span`.
+
+    For outputs these are the addresses at which masters read them back, else `span` itself.
+    """
     for each, first, stands in _OUTPUTS:
         if table is each and span.start in first:
             by = stands.start - first.start

@@ -85,11 +85,11 @@ class Watchdog:
         return self._status is Status.EXPIRED
 
     def heard(self, function: int, now_ns: int) -> bool:
-        """Called with each request: let the watchdog expire if its time has passed, else restart
-        it.
+        """Note a request: let the watchdog expire if its time has passed, else restart it.
 
-        The ordinary watchdog is restarted only if the function is in the mask. Returns True if the
-        alternative watchdog expired, so that all outputs must become 0.
+        The ordinary watchdog restarts only if the request's function code is in the mask. Returns
+        True if the alternative watchdog expired, so that the caller must set all outputs to 0; this
+        watchdog restarts even then.
         """
         is_alternative = bool(self._register(ALTERNATIVE))
         is_over = self.is_active and now_ns - self._since_ns >= self._time_ns
@@ -106,7 +106,10 @@ class Watchdog:
 
     @staticmethod
     def takes(writes: range) -> bool:
-        """True if a write to these addresses is accepted after the watchdog has expired."""
+        """True if a write to the addresses `writes` is accepted after the watchdog has expired.
+
+        It must write a single one of the registers that stop or restart the watchdog.
+        """
         return len(writes) == 1 and writes.start in _ENDING
 
     def written(self, span: range, now_ns: int) -> None:

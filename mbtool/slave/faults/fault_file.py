@@ -53,8 +53,8 @@ _TAKES = {
     FaultKind.OFFSET: ("by",),
 }
 _ADDED = {FaultKind.WRONG_UNIT: (1, 0xFF), FaultKind.WRONG_ID: (1, 0xFFFF)}
-"""The range of the key `by` of some faults: adding one of these numbers gives another unit, or
-another transaction id."""
+"""The least and greatest number that the key `by` may have, for the two kinds of fault that need
+a limit: adding any of these to a unit, or to a transaction id, gives a different one."""
 _DEFAULT_GAP_MS = 20
 _MS = 1_000_000
 _S = 1_000_000_000
@@ -64,9 +64,9 @@ class FaultFile:
     """The faults in one file, and the seed of their random generators."""
 
     def __init__(self, source: Path | Mapping[str, Any], profiles: Iterable[Profile] = ()) -> None:
-        """Read a file, or take its keys and values.
+        """Read the TOML file `source`; a mapping is taken as the keys and values of such a file.
 
-        `profiles` are needed for references (the vendor's notation of addresses) in the file.
+        `profiles` are those of the slaves; they give references such as HR400001 their addresses.
         Raises InputError for a file that cannot be read or is no TOML, UsageError for a wrong key
         or value.
         """

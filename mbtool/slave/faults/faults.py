@@ -107,7 +107,10 @@ class FaultySlave:
         self._begin_ns: int | None = None
 
     def respond(self, unit: int, pdu: bytes, now_ns: int) -> Response | None:
-        """Return the slave's response, changed by all faults that are for this request."""
+        """Return the slave's response, changed by all faults that act on this request.
+
+        Without a response, only faults that end the connection act. None means no response.
+        """
         if self._begin_ns is None:
             self._begin_ns = now_ns
         answer = self._slave.respond(unit, pdu, now_ns)
@@ -127,9 +130,7 @@ class FaultySlave:
 
 
 class _Active:
-    """A fault with its counters: counts the requests that fit it, and decides on which of them it
-    acts.
-    """
+    """Counts the requests that fit the condition of one fault, and decides on which it acts."""
 
     def __init__(self, fault: Fault, chance: Random) -> None:
         self._fault = fault
@@ -144,7 +145,11 @@ class _Active:
         return self._fault.kind in (FaultKind.CLOSE, FaultKind.RESET)
 
     def is_due(self, unit: int, request: Pdu, access: RegisterAccess | None, at_ns: int) -> bool:
-        """Count a request if it fits, and return True if the fault acts on it."""
+        """Count a request if it fits the fault's condition; return True if the fault acts on it.
+
+        `access` has the addresses that the request reads and writes, None if it has none. `at_ns`
+        is the time since the first request.
+        """
         match = self._fault.match
         if not _fits(match, unit, request, access, at_ns):
             return False
@@ -179,9 +184,10 @@ class _Active:
     def _with_other_values(
         self, unit: int, pdu: bytes, request: Pdu, access: RegisterAccess | None, answer: Response
     ) -> Response:
-        """Return a response to a read, with its values at the fault's addresses changed.
+        """Return a response to a read with other values, as the kinds STUCK and OFFSET need.
 
-        A response to any other request is returned unchanged.
+        Only values at the addresses of the fault's condition change, or all if it names none. A
+        response to any other request is returned unchanged.
         """
         if access is None or not access.reads or answer.pdu[:1] != pdu[:1]:
             return answer

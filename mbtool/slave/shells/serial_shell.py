@@ -124,9 +124,9 @@ class SerialSlave(Shell):
             self._on_exchange(request, answer)
 
     def _send_due(self) -> None:
-        """Send each response that is due within t3.5, when its time comes.
+        """Send the responses that are due within the next t3.5; wait for the time of each.
 
-        A response due later waits for a later call: the next read takes t3.5.
+        A response that is due later is left for a later call, after the port was read again.
         """
         while self._pending:
             due_ns, data = self._pending[0]

@@ -32,9 +32,9 @@ class StrictTiming:
         self._held: Adu | None = None
 
     def hear(self, size: int, now_ns: int) -> None:
-        """Called after each read of the port, with the number of bytes and the time of the last.
+        """Note a read of the port: `size` bytes, the last of which came at `now_ns`.
 
-        Drops the waiting request if these bytes came less than t3.5 after it.
+        Drops the waiting request if the first of these bytes came less than t3.5 after its end.
         """
         if self._held is not None:
             silence_ns = now_ns - size * self._character_ns - self._held.end_ns
@@ -42,8 +42,10 @@ class StrictTiming:
                 self._held = None
 
     def hold(self, request: Adu) -> None:
-        """Let a complete request wait for the silence behind it; drop it if a silence before or
-        inside it is wrong.
+        """Keep a complete request until the line was silent for t3.5 after it (`due`).
+
+        A request is dropped at once if the silence before it is too short or one inside it too
+        long.
         """
         before_ns, inside_ns = request.silence_before_ns, request.longest_silence_ns
         is_apart = before_ns is None or before_ns >= self._t3_5_ns

@@ -114,8 +114,8 @@ class MasterConnection(asyncio.BufferedProtocol):
         """True if the splitter has part of a request, or is looking for the next one after bad
         bytes."""
         self._pending: deque[tuple[int, bytes | ConnectionEnding]] = deque()
-        """What to send: bytes, or the way to end the connection; each with the time to do it, in
-        ns."""
+        """What to do next, in order, each with its time in ns: send bytes, or end the connection in
+        the given way."""
         self._has_ended = False
         """True once the master has sent FIN: it sends no more requests."""
         self._peer_is_slow = False
@@ -237,7 +237,11 @@ class MasterConnection(asyncio.BufferedProtocol):
         self._watch_parts(has_ended_one=bool(events))
 
     def _put(self, answer: Response, transaction_id: int | None, unit: int, now_ns: int) -> None:
-        """Queue a response. A simulated fault may split it, or end the connection after it."""
+        """Queue a response for `now_ns` plus its delay.
+
+        `transaction_id` is None for RTU over TCP. A simulated fault may split the response into
+        pieces, or end the connection after it.
+        """
         due_ns = last_ns = now_ns + answer.delay_ns
         transport = Transport.RTU_TCP if transaction_id is None else Transport.TCP
         for after_ns, piece in wire_pieces(answer, transport, unit, transaction_id or 0):
@@ -273,7 +277,7 @@ class MasterConnection(asyncio.BufferedProtocol):
         self._pause_or_resume_reading()
 
     def _end(self, last: bytes, ending: ConnectionEnding) -> None:
-        """Send the last bytes and close the connection, or reset it."""
+        """Send the bytes `last`, then close or reset the connection, as `ending` says."""
         self._pending.clear()
         if last:
             self._transport.write(last)

@@ -68,7 +68,7 @@ class TcpSlave(Shell):
         rules: ConnectionPolicy | None = None,
         on_exchange: OnExchange | None = None,
     ) -> None:
-        """Take the endpoint and what answers there.
+        """Prepare to answer at the endpoint of `link` with the responses of `responder`.
 
         `rules` decide which connections the simulated device accepts, and when it closes them. None
         means a device without rules of its own: `bounds` then sets how many connections there may
