@@ -165,7 +165,10 @@ def _keys(text: str) -> Iterator[str]:
 
 
 def progress_line(progress: Progress, width: int) -> str:
-    """Return the line that shows the progress of a replay, and names the keys if there is room."""
+    """Return the line that shows the progress of a replay, at most `width` characters.
+
+    It names the keys if there is room.
+    """
     text = _progress_text(progress)
     keys = next((keys for keys in KEYS if len(text) + 3 + len(keys) <= width), "")
     return f"{text}   {keys}".rstrip()[:width]

@@ -82,8 +82,8 @@ class RecordOutput:
         self._limit = limit
         self._order = order
         self._held: list[tuple[Record, int]] = []
-        """With an order: all records that passed the filter, with their numbers, to be sorted at
-        the end."""
+        """If records are sorted (`order`): those that passed the filter, each with the number of
+        transactions read up to it. `finish` sorts and prints them."""
         self._read = 0
         """The number of transactions so far, printed or not."""
         self._tally = Tally()
@@ -103,7 +103,7 @@ class RecordOutput:
         return not self._tally.transactions and not self._tally.events
 
     def add(self, record: Record) -> None:
-        """Print a record if it passes the filter; with an order, keep it for `finish`."""
+        """Print a record if it passes the filter; if records are sorted, keep it for `finish`."""
         if isinstance(record, WireEvent):
             if not self._wants(record):
                 return
@@ -117,7 +117,7 @@ class RecordOutput:
             self._print(record, self._read)
 
     def skip(self) -> None:
-        """Count a transaction that is not printed."""
+        """Count a transaction that is not printed, so that later rows have the right number."""
         self._read += 1
 
     @property
@@ -135,7 +135,10 @@ class RecordOutput:
             self._printer.print_table(table)
 
     def count(self, counts: TransactionCounts) -> None:
-        """Count transactions that were printed as a table, or by another process."""
+        """Add to the numbers of the last sentence: `counts` of transactions that `add` did not get.
+
+        They were printed as a table, or decoded by another process.
+        """
         self._read += counts.outcomes.total()
         self._tally.add_counts(counts)
 
@@ -144,7 +147,7 @@ class RecordOutput:
         return self._file.fileno()
 
     def is_written_elsewhere(self) -> None:
-        """Let another process write the Parquet file; this one only counts."""
+        """Note that another process writes the Parquet file; this process only counts."""
         assert isinstance(self._printer, ParquetPrinter)
         self._printer.is_elsewhere = True
 
@@ -164,7 +167,7 @@ class RecordOutput:
         self.add_text(batch.text)
 
     def add_text(self, lines: str) -> None:
-        """Print lines whose transactions another process has counted."""
+        """Print lines of transactions without counting them; the caller calls `count` for them."""
         with self.told_as_lost():
             self.lines.print_lines(lines)
 
@@ -357,7 +360,7 @@ def opened(
 
 
 def demand_new(path: str | None, *, overwrite: bool) -> None:
-    """Raise UsageError if the file exists and may not be overwritten."""
+    """Raise UsageError if a file `path` exists, unless `overwrite`. None is standard output."""
     if path is not None and not overwrite and os.path.isfile(path):
         raise UsageError(
             f"{path}: the file exists; name another, remove it, or replace it with --overwrite"

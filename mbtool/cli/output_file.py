@@ -17,13 +17,13 @@ if TYPE_CHECKING:
 
 
 def is_old(path: str | None) -> bool:
-    """True if a file of that name exists; a new one replaces it only when it is complete."""
+    """True if a file `path` exists already. None stands for standard output, which is not old."""
     return path is not None and os.path.isfile(path)
 
 
 @contextmanager
 def kept_told(path: str | None) -> Iterator[None]:
-    """Say that an old file stays as it was if the inputs give nothing to replace it with."""
+    """Tell the user that an existing file `path` stays as it was if InputError ends the context."""
     has_old = is_old(path)
     try:
         yield

@@ -116,16 +116,20 @@ def plot(
 
 
 def _divided(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Return the files, and the references to plot.
+    """Divide the arguments into files and references to plot.
 
-    The references begin with the first argument that is no existing file.
+    The first argument is always a file. The references begin with the first of the others that is
+    no existing file.
     """
     at = next((at for at, one in enumerate(arguments) if at and not os.path.exists(one)), None)
     return list(arguments[:at]), [] if at is None else list(arguments[at:])
 
 
 def _picture(output: str) -> str:
-    """Return the picture format that the suffix of a file names: `png`, `svg` or `pdf`."""
+    """Return the picture format that the suffix of a file names: `png`, `svg` or `pdf`.
+
+    Raises UsageError for another suffix.
+    """
     from mbtool.core import UsageError
 
     found = _SUFFIXES.get(os.path.splitext(output)[1].lower())
@@ -190,9 +194,9 @@ def _print(
 
 
 def _size(console: Console, charts: int, others: int) -> PlotSize:
-    """Return a size of charts that fills the terminal together with `others` lines.
+    """Return the size at which `charts` charts and `others` other lines fill the terminal.
 
-    On a pipe, all charts have the same height.
+    On a pipe, charts have a fixed height.
     """
     from mbtool.views.plot_lines import LEAST_ROWS, MOST_ROWS, PlotSize
 

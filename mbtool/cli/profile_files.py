@@ -74,8 +74,8 @@ def is_file(output: str | None) -> bool:
 def demand_new(output: str | None, suffixes: Sequence[str] = (_SUFFIX,)) -> None:
     """Raise UsageError if a profile cannot be written to a new file of this name.
 
-    The name must have one of the suffixes, and the file must not exist, as it may have been edited
-    by hand.
+    `output` must have one of the suffixes, and must not exist, as the user may have edited it. None
+    and `-` stand for standard output, which is always allowed.
     """
     from mbtool.core import UsageError
 

@@ -153,9 +153,10 @@ class AsSlaveOptions(OptionGroup):
     ] = None
 
     def read(self, shared: dict[str, Any], *, is_loop: bool) -> SlaveOptions:
-        """Read the options; `shared` has those for all sides.
+        """Combine these options with those for all sides.
 
-        Raises UsageError if --loop and --on-end contradict each other.
+        `shared` has the latter, by the name of the field; `is_loop` is --loop. Raises UsageError if
+        --loop and --on-end contradict each other.
         """
         from mbtool.replay import MatchStrategy, OnEnd, OnMiss
         from mbtool.workflows.replay_slave import SlaveOptions
@@ -314,9 +315,10 @@ class AsMasterOptions(OptionGroup):
     ] = None
 
     def read(self, shared: dict[str, Any], *, is_loop: bool) -> MasterOptions:
-        """Read the options; `shared` has those for all sides.
+        """Combine these options with those for all sides.
 
-        Raises InputError if a file of ranges cannot be read.
+        `shared` has the latter, by the name of the field; `is_loop` is --loop. Raises InputError if
+        a file of register ranges cannot be read.
         """
         from mbtool.cli.replay_master import ranges_of
         from mbtool.replay import Tolerance

@@ -61,7 +61,7 @@ def play_as_slave(
 
 
 class Exchanges:
-    """Prints the requests to all played slaves, and their responses."""
+    """Prints the requests that masters send to the played slaves, and the responses they get."""
 
     def __init__(self) -> None:
         self._monitors: dict[str, SlaveMonitor] = {}
@@ -155,7 +155,11 @@ def _say_places(played: PlayedSite) -> None:
 
 
 def _say_counts(played: PlayedSite) -> None:
-    """Print how many requests each slave got, and where their responses came from."""
+    """Print a table of the requests that each slave got, by the source of their responses.
+
+    A response may be a recorded one, or be made from the register values of the recording, and so
+    on (AnsweredFrom). Nothing is printed if no request came.
+    """
     counts = [(player.name, slave.counts()) for player, slave in played.played]
     if not any(each.total() for _, each in counts):
         return

@@ -28,10 +28,11 @@ def serve(
     look: Callable[[], None] = lambda: None,
     say_more: Callable[[], None] = lambda: None,
 ) -> None:
-    """Answer requests until Ctrl-C; `look` is called every 0.2 s and at the end.
+    """Answer requests until Ctrl-C, then raise typer.Exit; call `look` every 0.2 s and at the end.
 
-    `say_more` is called after the shell (endpoint or serial line) has started, just before the
-    message that says so. Raises LinkError when the link is lost, and the errors of `look`.
+    `who` names the slave in the message that it has started. `say_more` is called after the shell
+    (endpoint or serial line) has started, just before the message that says so. Raises LinkError
+    when the link is lost, and the errors of `look`.
     """
     with interruptible() as interrupt, shell:
         say_more()

@@ -155,7 +155,9 @@ def _show(monitor: SlaveMonitor, out: RecordOutput) -> None:
 def _units(texts: Sequence[str]) -> tuple[int, dict[int, str]]:
     """Return the unit of the first device, and the profile names of the other devices by unit.
 
-    Raises UsageError for a text that is no unit, and if two devices have the same unit.
+    `texts` are the values of --unit: `5` is the first device's unit (1 if none is given), `6=NAME`
+    is another device. Raises UsageError for a text that is no unit, and if two devices have the
+    same unit.
     """
     from mbtool.core import UsageError
     from mbtool.core.numbers import parse_unit
@@ -187,9 +189,11 @@ def _units(texts: Sequence[str]) -> tuple[int, dict[int, str]]:
 
 
 def _images(texts: Sequence[str], own: int, others: dict[int, str]) -> dict[int, Path]:
-    """Return the files of values by the unit of their device; `own` is the first device's unit.
+    """Return the files of start values by the unit of their device.
 
-    Raises UsageError for a unit without a device, and for a unit with two files.
+    `texts` are the values of --image: `FILE` for the first device, whose unit is `own`, or
+    `6=FILE`. `others` has the other devices by unit. Raises UsageError for a unit without a device,
+    and for a unit with two files.
     """
     from mbtool.core import UsageError
 

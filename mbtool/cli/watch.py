@@ -224,7 +224,9 @@ def _show(
 ) -> None:
     """Run the full screen until the user leaves it, then end the feed, which reads the records.
 
-    Raises typer.Exit with the exit code, or the error that ended the feed.
+    `place` names the links or files, `recording` is the path of the log (None: no log), `where` the
+    first filter. `ends` returns True after a signal or when --duration is over. Raises typer.Exit
+    with the exit code, or the error that ended the feed.
     """
     from mbtool.cli import exit_codes
     from mbtool.cli.options import condition

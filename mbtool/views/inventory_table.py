@@ -131,7 +131,11 @@ def _slave_entry(row: SlaveRow, most: int) -> _Entry:
 
 
 def _folded(rows: Sequence[SlaveRow], entries: Sequence[_Entry]) -> Iterator[_Entry]:
-    """Join the entries of units that differ only in host, MAC, maker and times into one each."""
+    """Yield the entries, with those joined into one that differ only in host, MAC and times.
+
+    A joined entry shows the first unit, and lists the hosts of the others. `rows` has the unit of
+    each entry.
+    """
     alike: dict[tuple[object, ...], list[int]] = {}
     for index, (row, (cells, _, lines)) in enumerate(zip(rows, entries, strict=True)):
         told = [line for line in lines[1:] if line not in _mac_lines(row)]
@@ -200,7 +204,8 @@ def _lines(row: SlaveRow, most: int) -> Iterator[str]:
 def _use_lines(uses: Sequence[FunctionUse], most: int) -> Iterator[str]:
     """Yield a line for each function; masters that use it on the same ranges share a line.
 
-    Functions that the unit always refused as unsupported share one line at the end.
+    Functions that the unit always refused as unsupported share one line at the end. `most` limits
+    the address ranges on each line.
     """
     groups: dict[tuple[object, ...], list[FunctionUse]] = {}
     lacking = []
@@ -218,7 +223,10 @@ def _use_lines(uses: Sequence[FunctionUse], most: int) -> Iterator[str]:
 
 
 def _use_line(several: Sequence[FunctionUse], most: int) -> str:
-    """Return a line with a function, its ranges, and the masters that use exactly these ranges."""
+    """Return a line with a function, its address ranges, and the masters that use these ranges.
+
+    `several` has an item for each of these masters. `most` limits the ranges that are listed.
+    """
     first = several[0]
     label = function_label(first.function, first.name)
     if first.function == READ_AND_WRITE:
@@ -234,7 +242,10 @@ def _use_line(several: Sequence[FunctionUse], most: int) -> str:
 
 
 def _masters(word: str, uses: Iterable[FunctionUse]) -> str:
-    """Return `word` and the masters; empty on a serial line, where masters have no addresses."""
+    """Return `word` and the addresses of the masters, such as `by 192.168.3.9`.
+
+    The text is empty on a serial line, where masters have no addresses.
+    """
     names = listed(list(dict.fromkeys(one.master for one in uses if one.master is not None)))
     return f"{word} {names}" if names else ""
 

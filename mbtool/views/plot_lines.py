@@ -68,7 +68,11 @@ def plot_lines(
 
 
 def series_title(key: SeriesKey, one: ValueSeries, *, with_link: bool = False) -> str:
-    """Return name, unit and range of a series: `CH1 (RWr2), unit 0: 1190 to 1200 mV, 2 changes`."""
+    """Return the title of a chart: `CH1 (RWr2), unit 0: 1190 to 1200 mV, 2 changes`.
+
+    It has the name and the unit of the slave (with `with_link` also its link), and the least and
+    greatest value.
+    """
     name = f"{one.name} ({one.reference})" if one.reference not in ("", one.name) else one.name
     place = f"{key.link} unit {key.unit}" if with_link else f"unit {key.unit}"
     numbers = [sample.value for sample in one.samples]

@@ -57,7 +57,10 @@ def table_lines(
     rows: Sequence[StatisticsRow],
     width: int | None,
 ) -> list[StyledLine]:
-    """Return the title line and a line for each row; `width` is the terminal's, None on a pipe."""
+    """Return the title line and a line for each row.
+
+    `title` is that of the first column. `width` is the terminal's in characters, None on a pipe.
+    """
     kept = [*range(len(columns))]
     longest = max(len(one.first) for one in (StatisticsRow(title, ()), *rows))
     while width is not None and _room(columns, kept, width) < min(longest, ENOUGH):
@@ -96,7 +99,10 @@ def _line(
 
 
 def shortened(text: str, room: int | None) -> str:
-    """Return a text of at most `room` characters; a longer text is cut and ends in `..`."""
+    """Return a text of at most `room` characters; a longer text is cut and ends in `..`.
+
+    With `room` None, as on a pipe, no text is cut.
+    """
     text = printable(text)
     if room is None or len(text) <= room:
         return text

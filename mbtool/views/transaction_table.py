@@ -137,12 +137,13 @@ class TransactionTable:
         self._is_chosen = bool(self._columns)
         self._heading = ""
         self._link = self._place = ""
-        """The link of the last row, and the text on link, master and unit in the last heading."""
+        """The link of the last printed row, and the part of the last heading that names link,
+        master and unit; both are compared with the next row, which may need a new heading."""
         self._titled: tuple[TableColumn, ...] = ()
         """The columns that the last line of titles names."""
 
     def add(self, number: int, record: Record, profile: Profile | None = None) -> None:
-        """Add a transaction, which is number `number` of the capture, or a wire event.
+        """Add a transaction or a wire event; `number` counts the transactions so far, from 1.
 
         With a profile, the texts of findings contain the figures of the device.
         """

@@ -123,7 +123,10 @@ def _placed(column: WatchColumn, places: Mapping[str, PlaceColumn]) -> WatchColu
 def title_spans(
     columns: Sequence[FittedColumn], sorted_by: str | None, *, descending: bool
 ) -> Spans:
-    """Return the line of titles; the column that rows are sorted by has an arrow."""
+    """Return the line of titles. The title of the column `sorted_by` ends in v (descending) or ^.
+
+    With `sorted_by` None, rows are not sorted.
+    """
     texts = []
     for one in columns:
         title = one.column.title

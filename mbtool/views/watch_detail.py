@@ -60,7 +60,10 @@ _COLOURS = {
 
 
 def record_detail(kept: KeptRecord, profile: Profile | None, width: int) -> list[Spans]:
-    """Return the lines that show one transaction or event in full."""
+    """Return the lines that show one transaction or event in full, broken at `width` characters.
+
+    `profile` is that of the slave, None if it has none.
+    """
     record = kept.record
     if isinstance(record, WireEvent):
         return _event_detail(record, width)
@@ -94,7 +97,7 @@ def record_detail(kept: KeptRecord, profile: Profile | None, width: int) -> list
 
 
 def slave_detail(row: WatchedSlaveRow, width: int) -> list[Spans]:
-    """Return the lines that show one slave in full."""
+    """Return the lines that show one slave in full, broken at `width` characters."""
     device = f" {row.device}" if row.device else ""
     lines: list[Spans] = [[(f"{row.link} unit {row.unit}{device}", "bold")]]
     counts = (
@@ -131,7 +134,10 @@ def _event_detail(event: WireEvent, width: int) -> list[Spans]:
 def _adu_lines(
     title: str, transport: Transport, raw: bytes | None, direction: Direction, width: int
 ) -> list[Spans]:
-    """Return the bytes of an ADU in hexadecimal, coloured by field, then the fields' names."""
+    """Return lines with `title` and an ADU's bytes in hexadecimal, then the names of its fields.
+
+    Bytes and name of a field have the same colour. `raw` is None if there is no such message.
+    """
     if raw is None:
         return [[(f"{title} ", "bold"), ("none", "dim")]]
     is_ascii = transport is Transport.ASCII
@@ -151,7 +157,10 @@ def _adu_lines(
 
 
 def _named(name: str, part: bytes, *, is_ascii: bool) -> str:
-    """Return a field's name, with the number of a short field: `address 107`."""
+    """Return a field's name and its number, such as `address 107`; data and CRC have no number.
+
+    `part` has the field's bytes as captured; with `is_ascii`, two hexadecimal digits a byte.
+    """
     if name in ("data", "start", "end", "CRC", "LRC", "protocol id"):
         return name
     try:
@@ -162,10 +171,10 @@ def _named(name: str, part: bytes, *, is_ascii: bool) -> str:
 
 
 def _flowed(spans: Spans, width: int, indent: int, *, is_whole: bool = False) -> list[Spans]:
-    """Break spans (texts with styles) into lines of `width` characters.
+    """Break spans (texts with styles) into lines of at most `width` characters.
 
-    Lines after the first are indented. Lines break between words; with `is_whole`, only between
-    spans.
+    Lines after the first are indented by `indent` spaces. A line may break between two words; with
+    `is_whole`, only between two spans.
     """
     lines: list[Spans] = [[]]
     used = 0

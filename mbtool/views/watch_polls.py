@@ -72,7 +72,10 @@ def _values(row: PollRow, one: NamedTransaction, context: DrawContext) -> Spans:
 
 
 def _named(row: PollRow, one: NamedTransaction, context: DrawContext) -> Spans:
-    """Return the points (named values) that changed lately, newest first, then all others."""
+    """Return the texts of the points (named values) in the last transaction `one` of a poll.
+
+    Points that changed in the last seconds come first, the newest at the front, highlighted.
+    """
     changed = row.points_changed_ns
     lit: list[tuple[int, str, str]] = []
     rest = []

@@ -46,7 +46,10 @@ def _text_of(name: str, row: RecordRow) -> str:
 
 
 def _field(name: str, title: str, width: int) -> WatchColumn:
-    """Return a column for a field of the record, which is shown only if the user chooses it."""
+    """Return a column that is shown only if the user chooses it.
+
+    Its cells have the field `name` of the transaction or event.
+    """
     return WatchColumn(
         name=name, title=title, width=width, is_usual=False,
         cell=lambda row, _: _text_of(name, row), sort=lambda row: _text_of(name, row),

@@ -96,7 +96,7 @@ class DrawnApp(App[int]):
         self.filter_is_on = bool(where)
         self.view_at = 0
         self.frozen: list[Sequence[Any]] | None = None
-        """The rows of each view while the screen is frozen; else None."""
+        """The rows of each view, by its index in VIEWS, while the screen is frozen; else None."""
         self.settings: WatchSettings = load_settings()
         self._saver = saver
         self._is_asked_to_end = is_asked_to_end
@@ -223,7 +223,7 @@ class DrawnApp(App[int]):
     def _look_for_troubles(self, width: int) -> None:
         """Update the line on slaves in trouble, at most once a second.
 
-        The caller must hold the feed's lock.
+        The line fits `width` characters. The caller must hold the feed's lock.
         """
         began_s = time.perf_counter()
         if began_s < self._next_look_s:
@@ -281,7 +281,10 @@ class DrawnApp(App[int]):
         return record_detail(row.kept, profile, width)
 
     def tell(self, text: str, style: str = "") -> None:
-        """Show a line to the user, until the next one or Escape; an empty text removes the line."""
+        """Show a message below the table, until the next message or Escape; "" removes it.
+
+        `style` is in the notation of the library rich, such as `red`.
+        """
         if not self.is_up:
             return
         note = self.screen_stack[0].query_one("#note", Static)

@@ -57,7 +57,7 @@ class ScreenState:
 
 
 def tabs_text(views: Sequence[WatchView], shown: int) -> Spans:
-    """Return the names of the views with their keys; the view that is shown is reversed."""
+    """Return the names of the views with their keys; that of index `shown` is in reverse."""
     spans: Spans = []
     for at, view in enumerate(views):
         title = f"{at + 1} {view.name} "
@@ -66,7 +66,10 @@ def tabs_text(views: Sequence[WatchView], shown: int) -> Spans:
 
 
 def status_text(state: ScreenState, width: int) -> Spans:
-    """Return what is watched, how much was heard, and the filter."""
+    """Return the line above the table, cut to `width` characters.
+
+    It says what is watched, how many transactions and events were heard, and the filter.
+    """
     board = state.feed.watched.whole
     spans: Spans = []
     if state.is_frozen:

@@ -110,7 +110,8 @@ class Behaviour:
     ) -> int | None:
         """Return the exception code for a request that has passed all other checks, or None.
 
-        `values` are the values that the addresses written by the request would have after it.
+        `function` is its function code, `access` has the addresses that it reads and writes, and
+        `values` are those that it would write, in the order of the addresses.
         """
         return None
 
@@ -122,15 +123,15 @@ class Behaviour:
         return False
 
     def shown(self, table: Table, span: range, values: list[int], now_ns: int) -> list[int]:
-        """Return the values that a master reads from a range for which `is_live` is True.
+        """Return the values that a master reads from the addresses `span`.
 
-        `values` are the values in the image.
+        It is called if `is_live` is True for them. `values` are those in the image, and may be
+        changed and returned.
         """
         return values
 
     def standing(self, table: Table, span: range) -> list[int]:
-        """Return the present values of the registers or bits that a write to this range would
-        replace.
+        """Return the present values of the registers or bits that a write to `span` would replace.
 
         A mask write (16H) needs them, as it changes only some bits of a register.
         """

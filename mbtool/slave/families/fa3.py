@@ -66,7 +66,7 @@ class Fa3(Behaviour):
         )
         self.is_linked = False
         self.history: deque[int] = deque(maxlen=MAX_HISTORY)
-        """Codes of the last alarms, the latest one last."""
+        """The codes of the last alarms, at most MAX_HISTORY; the latest one is at the end."""
         self._at_first = [image.get(table, span.start, len(span)) for table, span in _VOLATILE]
 
     def alarm(self, code: int) -> None:

@@ -136,7 +136,7 @@ class Fa3Connections(ConnectionPolicy):
         self.changed = True
 
     def reset(self, now_ns: int) -> None:
-        """Close all connections, and accept none for RESETTING_NS."""
+        """Close all connections; accept none for RESETTING_NS (two seconds) after `now_ns`."""
         self._closed_until_ns = now_ns + RESETTING_NS
         self._rejected.clear()
         self.notes.append(

@@ -79,9 +79,10 @@ class ProcessImage:
         return values if table.is_bits else self.read(span, values)
 
     def write(self, table: Table, span: range, values: Sequence[int]) -> None:
-        """Store values that a master writes; outputs are stored where masters read them back.
+        """Store values that a master writes to the addresses `span`.
 
-        A value for a register of digital data also sets the bits.
+        Outputs are stored at the addresses where masters read them back. If a register shows
+        digital inputs or outputs, a value written to it sets their bits as well.
         """
         span = stored_range(table, span)
         self._image.set(table, span.start, values)

@@ -36,7 +36,7 @@ _SHORTEST = 12
 _ARROW = " -> "
 _WELL = frozenset((Outcome.OK, Outcome.BROADCAST))
 _OUTCOME, _CODES = 6, 8
-"""Indices of fields in a row."""
+"""The indices of the outcome and of the codes of findings in a row."""
 
 
 class TransactionRows:

@@ -303,7 +303,7 @@ def _unit_troubles(unit: _Unit, usual: float | None) -> list[VerdictTrouble]:
 
 
 def _slower(unit: _Unit) -> VerdictTrouble | None:
-    """Return a trouble if a unit answers slower at the end than in its first half, else None."""
+    """Return a trouble if a unit's mean latency rose (SLOWER) and did not fall again, else None."""
     if unit.history is None:
         return None
     bins = unit.history.bins
