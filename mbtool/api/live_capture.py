@@ -90,7 +90,11 @@ class LiveCapture:
                     return
 
     def records(self, *, seconds: float | None = None) -> Iterator[Record]:
-        """Yield transactions and events; `transactions` describes when this ends."""
+        """Yield transactions and events for `seconds`, or without end.
+
+        When the time is over or `stop` was called, listening ends for good. Raises LinkError when
+        the last link is lost.
+        """
         if self._sniffer is None:
             raise RuntimeError("enter the capture first: with mbtool.sniff(...) as capture")
         self._end_ns = inf if seconds is None else now_ns() + seconds * 1e9

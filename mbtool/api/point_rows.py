@@ -64,7 +64,11 @@ def point_rows(transaction: NamedTransaction, profile: Profile | None) -> Iterat
 def _plain_values(
     one: NamedTransaction, profile: Profile | None
 ) -> Iterator[tuple[str, int, bool]]:
-    """Yield reference and value of each register or bit, and True if it was written."""
+    """Yield (reference, value, written) for each register or bit that `one` read or wrote.
+
+    `written` is True if the master wrote the value. The reference is the vendor's if there is a
+    profile, else such as `holding 107`.
+    """
     function = FUNCTIONS[one.function]
     if function.table is None:
         return

@@ -43,7 +43,8 @@ class SerialBench:
 def line(settings: str = "rtu@19200-8E1", *, ends: int = 2) -> SerialBench:
     """Make a virtual serial line; characters take as long on it as on a real one.
 
-    It works on Linux and macOS. Raises UsageError for settings that a line cannot have; entering
-    the `with` block raises LinkError if the line cannot be made.
+    `ends` is the number of ports that it connects, all of which hear each other. It works on Linux
+    and macOS. Raises UsageError for settings that a line cannot have; entering the `with` block
+    raises LinkError if the line cannot be made.
     """
     return SerialBench(parse_line(settings), ends)

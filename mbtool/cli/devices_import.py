@@ -196,7 +196,11 @@ def _import_sunspec(
 
 
 def _try_all(folder: str, output: str | None) -> None:
-    """Try to import each SunSpec model of a folder, and print which ones cannot be imported."""
+    """Try to import each SunSpec model of a folder, and print which ones cannot be imported.
+
+    No profile is written. Raises UsageError if --output is given (`output` not None), and if a
+    model cannot be imported.
+    """
     from mbtool.cli.talk import say
     from mbtool.core import UsageError
     from mbtool.workflows.shared.sunspec_devices import SunSpecFolder

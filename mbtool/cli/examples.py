@@ -137,7 +137,10 @@ EXAMPLES = {
 
 
 def examples_of(command_path: str) -> HelpExamples | None:
-    """Return the examples of a command. Its name may begin with `mbtool`: `mbtool devices new`."""
+    """Return the examples of a command; None if it has none.
+
+    `command_path` is the command's name, such as `devices new`; it may begin with `mbtool`.
+    """
     return EXAMPLES.get(command_path.partition("mbtool")[2].strip() or command_path)
 
 

@@ -221,8 +221,9 @@ class SourceOptions(PortOptions):
     ) -> ReadingOptions:
         """Combine these options with the values of --device, --raw and the silences.
 
-        Raises UsageError for a text that is not understood, ProfileError for a profile that is not
-        found or is wrong.
+        None stands for an option, or a group of options, that the command does not have. Raises
+        UsageError for a text that is not understood, ProfileError for a profile that is not found
+        or is wrong.
         """
         from mbtool.workflows.shared.reading import ReadingOptions
 
@@ -364,9 +365,9 @@ def condition(where: str | None) -> Where:
 
 
 def file_line(text: str | None) -> LineSettings | None:
-    """Parse --link, the serial line of a file's bytes.
+    """Parse the value of --link: the serial line on which the bytes in a file were heard.
 
-    Raises UsageError for a text that is no line.
+    Returns None without --link. Raises UsageError for a text that is no line.
     """
     if text is None:
         return None

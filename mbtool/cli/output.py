@@ -94,7 +94,7 @@ class RecordOutput:
 
     @property
     def is_full(self) -> bool:
-        """True if as many transactions as the limit allows have been printed."""
+        """True if --limit transactions have been printed; never without --limit."""
         return self._limit is not None and self._tally.transactions >= self._limit
 
     @property
@@ -158,7 +158,10 @@ class RecordOutput:
         return self._printer
 
     def add_lines(self, batch: LineBatch) -> None:
-        """Print the lines of transactions and count them, without the filter and the limit."""
+        """Print the lines of a block of transactions, made by the array decoder, and count them.
+
+        The filter and the limit are not applied.
+        """
         self._tally.outcomes += batch.outcomes
         for record in batch.records:
             if not isinstance(record, WireEvent):
@@ -301,7 +304,11 @@ def open_output(
 
 
 def _interrupted(output: RecordOutput, path: str | None, if_empty: str, *, stays: bool) -> str:
-    """Return the line that says that Ctrl-C ended the command, and how much was written."""
+    """Return the line that says that Ctrl-C ended the command, and how much was written.
+
+    `path` is the output file, None for standard output. With `stays`, an older file was kept.
+    `if_empty` is the line if nothing was written.
+    """
     if stays:
         return f"interrupted; {path} stays as it was"
     if output.is_empty:
@@ -321,9 +328,10 @@ def named_file(path: str | None) -> str | None:
 
 
 def format_by_name(path: str | None, suffixes: Mapping[str, F], default: F) -> F:
-    """Return the format that the suffix of a file names; the default for standard output.
+    """Return the format that the suffix of the file `path` names.
 
-    Raises UsageError if the suffix names no format.
+    `suffixes` maps each suffix, such as `.csv`, to its format. `default` is returned for standard
+    output (`path` None). Raises UsageError if the suffix names no format.
     """
     if path is None:
         return default
@@ -403,7 +411,10 @@ def _is_same(file: str, output: str) -> bool:
 
 @contextmanager
 def told_as_lost(name: str) -> Iterator[None]:
-    """Turn an OSError, such as a full disk, into an OutputError; let BrokenPipeError pass."""
+    """Turn an OSError in the context, such as a full disk, into an OutputError.
+
+    `name` is that of the output, for the message. A BrokenPipeError passes unchanged.
+    """
     try:
         yield
     except BrokenPipeError:

@@ -153,10 +153,10 @@ class AsSlaveOptions(OptionGroup):
     ] = None
 
     def read(self, shared: dict[str, Any], *, is_loop: bool) -> SlaveOptions:
-        """Combine these options with those for all sides.
+        """Combine the options for --as-slave with those for every side.
 
-        `shared` has the latter, by the name of the field; `is_loop` is --loop. Raises UsageError if
-        --loop and --on-end contradict each other.
+        `shared` has the latter: the fields of PlayOptions by name. `is_loop` is True if --loop is
+        given. Raises UsageError if --loop and --on-end contradict each other.
         """
         from mbtool.replay import MatchStrategy, OnEnd, OnMiss
         from mbtool.workflows.replay_slave import SlaveOptions
@@ -315,10 +315,10 @@ class AsMasterOptions(OptionGroup):
     ] = None
 
     def read(self, shared: dict[str, Any], *, is_loop: bool) -> MasterOptions:
-        """Combine these options with those for all sides.
+        """Combine the options for --as-master with those for every side.
 
-        `shared` has the latter, by the name of the field; `is_loop` is --loop. Raises InputError if
-        a file of register ranges cannot be read.
+        `shared` has the latter: the fields of PlayOptions by name. `is_loop` is True if --loop is
+        given. Raises InputError if a file of register ranges cannot be read.
         """
         from mbtool.cli.replay_master import ranges_of
         from mbtool.replay import Tolerance
@@ -346,7 +346,10 @@ _SIDE_OF_OPTION = {
 
 
 def one_link(side: str, links: Sequence[str]) -> str:
-    """Return the only link of a side that takes one. Raises UsageError if there are several."""
+    """Return the only link of --as-master or --as-bus, which take one.
+
+    `side` is the option, for the message. Raises UsageError if there are several links.
+    """
     from mbtool.core import UsageError
 
     if len(links) > 1:

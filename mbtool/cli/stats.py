@@ -197,7 +197,8 @@ def _listen(
 ) -> None:
     """Compute the statistics of links, and print them at the end.
 
-    On a terminal they are shown each second until then.
+    On a terminal they are shown each second until then. `device` and `allow` are the values of
+    --device and --allow. Listening ends with Ctrl-C, or after `duration_s` seconds if not None.
     """
     from mbtool.cli.listening import allowed_networks, heard_ports, sniffer_of
     from mbtool.cli.options import assignments, condition
@@ -264,7 +265,10 @@ def _end(
 
 @contextmanager
 def _view(shown: _Shown, statistics: Statistics) -> Iterator[Callable[[], None]]:
-    """Yield a function that refreshes the figures; without a terminal it does nothing."""
+    """Show live figures on the terminal while the context is open; yield a function to redraw them.
+
+    With --json or without a terminal, nothing is shown and the function does nothing.
+    """
     from mbtool.cli.console import PipeConsole
 
     console = PipeConsole(file=sys.stdout)

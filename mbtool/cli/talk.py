@@ -66,7 +66,10 @@ def say(text: str, *, is_error: bool = False) -> None:
 
 
 def _for_journal(text: str, *, is_error: bool) -> str:
-    """Return the level prefix of a line (sd-daemon(3)); empty if standard error is no journal."""
+    """Return the prefix that tells systemd's journal the level of a line, such as `<3>`.
+
+    It is empty if standard error is no journal (sd-daemon(3)).
+    """
     journal = os.environ.get("JOURNAL_STREAM")
     if not journal:
         return ""

@@ -34,8 +34,8 @@ _MODES_OFF = "\x1b[?1000l\x1b[?1002l\x1b[?1003l\x1b[?1006l\x1b[?1015l\x1b[?2004l
 """Escape codes that end the terminal's reports of the mouse, of pasted text and of the focus, which
 a full screen switches on."""
 _RESTORE = f"{_MODES_OFF}\x1b[<u\x1b[?1049l\x1b[?25h\x1b[0m"
-"""Escape codes that end all terminal modes of a full screen: _MODES_OFF, the keyboard protocol and
-the second screen; then the cursor is shown."""
+"""Escape codes that end what a full screen switches on: the reports of _MODES_OFF, special codes of
+keys and the alternate screen. Then they show the cursor and set the normal style."""
 
 
 @takes_groups
@@ -253,7 +253,10 @@ def _show(
 
 
 def _end(interrupt: Interrupt, duration_s: float | None) -> Callable[[], bool]:
-    """Return a function that returns True once a signal has come or the duration is over."""
+    """Return a function that returns True once a signal has come or `duration_s` seconds are over.
+
+    With `duration_s` None, only a signal counts.
+    """
     from math import inf
 
     from mbtool.ports.clock import steady_clock

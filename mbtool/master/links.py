@@ -101,7 +101,7 @@ class MasterLink(ABC):
 
     @abstractmethod
     def send(self, number: int, unit: int, pdu: bytes) -> None:
-        """Send a request; its response will have the same `number`.
+        """Send a request; `number` is the caller's, and its response will have the same.
 
         If a TCP connection is lost, `lost` returns the number. Raises LinkError if a serial port
         fails or is unplugged.
@@ -223,7 +223,7 @@ class TcpMaster(MasterLink):
         on_remark: Callable[[str], None] = lambda _: None,
         tls: TargetTls | None = None,
     ) -> None:
-        """Connect. Raises LinkError if the slave cannot be reached, or TLS fails."""
+        """Connect to the slave; see open_master. Raises LinkError if it cannot be reached."""
         super().__init__()
         self.transport = Transport.RTU_TCP if link.rtu else Transport.TCP
         self.limits = LinkLimits(timeout_ns=timeout_ns, one_at_a_time=link.rtu)

@@ -238,8 +238,9 @@ def _lacking_request(transaction: NamedTransaction) -> str | None:
 def values_text(values: Sequence[int], *, bits: bool = False, in_hex: bool = False) -> str:
     """List registers with commas, or bits with spaces; the first value has the lowest address.
 
-    At least FOLDED equal registers that follow each other, or equal groups of GROUP bits, are shown
-    once with their number: `0 x24`.
+    `bits` is True for bits. At least FOLDED equal registers that follow each other, or equal groups
+    of eight bits, are shown once with their number: `0 x24`. With `in_hex`, registers are written
+    as 1234H.
     """
     if bits and len(values) <= MANY_BITS:
         return " ".join(map(str, values))

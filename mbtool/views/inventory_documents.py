@@ -43,7 +43,7 @@ def inventory_json(
 ) -> str:
     """Return the inventory as JSON, with a line end.
 
-    `changes` are those since a baseline, if any.
+    `version` is that of mbtool. `changes` are those since a baseline, None without a baseline.
     """
     fields: dict[str, Any] = {"mbtool": version, **msgspec.to_builtins(document)}
     for row in (*fields.get("slaves", ()), *fields.get("masters", ())):

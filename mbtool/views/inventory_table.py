@@ -304,7 +304,10 @@ def _print(console: Console, headings: Sequence[str], entries: Sequence[_Entry])
 
 
 def _print_line(console: Console, text: str, indent: str, style: str = "") -> None:
-    """Print an indented line. It is wrapped on a terminal, but not on a pipe."""
+    """Print a line behind the spaces `indent`.
+
+    On a terminal it is wrapped, and each part is indented; on a pipe it stays one line.
+    """
     lines = [printable(text)]
     if console.is_terminal:
         width = max(console.width, _NARROWEST)

@@ -47,7 +47,7 @@ def values_table(series: Mapping[SeriesKey, ValueSeries], *, unicode: bool) -> T
 def values_json(series: Mapping[SeriesKey, ValueSeries], sources: Sequence[str]) -> str:
     """Return each register, bit or point (named value) with its changes as JSON.
 
-    Times are in ns since 1970.
+    `sources` are the paths of the files. Times are in ns since 1970.
     """
     rows: list[dict[str, Any]] = [
         {

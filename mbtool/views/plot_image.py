@@ -26,6 +26,7 @@ def write_image(
 ) -> None:
     """Write one picture with a chart for each series; `format_` is `png`, `svg` or `pdf`.
 
+    The time axis goes from `begin_ns` to `end_ns`, both in ns since 1970.
     matplotlib must not take texts of the capture for formulas, so parse_math is off.
     """
     import matplotlib.dates

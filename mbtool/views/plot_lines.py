@@ -171,7 +171,10 @@ def _labels(one: ValueSeries, rows: int) -> list[str]:
 
 
 def _time_axis(begin_ns: int, end_ns: int, width: int) -> str:
-    """Write the first time at the left end, the last at the right end, and one in the middle."""
+    """Return a line with `begin_ns` at the left end, `end_ns` at the right and the time between.
+
+    Times are given in ns since 1970, and written in UTC. `width` is in characters.
+    """
     exact = 12 if end_ns - begin_ns < 100 * _SECOND_NS else 8
 
     def text(ns: int) -> str:

@@ -128,7 +128,10 @@ def _joined(
 def _sections(
     links: Sequence[LinkReport], width: int | None, top: int
 ) -> list[tuple[str, list[StyledLine]]]:
-    """Return name and lines of each section that has lines, the most important section first."""
+    """Return name and lines of each section that has lines, the most important section first.
+
+    `width` is the terminal's in characters, None on a pipe. `top` limits the rows of a section.
+    """
     sections = [
         ("verdict", [line for one in verdict(links) for line in wrapped(one, width)]),
         ("line", _load(links, width)),
@@ -263,7 +266,10 @@ def _load(links: Sequence[LinkReport], width: int | None) -> list[StyledLine]:
 
 
 def _longest_polls(link: LinkReport, width: int | None) -> list[StyledLine]:
-    """Return a line on the polls (repeated requests) that occupy the serial line longest."""
+    """Return a line on the polls (repeated requests) whose frames occupy the serial line longest.
+
+    Returns no line for a network, or with fewer than two polls.
+    """
     load = link.load
     if load is None or len(link.polls) < 2:
         return []

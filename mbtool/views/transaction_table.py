@@ -265,7 +265,10 @@ class TransactionTable:
         return printable(f"{' '.join(cells)}  ")
 
     def _print_wrapped(self, prefix: str, text: str, findings: Sequence[str], style: str) -> None:
-        """Print a row whose text may take several lines, and its findings below it."""
+        """Print a row whose text may take several lines, and its findings below it.
+
+        `prefix` has the cells before the text; `style` is that of the row, such as `red`.
+        """
         first, *below = self._wrapped(text, len(prefix))
         self._print_line(prefix + first, style)
         for finding in findings:
@@ -274,7 +277,10 @@ class TransactionTable:
             self._print_line(" " * _INDENT + line, style)
 
     def _wrapped(self, text: str, used: int) -> list[str]:
-        """Break a text into lines; in the first line, `used` characters are already taken."""
+        """Break a text into lines for the terminal.
+
+        The first line has `used` characters less, as the cells of the row come before it.
+        """
         text, width = printable(text), self._console.width
         if len(text) <= width - used:
             return [text]

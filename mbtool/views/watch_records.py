@@ -179,7 +179,7 @@ def slave_state(row: WatchedSlaveRow, _: DrawContext) -> Spans:
 
 
 def _failures(name: str, title: str) -> WatchColumn:
-    """Return a column for a count of failures, which is red unless it is 0."""
+    """Return a column for the field `name`, a count of failures; it is red unless it is 0."""
 
     def cell(row: WatchedSlaveRow, _: DrawContext) -> Spans:
         number = getattr(row, name)

@@ -64,7 +64,8 @@ class Board:
         self.records: deque[KeptRecord] = deque(maxlen=kept)
         """The last transactions and events, in the order in which they were decoded."""
         self.polls: OrderedDict[int, WatchedPoll] = OrderedDict()
-        """The repeated requests by their number; the one that was sent last comes last."""
+        """The polls (repeated requests) by their number, which counts them from 0 in the order in
+        which they were first sent. The one that was sent last is at the end."""
         self.points: dict[tuple[str, int, object, object], WatchedPoint] = {}
         self.slaves: dict[tuple[str, int], WatchedSlave] = {}
         self.troubles: dict[tuple[str, str, int | None], WatchedTrouble] = {}

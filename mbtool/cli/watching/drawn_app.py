@@ -83,8 +83,10 @@ class DrawnApp(App[int]):
         where: str = "",
         is_asked_to_end: Callable[[], bool] = lambda: False,
     ) -> None:
-        """`place` names the links or files; `recording` is the path of the log that is written.
+        """Prepare to draw the records of `feed`.
 
+        `place` names the links or files; `recording` is the path of the log that is written, None
+        for no log. `where` is the filter as text, "" for none. `saver` writes records to files.
         `is_asked_to_end` is called before each drawing; it returns True after a signal.
         """
         # With NO_COLOR set, textual turns its own colours into greys. It does not do so with the

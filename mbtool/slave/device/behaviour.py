@@ -81,14 +81,14 @@ class Behaviour:
         self._has_write_areas = any(area.access is Access.WRITE for area in profile.areas)
 
     def barred(self, pdu: bytes, now_ns: int) -> int | None:
-        """Return the exception code that this request gets before any other check, or None.
+        """Return the exception code with which `pdu` is refused before any other check, or None.
 
         Called only if `watches`.
         """
         return None
 
     def allows(self, table: Table, span: range, *, writing: bool = False) -> bool:
-        """True if a master may read (or write) all addresses of the range.
+        """True if a master may read (with `writing`: write) all addresses of `span` in the table.
 
         The result never changes.
         """
@@ -152,10 +152,13 @@ class Behaviour:
                 self.image.set(table, address, [value])
 
     def written(self, table: Table, span: range, now_ns: int) -> None:
-        """Called after a master has written a range and `store` has stored it."""
+        """Called after a master has written the addresses `span` and `store` was called."""
 
     def answered(self, pdu: bytes, response: bytes | None, now_ns: int) -> None:
-        """Called with each request PDU and its response PDU, if `watches`."""
+        """Called with each request PDU and its response PDU, if `watches` is True.
+
+        `response` is None if the request gets no response.
+        """
 
     def inputs_set(self, now_ns: int) -> None:
         """Called when input values in the image may have changed.

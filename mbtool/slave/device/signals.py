@@ -63,7 +63,7 @@ class Ramp:
 
 @dataclass(frozen=True, slots=True)
 class Sine:
-    """A sine between two values."""
+    """A sine wave between `lowest` and `highest`; one swing takes `period_ns`."""
 
     lowest: float
     highest: float

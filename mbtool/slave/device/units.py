@@ -62,7 +62,8 @@ def units_on(
 ) -> Units:
     """Return a responder for a device with the number `unit` and other slaves on the same link.
 
-    Requests are passed on by the rules of the link (see the top of this file). A device whose
+    `others` has those other slaves by unit; None if there are none. Requests are passed on by the
+    rules of the link (see the top of this file). A device whose
     profile says that it answers any unit gets the requests for units that no other slave has.
     """
     serial = is_line(link)

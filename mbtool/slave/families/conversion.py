@@ -128,7 +128,7 @@ def scaled(value: int, lower: int, upper: int) -> int:
 
 
 def cut(dividend: int, divisor: int) -> int:
-    """Divide, and round the quotient towards 0."""
+    """Return `dividend` / `divisor`, rounded towards 0 (// would round down: -7 / 2 is -3 here)."""
     quotient = abs(dividend) // divisor
     return quotient if dividend >= 0 else -quotient
 

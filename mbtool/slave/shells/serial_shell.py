@@ -60,7 +60,11 @@ class SerialSlave(Shell):
         on_exchange: OnExchange | None = None,
         strict_timing: bool = False,
     ) -> None:
-        """Prepare a slave. Raises UsageError for strict timing on an ASCII line."""
+        """Prepare to answer on a serial line with the responses of `responder`.
+
+        `on_exchange` is called with each request and its response. Raises UsageError for strict
+        timing on an ASCII line.
+        """
         if strict_timing and link.ascii:
             raise UsageError(f"link {link}: strict timing is for RTU lines")
         super().__init__()

@@ -200,7 +200,7 @@ class MasterConnection(asyncio.BufferedProtocol):
     # The following methods are called by the methods above.
 
     def _answer_in_place(self, nbytes: int, now_ns: int) -> bool:
-        """Answer the request in the buffer, if the buffer holds exactly one request.
+        """Answer the request in the first `nbytes` bytes of the buffer, if they are exactly one.
 
         Otherwise, or if all requests must go through the splitter, does nothing and returns False.
         """
@@ -221,7 +221,10 @@ class MasterConnection(asyncio.BufferedProtocol):
         return True
 
     def _split(self, data: bytes, now_ns: int) -> None:
-        """Find requests in bytes with the splitter, and answer those that are complete."""
+        """Give the bytes `data` to the splitter, and answer the requests that they complete.
+
+        `now_ns` is the time at which they were read.
+        """
         events = self._splitter.feed(data, now_ns)
         for event in events:
             if isinstance(event, Adu):

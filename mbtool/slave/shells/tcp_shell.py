@@ -149,8 +149,9 @@ class TcpSlave(Shell):
             self._woken.set()
 
     def _tell_refused(self, host: str, refusal: str) -> None:
-        """Report a refused machine to the user, but only once: it will usually try again
-        and again.
+        """Report a refused machine to the user once, as it usually tries again and again.
+
+        `host` is its IP address, `refusal` the message.
         """
         if host not in self._refused_hosts and len(self._refused_hosts) < MAX_REFUSED_HOSTS:
             self._refused_hosts.add(host)
