@@ -143,7 +143,7 @@ def run(arguments: list[str]) -> int:
 
 
 def _told(arguments: list[str]) -> int:
-    """Run one command and print its error, if any; return the exit code."""
+    """Run one command, print its error if it raises one, and return the exit code."""
     root = get_command(app)
     try:
         with root.make_context("mbtool", arguments) as context:

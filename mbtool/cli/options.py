@@ -33,7 +33,7 @@ class Format(StrEnum):
 
 
 class SortKey(StrEnum):
-    """The order of rows: by latency the slowest first, by all other keys the least first."""
+    """The key by which rows are sorted: latency with the slowest first, others least first."""
 
     TIME = "time"
     LATENCY = "latency"
@@ -44,7 +44,7 @@ class SortKey(StrEnum):
 
 
 class EventChoice(StrEnum):
-    """The wire events that are printed: none, those about failures, or connections too."""
+    """Which events are printed: none, all except opened and closed connections, or all."""
 
     NONE = "none"
     TROUBLE = "trouble"
@@ -142,7 +142,7 @@ class TcpPorts(NamedTuple):
     rtu_ports: list[int]
     """Ports of RTU over TCP."""
     any_port: bool
-    """True to look for Modbus/TCP and RTU over TCP on all other ports, too."""
+    """True to look for Modbus/TCP and RTU over TCP on the ports that are in neither list, too."""
 
     @property
     def expected(self) -> frozenset[int] | None:

@@ -93,7 +93,7 @@ class Exchanges:
             yield
 
     def show(self) -> None:
-        """Print the exchanges since the last call, in the order of their requests."""
+        """Print the requests and responses since the last call, in the order of the requests."""
         records = [record for one in self._monitors.values() for record in one.records()]
         missed = sum(one.missed() for one in self._monitors.values())
         for record in sorted(records, key=start_ns):

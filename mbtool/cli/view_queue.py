@@ -50,7 +50,7 @@ class ViewQueue:
         self._size = 0
         self._is_full = False
         self._written = 0
-        """Number of writes so far; if it stays the same, the reader takes nothing."""
+        """Number of writes to the file so far; if it stays the same, the reader takes nothing."""
         self._is_idle = True
         self._error: OSError | None = None
         self._changed = Condition()

@@ -28,7 +28,7 @@ class Executor(Protocol):
     """Runs tasks in several processes."""
 
     processes: int
-    """The number of tasks that run at the same time."""
+    """The greatest number of tasks that run at the same time."""
 
     def run(self, tasks: Sequence[bytes]) -> Iterator[tuple[bytes, bytes | str]]:
         """Yield pairs of a task and its result, in the order in which the tasks end.

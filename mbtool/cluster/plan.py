@@ -72,12 +72,12 @@ class Around:
 
 @dataclass(frozen=True, slots=True)
 class FileRun:
-    """Consecutive files of a rotated capture that one decoder decodes."""
+    """Consecutive files of a rotated capture, which one decoder decodes one after the other."""
 
     files: tuple[InputFile, ...]
     around: tuple[Around, ...]
-    """For each file, the files before and after it. Those before the first file of the run and
-    after the last one are read, too."""
+    """For each item of `files`, its neighbours in the capture. Files before the first
+    item and behind the last one are read, but their transactions are left out."""
 
 
 def plan(files: Iterable[InputFile], most: int = MAX_FILES) -> list[FileRun]:

@@ -90,7 +90,7 @@ class MasterLink(ABC):
     limits: LinkLimits
     transport: Transport
     _asked = 0
-    """The number of requests sent by `ask`, which is also the `number` of the last of them."""
+    """The number of requests sent by `exchange`, which numbers them from 1."""
     _request: Adu
     """The request sent last, with the time when it was sent."""
     _response: Adu | None = None
@@ -214,7 +214,7 @@ def open_master(
 
 
 class TcpMaster(MasterLink):
-    """Speaks Modbus/TCP, or RTU over TCP."""
+    """A master that reaches slaves through a TCP connection: Modbus/TCP, or RTU over TCP."""
 
     def __init__(
         self,
@@ -371,7 +371,7 @@ class TcpMaster(MasterLink):
 
 
 class SerialMaster(MasterLink):
-    """Speaks RTU or ASCII on a serial port."""
+    """A master that reaches slaves through a serial port: RTU or ASCII."""
 
     def __init__(self, link: SerialLink, timeout_ns: int) -> None:
         """Open the port. Raises LinkError if it cannot be opened."""

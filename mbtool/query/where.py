@@ -291,7 +291,8 @@ class _Compiler:
 def _as_call(match: re.Match[str]) -> str:
     """Replace `like "..."` by `in like("...")`, which is valid Python; the same for `matches`.
 
-    A match that is only a text in quotes stays as it is.
+    The regular expression of `match` also finds each text in quotes, so that no word inside of it
+    is replaced; such a match stays as it is.
     """
     word, pattern = match["word"], match["pattern"]
     if word is None:

@@ -64,8 +64,8 @@ class ChosenValues:
         self._find, self._profile_for = find, profile_for
         self._places: dict[tuple[str, int], list[tuple[str, NamedAddresses]]] = {}
         self._matches: dict[SeriesKey, _PointMatch | None] = {}
-        """For each point seen so far, the texts that name it; None if none does. There are at most
-        as many entries as the profiles of all slaves have points."""
+        """For each point seen so far, by link, unit and name: the user's texts for it; None if no
+        text names it. It has at most as many entries as the profiles of all slaves have points."""
         self.series: dict[SeriesKey, ValueSeries] = {}
         self.found: set[str] = set()
         """The user's texts for which at least one value was collected."""

@@ -38,8 +38,8 @@ class TimeBins:
         self._limit = limit
         self._rows: dict[Hashable, dict[int, Bin]] = {}
         self._first = self._last = 0
-        """The numbers of the first and the last bin. A bin's number is its time since 1970 divided
-        by the width of a bin."""
+        """The numbers of the first and the last bin. A bin's number is the ns from 1970 to its
+        begin, divided by `width_ns`."""
         self._step = 0
         self.width_ns = _WIDTHS_NS[0]
 

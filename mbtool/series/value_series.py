@@ -44,9 +44,10 @@ class ValueSeries:
         """True if the values are those of a coil or a discrete input."""
         self.samples: list[SeriesSample] = []
         self.changes = 0
-        """The number of changes, including those that are no longer in `samples`."""
+        """The number of changes of the value, including changes whose samples were thinned out."""
         self.texts: dict[float, str] = {}
-        """The text for a number, in the words of the device's manual; at most MAX_TEXTS texts."""
+        """By number: its text in the words of the device's manual, such as `on`; at most MAX_TEXTS
+        texts."""
         self.last_text = ""
         self._limit = limit
 

@@ -26,7 +26,8 @@ MANY_BITS = 8
 """If a request or response has more bits than this, a cell shows them in groups of eight bits."""
 GROUP = 8
 FOLDED = 4
-"""If at least this many equal values follow each other, a cell shows one and a count: `0 x24`."""
+"""If at least this many equal values follow each other, a cell shows the value once, with their
+number: `0 x24`."""
 
 MAX_RAW = 16
 """A cell shows at most this many of the bytes that belong to an event, such as skipped bytes."""

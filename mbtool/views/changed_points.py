@@ -1,7 +1,7 @@
 """Sorts the points (named values) of a response: those that changed since the last one first."""
 
-# Memory: the texts of about MAX_POINTS points. When there are more, all of them are forgotten; the
-# next value of each point then counts as unchanged.
+# Memory: the texts of about MAX_POINTS points. When there are more, all of them are forgotten; each
+# point is then treated as one that is read for the first time.
 
 from __future__ import annotations
 

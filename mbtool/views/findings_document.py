@@ -137,7 +137,7 @@ def _logical(finding: Finding) -> dict[str, str]:
 
 
 def _fields(finding: Finding) -> dict[str, Any]:
-    """Return the fields of a finding for JSON, without those that are None."""
+    """Return the fields of a finding as a JSON object; fields that are None are left out."""
     fields = {
         "code": finding.code,
         "severity": finding.severity.value,

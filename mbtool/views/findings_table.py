@@ -134,7 +134,7 @@ def print_summaries(console: Console, summaries: Summaries) -> None:
 
 
 def _print_cases(console: Console, place: PlaceSummary) -> None:
-    """Print the first and the last finding of a place; one line if they are the same."""
+    """Print a line for the first and one for the last finding of a place; one if it is the only."""
     first, last = place.first, place.last
     if first is last:
         _print_indented(console, f"{_time(first)}: {first.message}")

@@ -134,7 +134,10 @@ def _points(profile: Profile) -> Table:
 
 
 def _reference(profile: Profile, point: Point) -> str:
-    """Return the reference of a point (named value); of a series, the first and the last one."""
+    """Return the reference of a point (named value), such as `HR400001`.
+
+    A point may stand for several registers of one kind: then the first and last reference.
+    """
     writing = not point.allows(writing=False)
     first, last = (
         write_reference(profile, point.table, address, point.words, writing=writing)

@@ -33,7 +33,7 @@ class StatisticsColumn:
 
 @dataclass(frozen=True, slots=True)
 class StatisticsRow:
-    """A row of a table: the text of its first column, and the cells of the other columns."""
+    """A row of a table: the text of the first column, the other cells in order, and a style."""
 
     first: str
     cells: Sequence[str]

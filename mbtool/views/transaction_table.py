@@ -101,7 +101,7 @@ _USUAL = (TableColumn.NUMBER, TableColumn.TIME, TableColumn.LATENCY)
 
 
 class _TableRow(NamedTuple):
-    """A record (transaction or event) with the other data for its row."""
+    """A record (transaction or event), and what else the table needs to print its row."""
 
     number: int | None
     """The number of the transaction in the capture, from 1; None for an event."""
@@ -140,7 +140,7 @@ class TransactionTable:
         """The link of the last printed row, and the part of the last heading that names link,
         master and unit; both are compared with the next row, which may need a new heading."""
         self._titled: tuple[TableColumn, ...] = ()
-        """The columns that the last line of titles names."""
+        """The columns named in the line of titles that was printed last."""
 
     def add(self, number: int, record: Record, profile: Profile | None = None) -> None:
         """Add a transaction or a wire event; `number` counts the transactions so far, from 1.

@@ -54,7 +54,7 @@ class WatchColumn:
     name: str
     title: str
     width: int
-    """In characters; 0 for a column that shares the width which the others leave."""
+    """The width in characters; 0 for a column that shares what the other columns leave."""
     cell: Callable[[Any, DrawContext], str | Spans]
     sort: Callable[[Any], Any]
     """Returns the value by which rows are sorted; the values of one column can be compared."""

@@ -32,9 +32,9 @@ def _poll_request(row: PollRow, _: DrawContext) -> Spans:
 
 
 def poll_values(row: PollRow, context: DrawContext) -> Spans:
-    """Return the last result of a poll (repeated request): an error in red, or its values.
+    """Return the cell with the last result of a poll (repeated request): an error, or the values.
 
-    Values that changed lately are highlighted.
+    An error is red. Values that changed in the last seconds are highlighted.
     """
     one = row.kept.record
     if isinstance(one, WireEvent):

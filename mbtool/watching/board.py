@@ -71,7 +71,7 @@ class Board:
         self.troubles: dict[tuple[str, str, int | None], WatchedTrouble] = {}
         self.transactions = self.events = self.left_out = 0
         self.last_ns = 0
-        """The time of the last record, in ns since 1970."""
+        """The latest start of a transaction, or time of an event, so far; in ns since 1970."""
 
     def add(self, kept: KeptRecord, *, listed: bool = True) -> None:
         """Take the next record, with its numbers in the capture.

@@ -95,7 +95,7 @@ class WatchedSlaveRow(NamedTuple):
     retries: int
     median_ns: int
     usual_ns: float | None
-    """The median latency of the other units if this one is much slower than they are; else None."""
+    """The median latency of the other units in ns, if this unit is much slower; else None."""
     slowest_ns: int
     last_ns: int
     answered_ns: int | None

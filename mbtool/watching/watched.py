@@ -80,7 +80,7 @@ class Watched:
             self.filtered = self._board()
 
     def set_filter(self, wanted: Wanted | None) -> None:
-        """Apply a filter to the kept records and to those that come; None ends filtering."""
+        """Apply a filter to the kept records and to all later ones; None ends filtering."""
         self.wanted = wanted
         self.filtered = None
         if wanted is None:

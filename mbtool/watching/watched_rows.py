@@ -46,7 +46,7 @@ class WatchedPoll:
     last_ns: int = NEVER_NS
     """The time of the last request, in ns since 1970."""
     is_damaged: bool = False
-    """True if the last response came with a wrong CRC or LRC."""
+    """True if the response to the last request came with a wrong CRC or LRC."""
     values: list[int] | None = None
     """The values that were last read or written; None before the first ones."""
     changed_ns: list[int] = field(default_factory=list)

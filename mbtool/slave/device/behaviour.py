@@ -77,7 +77,8 @@ class Behaviour:
         """Called when a register in `kept` has changed: saves them to a file. None if nothing is
         saved."""
         self._allowed: dict[tuple[Table, int, int, bool], bool] = {}
-        """Cached results of `allows`, by its arguments; at most MAX_ALLOWED."""
+        """Results of `allows` by its arguments: table, first address, address behind the last,
+        `writing`. At most MAX_ALLOWED; when there are more, all are forgotten."""
         self._has_write_areas = any(area.access is Access.WRITE for area in profile.areas)
 
     def barred(self, pdu: bytes, now_ns: int) -> int | None:

@@ -59,7 +59,7 @@ class Blocks:
         block[offset : offset + len(values)] = values
 
     def share(self, table: Table, with_table: Table) -> None:
-        """Let reads of `table` find the same blocks as reads of `with_table`."""
+        """Let reads of `table` find the blocks of `with_table`, too, at the same addresses."""
         for (of, first), block in list(self._blocks.items()):
             if of is with_table:
                 self._blocks[table, first] = block

@@ -128,6 +128,7 @@ class ConnectionPolicy:
     def lost(self, peer: Peer, loss: Loss, now_ns: int) -> None:
         """Forget a master whose connection has ended, so that another may connect.
 
+        `loss` is the reason, which only policies of some devices use.
         A second call for the same master does nothing.
         """
         if peer in self.peers:

@@ -80,9 +80,9 @@ class RegisterImage:
             self.blocks.set(point.table, point.block, address - point.block, values)
 
     def share(self, table: Table, with_table: Table) -> None:
-        """Make `table` and `with_table` the same table.
+        """Let `table` and `with_table` have the same contents from now on, at each address.
 
-        Each address keeps the value that it had in `with_table`, or, if that was 0, in `table`.
+        An address starts with its value in `with_table`; if that is 0, with its value in `table`.
         """
         ours, theirs = self._cells[table], self._cells[with_table]
         if ours is theirs:

@@ -107,7 +107,8 @@ class Walk:
     _random: Random = field(init=False, repr=False)
     _value: float = field(init=False, repr=False)
     _number: int = field(init=False, default=0, repr=False)
-    """The number of steps that were due so far, including those left out because of MAX_STEPS."""
+    """The number of the step that `_value` belongs to: the moment of the last call of `at`, divided
+    by `every_ns`. Steps that were left out because of MAX_STEPS count."""
 
     def __post_init__(self) -> None:
         self._random = Random(self.seed)

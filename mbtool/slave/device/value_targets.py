@@ -60,7 +60,7 @@ class ValueTarget:
 
     @property
     def words(self) -> int:
-        """The number of registers (or bits) that one value takes."""
+        """The number of registers that one value takes: that of the point, or 1; 1 for a bit."""
         return self.point.words if self.point is not None else 1
 
     def registers(self, value: object, *, stored: bool = False) -> list[int]:

@@ -118,7 +118,7 @@ class MovingMean:
 
 
 def scaled(value: int, lower: int, upper: int) -> int:
-    """Scale a digital value: 0 becomes `lower`, FULL_SCALE becomes `upper`.
+    """Scale a digital value: 0 becomes `lower`, FULL_SCALE (16000) becomes `upper`.
 
     If `lower` and `upper` are equal, the value is returned unchanged.
     """

@@ -108,7 +108,7 @@ class _InputSetting:
     average: int
     """Length of the average: a time in ms, or a number of conversions; 0 for no average."""
     limits: tuple[int, int]
-    """The numbers that 0 and FULL_SCALE are scaled to; two equal numbers mean no scaling."""
+    """The numbers that 0 and FULL_SCALE (16000) are scaled to; if they are equal, no scaling."""
 
 
 @dataclass(slots=True)

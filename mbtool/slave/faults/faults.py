@@ -63,7 +63,7 @@ class FaultCondition:
     units: frozenset[int] | None = None
     functions: frozenset[int] | None = None
     span: Span | None = None
-    """The request reads or writes at least one of these addresses."""
+    """The fault is for requests that read or write at least one of these addresses; None: any."""
     from_ns: int = 0
     until_ns: int | None = None
     """The fault acts from `from_ns` until `until_ns`, both in ns since the first request."""

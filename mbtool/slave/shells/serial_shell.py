@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from mbtool.modbus.response import Responder
 
 MAX_PENDING = 16
-"""At most so many responses, or pieces of responses, wait to be sent."""
+"""While this many responses, or pieces of responses, wait to be sent, requests get no response."""
 _NEVER = 32.0
 """Extra cost, in bits, of reading a possible request as a response; higher than any other cost."""
 

@@ -28,7 +28,7 @@ class Shell(ABC):
 
     def __init__(self) -> None:
         self.turned_away = 0
-        """The number of connections refused because `places` others were open."""
+        """The number of connections refused so far because `places` masters were connected."""
         self._thread: threading.Thread | None = None
         self._failure: Exception | None = None
 

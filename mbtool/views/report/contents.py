@@ -49,7 +49,10 @@ _NUMBER_BEGINS = "+-.0123456789"
 
 @dataclass(frozen=True, slots=True)
 class FileOrigin:
-    """The description of a recording in its capture file; empty for most files of other tools."""
+    """What a capture file says about its recording, such as the host and the command.
+
+    The mappings are empty for most files that another program wrote.
+    """
 
     file: str
     capture: Mapping[str, str] = field(default_factory=dict)

@@ -34,8 +34,8 @@ FEW = 0.01
 """If less than this share of a unit's requests failed (0.01 is 1 %), the trouble is minor, and its
 text gives the number of failures and not the share."""
 SLOWER = 2
-"""A unit has become slower if its mean latency at the end is at least this many times that of its
-first half, and at least SLOW_NS more."""
+"""A unit has become slower if the mean latency in the last quarter of its bins of time is at least
+this many times that in the first half, and at least SLOW_NS more."""
 _ENOUGH_BINS = 8
 """A unit with fewer bins of time than this is never reported as having become slower."""
 JOINED_SLOW = 3
