@@ -210,8 +210,8 @@ def sniff(
             LiveOutput, is_kept=write is not None, is_hurried=is_hurried, is_silent=service
         )
         opened.enter_context(sniffer)
-        # The sniffer is opened first and closed first: so the log is complete before the command
-        # waits for the reader of its output.
+        # The sniffer is opened before the output, and closed before it. So the log is complete when
+        # the command waits for the reader of its output.
         with (
             open_output(
                 None,

@@ -181,7 +181,8 @@ def result_text(
 ) -> str:
     """Return the outcome of a transaction, or the values in its response.
 
-    The arguments mean the same as for transaction_text.
+    `points` are the named values of the response, by default the transaction's own. With `in_hex`,
+    values are shown as 1234H, and without the names of points.
     """
     if transaction.outcome is Outcome.NOT_CAPTURED:
         lacking = _lacking_response(transaction)

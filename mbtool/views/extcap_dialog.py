@@ -45,7 +45,7 @@ class _Control(NamedTuple):
 
 
 def interfaces_text(version: str) -> str:
-    """Return the answer to --extcap-interfaces, with mbtool's version."""
+    """Return the answer to --extcap-interfaces; `version` is that of mbtool."""
     return (
         f"extcap {{version={version}}}{{help={_HELP}}}{{display=mbtool}}\n"
         f"interface {{value={INTERFACE}}}{{display=Modbus serial line}}\n"

@@ -42,8 +42,8 @@ class PlaceColumns:
         self._last = ["", "", ""]
         self._count = 0
         self._changes: list[deque[int]] = [deque(maxlen=MANY_CHANGES) for _ in PLACES]
-        """For each of link, master and unit: the numbers (from 1) of the last MANY_CHANGES rows in
-        which its value changed."""
+        """For each of link, master and unit: the last MANY_CHANGES rows that differed in it from
+        the row before, by their number from 1."""
 
     def decide(self, sample: Iterable[Places]) -> None:
         """Choose which of link, master and unit are columns at the begin of a table.

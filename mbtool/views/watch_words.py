@@ -57,10 +57,10 @@ def count(number: int) -> str:
 
 
 def sparkline(values: Sequence[float | None], width: int) -> str:
-    """Draw the last `width` values, one character each: a low bar for the least, a high one for the
-    greatest.
+    """Draw the last `width` values as bars: a low one for the least, a high one for the greatest.
 
-    None, a request without a response, and a number that is not finite become MISSING.
+    An x stands for None, which is a request without a response, and for a number that is not
+    finite.
     """
     shown = values[-width:]
     numbers = [one for one in shown if one is not None and one == one and abs(one) != float("inf")]

@@ -112,7 +112,7 @@ class Behaviour:
         """Return the exception code for a request that has passed all other checks, or None.
 
         `function` is its function code, `access` has the addresses that it reads and writes, and
-        `values` are those that it would write, in the order of the addresses.
+        `values` are the contents that the written addresses would have after it.
         """
         return None
 

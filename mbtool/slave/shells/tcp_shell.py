@@ -151,7 +151,7 @@ class TcpSlave(Shell):
     def _tell_refused(self, host: str, refusal: str) -> None:
         """Report a refused machine to the user once, as it usually tries again and again.
 
-        `host` is its IP address, `refusal` the message.
+        `host` is the machine's IP address, `refusal` the message for the user.
         """
         if host not in self._refused_hosts and len(self._refused_hosts) < MAX_REFUSED_HOSTS:
             self._refused_hosts.add(host)

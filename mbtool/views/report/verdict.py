@@ -112,7 +112,7 @@ class ReportVerdict:
 
     @property
     def level(self) -> str:
-        """Return `well`, `doubt` or `bad`, by the worst trouble."""
+        """Return `well` without troubles, `bad` if one is worse than Rank.RULE, else `doubt`."""
         worst = min((one.rank for one in self.troubles), default=None)
         if worst is None:
             return "well"
