@@ -162,9 +162,9 @@ def _finished(
 ) -> Iterator[_Printer]:
     """Yield the printer, and complete the output when the context ends, even by an error.
 
-    Then print the remarks and one sentence with the number of findings; after an error, the
-    sentence is printed only if a transaction was read before. `path` is the output file, None for
-    standard output. With `stays`, an error leaves an older file at `path` as it was.
+    Then print the remarks, and one sentence with the number of findings if anything was checked.
+    `path` is the output file, None for standard output. With `stays`, an error leaves an older
+    file at `path` as it was.
     """
     from mbtool.cli.talk import Interrupted, say
 
