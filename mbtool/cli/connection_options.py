@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class ConnectionOptions(OptionGroup):
-    """Options that limit TCP connections: their number, new ones a second, and idle seconds."""
+    """Options that limit TCP connections: how many at once, how many new per second, idle time."""
 
     heading: ClassVar[str] = "Connections"
 

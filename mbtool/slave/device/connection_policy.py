@@ -129,7 +129,8 @@ class ConnectionPolicy:
         """Forget a master whose connection has ended, so that another may connect.
 
         `loss` is the reason, which only policies of some devices use.
-        A second call for the same master does nothing.
+        `loss` is the reason; this policy does not need it, some devices' do. A second call for the
+        same master does nothing.
         """
         if peer in self.peers:
             self.peers.remove(peer)
