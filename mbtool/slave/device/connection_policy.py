@@ -128,7 +128,6 @@ class ConnectionPolicy:
     def lost(self, peer: Peer, loss: Loss, now_ns: int) -> None:
         """Forget a master whose connection has ended, so that another may connect.
 
-        `loss` is the reason, which only policies of some devices use.
         `loss` is the reason; this policy does not need it, some devices' do. A second call for the
         same master does nothing.
         """
