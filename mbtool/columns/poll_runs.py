@@ -12,7 +12,7 @@ without making an object of each.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -43,6 +43,16 @@ _Place = tuple[str, str, str, str | None, str | None]
 MAC address of the slave (None if unknown)."""
 
 
+class KindsOfRows(NamedTuple):
+    """Tells which rows of a block are requests of the same poll."""
+
+    likes: list[NamedTransaction]
+    """An example transaction of each kind of poll, from this block or an earlier one."""
+    kind: Int64s
+    """For each row, the index of its kind; meaningless for a row that is no common read or write.
+    """
+
+
 class PollRuns:
     """Groups the common reads and writes of each block: consecutive ones become an AnsweredRun,
     which counts equal polls together.
@@ -70,22 +80,22 @@ class PollRuns:
             return
         usual = UsualRows(rows)
         usual.is_usual &= ~self._sunspec.find(rows, usual)
-        likes, kind = self._kinds_of(rows, usual)
+        kinds = self.kinds_of(rows, usual)
         begin = 0
         for end, record in between(rows, usual.is_usual, records):
-            yield from self._run(rows, likes, kind, begin, end)
+            yield from self._run(rows, kinds, begin, end)
             begin = end
             if record is None:
                 yield self._named(rows, end)
                 begin += 1
             else:
                 yield record
-        yield from self._run(rows, likes, kind, begin, len(kind))
+        yield from self._run(rows, kinds, begin, len(kinds.kind))
 
     def _named(self, rows: PlainRows, index: int) -> NamedTransaction:
         return self._namer.name(plain_transaction(rows, index))
 
-    def _kinds_of(self, rows: PlainRows, usual: UsualRows) -> tuple[list[NamedTransaction], Int64s]:
+    def kinds_of(self, rows: PlainRows, usual: UsualRows) -> KindsOfRows:
         """Return an example transaction of each kind of poll in the block, and for each row the
         index of its kind among these examples.
 
@@ -111,25 +121,17 @@ class PollRuns:
             if key not in self._kinds:
                 self._kinds[key] = self._named(rows, index)
             likes.append(self._kinds[key])
-        return likes, kind
+        return KindsOfRows(likes, kind)
 
     def _run(
-        self,
-        rows: PlainRows,
-        likes: list[NamedTransaction],
-        kind: Int64s,
-        begin: int,
-        end: int,
+        self, rows: PlainRows, kinds: KindsOfRows, begin: int, end: int
     ) -> Iterator[AnsweredRun | NamedTransaction]:
         """Yield the rows with the indices `begin` to `end` (exclusive), all of them common reads
         and writes, as one AnsweredRun; as single transactions if they are fewer than _SHORT.
-
-        `likes` has an example of each kind of poll, `kind` the index of each row's kind in `likes`.
         """
         if begin == end:
             return
-        some = slice(begin, end)
-        run = _run_of(likes, kind[some], rows.request_ns[some], rows.response_ns[some])
+        run = run_of(rows, kinds, begin, end)
         if end - begin < _SHORT:
             yield from run.transactions()
         else:
@@ -161,10 +163,15 @@ def between(
     return sorted(found, key=lambda one: (one[0], one[1] is None))
 
 
-def _run_of(
-    likes: list[NamedTransaction], kind: Int64s, request_ns: Int64s, response_ns: Int64s
-) -> AnsweredRun:
-    found, first, local = np.unique(narrow(kind), return_index=True, return_inverse=True)
+def run_of(rows: PlainRows, kinds: KindsOfRows, begin: int, end: int) -> AnsweredRun:
+    """Return the rows with the indices `begin` to `end` (exclusive), all of them common reads and
+    writes, as one AnsweredRun.
+    """
+    some = slice(begin, end)
+    request_ns, response_ns = rows.request_ns[some], rows.response_ns[some]
+    found, first, local = np.unique(
+        narrow(kinds.kind[some]), return_index=True, return_inverse=True
+    )
     by_first = np.argsort(first)
     number = np.empty(len(found), np.int64)
     number[by_first] = np.arange(len(found))
@@ -176,9 +183,9 @@ def _run_of(
     latencies = (response_ns - request_ns)[order].tolist()
     first_ns = np.minimum.reduceat(request_ns[order], starts)
     last_ns = np.maximum.reduceat(response_ns[order], starts)
-    kinds = [
-        AlikeRequests(likes[which], end - begin, begin_ns, end_ns, latencies[begin:end])
-        for which, begin, end, begin_ns, end_ns in zip(
+    alike = [
+        AlikeRequests(kinds.likes[which], stop - start, begin_ns, end_ns, latencies[start:stop])
+        for which, start, stop, begin_ns, end_ns in zip(
             found[by_first].tolist(),
             starts.tolist(),
             ends.tolist(),
@@ -187,4 +194,4 @@ def _run_of(
             strict=True,
         )
     ]
-    return AnsweredRun(kinds, local.tolist(), request_ns.tolist(), response_ns.tolist())
+    return AnsweredRun(alike, local.tolist(), request_ns.tolist(), response_ns.tolist())

@@ -1,4 +1,6 @@
-"""Finds transactions in arrays that break no rule of `check`, without making an object of each."""
+"""Finds, for `check` and `report`, transactions in arrays that break no rule, without making an
+object of each.
+"""
 
 # A row of the arrays is one transaction. It is quiet if it is one of the common reads
 # (usual_rows.py), has the outcome OK, has a function, address and quantity that give no finding,
@@ -7,19 +9,22 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mbtool.columns.arrays import narrow
+from mbtool.columns.block_values import BlockValues
 from mbtool.columns.plain_transactions import plain_transaction
-from mbtool.columns.poll_runs import between
+from mbtool.columns.poll_runs import PollRuns, between, run_of
 from mbtool.columns.sunspec_rows import SunSpecRows
-from mbtool.columns.usual_rows import UsualRows
+from mbtool.columns.usual_values import UsualValues
 from mbtool.devices import Namer
 from mbtool.devices.checking.connections import MAX_RECENT
-from mbtool.devices.checking.quiet_run import QuietConnection, QuietPoll, QuietRows, QuietRun
+from mbtool.devices.checking.quiet_run import QuietConnection, QuietPoll, QuietRun
 from mbtool.modbus.functions import READ_BITS, READ_REGISTERS
+from mbtool.series.answered_reads import AnsweredReads
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Iterator, Sequence
@@ -27,8 +32,10 @@ if TYPE_CHECKING:
     from mbtool.columns.arrays import Bools, Int64s, Numbers
     from mbtool.columns.column_decoder import DecodedBlock
     from mbtool.columns.plain_rows import PlainRows
+    from mbtool.columns.poll_runs import KindsOfRows
     from mbtool.decode.decoder import Record
     from mbtool.devices import NamedTransaction
+    from mbtool.overview.answered_run import AnsweredRun
 
 _READS = [*READ_BITS, *READ_REGISTERS - {0x17}]
 FEWEST = 64
@@ -46,12 +53,13 @@ class QuietParts:
     def __init__(self) -> None:
         self._namer = Namer()
         self._sunspec = SunSpecRows()
+        self._runs = PollRuns()
 
-    def parts(self, decoded: DecodedBlock) -> Iterator[Record | QuietRows]:
+    def parts(self, decoded: DecodedBlock) -> Iterator[Record | BlockRows]:
         """Yield the transactions and events of a block in the order in which packets completed
         them.
 
-        Consecutive reads without findings come together as one QuietRows, if they are at least
+        Consecutive reads without findings come together as one BlockRows, if they are at least
         FEWEST.
         """
         records = decoded.sorted_records(with_passed=True)
@@ -60,7 +68,7 @@ class QuietParts:
         if rows is None:
             yield from (record for _, record in records)
             return
-        block = _QuietBlock(rows, self._namer, self._sunspec)
+        block = _QuietBlock(rows, self._namer, self._sunspec, self._runs)
         begin = 0
         for end, record in between(rows, block.is_quiet, records):
             yield from block.some(begin, end)
@@ -78,10 +86,11 @@ class _QuietBlock:
     with equal numbers belong to the same poll, or to the same connection.
     """
 
-    def __init__(self, rows: PlainRows, namer: Namer, sunspec: SunSpecRows) -> None:
+    def __init__(self, rows: PlainRows, namer: Namer, sunspec: SunSpecRows, runs: PollRuns) -> None:
         self._rows = rows
         self._namer = namer
-        self._usual = usual = UsualRows(rows)
+        self._runs = runs
+        self._usual = usual = UsualValues(rows)
         asked = rows.code << 32 | usual.address << 16 | usual.quantity
         usual.is_usual &= ~sunspec.find(rows, usual)
         is_read = usual.is_usual & (usual.exception < 0) & np.isin(rows.code, _READS)
@@ -97,20 +106,46 @@ class _QuietBlock:
     def transaction(self, index: int) -> NamedTransaction:
         return self._namer.name(plain_transaction(self._rows, index))
 
-    def some(self, begin: int, end: int) -> Iterator[QuietRows | NamedTransaction]:
+    def some(self, begin: int, end: int) -> Iterator[BlockRows | NamedTransaction]:
         """Yield the rows with the indices `begin` to `end` (exclusive), all of them reads without
-        findings, as one QuietRows; as single transactions if they are fewer than FEWEST.
+        findings, as one BlockRows; as single transactions if they are fewer than FEWEST.
         """
         if end - begin < FEWEST:
             yield from map(self.transaction, range(begin, end))
         else:
-            yield _BlockRows(self, begin, end)
+            yield BlockRows(self, begin, end)
 
     def run(self, begin: int, end: int) -> QuietRun:
         return QuietRun(
             [self._quiet_poll(places) for places in _alike(self._poll, begin, end)],
             [self._quiet_connection(places) for places in _alike(self._connection, begin, end)],
             self.transaction,
+        )
+
+    def answered(self, begin: int, end: int) -> AnsweredRun:
+        return run_of(self._rows, self._kinds, begin, end)
+
+    def reads(self, begin: int, end: int) -> list[AnsweredReads]:
+        groups = sorted(_alike(self._poll, begin, end), key=lambda places: int(places[0]))
+        return [self._answered_reads(places) for places in groups]
+
+    @cached_property
+    def _kinds(self) -> KindsOfRows:
+        return self._runs.kinds_of(self._rows, self._usual)
+
+    def _answered_reads(self, places: Int64s) -> AnsweredReads:
+        rows, usual, first = self._rows, self._usual, int(places[0])
+        request_ns = rows.request_ns[places]
+        return AnsweredReads(
+            rows.connections[rows.connection[first]].link,
+            int(rows.unit[first]),
+            int(rows.code[first]),
+            int(usual.address[first]),
+            int(usual.quantity[first]),
+            int(rows.request_size[first] + rows.response_size[first]),
+            request_ns.tolist(),
+            (rows.response_ns[places] - request_ns).tolist(),
+            BlockValues(rows, usual, places),
         )
 
     def _without_findings(self, asked: Int64s, is_read: Bools) -> Bools:
@@ -151,7 +186,7 @@ class _QuietBlock:
         )
 
 
-class _BlockRows:
+class BlockRows:
     """Consecutive transactions of a block, all of them reads without findings. Implements
     QuietRows.
     """
@@ -169,12 +204,24 @@ class _BlockRows:
         """The number of transactions, for a progress bar."""
         return len(self)
 
-    def run(self, begin: int) -> QuietRun:
-        return self._block.run(self._begin + begin, self._end)
+    def behind(self, count: int) -> BlockRows:
+        return BlockRows(self._block, min(self._begin + count, self._end), self._end)
 
-    def transactions(self, begin: int, end: int) -> list[NamedTransaction]:
-        some = range(self._begin + begin, min(self._begin + end, self._end))
-        return [self._block.transaction(one) for one in some]
+    def transactions(self, count: int) -> Iterator[NamedTransaction]:
+        some = range(self._begin, min(self._begin + count, self._end))
+        return map(self._block.transaction, some)
+
+    def run(self) -> QuietRun:
+        """The figures that the rules of `check` need."""
+        return self._block.run(self._begin, self._end)
+
+    def answered(self) -> AnsweredRun:
+        """The requests by poll, for statistics and inventory."""
+        return self._block.answered(self._begin, self._end)
+
+    def reads(self) -> list[AnsweredReads]:
+        """The reads by poll, for charts over time. The polls are sorted by their first rows."""
+        return self._block.reads(self._begin, self._end)
 
 
 def _numbers(values: Sequence[Hashable]) -> Int64s:

@@ -57,6 +57,16 @@ class UsualValues(UsualRows):
         begin = self._response[chosen] + 2
         return ValueLists(*self._values(begin, self._value[chosen], words, bits), ~(words | bits))
 
+    def response_value(self, chosen: Int64s, place: int) -> Words:
+        """Return the register or bit at index `place` of the values in each response.
+
+        `chosen` has the indices of the rows, all of them answered reads with the same function.
+        """
+        begin = self._response[chosen] + 2
+        if self._reads_bits[chosen[0]]:
+            return (self._data[begin + place // 8] >> (place % 8) & 1).astype(np.uint16)
+        return gather(self._data, begin + 2 * place, _PAIR).astype(np.uint16)
+
     def _values(
         self, begin: Int64s, counts: Int64s, words: Bools, bits: Bools
     ) -> tuple[Words, Int64s]:

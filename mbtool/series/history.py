@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from enum import IntEnum
+from itertools import groupby
 from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.core import EventKind, WireEvent
@@ -14,7 +15,10 @@ from mbtool.serial_line.damaged_answers import DamagedAnswers
 from mbtool.series.time_bins import TimeBins, note_value
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
     from mbtool.devices import NamedTransaction
+    from mbtool.series.answered_reads import AnsweredReads
 
 MAX_ROWS = 256
 
@@ -84,6 +88,33 @@ class History:
             self._add_event(record)
         else:
             self._add_transaction(record)
+
+    def add_reads(self, reads: Iterable[AnsweredReads]) -> None:
+        """Count many answered requests, with the same result as `add` for each."""
+        # The bins may become wider meanwhile. All requests of a narrower bin are then in one of the
+        # wider ones.
+        width_ns = self.bins.width_ns
+        for one in reads:
+            timed = zip(one.request_ns, one.latencies_ns, strict=True)
+            for _, some in groupby(timed, lambda times: times[0] // width_ns):
+                times, latencies = zip(*some, strict=True)
+                self._add_answered(one, times[0], latencies)
+
+    def _add_answered(self, one: AnsweredReads, at_ns: int, latencies: Sequence[int]) -> None:
+        """Count requests that belong to one bin."""
+        count = len(latencies)
+        if self._has_room(one.link):
+            link = self.bins.bin(one.link, at_ns)
+            link[LinkSum.TRANSACTIONS] += count
+            link[LinkSum.BYTES] += count * one.size
+        row = UnitRow(one.link, one.unit)
+        if self._has_room(row):
+            unit = self.bins.bin(row, at_ns)
+            for place in (UnitSum.TRANSACTIONS, UnitSum.OK, UnitSum.LATENCIES):
+                unit[place] += count
+            unit[UnitSum.LATENCY_NS] += sum(latencies)
+            note_value(unit, min(latencies))
+            note_value(unit, max(latencies))
 
     def _add_transaction(self, one: NamedTransaction) -> None:
         at_ns = one.start_ns

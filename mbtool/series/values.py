@@ -10,17 +10,20 @@
 
 from __future__ import annotations
 
+from itertools import chain
 from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.devices.references import write_reference
 from mbtool.modbus import FUNCTIONS
+from mbtool.series.answered_reads import ValueChanges
 from mbtool.series.value_series import ValueSeries
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from mbtool.devices import NamedTransaction
     from mbtool.modbus.tables import Table
+    from mbtool.series.answered_reads import AnsweredReads
 
 MAX_SERIES = 256
 MAX_OF_POLL = 64
@@ -73,11 +76,7 @@ class Values:
         if values is None or one.function == _MASK_WRITE:
             return
         key = (one.link, one.unit, one.function, one.address, one.quantity, one.write_address)
-        poll = self._polls.get(key)
-        if poll is None:
-            poll = _FollowedPoll()
-            if len(self._polls) < MAX_POLLS:
-                self._polls[key] = poll
+        poll = self._poll(key)
         before, poll.values = poll.values, values
         if before == values:
             return
@@ -85,9 +84,49 @@ class Values:
         if one.points:
             self._add_points(one, poll, at_ns)
         elif one.address is not None:
-            if len(poll.series) != min(len(values), MAX_OF_POLL):
-                poll.series = self._registers(one, function.table, len(values))
+            self._follow(poll, one, function.table, len(values))
             _add_changes(poll.series, values, before or (), at_ns)
+
+    def add_reads(self, reads: Sequence[AnsweredReads]) -> bool:
+        """Take many reads of slaves without profiles, with the same result as `add` for each.
+
+        Returns False, and takes none, if there may be no room for their polls.
+        """
+        if len(self._polls) + len(reads) > MAX_POLLS:
+            return False
+        found: dict[ValueSeries, list[ValueChanges]] = {}
+        for one in reads:
+            function = FUNCTIONS[one.function]
+            if function.table is None:
+                continue
+            key = (one.link, one.unit, one.function, one.address, one.quantity, None)
+            poll = self._poll(key)
+            before, poll.values = poll.values, one.values.last()
+            if before is not None and len(before) != one.quantity:
+                before = None
+            self._follow(poll, one, function.table, one.quantity)
+            for place, series in enumerate(poll.series):
+                if series is not None:
+                    found.setdefault(series, []).append(one.values.changes(before, place))
+        for series, changes in found.items():
+            _, times_ns, values = changes[0] if len(changes) == 1 else _joined(changes)
+            series.add_all(times_ns, values)
+        return True
+
+    def _poll(self, key: tuple[object, ...]) -> _FollowedPoll:
+        poll = self._polls.get(key)
+        if poll is None:
+            poll = _FollowedPoll()
+            if len(self._polls) < MAX_POLLS:
+                self._polls[key] = poll
+        return poll
+
+    def _follow(
+        self, poll: _FollowedPoll, one: NamedTransaction | AnsweredReads, table: Table, count: int
+    ) -> None:
+        """Make sure that the registers or bits of a poll have their series of values."""
+        if len(poll.series) != min(count, MAX_OF_POLL):
+            poll.series = self._registers(one, table, count)
 
     def _add_points(self, one: NamedTransaction, poll: _FollowedPoll, at_ns: int) -> None:
         names = [point.name for point in one.points]
@@ -100,7 +139,7 @@ class Values:
                 series.add(at_ns, point.value, point.text)
 
     def _registers(
-        self, one: NamedTransaction, table: Table, count: int
+        self, one: NamedTransaction | AnsweredReads, table: Table, count: int
     ) -> list[ValueSeries | None]:
         """Return the series of values for the registers or bits of a poll, in address order.
 
@@ -122,6 +161,13 @@ class Values:
                 return None
             series = self.series[key] = ValueSeries(key.name, bit=is_bit)
         return series
+
+
+def _joined(several: Iterable[ValueChanges]) -> ValueChanges:
+    """Return the changes of a register that several polls read, in the order of the responses."""
+    in_order = sorted(chain.from_iterable(zip(*one, strict=True) for one in several))
+    rows, times_ns, values = ([one[place] for one in in_order] for place in range(3))
+    return ValueChanges(rows, times_ns, values)
 
 
 def _add_changes(

@@ -35,13 +35,13 @@ from mbtool.workflows.shared.unreadable_lines import UnreadableLines
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
+    from mbtool.columns.quiet_rows import BlockRows
     from mbtool.core import SerialFormat
     from mbtool.decode.decoder import Record
     from mbtool.devices import Profile
-    from mbtool.devices.checking.quiet_run import QuietRows
     from mbtool.workflows.shared.reading import ReadingOptions
 
-    WatchRows = Callable[[Reading, Iterator[Record | QuietRows]], Iterator[Record | QuietRows]]
+    WatchRows = Callable[[Reading, Iterator[Record | BlockRows]], Iterator[Record | BlockRows]]
 
 LARGE = 1_000_000
 """The least size (bytes) of a capture file that is read as numpy arrays. For a smaller file,
@@ -117,6 +117,13 @@ class CheckedRecord(NamedTuple):
     """The same as `record`, None included; but a transaction of a log has names from the profiles
     in use now."""
     findings: list[FileFinding]
+    rows: BlockRows | None = None
+    """Many answered reads that were checked together, instead of a record; otherwise None."""
+
+    @property
+    def row_count(self) -> int:
+        """The number of its transactions, for a progress bar."""
+        return 1 if self.rows is None else len(self.rows)
 
 
 NOTHING = CheckedRecord(None, None, [])
@@ -196,21 +203,25 @@ class CheckRun:
         `watch` passes on the records as they are read, and may show the progress. Raises InputError
         for a file that cannot be read, and, after all findings, for a file that is cut or damaged.
         """
-        columns = self._columns if self._window.is_whole else None
-        parts = self.reading.records() if columns is None else columns.quiet_parts()
-        for _, _, found in self._checked(watch(self.reading, parts)):
-            yield from found
+        for one in self._checked(watch(self.reading, self._parts())):
+            yield from one.findings
 
     def checked(self) -> Iterator[CheckedRecord]:
         """Yield each transaction or event with its findings, and at the end of each capture the
         findings about the whole capture.
 
+        Many answered reads without a finding of their own may come together as one CheckedRecord.
+
         Raises InputError for a file that cannot be read, and, after all findings, for a file that
         is cut or damaged.
         """
-        return self._checked(self.reading.records())
+        return self._checked(self._parts())
 
-    def _checked(self, parts: Iterable[Record | QuietRows]) -> Iterator[CheckedRecord]:
+    def _parts(self) -> Iterator[Record | BlockRows]:
+        columns = self._columns if self._window.is_whole else None
+        return self.reading.records() if columns is None else columns.quiet_parts()
+
+    def _checked(self, parts: Iterable[Record | BlockRows]) -> Iterator[CheckedRecord]:
         try:
             self._find_first_request()
             for part in parts:
@@ -218,7 +229,10 @@ class CheckRun:
                     yield CheckedRecord(None, None, list(self._end_capture()))
                     self._begin_capture()
                 self._file = self.reading.file
-                yield self._check(part)
+                if isinstance(part, WireEvent | NamedTransaction):
+                    yield self._check(part)
+                else:
+                    yield from self._check_rows(part)
         except InputError:
             yield CheckedRecord(None, None, list(self._end_capture()))
             raise
@@ -261,12 +275,20 @@ class CheckRun:
             yield from self._chosen(checker.close())
             self._remarks += checker.remarks
 
-    def _check(self, record: Record | QuietRows) -> CheckedRecord:
+    def _check_rows(self, rows: BlockRows) -> Iterator[CheckedRecord]:
+        if self._checker is None:
+            return
+        self.transactions += len(rows)
+        for some, found in self._checker.feed_rows(rows):
+            findings = list(self._chosen(found))
+            if isinstance(some, NamedTransaction):
+                yield CheckedRecord(some, some, findings)
+            else:
+                yield CheckedRecord(None, None, findings, some)
+
+    def _check(self, record: Record) -> CheckedRecord:
         if self._checker is None or self._lines is None:
             return NOTHING
-        if not isinstance(record, WireEvent | NamedTransaction):
-            self.transactions += len(record)
-            return CheckedRecord(None, None, list(self._chosen(self._checker.feed_rows(record))))
         if record not in self._window:
             # Rules about connections need to know which are open when the checked time begins.
             if isinstance(record, WireEvent) and record.kind in _CONNECTIONS:

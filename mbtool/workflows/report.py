@@ -38,6 +38,7 @@ from mbtool.workflows.shared.read_all import unwatched
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
+    from mbtool.columns.quiet_rows import BlockRows
     from mbtool.core import SerialFormat
     from mbtool.devices import NamedTransaction
     from mbtool.devices.checking.finding import Finding
@@ -131,9 +132,7 @@ class ReportRun:
             self._number_of_findings += found.finding.count
             self._findings.add(found.finding, found.file if len(self._files) > 1 else "")
         if record is not None and named is not None:
-            if self.reading.captures != self._captures:
-                self._captures = self.reading.captures
-                self.statistics.begin_capture()
+            self._note_capture()
             self.statistics.add(record)
             self._history.add(named)
             if isinstance(record, WireEvent) or isinstance(named, WireEvent):
@@ -142,8 +141,32 @@ class ReportRun:
                 self._inventory.add(record)
                 self._values.add(named)
                 self._rows.add(named, _codes_of(named, findings))
+        if one.rows is not None:
+            self._note_capture()
+            self._add_rows(one.rows)
         for finding in findings:
             self._rows.mark(finding)
+
+    def _add_rows(self, rows: BlockRows) -> None:
+        """Count answered reads without findings together; only the first ones of the capture need a
+        row of the table.
+        """
+        answered, reads = rows.answered(), rows.reads()
+        self.statistics.add_run(answered)
+        self._inventory.add_run(answered)
+        self._history.add_reads(reads)
+        if not self._values.add_reads(reads):
+            for named in rows.transactions(len(rows)):
+                self._values.add(named)
+        wanted = self._rows.first_of(len(rows))
+        for named in rows.transactions(wanted):
+            self._rows.add(named, ())
+        self._rows.pass_over(len(rows) - wanted)
+
+    def _note_capture(self) -> None:
+        if self.reading.captures != self._captures:
+            self._captures = self.reading.captures
+            self.statistics.begin_capture()
 
     def _note_event(self, record: object) -> None:
         if isinstance(record, WireEvent) and record.kind in _LACKING:

@@ -6,10 +6,9 @@
                          page, and on one of a sick line with hostile texts: light and dark, wide
                          and narrow
 
-Prints the processor time of `report` in times of that of `decode --where 'unit >= 0' -o x.jsonl` of
-the same capture, the size of the page, and how many of its figures differ from those of `stats
---json`. Exit 1 if something is beyond the limits: twice the time, 3 MB, any difference, any serious
-fault of axe.
+Prints the processor time of `report` in times of that of `decode -o x.jsonl` of the same capture,
+the size of the page, and how many of its figures differ from those of `stats --json`. Exit 1 if
+something is beyond the limits: twice the time, 3 MB, any difference, any serious fault of axe.
 """
 
 from __future__ import annotations
@@ -132,7 +131,7 @@ def main() -> None:
         ratios = []
         for _ in range(given.rounds):
             lines.unlink(missing_ok=True)
-            rows_s = processor_s("decode", capture, "--where", "unit >= 0", "-o", lines)
+            rows_s = processor_s("decode", capture, "-o", lines)
             ratios.append(processor_s("report", capture, "-o", page, "--overwrite") / rows_s)
         with figures.open("w") as file:
             command = [sys.executable, "-m", "mbtool", "stats", str(capture), "--json"]

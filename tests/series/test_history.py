@@ -1,10 +1,16 @@
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from mbtool.core import EventKind, WireEvent
 from mbtool.devices import NamedTransaction
 from mbtool.modbus import Outcome
 from mbtool.modbus.adu import DirectionBy, Transport
+from mbtool.series.answered_reads import AnsweredReads, ReadValues, ValueChanges
 from mbtool.series.history import MAX_ROWS, History, LinkSum, UnitRow, UnitSum
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 S = 1_000_000_000
 START = 1_700_000_000 * S
@@ -29,6 +35,14 @@ def asked(
     )
 
 
+class NoValues(ReadValues):
+    def last(self) -> list[int]:
+        return []
+
+    def changes(self, before: Sequence[int] | None, place: int) -> ValueChanges:
+        return ValueChanges([], [], [])
+
+
 def event(at_s: float, kind: EventKind, raw: bytes = b"") -> WireEvent:
     return WireEvent(ts_ns=START + round(at_s * S), link="rs485", kind=kind, message="", raw=raw)
 
@@ -48,6 +62,22 @@ def test_outcomes_and_latencies_are_counted_by_unit() -> None:
     assert told.bins.column(row, UnitSum.LATENCY_NS) == [19_000_000]
     assert told.bins.column(UnitRow("rs485", 2), UnitSum.NO_ANSWER) == [1]
     assert told.bins.column("rs485", LinkSum.BYTES) == [32]
+
+
+def test_reads_counted_together_stay_apart_while_the_bins_become_wider() -> None:
+    at_s = (0, 0.4, 0.8, 1.6)  # The bins become twice as wide at 0.4 s.
+    together, singly = History(), History()
+    for at in at_s:
+        singly.add(asked(at - START / S))
+    times = [round(at * S) for at in at_s]
+    reads = AnsweredReads("rs485", 1, 3, 0, 1, 8, times, [5_000_000] * 4, NoValues())
+    together.add_reads([reads])
+    for place in UnitSum:
+        row = UnitRow("rs485", 1)
+        assert together.bins.column(row, place) == singly.bins.column(row, place)
+    assert together.bins.column("rs485", LinkSum.BYTES) == singly.bins.column(
+        "rs485", LinkSum.BYTES
+    )
 
 
 def test_a_wrong_crc_counts_for_the_unit_whose_request_was_open() -> None:

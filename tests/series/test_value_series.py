@@ -10,9 +10,27 @@ def test_only_changes_are_kept() -> None:
     series = ValueSeries("CH1")
     for at, value in enumerate((5, 5, 6, 6, 5)):
         series.add(at, value, f"{value} V")
-    assert series.samples == [(0, 5), (2, 6), (4, 5)]
+    assert series.samples == [SeriesSample(0, 5), SeriesSample(2, 6), SeriesSample(4, 5)]
     assert series.changes == 2
     assert series.texts == {5: "5 V", 6: "6 V"}
+
+
+@given(
+    st.lists(st.lists(st.tuples(st.integers(1, 9), st.integers(0, 3)), max_size=60), max_size=5),
+    st.integers(8, 40),
+)
+def test_values_added_together_give_what_they_give_one_by_one(
+    several: list[list[tuple[int, int]]], limit: int
+) -> None:
+    one, together = ValueSeries("CH1", limit=limit), ValueSeries("CH1", limit=limit)
+    at_ns = 0
+    for steps in several:
+        times = [at_ns := at_ns + step for step, _ in steps]
+        values = [value for _, value in steps]
+        together.add_all(times, values)
+        for time_ns, value in zip(times, values, strict=True):
+            one.add(time_ns, value)
+    assert (together.samples, together.changes) == (one.samples, one.changes)
 
 
 def test_a_text_that_is_no_number_has_its_last_text_and_its_changes() -> None:

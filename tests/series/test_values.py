@@ -56,7 +56,7 @@ def test_a_slave_with_a_profile_has_points_with_their_units() -> None:
     values.add(seen(1, 4, [275], points=[point]))
     (series,) = values.series.values()
     assert (series.name, series.reference, series.unit) == ("CH1", "RWr2", "s")
-    assert series.samples == [(1, 27.5)]
+    assert samples(values, "CH1") == [(1, 27.5)]
 
 
 def test_what_took_no_effect_is_no_value() -> None:

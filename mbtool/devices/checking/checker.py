@@ -11,7 +11,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from mbtool.core import WireEvent
 from mbtool.devices.checking.capture_context import CaptureContext
@@ -19,6 +19,7 @@ from mbtool.devices.checking.connections import ConnectionRules, is_foreign_mess
 from mbtool.devices.checking.fa3 import Fa3Rules, is_fa3
 from mbtool.devices.checking.line import LineRules
 from mbtool.devices.checking.polls import PollRules
+from mbtool.devices.checking.quiet_run import QuietRows
 from mbtool.devices.checking.responses import ResponseRules
 from mbtool.devices.checking.security import SecurityRules
 from mbtool.devices.checking.transactions import TransactionRules
@@ -29,9 +30,10 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from mbtool.devices.checking.finding import Finding
-    from mbtool.devices.checking.quiet_run import QuietRows, QuietRun
+    from mbtool.devices.checking.quiet_run import QuietRun
     from mbtool.devices.named_transaction import NamedTransaction
 
+Q = TypeVar("Q", bound=QuietRows)
 
 _ONE_BY_ONE = 64
 """If a rule cannot check many rows (answered reads) together, this many rows are checked one by
@@ -68,25 +70,30 @@ class Checker:
         else:
             yield from self._transaction(record)
 
-    def feed_rows(self, rows: QuietRows) -> Iterator[Finding]:
-        """Check many answered reads of slaves without profiles, with the same result as `feed` for
-        each.
+    def feed_rows(self, rows: Q) -> Iterator[tuple[NamedTransaction | Q, Iterator[Finding]]]:
+        """Check many answered reads of slaves without profiles, with the same findings as `feed`
+        for each.
 
         The first reads are checked one by one, until every rule can check the remaining ones
-        together. That is much faster.
+        together. That is much faster. Yields each of the first reads with its findings, then the
+        remaining ones as one object with theirs. The rules check a read while its findings are
+        taken: take them all before the next step.
         """
-        begin, count = 0, _ONE_BY_ONE
-        while begin < len(rows):
-            run = rows.run(begin)
+        count = _ONE_BY_ONE
+        while len(rows):
+            run = rows.run()
             if self._takes(run):
-                yield from self._responses.run(run)
-                yield from self._connections.run(run)
-                self._polls.run(run)
-                self._security.run(run)
+                yield rows, self._run(run)
                 return
-            for one in rows.transactions(begin, begin + count):
-                yield from self._transaction(one)
-            begin, count = begin + count, 2 * count
+            for one in rows.transactions(count):
+                yield one, self._transaction(one)
+            rows, count = rows.behind(count), 2 * count
+
+    def _run(self, run: QuietRun) -> Iterator[Finding]:
+        yield from self._responses.run(run)
+        yield from self._connections.run(run)
+        self._polls.run(run)
+        self._security.run(run)
 
     def _takes(self, run: QuietRun) -> bool:
         if self._responses.has_pending and self._connections.has_pending:

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol, Self
 
 from mbtool.devices.named_transaction import NamedTransaction
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator
 
 
 class QuietPoll(NamedTuple):
@@ -80,10 +80,14 @@ class QuietRows(Protocol):
 
     def __len__(self) -> int: ...
 
-    def run(self, begin: int) -> QuietRun:
-        """The figures about the rows from index `begin` to the last row."""
+    def run(self) -> QuietRun:
+        """The figures about all rows."""
         ...
 
-    def transactions(self, begin: int, end: int) -> Sequence[NamedTransaction]:
-        """The transactions of the rows from index `begin` up to, but not including, `end`."""
+    def transactions(self, count: int) -> Iterator[NamedTransaction]:
+        """The transactions of the first `count` rows."""
+        ...
+
+    def behind(self, count: int) -> Self:
+        """All rows but the first `count`."""
         ...

@@ -232,8 +232,8 @@ def _values(values: Values, begin_ns: int) -> dict[str, Any]:
                 "changes": one.changes,
                 "texts": [[value, text] for value, text in one.texts.items()],
                 "samples": [
-                    [(ns - begin_ns) // 1_000_000, value]
-                    for ns, value in thinned(one.samples, most)
+                    [(sample.ts_ns - begin_ns) // 1_000_000, sample.value]
+                    for sample in thinned(one.samples, most)
                 ],
             }
             for key, one in moving.items()

@@ -73,6 +73,16 @@ class TransactionRows:
             self.kept_with_trouble += has_trouble
             self._keep(one, codes)
 
+    def first_of(self, count: int) -> int:
+        """Return how many of the next `count` transactions need a row; none of them failed or has a
+        finding.
+        """
+        return count if self._everything else min(max(FIRST - self.transactions, 0), count)
+
+    def pass_over(self, count: int) -> None:
+        """Count transactions that need no row: none of them failed or has a finding."""
+        self.transactions += count
+
     def mark(self, finding: Finding) -> None:
         """Add a finding about an earlier transaction to its row, unless the row was not kept."""
         found = self._by_time.get((finding.link, finding.unit, finding.ts_ns))

@@ -31,9 +31,9 @@ if TYPE_CHECKING:
     from mbtool.columns.block_table import TransactionBatch
     from mbtool.columns.packet_block import PacketBlock
     from mbtool.columns.plain_lines import LineBatch
+    from mbtool.columns.quiet_rows import BlockRows
     from mbtool.decode.decoder import Record
     from mbtool.devices import NamedTransaction
-    from mbtool.devices.checking.quiet_run import QuietRows
     from mbtool.sources.files import CaptureFile
     from mbtool.workflows.shared.reading import ReadingOptions
 
@@ -141,9 +141,9 @@ class ColumnReading(PartReading):
                     self._note(part)
                 yield part
 
-    def quiet_parts(self) -> Iterator[Record | QuietRows]:
+    def quiet_parts(self) -> Iterator[Record | BlockRows]:
         """Yield all transactions and events. Many answered reads that break no rule come together
-        as one QuietRows.
+        as one BlockRows.
         """
         quiet = QuietParts()
         for block in self._blocks():

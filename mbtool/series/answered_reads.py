@@ -1,0 +1,55 @@
+"""Answered reads of a network, grouped by poll, for counts and values over time."""
+
+# Capture files are decoded as arrays, which give many such reads at once.
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple, Protocol
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+
+class ValueChanges(NamedTuple):
+    """When one register or bit changed, and to what. Each list has one element per change."""
+
+    rows: list[int]
+    """The index of the read's row in its block, which tells the order of reads of several polls."""
+    at_ns: list[int]
+    """The time of the response (UTC ns)."""
+    values: list[int]
+
+
+class ReadValues(Protocol):
+    """The values of registers or bits in the responses to the reads of one poll."""
+
+    def last(self) -> list[int]:
+        """The values in the last response."""
+        ...
+
+    def changes(self, before: Sequence[int] | None, place: int) -> ValueChanges:
+        """The changes of the value at index `place` of the responses.
+
+        `before` holds the values before the first response; None if they are unknown.
+        """
+        ...
+
+
+@dataclass(slots=True)
+class AnsweredReads:
+    """Reads of one poll, of one or more masters: outcome OK, no verdicts, no retries.
+
+    Each list has one element per read, in the order of the responses.
+    """
+
+    link: str
+    unit: int
+    function: int
+    address: int
+    quantity: int
+    size: int
+    """The number of bytes of one request and its response."""
+    request_ns: list[int]
+    latencies_ns: list[int]
+    values: ReadValues

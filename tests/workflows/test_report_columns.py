@@ -1,0 +1,143 @@
+"""The page of a capture does not depend on how the capture is read."""
+
+from __future__ import annotations
+
+import random
+from typing import TYPE_CHECKING, Any
+from unittest.mock import patch
+
+import pytest
+
+from mbtool.columns import packet_block, quiet_rows
+from mbtool.columns.quiet_rows import BlockRows
+from mbtool.core import Direction
+from mbtool.devices.checking import checker
+from mbtool.modbus import encode_pdu, exception_pdu, mbap_adu
+from mbtool.series import history, values
+from mbtool.views.report import transaction_rows
+from mbtool.workflows import check
+from mbtool.workflows.report import ReportRun
+from mbtool.workflows.shared.reading import ReadingOptions
+from tests.benchmarks.file_workloads import clean, dirty, make_capture
+from tests.columns.both_ways import generated
+from tests.packets.building import Talk, pcap
+from tests.views.report.pages import Page
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+    from pathlib import Path
+
+    from mbtool.core import Packet
+
+NEVER = 1 << 60
+START_NS = 1_700_000_000_000_000_000
+
+
+def page_of(path: Path, at_least: int, *, everything: bool = False) -> tuple[Any, list[str]]:
+    """What the page shows; the capture is read as arrays if it has at least so many bytes."""
+    with patch.object(check, "LARGE", at_least):
+        run = ReportRun([str(path)], ReadingOptions(), everything=everything)
+    run.read()
+    document = Page(run.page()).document
+    del document["made"]
+    return document, run.remarks
+
+
+def demand_equal(path: Path, *, everything: bool = False) -> int:
+    """Compare both ways, with small blocks; return how many reads were taken together."""
+    rows = BlockRows.answered
+    with (
+        patch.object(packet_block, "BLOCK_PACKETS", 150),
+        patch.object(quiet_rows, "FEWEST", 2),
+        patch.object(checker, "_ONE_BY_ONE", 1),
+        patch.object(BlockRows, "answered", autospec=True, side_effect=rows) as taken,
+    ):
+        expected = page_of(path, NEVER, everything=everything)
+        assert page_of(path, 0, everything=everything) == expected
+    return sum(len(some) for (some,), _ in taken.call_args_list)
+
+
+def mixed_polls(seed: int) -> bytes:
+    """Two masters read registers and bits of three slaves, some of them the same ones; few values
+    change. Some requests are refused, some write, some get no answer.
+    """
+    rng = random.Random(seed)
+    talks = [Talk(ts_ns=START_NS) for _ in range(4)]
+    for number, talk in enumerate(talks):
+        talk.master.host = f"10.0.0.{1 + number // 3}"
+        talk.slave.host = f"10.0.0.{10 + number % 3}"
+    packets = [packet for talk in talks for packet in talk.handshake()]
+    polls = [(rng.choice((1, 2, 3, 4)), rng.randrange(12), rng.choice((1, 3, 9))) for _ in range(9)]
+    at_ns = START_NS + 1_000_000_000
+    for number in range(500):
+        talk = rng.choice(talks)
+        talk.ts_ns = at_ns = at_ns + rng.choice((1, 40, 2000)) * 1_000_000
+        packets += exchange(talk, rng, number, *rng.choice(polls))
+        at_ns = talk.ts_ns
+    return pcap(packets)
+
+
+def exchange(
+    talk: Talk, rng: random.Random, number: int, function: int, address: int, quantity: int
+) -> Iterator[Packet]:
+    kind = rng.random()
+    unit = rng.choice((1, 5))
+    if kind < 0.02:
+        pdu = encode_pdu(6, Direction.REQUEST, address=address, value=rng.randrange(3))
+        yield talk.request(mbap_adu(number, unit, pdu))
+        yield talk.response(mbap_adu(number, unit, pdu))
+        return
+    pdu = encode_pdu(function, Direction.REQUEST, address=address, quantity=quantity)
+    yield talk.request(mbap_adu(number, unit, pdu))
+    if kind < 0.03:
+        return
+    found = tuple(int(rng.random() < 0.1) for _ in range(quantity))
+    answer = encode_pdu(function, Direction.RESPONSE, values=found)
+    if kind < 0.05:
+        answer = exception_pdu(function, 2)
+    yield talk.response(mbap_adu(number, unit, answer))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_page_of_mixed_polls_is_the_same_both_ways(seed: int, tmp_path: Path) -> None:
+    path = tmp_path / "polls.pcap"
+    path.write_bytes(mixed_polls(seed))
+    with patch.object(transaction_rows, "FIRST", 40 * seed):
+        assert demand_equal(path, everything=seed == 3) > 100
+
+
+@pytest.mark.parametrize(
+    "limit",
+    [
+        (values, "MAX_POLLS", 5), (values, "MAX_OF_POLL", 2), (history, "MAX_ROWS", 3),
+    ],
+    ids=str,
+)  # fmt: skip
+def test_limits_that_are_reached_give_the_same_page(
+    limit: tuple[object, str, int], tmp_path: Path
+) -> None:
+    path = tmp_path / "polls.pcap"
+    path.write_bytes(mixed_polls(4))
+    with patch.object(*limit):
+        assert demand_equal(path) > 100
+
+
+@pytest.mark.parametrize("frames", [clean, dirty], ids=lambda one: one.__name__)
+def test_the_page_of_steady_polling_is_the_same_both_ways(
+    frames: Callable[[int, random.Random], Iterator[tuple[bytes, int]]], tmp_path: Path
+) -> None:
+    made = make_capture(tmp_path / "polls.pcap", frames, 2000)
+    assert demand_equal(made.path) > 300
+
+
+@pytest.mark.parametrize("number", [0, 12, 36])
+def test_the_page_of_a_simulated_plant_is_the_same_both_ways(number: int, tmp_path: Path) -> None:
+    path = tmp_path / "plant.pcap"
+    path.write_bytes(generated(number, requests=100))
+    demand_equal(path)
+
+
+def test_the_page_of_a_cut_capture_is_the_same_both_ways(tmp_path: Path) -> None:
+    path = tmp_path / "polls.pcap"
+    path.write_bytes(mixed_polls(5)[:-20])
+    assert demand_equal(path) > 100
