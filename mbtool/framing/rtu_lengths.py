@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind
 from mbtool.modbus.adu import MAX_RTU_ADU, Checksum
-from mbtool.modbus.adu_bytes import RTU_EXTRA_BYTES, crc, crc_on
+from mbtool.modbus.adu_bytes import CRC_BYTES, RTU_EXTRA_BYTES, crc, crc_on
 from mbtool.modbus.pdu import LAYOUTS
 
 if TYPE_CHECKING:
@@ -26,6 +26,12 @@ _FIXED = {
 }
 """By direction and function code, the frame size in bytes if the function code alone tells it, as
 for most requests; 0 otherwise."""
+_COUNT_AT = {
+    direction: tuple(layout.count_at and 1 + layout.count_at for layout in layouts)
+    for direction, layouts in LAYOUTS.items()
+}
+"""By direction and function code, the offset in the frame of a byte count that tells its size, as
+for most responses; 0 if there is none."""
 _VARIABLE = frozenset(
     code
     for layouts in LAYOUTS.values()
@@ -43,10 +49,14 @@ def frame_size(start: bytes, direction: Direction) -> int | None:
     """
     if len(start) < 2:
         return None
-    fixed = _FIXED[direction][start[1]]
+    code = start[1]
+    fixed = _FIXED[direction][code]
     if fixed:
         return fixed
-    length = LAYOUTS[direction][start[1]].length(start, 1)
+    count_at = _COUNT_AT[direction][code]
+    if count_at:
+        return count_at + 1 + start[count_at] + CRC_BYTES if len(start) > count_at else None
+    length = LAYOUTS[direction][code].length(start, 1)
     return length + RTU_EXTRA_BYTES if length else length
 
 

@@ -82,6 +82,19 @@ class Layout:
         tail = self._tail.length(pdu, at + self._size)
         return self._size + tail if tail else tail
 
+    @property
+    def count_at(self) -> int:
+        """The offset in the PDU of the byte count, if that has one byte and only its data follow.
+
+        0 if the layout has no such byte count.
+        """
+        tail = self._tail
+        if isinstance(tail, Bits) or (
+            isinstance(tail, Registers | Bytes) and tail.count_width == 1
+        ):
+            return self._size
+        return 0
+
     def parse(self, pdu: bytes) -> tuple[Fields, str | None]:
         """Return the fields of a PDU by name, and a text that says what is wrong with its form.
 

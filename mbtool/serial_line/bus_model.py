@@ -63,9 +63,9 @@ class Classification(msgspec.Struct, frozen=True, gc=False):
 _SLOW_NS = LatencyStatistics.MIN_WRITE_NS
 """A frame that equals its request and comes sooner than this, in ns, is surely no retry."""
 
-_REQUEST_BY_FORM = Classification(Direction.REQUEST, DirectionBy.FORM, 1.0)
+REQUEST_BY_FORM = Classification(Direction.REQUEST, DirectionBy.FORM, 1.0)
 _RESPONSE_BY_FORM = Classification(Direction.RESPONSE, DirectionBy.FORM, 1.0)
-_FITTING_RESPONSE = Classification(Direction.RESPONSE, DirectionBy.PENDING, 1.0)
+FITTING_RESPONSE = Classification(Direction.RESPONSE, DirectionBy.PENDING, 1.0)
 
 
 class BusModel:
@@ -101,9 +101,9 @@ class BusModel:
             if roles[0] is Direction.RESPONSE:
                 pending = self.state.pending_at(at_ns)
                 if pending is not None and pending.fits(unit, pdu):
-                    return _FITTING_RESPONSE
+                    return FITTING_RESPONSE
                 return _RESPONSE_BY_FORM
-            return _REQUEST_BY_FORM
+            return REQUEST_BY_FORM
         request, response = (self._least_cost(unit, pdu, role, at_ns) for role in ROLES)
         if request[0] + request[1] <= response[0] + response[1]:
             best, other, direction, by = request, response, Direction.REQUEST, DirectionBy.IDLE
@@ -197,7 +197,7 @@ class BusModel:
 
         `inside_ns` is the longest silence inside the frame; 0 if its bytes follow one another.
         """
-        role, state, history = classification.direction, self.state, self.history
+        role, state, history = classification.direction, self.states[0][1], self.history
         is_sure = classification.confidence >= SURE
         if role is Direction.REQUEST:
             if is_sure:
@@ -206,9 +206,11 @@ class BusModel:
                     self._learn_from_outcome(unit, pdu, start_ns)
                 by_form = classification.by is DirectionBy.FORM
                 history.learn_request(state, unit, pdu, by_form, start_ns)
-        elif state.pending and state.pending.fits(unit, pdu):
+        elif state.pending and (
+            classification is FITTING_RESPONSE or state.pending.fits(unit, pdu)
+        ):
             self._learn_response(state.pending, pdu, start_ns, is_sure)
-        if state.settles_silence(role, start_ns, inside_ns):
+        if state.unexplained_silence_ns and state.settles_silence(role, start_ns, inside_ns):
             history.unexplained_silences.learn_capped(state.unexplained_silence_ns)
         by_form = classification.by in CERTAIN_BY
         frame = unit, pdu, role, start_ns, end_ns, inside_ns, by_form
@@ -391,7 +393,9 @@ class BusModel:
         The frame was on the line from `start_ns` to `end_ns`. `by_form` is True if by its form the
         frame can only have the direction `role`. `inside_ns` is the longest silence inside it.
         """
-        silence_ns = self._unexplained_silence_ns(state, role, start_ns, inside_ns)
+        history, silence_ns = self.history, 0
+        if history.timed and not history.trusts_silences:
+            silence_ns = _unexplained_silence_ns(state, role, start_ns, inside_ns)
         pending, overdue, answered = state.pending, state.overdue, None
         after_ns, retries, is_repeat = 0, 0, False
         if role is Direction.REQUEST:
@@ -408,28 +412,13 @@ class BusModel:
         elif pending is None or pending.unit == unit:
             is_repeat = pending is not None and state.is_repeat
             overdue, answered, pending = (overdue if pending else None), pending or overdue, None
-            if answered and self.history.trusts_silences:
+            if answered and history.trusts_silences:
                 after_ns = start_ns - answered.awaited_from_ns
         known = by_form or state.direction_known
         return BusState(
             pending, overdue, answered, after_ns, retries, is_repeat, pdu, False, known, end_ns,
             silence_ns,
         )  # fmt: skip
-
-    def _unexplained_silence_ns(
-        self, state: BusState, role: Direction, start_ns: int, inside_ns: int
-    ) -> int:
-        """Return the length, in ns, of the last silence before or inside a frame of a line whose
-        adapter merges frames. It is 0 if the silence was the wait for a response that never came,
-        and on any other line.
-        """
-        if self.history.trusts_silences or not self.history.timed:
-            return 0
-        if inside_ns:
-            return inside_ns
-        if role is Direction.REQUEST and state.answered is None:
-            return 0  # The silence was the wait for a response that never came.
-        return start_ns - (state.last_ns or start_ns) or state.unexplained_silence_ns
 
 
 def roles_of(pdu: bytes) -> tuple[Direction, ...]:
@@ -439,3 +428,16 @@ def roles_of(pdu: bytes) -> tuple[Direction, ...]:
     """
     fitting = tuple(role for role in ROLES if pdu_length(pdu, role) == len(pdu))
     return fitting or ROLES
+
+
+def _unexplained_silence_ns(state: BusState, role: Direction, start_ns: int, inside_ns: int) -> int:
+    """Return the length, in ns, of the last silence before or inside a frame of a line whose
+    adapter merges frames.
+
+    It is 0 if the silence was the wait for a response that never came.
+    """
+    if inside_ns:
+        return inside_ns
+    if role is Direction.REQUEST and state.answered is None:
+        return 0  # The silence was the wait for a response that never came.
+    return start_ns - (state.last_ns or start_ns) or state.unexplained_silence_ns

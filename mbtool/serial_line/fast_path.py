@@ -14,9 +14,19 @@ from mbtool.core import Direction
 from mbtool.framing.rtu_lengths import MIN_FRAME, frame_size
 from mbtool.modbus.adu import MAX_RTU_ADU, DirectionBy
 from mbtool.modbus.adu_bytes import crc
-from mbtool.modbus.functions import EXCEPTION_BIT
+from mbtool.modbus.functions import EXCEPTION_BIT, READ_BITS
 from mbtool.serial_line import costs
-from mbtool.serial_line.bus_model import ROLES, SURE, BusModel, Classification
+from mbtool.serial_line.bus_model import (
+    FITTING_RESPONSE,
+    REQUEST_BY_FORM,
+    ROLES,
+    SURE,
+    BusModel,
+    Classification,
+)
+from mbtool.serial_line.bus_state import MAX_PENDING_NS
+from mbtool.serial_line.frame_costs import MAX_UNIT
+from mbtool.serial_line.plausibility import is_padded
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -29,7 +39,8 @@ _RESPONSE_CONFIDENCE = 0.95
 """On a line whose silences do not tell who speaks, a frame that could be a request or a response is
 taken for a response only with at least this confidence (0.5 to 1). It is less than for a request,
 since the response's request came just before."""
-_REQUEST_ONLY = [Direction.REQUEST]
+_ONLY = {role: [role] for role in ROLES}
+"""By direction, the list of this direction alone."""
 _FAR_LESS_LIKELY = 10.0
 """If two frames of different length begin at the same byte, the shorter one is ignored if it costs
 this many bits more than the longer one."""
@@ -86,10 +97,14 @@ class FastPath:
             return size, Classification(self._speaker, DirectionBy.PORT, 1.0)
         model = self._model
         unit, pdu = head[0], head[1 : size - 2]
+        if len(roles) == 1:  # Ordinary polling ends here, so that no cost is computed for it.
+            if roles[0] is Direction.REQUEST:
+                if self._is_known_request(unit, pdu):
+                    return size, REQUEST_BY_FORM
+            elif self._is_ordinary_response(unit, pdu, start_ns):
+                return size, FITTING_RESPONSE
         classified = model.classify(unit, pdu, start_ns, roles)
-        if model.cost(model.state, unit, pdu, classified.direction, start_ns) > _MAX_COST and (
-            roles != _REQUEST_ONLY or not self._is_known_request(unit, pdu)
-        ):
+        if model.cost(model.state, unit, pdu, classified.direction, start_ns) > _MAX_COST:
             return None
         if len(roles) > 1 and not self._is_direction_certain(classified, head, size):
             return None
@@ -106,8 +121,14 @@ class FastPath:
         otherwise the size is 0.
         """
         have = len(head)
-        valid = [(size, role) for role, size in sizes if size <= have and crc(head[:size]) == 0]
-        if len(valid) < 2 or valid[0][0] == valid[1][0]:
+        valid = []
+        for role, size in sizes:
+            if size <= have and crc(head[:size]) == 0:
+                valid.append((size, role))
+        if len(valid) == 1:
+            size, role = valid[0]
+            return size, _ONLY[role]
+        if not valid or valid[0][0] == valid[1][0]:
             return (valid[0][0] if valid else 0), [role for _, role in valid]
         model = self._model
         shorter, longer = (
@@ -164,12 +185,30 @@ class FastPath:
 
         It is False directly behind bytes that belong to no frame.
         """
-        is_due = any(
-            state.pending is not None and state.pending.is_named_by(unit, pdu[0])
-            for _, state in self._model.states
-        )
-        is_heard = (unit, pdu) in self._model.history.requests
-        return is_heard and not is_due and not self._is_behind_noise
+        model = self._model
+        if self._is_behind_noise or (unit, pdu) not in model.history.requests:
+            return False
+        for _, state in model.states:
+            if state.pending is not None and state.pending.is_named_by(unit, pdu[0]):
+                return False
+        return True
+
+    def _is_ordinary_response(self, unit: int, pdu: bytes, start_ns: int) -> bool:
+        """True if a frame surely costs nothing (`frame_cost`) as a response to the pending request.
+
+        It fits that request, differs from it and is no later than earlier responses. False does not
+        mean that it costs something: then its cost is computed.
+        """
+        model = self._model
+        pending, history = model.state.pending, model.history
+        if pending is None or unit > MAX_UNIT or pdu == pending.pdu or not pending.fits(unit, pdu):
+            return False
+        if pdu[0] in READ_BITS and not is_padded(pending.pdu, pdu):
+            return False
+        waited_ns = start_ns - pending.awaited_from_ns
+        if history.trusts_silences and not history.latency.has_heard(waited_ns):
+            return False
+        return waited_ns <= MAX_PENDING_NS
 
     def _is_direction_certain(self, classified: Classification, head: bytes, size: int) -> bool:
         """True if the direction of a frame is certain although its form allows both directions.

@@ -105,14 +105,19 @@ class LineHistory:
 
         `by_form` is True if by its form the request cannot be a response.
         """
-        self.functions.add((unit, pdu[0]))
-        self.units.add(unit)
-        self.requests.pop((unit, pdu), None)
-        self.requests[unit, pdu] = None
-        if len(self.requests) > MAX_REQUESTS:
-            del self.requests[next(iter(self.requests))]
+        request, requests = (unit, pdu), self.requests
+        if request in requests:
+            del requests[request]  # It moves to the end.
+        else:
+            self.functions.add((unit, pdu[0]))
+            self.units.add(unit)
+        requests[request] = None
+        if len(requests) > MAX_REQUESTS:
+            del requests[next(iter(requests))]
         if state.answered is not None:
-            self.repeat.learn(state.answered.is_same(unit, pdu))
+            is_repeat = state.answered.is_same(unit, pdu)
+            if is_repeat or not self.repeat.is_at_rest:
+                self.repeat.learn(is_repeat)
             pause_ns = start_ns - (state.last_ns or start_ns)
             known_ns = self.shortest_pause_ns * PAUSE_GROWTH if self.pauses else pause_ns
             self.shortest_pause_ns = pause_ns if pause_ns < known_ns else known_ns
@@ -120,7 +125,8 @@ class LineHistory:
         if by_form:  # If not, it may be a response taken for a retry.
             pending = state.pending
             is_retry = pending is not None and pending.is_same(unit, pdu)
-            self.retry.learn(is_retry)
+            if is_retry or not self.retry.is_at_rest:
+                self.retry.learn(is_retry)
             if is_retry and pending is not None and self.trusts_silences:
                 waited_ns = start_ns - pending.awaited_from_ns
                 if waited_ns >= LatencyStatistics.MIN_RETRY_NS:  # Sooner: an adapter's copy.

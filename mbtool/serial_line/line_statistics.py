@@ -16,11 +16,23 @@ _RATE_DECAY = 31 / 32
 """For a rare event, the weight of each frame is this many times that of the frame before, until it
 is _SLOW_LEARNING_RATE."""
 
+_AT_REST = 2**-64
+"""A frequency below this counts exactly as 0 would: the cost is at its upper limit, and at the next
+event the new frequency is the learning rate, to the last bit of a float."""
+
 
 class LearnedCost:
     """A cost in bits, learned as the negative logarithm of a frequency."""
 
-    __slots__ = ("_bits", "_final_rate", "_max_bits", "_min_bits", "_rate", "frequency")
+    __slots__ = (
+        "_bits",
+        "_final_rate",
+        "_max_bits",
+        "_min_bits",
+        "_rate",
+        "frequency",
+        "is_at_rest",
+    )
 
     def __init__(self, bits: float, limits: tuple[float, float], *, is_slow: bool = False) -> None:
         """`bits` is the start value; `limits` are the least and the most bits that it can become.
@@ -34,12 +46,17 @@ class LearnedCost:
         self._final_rate = _SLOW_LEARNING_RATE if is_slow else _LEARNING_RATE
         self._bits: float | None = bits
         """The cached value of the property `bits`; None if `frequency` has changed since."""
+        self.is_at_rest = False
+        """True after so many frames without the event that one more changes no cost: then `learn`
+        need not be called for it. That takes some thousand frames, long after the learning rate has
+        become the final one."""
 
     def learn(self, seen: bool) -> None:
         """Count one more frame; `seen` is True if the event with this cost occurred at it."""
         self.frequency += (seen - self.frequency) * self._rate
         if self._rate > self._final_rate:
             self._rate *= _RATE_DECAY
+        self.is_at_rest = self.frequency < _AT_REST
         self._bits = None
 
     @property

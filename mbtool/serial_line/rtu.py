@@ -317,24 +317,21 @@ class RtuSplitter:
         unit, pdu = self._data[0], self._data[1 : segment.size - 2]
         start_ns = self._times[0] - self._character_ns
         alone = self._model.classify(unit, pdu, start_ns, segment.roles)
-        if alone.direction is segment.role:
-            return Classification(segment.role, alone.by, segment.confidence)
-        # Alone, this frame seems to have the other direction; the bytes after it decided.
-        return Classification(segment.role, DirectionBy.IDLE, segment.confidence)
+        # If alone it seems to have the other direction, the bytes after it decided.
+        by = alone.by if alone.direction is segment.role else DirectionBy.IDLE
+        return Classification(segment.role, by, segment.confidence)
 
     def _emit_frame(
         self, size: int, classification: Classification, events: list[Adu | Skipped]
     ) -> None:
         """Append the frame of the first `size` bytes to `events`, remove it, and learn from it."""
-        raw = self._data[:size]
+        raw, times = self._data[:size], self._times
         self._noise_size = 0
-        times = self._times
         start_ns, end_ns = times[0] - self._character_ns, times[size - 1]
         before_ns = None if self._last_end is None else max(start_ns - self._last_end[0], 0)
         is_even = end_ns - start_ns == size * self._character_ns
         longest_ns = 0 if is_even else longest_silence_ns(times, size, self._character_ns)
-        unit, pdu = raw[0], raw[1:-2]
-        confidence = classification.confidence
+        unit, pdu, confidence = raw[0], raw[1:-2], classification.confidence
         if pdu[0] in ECHOING and self._speaker is None:
             model = self._model
             if model.may_be_reversed(start_ns) or model.may_be_retry(unit, pdu):
@@ -378,8 +375,9 @@ class RtuSplitter:
         """Learn from the silences (ns) before and in the next frame, and from noise before it."""
         last, statistics = self._last_end, self._statistics
         was_skipped = last is not None and last[1] is Verdict.NOISE_BEFORE
-        statistics.skip.learn(was_skipped)
-        statistics.noise.learn(was_skipped and self._was_noise)
+        if was_skipped or not (statistics.skip.is_at_rest and statistics.noise.is_at_rest):
+            statistics.skip.learn(was_skipped)
+            statistics.noise.learn(was_skipped and self._was_noise)
         if self._timed:
             is_split = longest_ns >= self._t3_5_ns
             if before_ns is not None and not was_skipped:
@@ -397,17 +395,17 @@ class RtuSplitter:
         self, size: int, before_ns: int | None, longest_ns: int, confidence: float
     ) -> tuple[Verdict, ...]:
         """Return the verdicts on the next frame, from the silences (ns) before and inside it."""
-        verdicts, times = [], self._times
+        verdicts, times, last = [], self._times, self._last_end
         if self._timed:
-            if self._last_end is not None and before_ns is not None and before_ns < self._t3_5_ns:
-                verdicts.append(self._last_end[1])
+            if last is not None and before_ns is not None and before_ns < self._t3_5_ns:
+                verdicts.append(last[1])
             if size < len(times) and times[size] - times[size - 1] < self._silent_ns:
                 verdicts.append(Verdict.GLUED)
             if longest_ns >= self._t3_5_ns:
                 verdicts.append(Verdict.SPLIT)
             elif longest_ns > self._t1_5_ns:
                 verdicts.append(Verdict.T1_5_BROKEN)
-        elif self._is_behind_noise:
+        elif last is not None and last[1] is Verdict.NOISE_BEFORE:
             verdicts.append(Verdict.NOISE_BEFORE)
         if confidence < SURE:
             verdicts.append(Verdict.AMBIGUOUS)
@@ -423,8 +421,8 @@ class RtuSplitter:
                 cut = next((each for each in range(1, size) if self._is_silent(each)), size)
                 kind, reason, check = why_skipped(self._data[:cut], self._roles)
             raw, first_ns = self._data[:cut], self._times[0]
-            continues = self._is_behind_noise
-            self._was_noise = NOISE.issuperset(raw) and (self._was_noise or not continues)
+            is_first = not self._is_behind_noise
+            self._was_noise = NOISE.issuperset(raw) and (self._was_noise or is_first)
             self._remove(cut, Verdict.NOISE_BEFORE)
             events.append(Skipped(first_ns, kind, reason, raw, check))
             size -= cut
