@@ -101,11 +101,14 @@ class Pairing:
 
         The event of kind TWO_MASTERS comes at most once.
         """
-        done: list[Transaction | WireEvent] = [*self.advance(adu.start_ns)]
+        done: list[Transaction | WireEvent] = []
+        if self._open is not None or self._overtaken is not None:
+            done += self.advance(adu.start_ns)
         if adu.direction is not Direction.RESPONSE:
             self._requests += 1
-            self._doubt_silence(adu)
-            done += self._make_way(adu)
+            if self._open is not None or self._overtaken is not None:
+                self._doubt_silence(adu)
+                done += self._make_way(adu)
             if adu.unit == 0:
                 done.append(broadcast(self._ends, adu))
             else:
@@ -124,7 +127,7 @@ class Pairing:
             done.append(unsolicited(self._ends, adu))
             return done
         self._slowest_ns = max(self._slowest_ns, adu.start_ns - request.end_ns)
-        retries = self._unanswered.take(request)
+        retries = self._unanswered.take(request) if self._unanswered else 0
         done.append(with_response(self._ends, request, adu, retries, ()))
         return done
 

@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING
 
 from msgspec.structs import replace
 
+from mbtool.core import Origin
 from mbtool.modbus.adu import Adu
 
 if TYPE_CHECKING:
-    from mbtool.core import Origin, StreamPlace
+    from mbtool.core import StreamPlace
     from mbtool.modbus.adu import Skipped
 
 
@@ -67,7 +68,7 @@ class SerialOrigins:
                 continue
             origin = place.origin
             if not origin.packet and begin <= first < end:
-                return origin._replace(offset=place.position + first - begin)
+                return Origin(origin.file, 0, origin.addresses, place.position + first - begin)
             if origin.packet and begin <= last < end:
                 return origin
         return None

@@ -9,9 +9,16 @@ from typing import Any
 import msgspec
 
 from mbtool.core import Direction, LinkAddresses, Origin
-from mbtool.modbus.adu import Adu, Verdict
-from mbtool.modbus.functions import READ_BITS, WRITE_ONE, exception_name, function_name
+from mbtool.modbus.adu import MAX_PDU, Adu, Verdict
+from mbtool.modbus.functions import (
+    READ_BITS,
+    READ_REGISTERS,
+    WRITE_ONE,
+    exception_name,
+    function_name,
+)
 from mbtool.modbus.layouts import COIL_VALUES
+from mbtool.modbus.packing import words
 from mbtool.modbus.pdu import Pdu, parse_pdu
 from mbtool.modbus.request_match import mismatch
 from mbtool.modbus.transaction import Outcome, Transaction
@@ -51,21 +58,13 @@ def with_response(
     noticed = [*request.verdicts, *response.verdicts, *verdicts]
     if request.missing or response.missing:
         return _cut(ends, request, response, noticed, confidence)
-    facts = _request_facts(request.pdu)
-    response_pdu = parse_pdu(response.pdu, Direction.RESPONSE)
-    if facts.is_malformed:
-        noticed.append(Verdict.MALFORMED_REQUEST)
-    malformed = response_pdu.problem or (
-        not facts.is_malformed and mismatch(facts.pdu, response_pdu)
-    )
-    if malformed:
-        noticed.append(Verdict.MALFORMED_RESPONSE)
-    fields = response_pdu.fields
-    exception = response_pdu.exception_code if "exception_code" in fields else None
-    if exception is not None:
-        outcome = Outcome.EXCEPTION
+    facts, pdu = _request_facts(request.pdu), response.pdu
+    exception, outcome = None, Outcome.OK
+    values: list[int] | None
+    if facts.head and len(pdu) == 2 + facts.head[1] and pdu.startswith(facts.head):
+        values = [*words(pdu[2:])]  # The usual case, before the general one because it is quick.
     else:
-        outcome = Outcome.MALFORMED if malformed else Outcome.OK
+        exception, outcome, values = _read_response(facts, pdu, noticed)
     return _record(
         ends,
         request,
@@ -74,7 +73,7 @@ def with_response(
         exception,
         outcome=outcome,
         request_values=None if facts.values is None else list(facts.values),
-        response_values=_response_values(facts.pdu, response_pdu),
+        response_values=values,
         request_ns=request.end_ns,
         response_ns=response.end_ns,
         latency_ns=_latency_ns(request, response) if ends.timed else None,
@@ -84,6 +83,27 @@ def with_response(
         verdicts=list(dict.fromkeys(noticed)) if noticed else noticed,
         confidence=min(request.confidence, response.confidence, confidence),
     )
+
+
+def _read_response(
+    facts: _RequestFacts, pdu: bytes, noticed: list[Verdict]
+) -> tuple[int | None, Outcome, list[int] | None]:
+    """Parse the PDU of a response; return its exception code, the outcome, and the values.
+
+    Adds to `noticed` if the request or the response is malformed.
+    """
+    response = parse_pdu(pdu, Direction.RESPONSE)
+    if facts.is_malformed:
+        noticed.append(Verdict.MALFORMED_REQUEST)
+    malformed = response.problem or (not facts.is_malformed and mismatch(facts.pdu, response))
+    if malformed:
+        noticed.append(Verdict.MALFORMED_RESPONSE)
+    exception = response.exception_code
+    if exception is not None:
+        outcome = Outcome.EXCEPTION
+    else:
+        outcome = Outcome.MALFORMED if malformed else Outcome.OK
+    return exception, outcome, _response_values(facts.pdu, response)
 
 
 def _cut(
@@ -210,6 +230,9 @@ class _RequestFacts(msgspec.Struct, frozen=True):
     write_address: int | None
     write_quantity: int | None
     values: tuple[int, ...] | None
+    head: bytes
+    """The first bytes of the normal response to a read of registers: function code and byte count.
+    Empty for other requests."""
 
     @classmethod
     def of(cls, pdu: Pdu) -> _RequestFacts:
@@ -217,6 +240,8 @@ class _RequestFacts(msgspec.Struct, frozen=True):
         quantity = pdu.number("quantity")
         if quantity is None and pdu.code in WRITE_ONE and "address" in pdu.fields:
             quantity = 1
+        is_read = pdu.code in READ_REGISTERS and pdu.problem is None
+        is_read &= quantity is not None and 2 + 2 * quantity <= MAX_PDU
         return cls(
             pdu=pdu,
             is_malformed=pdu.problem is not None,
@@ -228,6 +253,7 @@ class _RequestFacts(msgspec.Struct, frozen=True):
             write_address=pdu.number("write_address"),
             write_quantity=pdu.number("write_quantity"),
             values=_values(pdu),
+            head=bytes((pdu.code, 2 * (quantity or 0))) if is_read else b"",
         )
 
 

@@ -60,7 +60,7 @@ def heard_in_bursts(splitter: RtuSplitter, bursts: list[bytes]) -> list[Adu | Sk
     return feed_all(splitter, line.reads())
 
 
-def test_noise_in_bursts_takes_at_most_ten_times_as_long_as_polling() -> None:
+def test_noise_in_bursts_takes_at_most_fifteen_times_as_long_as_polling() -> None:
     polling = [READ, ANSWER] * (SIZE // len(READ + ANSWER))
 
     def processor_of_bursts_s(bursts: list[bytes]) -> float:
@@ -69,7 +69,7 @@ def test_noise_in_bursts_takes_at_most_ten_times_as_long_as_polling() -> None:
         return time.process_time() - begin
 
     noise_s = min(processor_of_bursts_s(bursts_of_noise(Random(1))) for _ in range(2))
-    assert noise_s < 10 * max(processor_of_bursts_s(polling) for _ in range(3))
+    assert noise_s < 15 * max(processor_of_bursts_s(polling) for _ in range(3))
 
 
 @pytest.mark.parametrize("seed", range(5))

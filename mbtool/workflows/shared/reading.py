@@ -222,13 +222,15 @@ class Reading:
         """Yield all transactions and events, file by file. Each transaction names its file."""
         for record in self._records():
             self._has_found = True
-            self._missing.note_record(record)
             self.results.note(self.file, record)
             if not isinstance(record, WireEvent):
+                if record.verdicts:  # Without any, no call is needed.
+                    self._missing.note_record(record)
                 self._last_ns = record.start_ns
                 self._has_decoded = True
                 yield replace(record, file=self.file) if record.file is None else record
                 continue
+            self._missing.note_record(record)
             self._last_ns = record.ts_ns
             if record.kind in UNDECODABLE_EVENTS:
                 self._first_undecodable = self._first_undecodable or record.message

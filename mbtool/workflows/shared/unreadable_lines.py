@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from mbtool.decode.decoder import Record
-    from mbtool.devices import NamedTransaction
 
 MIN_BYTES = ENOUGH_WITHOUT_FRAME
 MAX_READ_SHARE = LIKELY_FIT
@@ -87,7 +86,9 @@ class UnreadableLines:
         """
         if not isinstance(record, WireEvent):
             if record.transport.is_serial:
-                self._heard(record.link).read += _size(record)
+                request, response = record.request_raw, record.response_raw
+                heard = self._lines.get(record.link) or self._heard(record.link)
+                heard.read += len(request or b"") + len(response or b"")
             return None
         if record.kind not in _UNREAD or record.source or record.destination:
             return None
@@ -160,7 +161,3 @@ def _fitting(line: SerialLink, heard: _HeardLine) -> SettingsScore | None:
     # With 7 data bits, RTU frames whose bytes are all below 80H seem correct, but RTU needs 8 bits.
     is_possible = best.settings.ascii or best.settings.format.data_bits == _RTU_DATA_BITS
     return best if is_possible else None
-
-
-def _size(transaction: NamedTransaction) -> int:
-    return len(transaction.request_raw or b"") + len(transaction.response_raw or b"")
