@@ -326,13 +326,14 @@ def _parse_endpoint(text: str, part: str) -> Endpoint:
             f"link {text!r}: {part!r} is no address; write HOST:PORT, "
             "for example 127.0.0.1:1502 or [::1]:1502"
         )
-    if match["host"] is not None and match["host"].isdecimal():
+    host = match["host"] or match["bracketed"]
+    if host.isdecimal():
         # A host of digits only is refused: the system would take 1502 as the address 0.0.5.222.
         raise UsageError(
             f"link {text!r}: {part!r} names no host; write HOST:PORT, "
-            f"for example 127.0.0.1:{part.partition(':')[0]}"
+            f"for example 127.0.0.1:{match['port'] or host}"
         )
-    return Endpoint(match["host"] or match["bracketed"], port)
+    return Endpoint(host, port)
 
 
 def _demand_other_target(text: str, tap: TapLink) -> None:

@@ -163,6 +163,7 @@ def test_link_has_a_name_without_a_slash(text: str, name: str) -> None:
         ("tcp:1502:", "is no address"),
         ("tcp:1502", "'1502' names no host; write HOST:PORT, for example 127.0.0.1:1502"),
         ("tap:1503=127.0.0.1:1502", "'1503' names no host"),
+        ("tcp:[1]:1502", "'[1]:1502' names no host; write HOST:PORT, for example 127.0.0.1:1502"),
         ("tcp::1502", "is no address"),
         ("tcp:::1", "is no address"),
         ("tcp:[::1", "is no address"),
