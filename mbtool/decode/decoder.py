@@ -65,7 +65,7 @@ if TYPE_CHECKING:
 
 MAX_FOREIGN_REPORTED = 4096
 
-_EVERY_PORT = frozenset(range(1 << 16))
+_EVERY_PORT = range(1 << 16)
 _DROPPED = (
     f"connection no longer followed: it was silent longest of more than {MAX_CONNECTIONS} at once"
 )

@@ -50,7 +50,7 @@ from mbtool.packets.stream_events import CloseReason, StreamEvent, StreamItem
 from mbtool.packets.tunnels import GRE_IN_FRAGMENTS, MAX_TUNNELS, find_inner
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Container, Iterable, Sequence
 
     from mbtool.packets.ended_connection import EndedConnection
 
@@ -78,7 +78,7 @@ different interfaces may belong to one connection (`across`)."""
 class TcpReassembler:
     """Reassembles the TCP connections that have a wanted port at one end."""
 
-    def __init__(self, ports: frozenset[int] = MODBUS_PORTS, *, across: bool = False) -> None:
+    def __init__(self, ports: Container[int] = MODBUS_PORTS, *, across: bool = False) -> None:
         """`ports` are the wanted TCP ports.
 
         `across` is True if packets from different interfaces may belong to one connection.
@@ -385,7 +385,7 @@ class TcpReassembler:
             self._out.append(WireEvent(ts_ns=ts_ns, link=link, kind=kind, message=message))
 
 
-def _is_from_master(segment: TcpSegment, ports: frozenset[int]) -> bool:
+def _is_from_master(segment: TcpSegment, ports: Container[int]) -> bool:
     if segment.source_port not in ports:
         return True
     if segment.destination_port not in ports:
