@@ -3,8 +3,9 @@
 Makes the workloads of file_workloads.py, runs mbtool and the peers that are installed in turn, each
 as a process of its own, and prints packets per second, processor time, peak memory, and how many
 times faster than tshark (of each workload that it reads) by processor time: of the whole process,
-and without start-up, which is the time for a capture without packets. Absolute figures are the
-machine's; only ratios of one run can be compared.
+and without start-up, which is the time for a capture without packets. With --plain mbtool runs as
+if the extra `columns` were not installed. Absolute figures are the machine's; only ratios of one
+run can be compared.
 """
 
 from __future__ import annotations
@@ -46,6 +47,9 @@ FIELDS = (
 
 TSHARK = "tshark fields"
 
+WITHOUT_COLUMNS = ("mbtool jsonl", "mbtool csv", "mbtool table")
+"""The programs that need neither numpy nor pyarrow."""
+
 
 @dataclass(frozen=True, slots=True)
 class Cost:
@@ -74,11 +78,21 @@ class FileMeasurement:
 
 
 def measure(
-    packets: int, rounds: int, folder: Path, only: Sequence[str] = ()
-) -> Iterator[FileMeasurement]:
-    """Run each program on each workload; they take turns."""
+    packets: int, rounds: int, folder: Path, only: Sequence[str] = (), *, plain: bool = False
+) -> Iterator[list[FileMeasurement]]:
+    """Run each program on each workload; they take turns. Yields the figures of each workload.
+
+    With `plain` mbtool cannot import numpy and pyarrow, and only jsonl, csv and the table are made.
+    """
+    environment = without_columns(folder) if plain else None
     for name, made in workloads(packets, folder, only):
         programs = programs_for(made, folder)
+        if plain:
+            programs = {
+                program: command
+                for program, command in programs.items()
+                if not program.startswith("mbtool") or program in WITHOUT_COLUMNS
+            }
         empty: dict[str, list[str]] = {}
         if made.path.suffix == ".pcap":
             none = make_capture(folder / "empty.pcap", lambda *_: iter(()), 0)
@@ -87,14 +101,25 @@ def measure(
         starts: dict[str, list[float]] = {program: [] for program in programs}
         for _ in range(rounds):
             for program, command in programs.items():
-                costs[program].append(run(command))
+                costs[program].append(run(command, environment))
                 if program in empty:
-                    starts[program].append(run(empty[program]).seconds)
+                    starts[program].append(run(empty[program], environment).seconds)
+        measured = []
         for program, found in costs.items():
             seconds = statistics.median(one.seconds for one in found)
             peak = max(one.peak_mib for one in found)
             start_s = statistics.median(starts[program] or [0.0])
-            yield FileMeasurement(name, program, made.packets, Cost(seconds, peak), start_s)
+            cost = Cost(seconds, peak)
+            measured.append(FileMeasurement(name, program, made.packets, cost, start_s))
+        yield measured
+
+
+def without_columns(folder: Path) -> dict[str, str]:
+    """The environment of a process in which numpy and pyarrow cannot be imported."""
+    for module in ("numpy", "pyarrow"):
+        (folder / f"{module}.py").write_text(f"raise ModuleNotFoundError(name={module!r})\n")
+    paths = [str(folder), *filter(None, [os.environ.get("PYTHONPATH")])]
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
 
 
 def workloads(packets: int, folder: Path, only: Sequence[str] = ()) -> Iterator[tuple[str, Made]]:
@@ -115,6 +140,7 @@ def programs_for(made: Made, folder: Path) -> dict[str, list[str]]:
     programs = {
         "mbtool jsonl": [*decode, "--format", "jsonl"],
         "mbtool csv": [*decode, "--format", "csv"],
+        "mbtool table": decode,
         "mbtool parquet": [*decode, "-o", str(folder / "out.parquet"), "--overwrite"],
     }
     tshark, suricata = shutil.which("tshark"), shutil.which("suricata")
@@ -135,10 +161,14 @@ def programs_for(made: Made, folder: Path) -> dict[str, list[str]]:
     return programs
 
 
-def run(command: Sequence[str]) -> Cost:
+def run(command: Sequence[str], environment: dict[str, str] | None = None) -> Cost:
     """Run a command to its end, and return what it needed. Raises RuntimeError if it fails."""
     with subprocess.Popen(
-        command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, stdin=subprocess.DEVNULL
+        command,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        stdin=subprocess.DEVNULL,
+        env=environment,
     ) as process:
         _, status, used = os.wait4(process.pid, 0)
         process.returncode = os.waitstatus_to_exitcode(status)
@@ -173,11 +203,16 @@ def main() -> None:
     parser.add_argument("--packets", type=int, default=PACKETS, help="packets of each workload")
     parser.add_argument("--rounds", type=int, default=ROUNDS, help="the median of these counts")
     parser.add_argument("--only", action="append", default=[], help="a workload; repeatable")
+    parser.add_argument("--plain", action="store_true", help="mbtool without numpy and pyarrow")
     options = parser.parse_args()
-    with tempfile.TemporaryDirectory() as folder:
-        measured = list(measure(options.packets, options.rounds, Path(folder), options.only))
     machine = f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
-    sys.stdout.write(f"{machine}; for serial, packets are bytes\n{report(measured)}")
+    sys.stdout.write(f"{machine}; for serial, packets are bytes\n")
+    with tempfile.TemporaryDirectory() as folder:
+        for measured in measure(
+            options.packets, options.rounds, Path(folder), options.only, plain=options.plain
+        ):
+            sys.stdout.write(report(measured))
+            sys.stdout.flush()
 
 
 if __name__ == "__main__":

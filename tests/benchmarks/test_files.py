@@ -7,7 +7,14 @@ import pytest
 
 from mbtool.cli.main import run as run_mbtool
 from mbtool.modbus import Outcome
-from tests.benchmarks.files import Cost, FileMeasurement, report, run, workloads
+from tests.benchmarks.files import (
+    Cost,
+    FileMeasurement,
+    report,
+    run,
+    without_columns,
+    workloads,
+)
 from tests.columns.both_ways import as_arrays, differences
 
 if TYPE_CHECKING:
@@ -52,3 +59,10 @@ def test_the_report_compares_with_tshark() -> None:
     assert lines[1].split()[-3:] == ["10.0", "0.25", "16.0"]
     assert lines[2].split()[-3:] == ["1.0", "1.00", "1.0"]
     assert lines[3].split()[-2:] == ["40", "0.00"]
+
+
+@pytest.mark.parametrize("module", ["numpy", "pyarrow"])
+def test_plain_python_has_no_arrays(module: str, tmp_path: Path) -> None:
+    run([sys.executable, "-c", "import rich"], without_columns(tmp_path))
+    with pytest.raises(RuntimeError, match="exit code 1"):
+        run([sys.executable, "-c", f"import {module}"], without_columns(tmp_path))
