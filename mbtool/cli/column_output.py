@@ -8,6 +8,8 @@ from contextlib import ExitStack, suppress
 from typing import TYPE_CHECKING
 
 from mbtool.cli.options import Format
+from mbtool.cli.printers import LinesPrinter, TablePrinter
+from mbtool.cli.progress import with_progress
 from mbtool.core import LinkError
 
 if TYPE_CHECKING:
@@ -54,6 +56,9 @@ def print_columns(
     `jobs` is the number of processes. `note` gets each record that may be worth a remark: events,
     transactions that were decoded one by one or have an unusual form, and reads of SunSpec models.
     """
+    if isinstance(out.printer, TablePrinter):
+        _print_runs(columns, out, out.printer, note, interrupt)
+        return
     from mbtool.columns.sunspec_rows import SunSpecReads
 
     sunspec = SunSpecReads()
@@ -73,11 +78,35 @@ def print_columns(
                     note(record)
                 out.add_table(batch.table)
         else:
-            printer = out.lines
+            printer = out.printer
+            assert isinstance(printer, LinesPrinter)
             for lines in interrupt.breakable(columns.lines(printer.line_of, printer.separator)):
                 for record in lines.made:
                     note(record)
                 out.add_lines(lines)
+
+
+def _print_runs(
+    columns: ColumnReading,
+    out: RecordOutput,
+    printer: TablePrinter,
+    note: Note,
+    interrupt: Interrupt,
+) -> None:
+    """Print a table: the rows of a UsualRun together, all others one by one."""
+    from mbtool.columns.table_counts import TransactionCounts
+    from mbtool.decode.usual_run import UsualRun
+    from mbtool.views.transaction_table import SAMPLE
+
+    parts = interrupt.breakable(columns.runs(printer.form_of, SAMPLE))
+    for part in with_progress(columns, parts):
+        if isinstance(part, UsualRun):
+            first = out.count(TransactionCounts(part.outcomes))
+            with out.told_as_lost():
+                printer.print_run(first, part)
+        else:
+            note(part)
+            out.add(part)
 
 
 def _processes(out: RecordOutput, jobs: int) -> BlockProcesses | None:
@@ -94,7 +123,8 @@ def _processes(out: RecordOutput, jobs: int) -> BlockProcesses | None:
             processes = BlockProcesses(Format.PARQUET.value, jobs, out.file_descriptor)
             out.is_written_elsewhere()
             return processes
-        return BlockProcesses(out.lines.format.value, jobs)
+        assert isinstance(out.printer, LinesPrinter)
+        return BlockProcesses(out.printer.format.value, jobs)
     return None
 
 

@@ -181,7 +181,7 @@ def decode(
             if (doubt := lines.note(record)) is not None:
                 say(f"mbtool: {doubt}")
 
-        if columns is not None:
+        if columns is not None and out.printer.takes_many:
             records = iter(())
             print_columns(columns, out, note, interrupt, processes_for(files, jobs))
         if not (follow or out.on_terminal):
@@ -228,6 +228,8 @@ def _columns(
             demand_columns()
             return column_reading(files, options)
         case Format.JSONL | Format.CSV if events in (None, EventChoice.NONE):
+            return column_reading(files, options, at_least=_worth_bytes(output))
+        case Format.TABLE | None if events is not EventChoice.ALL:
             return column_reading(files, options, at_least=_worth_bytes(output))
     return None
 

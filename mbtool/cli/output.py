@@ -134,13 +134,15 @@ class RecordOutput:
         with told_as_lost(self._name):
             self._printer.print_table(table)
 
-    def count(self, counts: TransactionCounts) -> None:
+    def count(self, counts: TransactionCounts) -> int:
         """Add to the numbers of the last sentence: `counts` of transactions that `add` did not get.
 
-        They were printed as a table, or decoded by another process.
+        They are printed together, or by another process. Returns the number of the first of them.
         """
+        first = self._read + 1
         self._read += counts.outcomes.total()
         self._tally.add_counts(counts)
+        return first
 
     @property
     def file_descriptor(self) -> int:
@@ -152,9 +154,7 @@ class RecordOutput:
         self._printer.is_elsewhere = True
 
     @property
-    def lines(self) -> LinesPrinter:
-        """Return the printer of JSON lines or CSV; only for an output in one of these formats."""
-        assert isinstance(self._printer, LinesPrinter)
+    def printer(self) -> Printer:
         return self._printer
 
     def add_lines(self, batch: LineBatch) -> None:
@@ -171,8 +171,9 @@ class RecordOutput:
 
     def add_text(self, lines: str) -> None:
         """Print lines of transactions without counting them; the caller calls `count` for them."""
+        assert isinstance(self._printer, LinesPrinter)
         with self.told_as_lost():
-            self.lines.print_lines(lines)
+            self._printer.print_lines(lines)
 
     def told_as_lost(self) -> AbstractContextManager[None]:
         """Turn an OSError in the context into an OutputError that names this output.

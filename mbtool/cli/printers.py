@@ -17,7 +17,9 @@ if TYPE_CHECKING:
     from mbtool.columns.parquet import ParquetRows
     from mbtool.columns.schema import Table
     from mbtool.decode.decoder import Record
+    from mbtool.decode.usual_run import UsualRun
     from mbtool.devices import NamedTransaction, Profile
+    from mbtool.views.row_forms import RowForm
     from mbtool.views.table_options import TableOptions
 
     ProfileFor = Callable[[NamedTransaction], Profile | None]
@@ -32,6 +34,11 @@ class Printer(ABC):
 
         `number` is the number of transactions read up to here, with this one, printed or not.
         """
+
+    @property
+    def takes_many(self) -> bool:
+        """True if many transactions that the array decoder gives can be printed together."""
+        return True
 
     def pause(self) -> None:  # noqa: B027 - most printers buffer nothing
         """Print buffered rows now, as the next record may take a while."""
@@ -49,7 +56,7 @@ def printer_for(
     """
     match format_:
         case Format.TABLE:
-            return _TablePrinter(file, profile_for, table)
+            return TablePrinter(file, profile_for, table)
         case Format.JSONL:
             return _JsonLinesPrinter(file)
         case Format.CSV:
@@ -58,7 +65,9 @@ def printer_for(
             return ParquetPrinter(file)
 
 
-class _TablePrinter(Printer):
+class TablePrinter(Printer):
+    """Prints records as a table; not on a terminal, many transactions together (`print_run`)."""
+
     def __init__(self, file: TextIO, profile_for: ProfileFor, options: TableOptions | None) -> None:
         from mbtool.cli.console import PipeConsole
         from mbtool.views.transaction_table import TransactionTable
@@ -69,6 +78,18 @@ class _TablePrinter(Printer):
     def print(self, record: Record, number: int) -> None:
         profile = None if isinstance(record, WireEvent) else self._profile_for(record)
         self._table.add(number, record, profile)
+
+    @property
+    def takes_many(self) -> bool:
+        return self._table.takes_runs
+
+    def form_of(self, like: NamedTransaction) -> RowForm:
+        """Return what all rows have in common whose transactions `print_run` gets as one form."""
+        return self._table.form_of(like)
+
+    def print_run(self, number: int, run: UsualRun[RowForm]) -> None:
+        """Print many transactions together. `number` is the number of the first of them."""
+        self._table.add_run(number, run)
 
     def pause(self) -> None:
         self._table.pause()

@@ -139,8 +139,7 @@ class BlockLines:
         numbers: dict[object, int] = {}
         place_of = np.array([numbers.setdefault(one, len(numbers)) for one in rows.addresses])
         places = [*numbers]
-        asked = usual.exception + 1 << 48 | rows.code << 40 | rows.unit << 32
-        asked = (asked | usual.address << 16 | usual.quantity)[chosen]
+        asked = usual.asked[chosen]
         distinct, like = np.unique(asked, return_inverse=True)
         both = place_of[rows.connection[chosen]] * len(distinct) + like
         _, first, kinds = np.unique(both, return_index=True, return_inverse=True)

@@ -12,7 +12,7 @@ without making an object of each.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -25,13 +25,15 @@ from mbtool.devices import Namer
 from mbtool.overview.answered_run import AlikeRequests, AnsweredRun
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterable, Iterator
 
     from mbtool.columns.arrays import Bools, Int64s
     from mbtool.columns.column_decoder import DecodedBlock
     from mbtool.columns.plain_rows import PlainRows
     from mbtool.decode.decoder import Record
     from mbtool.devices import NamedTransaction
+
+Part = TypeVar("Part")
 
 MAX_KINDS = 65_536
 _SHORT = 24
@@ -81,16 +83,13 @@ class PollRuns:
         usual = UsualRows(rows)
         usual.is_usual &= ~self._sunspec.find(rows, usual)
         kinds = self.kinds_of(rows, usual)
-        begin = 0
-        for end, record in between(rows, usual.is_usual, records):
-            yield from self._run(rows, kinds, begin, end)
-            begin = end
-            if record is None:
-                yield self._named(rows, end)
-                begin += 1
-            else:
-                yield record
-        yield from self._run(rows, kinds, begin, len(kinds.kind))
+        yield from in_turn(
+            rows,
+            usual.is_usual,
+            records,
+            lambda begin, end: self._run(rows, kinds, begin, end),
+            lambda index: self._named(rows, index),
+        )
 
     def _named(self, rows: PlainRows, index: int) -> NamedTransaction:
         return self._namer.name(plain_transaction(rows, index))
@@ -106,8 +105,7 @@ class PollRuns:
         places = _places(rows)
         numbers: dict[_Place, int] = {}
         place_of = np.array([numbers.setdefault(place, len(numbers)) for place in places])
-        asked = usual.exception + 1 << 48 | rows.code << 40 | rows.unit << 32
-        asked |= usual.address << 16 | usual.quantity
+        asked = usual.asked
         asked[~usual.is_usual] = -1
         distinct, like = np.unique(asked, return_inverse=True)
         _, first, kind = np.unique(
@@ -129,8 +127,6 @@ class PollRuns:
         """Yield the rows with the indices `begin` to `end` (exclusive), all of them common reads
         and writes, as one AnsweredRun; as single transactions if they are fewer than _SHORT.
         """
-        if begin == end:
-            return
         run = run_of(rows, kinds, begin, end)
         if end - begin < _SHORT:
             yield from run.transactions()
@@ -146,7 +142,33 @@ def _places(rows: PlainRows) -> list[_Place]:
     ]
 
 
-def between(
+def in_turn(
+    rows: PlainRows,
+    is_usual: Bools,
+    records: list[tuple[int, Record]],
+    some: Callable[[int, int], Iterable[Part]],
+    one: Callable[[int], Record],
+) -> Iterator[Record | Part]:
+    """Yield the transactions and events of a block in the order in which packets completed them.
+
+    `records` are those that the Decoder made. `some` makes the parts for consecutive rows with the
+    indices begin to end (exclusive) for which `is_usual` is True, `one` each other row.
+    """
+    begin = 0
+    for end, record in _between(rows, is_usual, records):
+        if begin < end:
+            yield from some(begin, end)
+        begin = end
+        if record is None:
+            yield one(end)
+            begin += 1
+        else:
+            yield record
+    if begin < len(is_usual):
+        yield from some(begin, len(is_usual))
+
+
+def _between(
     rows: PlainRows, is_usual: Bools, records: list[tuple[int, Record]]
 ) -> list[tuple[int, Record | None]]:
     """Return, in order, what stands between the rows for which `is_usual` is True: the Decoder's

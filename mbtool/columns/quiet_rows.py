@@ -17,7 +17,7 @@ import numpy as np
 from mbtool.columns.arrays import narrow
 from mbtool.columns.block_values import BlockValues
 from mbtool.columns.plain_transactions import plain_transaction
-from mbtool.columns.poll_runs import PollRuns, between, run_of
+from mbtool.columns.poll_runs import PollRuns, in_turn, run_of
 from mbtool.columns.sunspec_rows import SunSpecRows
 from mbtool.columns.usual_values import UsualValues
 from mbtool.devices import Namer
@@ -69,16 +69,7 @@ class QuietParts:
             yield from (record for _, record in records)
             return
         block = _QuietBlock(rows, self._namer, self._sunspec, self._runs)
-        begin = 0
-        for end, record in between(rows, block.is_quiet, records):
-            yield from block.some(begin, end)
-            begin = end
-            if record is None:
-                yield block.transaction(end)
-                begin += 1
-            else:
-                yield record
-        yield from block.some(begin, len(rows.response))
+        yield from in_turn(rows, block.is_quiet, records, block.some, block.transaction)
 
 
 class _QuietBlock:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbtool.columns.arrays import Bools, gather
+from mbtool.columns.arrays import Bools, Int64s, gather
 from mbtool.modbus.adu_bytes import MBAP_BYTES
 from mbtool.modbus.functions import (
     EXCEPTION_BIT,
@@ -48,6 +48,7 @@ class UsualRows:
     def __init__(self, rows: PlainRows) -> None:
         self._data = data = rows.data
         self._code = code = rows.code
+        self._unit = rows.unit
         self._request = rows.request_begin + MBAP_BYTES
         self._response = rows.response_begin + MBAP_BYTES
         self._request_size = request_size = rows.request_size - MBAP_BYTES
@@ -84,6 +85,14 @@ class UsualRows:
         is_whole = has_form & answered & rows.has_addresses
         self.is_usual: Bools = is_whole & ~self._is_padded(is_exception)
         self.exception = np.where(is_exception, second, -1)
+
+    @property
+    def asked(self) -> Int64s:
+        """For each row a number: equal for common reads and writes that have the same unit,
+        function, address, quantity and exception code.
+        """
+        head = self.exception + 1 << 48 | self._code << 40 | self._unit << 32
+        return head | self.address << 16 | self.quantity
 
     def _is_padded(self, is_exception: Bools) -> Bools:
         """Return for each row True if a bit that carries no value is set in the last byte of its

@@ -27,7 +27,10 @@ class Times:
 
         Call this once for each row, in order.
         """
-        ts_ns = _start_ns(record)
+        return self.text_at(_start_ns(record))
+
+    def text_at(self, ts_ns: int) -> str:
+        """Return the same as `text` for a row that starts at `ts_ns` (UTC ns)."""
         match self._style:
             case TimeStyle.UTC:
                 return clock_time(ts_ns)
@@ -40,7 +43,10 @@ class Times:
 
     def day_of(self, record: Record) -> str:
         """Return the day of a row with the time zone; "" if rows show seconds instead."""
-        ts_ns = _start_ns(record)
+        return self.day_at(_start_ns(record))
+
+    def day_at(self, ts_ns: int) -> str:
+        """Return the same as `day_of` for a row that starts at `ts_ns` (UTC ns)."""
         match self._style:
             case TimeStyle.UTC:
                 return f"{day(ts_ns)} UTC"

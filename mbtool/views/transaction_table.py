@@ -25,8 +25,9 @@
 from __future__ import annotations
 
 import re
+from itertools import groupby
 from textwrap import wrap
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 from rich.text import Text
 
@@ -40,21 +41,26 @@ from mbtool.views.cells import (
     transaction_text,
 )
 from mbtool.views.changed_points import ChangedPoints
-from mbtool.views.place_columns import PLACES, PlaceColumns, places_of
+from mbtool.views.place_columns import PLACES, PlaceColumns, host_of, places_of
+from mbtool.views.row_forms import RowForm
 from mbtool.views.table_options import TableColumn, TableOptions
 from mbtool.views.tables import printable
 from mbtool.views.times import Times
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     from rich.console import Console
 
+    from mbtool.decode.usual_run import UsualRun
     from mbtool.devices import NamedTransaction, Profile
 
     Record = NamedTransaction | WireEvent
 
+T = TypeVar("T")
+
 SAMPLE = 100
+"""So many rows decide the columns of a table and their widths."""
 MAX_LINES = 4
 """A row's text takes at most this many lines on a terminal; with --full there is no limit."""
 _MIN_TEXT = 24
@@ -97,6 +103,7 @@ _COUNTED = re.compile(r" (x\d+)(?![^, ])")
 """Matches the number of equal values in a text, such as the x24 of `0 x24`."""
 _TITLES = {TableColumn.NUMBER: "#", TableColumn.LATENCY: "ms"}
 _TEXT_TITLE = "request -> response"
+_SECOND_NS = 1_000_000_000
 _USUAL = (TableColumn.NUMBER, TableColumn.TIME, TableColumn.LATENCY)
 
 
@@ -157,6 +164,57 @@ class TransactionTable:
         if len(self._pending) >= self._sample:
             self.flush()
 
+    @property
+    def takes_runs(self) -> bool:
+        """True if `add_run` prints the same as `add`: for a pipe or file."""
+        return not self._console.is_terminal
+
+    def form_of(self, like: NamedTransaction) -> RowForm:
+        """Return what the rows of a UsualRun have in common with the row of the example `like`."""
+        return RowForm.of(like, in_hex=self._options.in_hex)
+
+    def add_run(self, number: int, run: UsualRun[RowForm]) -> None:
+        """Print many transactions without named points; `number` is that of the first of them.
+
+        Call this only if `takes_runs` is True, and after SAMPLE calls of `add`.
+        """
+        cells = [self._run_cells(column, number, run) for column in self._columns]
+        texts = [f" {form.text(some)}" for form, some in zip(run.forms, run.values, strict=True)]
+        lines = [*map(" ".join, zip(*cells, texts, strict=True))]
+        days = _each(self._times.day_at, [one // _SECOND_NS * _SECOND_NS for one in run.request_ns])
+        begin = 0
+        for day, some in groupby(days):
+            end = begin + len([*some])
+            self._print_heading(day)
+            self._console.file.write("\n".join([*lines[begin:end], ""]))
+            begin = end
+
+    def _run_cells(self, column: TableColumn, number: int, run: UsualRun[RowForm]) -> Iterable[str]:
+        """Return the cells of a column, filled up to its width."""
+        aligned = self._aligned[column]
+        match column:
+            case TableColumn.NUMBER:
+                return map(aligned, map(str, range(number, number + len(run))))
+            case TableColumn.TIME:
+                return map(aligned, map(self._times.text_at, run.request_ns))
+            case TableColumn.LATENCY:
+                return map(aligned, map(_latency_text, run.latency_ns))
+            case TableColumn.ID:
+                return map(aligned, map(str, run.transaction_ids))
+            case TableColumn.PACKET:
+                return map(aligned, map(_packets_text, run.request_packets, run.response_packets))
+            case TableColumn.LINK:
+                return _each(lambda one: aligned(printable(one)), run.links)
+            case TableColumn.MASTER:
+                return _each(lambda one: aligned(host_of(one)), run.sources)
+            case TableColumn.SLAVE:
+                return _each(aligned, run.destinations)
+            case TableColumn.UNIT:
+                return _each(lambda one: aligned(str(one.like.unit)), run.forms)
+            case _:
+                text_of = _MORE[column]
+                return _each(lambda one: aligned(printable(text_of(one.like))), run.forms)
+
     def pause(self) -> None:
         """Print the rows that wait until enough rows came to decide on the columns."""
         self.flush()
@@ -177,7 +235,8 @@ class TransactionTable:
         if not self._is_chosen:
             self._places.note(row.places)
             self._columns = (*_USUAL, *self._places.in_row)
-        self._print_heading(row)
+            self._note_place(row.record)
+        self._print_heading(self._times.day_of(row.record))
         prefix = self._prefix(row)
         style = _style(row.record)
         if isinstance(row.record, WireEvent):
@@ -201,11 +260,9 @@ class TransactionTable:
             return text
         return short_transaction_text(transaction, points, in_hex=in_hex)
 
-    def _print_heading(self, row: _TableRow) -> None:
+    def _print_heading(self, day: str) -> None:
         """Print a heading if link, master, unit or day changed, and titles if columns changed."""
-        if not self._is_chosen:
-            self._note_place(row.record)
-        heading = ", ".join(filter(None, (self._place, self._times.day_of(row.record))))
+        heading = ", ".join(filter(None, (self._place, day)))
         if heading != self._heading and heading:
             self._heading = heading
             for line in self._heading_lines(printable(heading)):
@@ -334,7 +391,10 @@ def _packets(record: Record) -> str:
     """Return the packet numbers of request and response, from 1: `12/13`, or `12` if equal."""
     if isinstance(record, WireEvent):
         return ""
-    first, last = record.request_packet, record.response_packet
+    return _packets_text(record.request_packet, record.response_packet)
+
+
+def _packets_text(first: int | None, last: int | None) -> str:
     if first == last:
         return "" if first is None else str(first)
     return "/".join("-" if one is None else str(one) for one in (first, last))
@@ -343,7 +403,17 @@ def _packets(record: Record) -> str:
 def _latency(record: Record) -> str:
     if isinstance(record, WireEvent) or record.latency_ns is None:
         return ""
-    return f"{record.latency_ns / 1e6:.1f}"
+    return _latency_text(record.latency_ns)
+
+
+def _latency_text(latency_ns: int) -> str:
+    return f"{latency_ns / 1e6:.1f}"
+
+
+def _each(make: Callable[[T], str], items: Sequence[T]) -> list[str]:
+    """Return the text of each item; of equal items it is made only once."""
+    texts = {one: make(one) for one in {*items}}
+    return [texts[one] for one in items]
 
 
 def _style(record: Record) -> str:

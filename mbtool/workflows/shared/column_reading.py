@@ -7,7 +7,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from mbtool.columns.column_decoder import ColumnDecoder, DecodedBlock
 from mbtool.columns.packet_block import read_blocks
@@ -15,7 +15,9 @@ from mbtool.columns.plain_lines import BlockLines
 from mbtool.columns.plain_records import plain_records
 from mbtool.columns.poll_runs import PollRuns
 from mbtool.columns.quiet_rows import QuietParts
+from mbtool.columns.usual_runs import UsualRuns
 from mbtool.core import InputError, WireEvent
+from mbtool.decode.usual_run import UsualRun
 from mbtool.devices import Namer
 from mbtool.overview.answered_run import AnsweredRun
 from mbtool.packets import serial_pieces
@@ -36,6 +38,8 @@ if TYPE_CHECKING:
     from mbtool.devices import NamedTransaction
     from mbtool.sources.files import CaptureFile
     from mbtool.workflows.shared.reading import ReadingOptions
+
+F = TypeVar("F")
 
 
 def can_read_columns(paths: Sequence[str], options: ReadingOptions) -> bool:
@@ -138,6 +142,21 @@ class ColumnReading(PartReading):
         for block in self._blocks():
             for part in runs.parts(block):
                 if not isinstance(part, AnsweredRun):
+                    self._note(part)
+                yield part
+
+    def runs(
+        self, form_of: Callable[[NamedTransaction], F], singly: int
+    ) -> Iterator[Record | UsualRun[F]]:
+        """Yield all transactions and events. Many common reads and writes come together as one
+        UsualRun.
+
+        The arguments are those of UsualRuns. Raises as `batches` does.
+        """
+        runs = UsualRuns(form_of, singly)
+        for block in self._blocks():
+            for part in runs.parts(block):
+                if not isinstance(part, UsualRun):
                     self._note(part)
                 yield part
 
