@@ -8,11 +8,15 @@ from __future__ import annotations
 import sys
 from typing import TYPE_CHECKING
 
+from mbtool.cli import decode
 from mbtool.cli.main import run
+from mbtool.views.transaction_table import SAMPLE
 from tests.benchmarks.file_workloads import CONNECTIONS, clean, make_capture, make_serial
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    import pytest
 
     from tests.benchmarks.file_workloads import Made
 
@@ -59,6 +63,14 @@ def test_a_row_of_a_tcp_transaction_takes_few_calls(tmp_path: Path) -> None:
     assert 50 < jsonl <= 130
     assert _calls_per_transaction(few, many, "csv") <= 1.01 * jsonl
     assert _calls_per_transaction(few, many, "table") <= 1.3 * jsonl
+
+
+def test_a_row_of_a_table_from_arrays_takes_a_tenth_of_the_calls(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    few, many = _capture(tmp_path, SAMPLE + FEW), _capture(tmp_path, SAMPLE + MANY)
+    monkeypatch.setattr(decode, "_WORTH_BYTES", 0)
+    assert 3 < _calls_per_transaction(few, many, "table") <= 13
 
 
 def test_a_row_of_a_serial_line_takes_few_calls(tmp_path: Path) -> None:

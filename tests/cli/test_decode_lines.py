@@ -8,10 +8,13 @@ from typing import TYPE_CHECKING
 import pytest
 
 from mbtool.cli import decode
+from mbtool.views.transaction_table import SAMPLE
 from mbtool.workflows.shared import reading_choice
 from mbtool.workflows.shared.column_reading import ColumnReading
 from tests.columns.disturbed_captures import disturbed
 from tests.columns.sunspec_capture import sunspec_capture
+from tests.columns.test_equality import poll
+from tests.packets.building import Talk, pcap
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -99,6 +102,26 @@ def test_rows_that_are_chosen_or_sorted_come_from_arrays_too(
     assert not in_arrays
     assert mbtool(*line) == rows
     assert in_arrays
+
+
+@pytest.mark.parametrize("color", ["", "1"])
+def test_many_rows_of_a_table_are_printed_as_row_by_row(
+    color: str,
+    mbtool: CommandLine,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    in_arrays: list[int],
+) -> None:
+    if color:
+        monkeypatch.setenv("FORCE_COLOR", color)
+    talk = Talk()
+    capture = pcap([*talk.handshake(), *poll(talk, SAMPLE + 50), *talk.goodbye()])
+    (tmp_path / "a.pcap").write_bytes(capture)
+    rows = row_by_row(mbtool, monkeypatch, "decode", tmp_path / "a.pcap")
+    assert not in_arrays
+    assert mbtool("decode", tmp_path / "a.pcap") == rows
+    assert in_arrays
+    assert ("\x1b[" in rows.out) is bool(color)
 
 
 @pytest.mark.parametrize("arguments", [("--limit", "3"), ("--device", "all=fa3-at1m8x")])

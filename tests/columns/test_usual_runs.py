@@ -132,4 +132,4 @@ def test_equal_values_in_a_row_are_counted_and_control_characters_replaced() -> 
     with patch.object(both_ways, "NAME", "a\x1b%s.pcap"):
         assert assert_equal(capture) > 1
         text, _ = in_runs(capture, {"columns": (TableColumn.FILE,)}, 65_536)
-    assert text.splitlines()[-1] == "a?%s.pcap             03 read HR400001..400006 -> 7 x4, 1, 7"
+    assert text.splitlines()[-1] == "a?%s.pcap             03 read holding 0..5 -> 7 x4, 1, 7"
