@@ -8,7 +8,6 @@ from contextlib import ExitStack, suppress
 from typing import TYPE_CHECKING
 
 from mbtool.cli.options import Format
-from mbtool.cli.printers import LinesPrinter, TablePrinter
 from mbtool.cli.progress import with_progress
 from mbtool.core import LinkError
 
@@ -16,6 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from mbtool.cli.output import RecordOutput
+    from mbtool.cli.printers import TablePrinter
     from mbtool.cli.talk import Interrupt
     from mbtool.columns.column_decoder import DecodedBlock
     from mbtool.decode.decoder import Record
@@ -56,6 +56,8 @@ def print_columns(
     `jobs` is the number of processes. `note` gets each record that may be worth a remark: events,
     transactions that were decoded one by one or have an unusual form, and reads of SunSpec models.
     """
+    from mbtool.cli.printers import LinesPrinter, TablePrinter
+
     if isinstance(out.printer, TablePrinter):
         _print_runs(columns, out, out.printer, note, interrupt)
         return
@@ -116,6 +118,7 @@ def _processes(out: RecordOutput, jobs: int) -> BlockProcesses | None:
     """
     if jobs == 1:
         return None
+    from mbtool.cli.printers import LinesPrinter
     from mbtool.workflows.shared.block_processes import BlockProcesses
 
     with suppress(LinkError):
