@@ -3,16 +3,9 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING
 
-from mbtool.core import WireEvent
 from mbtool.views.cells import clock_time, day
 from mbtool.views.table_options import TimeStyle
-
-if TYPE_CHECKING:
-    from mbtool.devices import NamedTransaction
-
-    Record = NamedTransaction | WireEvent
 
 
 class Times:
@@ -22,15 +15,11 @@ class Times:
         self._style = style
         self._origin_ns: int | None = None
 
-    def text(self, record: Record) -> str:
-        """Return the time of a row, at least 12 characters.
+    def text(self, ts_ns: int) -> str:
+        """Return the time of a row that starts at `ts_ns` (UTC ns), at least 12 characters.
 
         Call this once for each row, in order.
         """
-        return self.text_at(_start_ns(record))
-
-    def text_at(self, ts_ns: int) -> str:
-        """Return the same as `text` for a row that starts at `ts_ns` (UTC ns)."""
         match self._style:
             case TimeStyle.UTC:
                 return clock_time(ts_ns)
@@ -41,22 +30,17 @@ class Times:
             self._origin_ns = ts_ns
         return f"{(ts_ns - since_ns) / 1e9:+12.6f}"
 
-    def day_of(self, record: Record) -> str:
-        """Return the day of a row with the time zone; "" if rows show seconds instead."""
-        return self.day_at(_start_ns(record))
+    def day_of(self, ts_ns: int) -> str:
+        """Return the day of a row that starts at `ts_ns` (UTC ns), with the time zone.
 
-    def day_at(self, ts_ns: int) -> str:
-        """Return the same as `day_of` for a row that starts at `ts_ns` (UTC ns)."""
+        It is "" if rows show seconds instead.
+        """
         match self._style:
             case TimeStyle.UTC:
                 return f"{day(ts_ns)} UTC"
             case TimeStyle.LOCAL:
                 return f"{day(ts_ns + _offset_ns(ts_ns))} local time"
         return ""
-
-
-def _start_ns(record: Record) -> int:
-    return record.ts_ns if isinstance(record, WireEvent) else record.start_ns
 
 
 def _offset_ns(ts_ns: int) -> int:

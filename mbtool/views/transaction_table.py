@@ -116,6 +116,8 @@ class _TableRow(NamedTuple):
     profile: Profile | None
     places: tuple[str, str, str]
     """The texts of link, master and unit; "" for master and unit of an event."""
+    start_ns: int
+    """The time of the request or event (UTC ns)."""
 
 
 class TransactionTable:
@@ -154,9 +156,11 @@ class TransactionTable:
 
         With a profile, the texts of findings contain the figures of the device.
         """
-        row = _TableRow(
-            None if isinstance(record, WireEvent) else number, record, profile, places_of(record)
-        )
+        places = places_of(record)
+        if isinstance(record, WireEvent):
+            row = _TableRow(None, record, profile, places, record.ts_ns)
+        else:
+            row = _TableRow(number, record, profile, places, record.start_ns)
         if self._pending is None:
             self._print(row)
             return
@@ -181,7 +185,7 @@ class TransactionTable:
         cells = [self._run_cells(column, number, run) for column in self._columns]
         texts = [f" {form.text(some)}" for form, some in zip(run.forms, run.values, strict=True)]
         lines = [*map(" ".join, zip(*cells, texts, strict=True))]
-        days = _each(self._times.day_at, [one // _SECOND_NS * _SECOND_NS for one in run.request_ns])
+        days = _each(self._times.day_of, [one // _SECOND_NS * _SECOND_NS for one in run.request_ns])
         begin = 0
         for day, some in groupby(days):
             end = begin + len([*some])
@@ -196,7 +200,7 @@ class TransactionTable:
             case TableColumn.NUMBER:
                 return map(aligned, map(str, range(number, number + len(run))))
             case TableColumn.TIME:
-                return map(aligned, map(self._times.text_at, run.request_ns))
+                return map(aligned, map(self._times.text, run.request_ns))
             case TableColumn.LATENCY:
                 return map(aligned, map(_latency_text, run.latency_ns))
             case TableColumn.ID:
@@ -236,7 +240,7 @@ class TransactionTable:
             self._places.note(row.places)
             self._columns = (*_USUAL, *self._places.in_row)
             self._note_place(row.record)
-        self._print_heading(self._times.day_of(row.record))
+        self._print_heading(self._times.day_of(row.start_ns))
         prefix = self._prefix(row)
         style = _style(row.record)
         if isinstance(row.record, WireEvent):
@@ -309,7 +313,7 @@ class TransactionTable:
                 case TableColumn.NUMBER:
                     text = "" if row.number is None else str(row.number)
                 case TableColumn.TIME:
-                    text = self._times.text(row.record)
+                    text = self._times.text(row.start_ns)
                 case TableColumn.LATENCY:
                     text = _latency(row.record)
                 case TableColumn.LINK | TableColumn.MASTER | TableColumn.UNIT:
