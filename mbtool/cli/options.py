@@ -44,7 +44,9 @@ class SortKey(StrEnum):
 
 
 class EventChoice(StrEnum):
-    """Which events are printed: none, all except opened and closed connections, or all."""
+    """The choice of the events that are printed: none, all except opened and closed connections, or
+    all.
+    """
 
     NONE = "none"
     TROUBLE = "trouble"

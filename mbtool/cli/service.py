@@ -1,4 +1,6 @@
-"""Reports the state of `sniff --service` to the service manager, and to its log as heartbeats."""
+"""Reports on a running `sniff --service`: as messages to the service manager (systemd), and as
+records in the log.
+"""
 
 # docs/service.md describes the heartbeats, the messages and a unit for systemd.
 
@@ -20,13 +22,15 @@ if TYPE_CHECKING:
 STATUS_NS = 10_000_000_000
 """The time in ns between two status messages to the service manager."""
 STUCK_NS = 20_000_000_000
-"""If nothing was written to the log for this many ns, not even a tick, the log is stuck, as on a
-disk that does not answer. Then the service manager gets no sign of life, so that it restarts the
-service."""
+"""If the thread that writes the log has not called `HeartbeatLog.tick` for this many ns, it is
+stuck, as with a disk that does not respond. Then the service manager gets no sign of life, so that
+it restarts the service."""
 
 
 class ServiceRun:
-    """One run of `sniff --service`."""
+    """Reports on one run of `sniff --service`: status and signs of life to the service manager,
+    heartbeats to the log.
+    """
 
     def __init__(self, environment: Mapping[str, str]) -> None:
         self._manager = ServiceManager(environment)

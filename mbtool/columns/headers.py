@@ -94,8 +94,8 @@ class Segments:
 
 @dataclass(slots=True)
 class Headers:
-    """The headers of a block's packets: the TCP segments, and which packets could not be read as
-    arrays.
+    """The headers of a block's packets: the TCP segments, and the indices of packets that could not
+    be read as arrays.
     """
 
     segments: Segments

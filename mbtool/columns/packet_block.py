@@ -63,7 +63,7 @@ class PacketBlock:
     original: Int64s
     """The number of bytes that each packet had on the wire."""
     ts_ns: Int64s
-    """When each packet was captured, in UTC ns."""
+    """The time of each packet's capture, in UTC ns."""
     file: str
     """The capture file, as the user named it."""
     first_number: int
@@ -145,8 +145,9 @@ class _Source:
         self._stream = stream
         self._held = b""
         self._at = 0
-        """How many bytes of `_held` were already taken. They stay there until the next read of the
-        file, because cutting them off copies all bytes behind them."""
+        """The number of bytes of `_held` that callers have already taken. They stay in `_held`
+        until the next read of the file, because cutting them off would copy all bytes behind
+        them."""
         self._error: Exception | None = None
         self._is_ended = False
 

@@ -133,8 +133,8 @@ class TransactionArrays:
         return self._order[self.first_place[at] : stop]
 
     def stretch(self, at: int, end: int) -> PlainStretch:
-        """Return what the Decoder must learn from the transactions with the indices `at` to `end`
-        (exclusive).
+        """Return the facts from the transactions with the indices `at` to `end` (exclusive) that
+        the Decoder must learn, as if it had decoded them itself.
         """
         some, last, lists = slice(at, end), end - 1, self._lists
         first_place = lists.first_place[at]

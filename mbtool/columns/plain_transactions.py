@@ -69,8 +69,8 @@ class _Half(NamedTuple):
     """Fields of all requests, or of all responses, as arrays with an element per transaction.
 
     `packet` is the packet's index in the block, `ip_at` the length of its link layer header in
-    bytes. The ADU has `size` bytes from the offset `begin` on in the data; `ts_ns` is its time in
-    UTC ns.
+    bytes. The ADU has `size` bytes from the offset `begin` of the block's bytes on; `ts_ns` is its
+    time in UTC ns.
     """
 
     packet: Int64s

@@ -39,13 +39,13 @@ if TYPE_CHECKING:
 
 _READS = [*READ_BITS, *READ_REGISTERS - {0x17}]
 FEWEST = 64
-"""If fewer quiet rows than this follow one another, they are given as transaction objects, which is
-faster than as a QuietRows."""
+"""The fewest rows (transactions) of a QuietRows. A shorter series of quiet rows is given as
+transaction objects, which is faster."""
 
 
 class QuietParts:
-    """Splits the transactions of each block into groups of consecutive reads without findings and
-    single transactions.
+    """Splits the transactions of each block of packets: FEWEST or more consecutive reads without
+    findings become a group, every other transaction an object.
 
     For a capture that is decoded without device profiles.
     """
@@ -73,8 +73,9 @@ class QuietParts:
 
 
 class _QuietBlock:
-    """The transactions of a block that were read from arrays, with two numbers each: transactions
-    with equal numbers belong to the same poll, or to the same connection.
+    """The transactions of a block that were read from arrays. Each has two numbers: transactions
+    with equal first numbers belong to the same poll, with equal second numbers to the same
+    connection.
     """
 
     def __init__(self, rows: PlainRows, namer: Namer, sunspec: SunSpecRows, runs: PollRuns) -> None:

@@ -15,10 +15,13 @@ _PAIR = np.dtype(">u2")
 
 
 class ValueLists(NamedTuple):
-    """Holds a list of numbers for each row, with all lists joined in one array."""
+    """Holds one list of numbers (register or bit values) for each chosen row, with all lists joined
+    in one array. A row is a transaction of a block.
+    """
 
     numbers: Words
-    """The numbers of all rows, one row after the other."""
+    """The register or bit values of all rows (transactions): those of the first row, then those of
+    the second, and so on."""
     offsets: Int64s
     """For each row, the index in `numbers` where its list begins; the last element is the length of
     `numbers`."""
@@ -30,7 +33,8 @@ class UsualValues(UsualRows):
     """Reads the register and bit values of common reads and writes. A bit is the number 0 or 1."""
 
     def request_values(self, chosen: Int64s) -> ValueLists:
-        """Return the values that the requests of the rows with the indices `chosen` write.
+        """Return the values that requests write, for the rows (transactions) with the indices
+        `chosen`.
 
         The list of a read is marked as missing.
         """
@@ -48,7 +52,7 @@ class UsualValues(UsualRows):
         return ValueLists(*values, ~(words | bits))
 
     def response_values(self, chosen: Int64s) -> ValueLists:
-        """Return the values in the responses of the rows with the indices `chosen`.
+        """Return the values in responses, for the rows (transactions) with the indices `chosen`.
 
         The list of a write or of an exception response is marked as missing.
         """
@@ -58,7 +62,8 @@ class UsualValues(UsualRows):
         return ValueLists(*self._values(begin, self._value[chosen], words, bits), ~(words | bits))
 
     def response_value(self, chosen: Int64s, place: int) -> Words:
-        """Return the register or bit at index `place` of the values in each response.
+        """Return for each row (transaction) the register or bit at the index `place` of the values
+        in its response.
 
         `chosen` has the indices of the rows, all of them answered reads with the same function.
         """
@@ -70,12 +75,12 @@ class UsualValues(UsualRows):
     def _values(
         self, begin: Int64s, counts: Int64s, words: Bools, bits: Bools
     ) -> tuple[Words, Int64s]:
-        """Return the values of all rows joined in one array, and the index in it where each row
-        begins.
+        """Return the values of all rows (transactions) joined in one array, and the index in it
+        where each row begins.
 
-        Row i has `counts[i]` values from the offset `begin[i]` in the data on. They are registers
-        if `words[i]` is True and bits if `bits[i]` is True; if both are False, the row has no
-        values.
+        Row i has `counts[i]` values from the offset `begin[i]` of the block's bytes on. They are
+        registers if `words[i]` is True and bits if `bits[i]` is True; if both are False, the row
+        has no values.
         """
         counts = np.where(words | bits, counts, 0)
         offsets = np.concatenate([[0], np.cumsum(counts)])

@@ -61,7 +61,7 @@ class WireEvent:
     link: str
     kind: EventKind
     message: str
-    """What happened, in one sentence for the user."""
+    """A sentence for the user that says what happened."""
     source: str = ""
     destination: str = ""
     raw: bytes = b""

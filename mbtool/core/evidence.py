@@ -19,7 +19,7 @@ class Direction(StrEnum):
 
 
 class Stamp(StrEnum):
-    """Says for which bytes of a chunk the chunk's time is right."""
+    """Says to which bytes of a chunk the chunk's time (`ts_ns`) belongs."""
 
     AT_ONCE = "at-once"
     """The time of the chunk is that of all its bytes, as in a TCP segment."""
@@ -44,7 +44,7 @@ class Endpoint:
 
 @dataclass(frozen=True, slots=True)
 class Connection:
-    """A TCP connection: which end is the master and which the slave."""
+    """A TCP connection with its two ends, the master's and the slave's."""
 
     master: Endpoint
     slave: Endpoint
@@ -75,7 +75,7 @@ class LinkAddresses(NamedTuple):
 
 
 class Origin(NamedTuple):
-    """Where captured bytes come from: a packet, or a position in a file of serial bytes."""
+    """The origin of captured bytes: a packet, or a position in a file of serial bytes."""
 
     file: str
     """The capture file, as the user named it; empty in a live capture."""
@@ -84,7 +84,8 @@ class Origin(NamedTuple):
     addresses: LinkAddresses | None = None
     """The addresses of the packet on the link layer, if it has any."""
     offset: int | None = None
-    """How many bytes of a serial line precede these bytes in their file; None for a packet."""
+    """The number of bytes of the serial line that precede these bytes in their file; None for a
+    packet."""
 
 
 class StreamPlace(NamedTuple):
@@ -109,8 +110,8 @@ class Chunk:
     """The bytes of one read of a port, or the payload of one TCP segment."""
 
     ts_ns: int
-    """When the bytes were read or captured, in UTC ns. For a port this is the time right after the
-    read."""
+    """The time, in UTC ns, at which the bytes were read or captured. For a port this is the time
+    right after the read."""
     link: str
     """The name of the serial line, or the slave's address. It contains no slash, because it is a
     part of the names of topics in a log."""
@@ -120,8 +121,8 @@ class Chunk:
     connection: Connection | None = None
     """The TCP connection that carried the bytes; None on a serial line."""
     place: StreamPlace | None = field(default=None, compare=False)
-    """Where the bytes are in the TCP connection, or in the file of a serial line. None if unknown,
-    as in a live capture of a serial line or a tap."""
+    """The position of the bytes in the TCP connection, or in the file of a serial line. None if
+    unknown, as in a live capture of a serial line or a tap."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -129,7 +130,7 @@ class Packet:
     """A packet with all headers, as the capture file or the interface gave it."""
 
     ts_ns: int
-    """When the packet was captured, in UTC ns."""
+    """The time of the packet's capture, in UTC ns."""
     link: str
     """The name of the network interface, or `if` with its number in the capture file: `if0`."""
     link_type: int

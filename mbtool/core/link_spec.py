@@ -69,7 +69,8 @@ class SerialLink:
     is_relay: bool = field(default=False, kw_only=True)
     """True if the line is cut in two, and mbtool passes bytes between its two ports."""
     modem_lines: ModemLines = field(default=ModemLines(), kw_only=True)
-    """What a listener does with DTR and RTS. It is not part of the link's text."""
+    """The states that DTR and RTS get while mbtool listens on the port. The text of the link does
+    not contain them."""
 
     def __post_init__(self) -> None:
         if self.is_relay and self.slave_port is None:

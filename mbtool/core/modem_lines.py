@@ -1,4 +1,4 @@
-"""Says what is done with DTR and RTS of a port that is opened to listen."""
+"""The states that DTR and RTS of a port get when the port is opened to listen."""
 
 # When a port is opened, the kernel raises DTR and RTS, and when it is closed, drops both; no
 # program can prevent the raising. Some RS-485 adapters send, or are powered, while one of them is
@@ -11,20 +11,21 @@ from enum import StrEnum
 
 
 class ModemLine(StrEnum):
-    """What is done with DTR, or with RTS, of a port."""
+    """The state of DTR, or of RTS, while a port is open to listen, and after it is closed."""
 
     RAISED = "raised"
-    """Raised while the port is open, dropped when it is closed: the kernel does so by itself."""
+    """The line is raised while the port is open, and dropped when the port is closed: the kernel
+    does so by itself."""
     KEEP = "keep"
-    """Raised, and not dropped when the port is closed. Drivers can do this only for both lines
-    together."""
+    """The line is raised, and not dropped when the port is closed. Drivers can do this only for DTR
+    and RTS together."""
     OFF = "off"
-    """Dropped right after the port is opened."""
+    """The line is dropped right after the port is opened."""
 
 
 @dataclass(frozen=True, slots=True)
 class ModemLines:
-    """What is done with DTR and with RTS of a port."""
+    """The states of DTR and of RTS while a port is open to listen, and after it is closed."""
 
     dtr: ModemLine = ModemLine.RAISED
     rts: ModemLine = ModemLine.RAISED

@@ -47,7 +47,7 @@ class SerialFormat:
     """The parity: N (none), E (even) or O (odd)."""
     stop_bits: int = 1
     t1_5: Silence | None = None
-    """The t1.5 that the user gave; None means the standard's t1.5. The same holds for `t3_5` and
+    """The t1.5 that the user gave; None means the standard's t1.5. `t3_5` means the same for
     t3.5."""
     t3_5: Silence | None = None
 
@@ -120,7 +120,7 @@ class SerialFormat:
 
     @property
     def character_ns(self) -> int:
-        """How long one character takes on the line, in ns."""
+        """The time that one character takes on the line, in ns."""
         return self.character_bits * 1_000_000_000 // self.baud
 
     @property

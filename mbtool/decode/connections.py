@@ -59,7 +59,8 @@ class Bus:
         """Set up the line.
 
         `timed` is False if the bytes have no known times, as in a raw file. `response_timeout_ns`
-        is how long the master waits before it repeats a request; None if that is not known.
+        is the time (ns) that the master waits before it repeats a request; None if that is not
+        known.
         """
         self._ends = Ends(link, timed=timed)
         self._splitter: AsciiSplitter | RtuSplitter
@@ -77,8 +78,8 @@ class Bus:
     def feed(self, data: bytes, ts_ns: int, place: StreamPlace | None = None) -> list[Decoded]:
         """Take the bytes of one read; return the ADUs, transactions and events that they complete.
 
-        `ts_ns` is the time of the last byte; `place` is where the bytes stand in a capture file,
-        None if they come from no file.
+        `ts_ns` is the time of the last byte; `place` is the position of the bytes in a capture
+        file, None if they come from no file.
         """
         if self._origins is not None or place is not None:
             self._note_origin(len(data), place)
@@ -100,8 +101,9 @@ class Bus:
     def close(self, end_ns: int | None = None) -> list[Decoded]:
         """End the line: return the results of its buffered bytes and of its pending request.
 
-        `end_ns` is when the capture ended: a pending request whose response may have come later is
-        not-captured. If `end_ns` is None, the request has no answer.
+        `end_ns` is the time at which the capture ended: a pending request whose response may have
+        come later gets the outcome `not-captured`. If `end_ns` is None, a pending request gets the
+        outcome `no-answer`.
         """
         events = self._splitter.close()
         end_ns = _until_unread(events, end_ns)
@@ -187,7 +189,8 @@ class ConnectionDecoder:
     def _lost(self, losses: list[_LostBytes], ts_ns: int) -> list[Decoded]:
         """Tell the pairing of lost requests, then of lost responses.
 
-        `ts_ns` is when the loss was noticed. Returns the transactions that the losses complete.
+        `ts_ns` is the time at which the loss was noticed. Returns the transactions that the losses
+        complete.
         """
         return [
             each
@@ -208,9 +211,9 @@ class ConnectionDecoder:
     ) -> list[Decoded]:
         """Note that the capture lacks `missing` bytes of one direction; 0 if the number is unknown.
 
-        `ts_ns` is when the gap was noticed. `kind` is the kind of event to report: GAP if packets
-        are missing, CUT if packets were cut. `acknowledged_ns` is the time of the segment that
-        acknowledged all missing bytes; None if unknown.
+        `ts_ns` is the time at which the gap was noticed. `kind` is the kind of event to report: GAP
+        if packets are missing, CUT if packets were cut. `acknowledged_ns` is the time of the
+        segment that acknowledged all missing bytes; None if unknown.
         """
         source, destination = self._endpoints[direction]
         lost = WireEvent(
@@ -237,8 +240,9 @@ class ConnectionDecoder:
     def close(self, end_ns: int | None = None) -> list[Decoded]:
         """End the connection: return the results of its buffered bytes and pending requests.
 
-        `end_ns` is when its capture ended: a request whose response may have come later is
-        not-captured. None if the connection itself ended, so that no response can come.
+        `end_ns` is the time at which its capture ended: a request whose response may have come
+        later gets the outcome `not-captured`. It is None if the connection itself ended, so that no
+        response can come.
         """
         decoded: list[Decoded] = []
         for direction, splitter in self._splitters.items():
@@ -322,9 +326,9 @@ def _paired(
 def _until_unread(events: list[Adu | Skipped], end_ns: int | None) -> int | None:
     """Return the time (ns) from which on the capture may lack responses; None if `end_ns` is None.
 
-    `end_ns` is when the capture ended. `events` are those that the splitter returned at its end.
-    Skipped bytes among them may begin a response, so the time of these bytes is returned if it is
-    earlier.
+    `end_ns` is the time at which the capture ended. `events` are those that the splitter returned
+    at its end. Skipped bytes among them may begin a response, so the time of these bytes is
+    returned if it is earlier.
     """
     if end_ns is None:
         return None

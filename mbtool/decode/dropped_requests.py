@@ -28,7 +28,8 @@ class DroppedRequests:
     def __init__(self) -> None:
         self._counts: dict[_Key, int] = {}
         self._last_ns: int
-        """When the last request was dropped, in ns."""
+        """The time at which the last request was dropped, in ns; set with the first dropped
+        request."""
 
     @property
     def is_empty(self) -> bool:

@@ -41,18 +41,19 @@ class MasterHabits:
         self.pipelines = False
         """True once ENOUGH_OVERLAPS responses came while a further request waited."""
         self.ids_vary = False
-        """True once two requests in a row had different ids."""
+        """True once two requests in a row had different transaction ids."""
         self.ids_count_up = False
-        """True if ids vary, and none was less than the one before it (modulo 2^16)."""
+        """True if transaction ids vary, and none was less than the one before it (modulo 2^16)."""
         self.has_matching_ids = False
-        """True once a response had the id of its request, and ids vary."""
+        """True once a response had the transaction id of its request, and transaction ids vary."""
         self.reorders = False
         """True once the slave responded to a request after it had responded to a later one."""
         self._latest_answered = 0
         """The highest number among the requests that got their response; requests are counted from
         1."""
         self.last_response_ns = 0
-        """When the last response was complete, in ns."""
+        """The time at which the last response was complete, in UTC ns; 0 before the first
+        response."""
         self._slowest_ns: dict[int | None, int] = {}
         """By function code, the longest latency in ns; each response lowers it by 1/FORGET."""
         self._usual_ns: dict[int | None, int] = {}

@@ -185,7 +185,7 @@ class NetworkPairing:
     def close(self, end_ns: int | None = None) -> list[Transaction]:
         """End the connection: return the transactions of the requests that got no response.
 
-        `end_ns` is when its capture ended (a response may have come later), None if it closed.
+        `end_ns` is the end of its capture (a response may have come later), None if it closed.
         """
         done: list[Transaction] = []
         unfinished = {id(one): unfinished_in(one, self._habits, end_ns) for one in self._readings}
@@ -402,7 +402,7 @@ class NetworkPairing:
         is_sure: bool = True,
         is_late: bool = False,
     ) -> Transaction:
-        """Make the transaction of request `one`; `since_ns` is when the previous response ended."""
+        """Make the transaction of request `one`; the previous response ended at `since_ns`."""
         if one.adu is None:
             return unsolicited(self._ends, response, Outcome.NOT_CAPTURED)
         verdicts: tuple[Verdict, ...] = ()

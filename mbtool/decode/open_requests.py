@@ -25,8 +25,8 @@ class OpenRequest(msgspec.Struct, gc=False, eq=False, kw_only=True):
     number: int
     """The number of the request, counted from 1 in its connection."""
     since_ns: int
-    """Time (ns) of the request's last byte; if the capture lacks the request, when that was
-    noticed."""
+    """The time (ns) of the request's last byte; if the capture lacks the request, the time at which
+    the loss was noticed."""
     adu: Adu | None
     """The request's ADU; None if the capture lacks the request."""
     place: AduPlace | None = None

@@ -193,8 +193,9 @@ class Pairing:
     def close(self, end_ns: int | None = None) -> list[Transaction]:
         """End the line: return the transactions of the requests that have no response.
 
-        `end_ns` is when the capture ended: a request whose response may have come later is
-        not-captured. If `end_ns` is None, all these requests have no answer.
+        `end_ns` is the time at which the capture ended: a request whose response may have come
+        later gets the outcome `not-captured`. If `end_ns` is None, all these requests get the
+        outcome `no-answer`.
         """
         requests, self._overtaken, self._open = (self._overtaken, self._open), None, None
         return [

@@ -83,7 +83,8 @@ class PairStep(NamedTuple):
     response: Adu | None
     """The response; None for lost bytes."""
     requests: tuple[OpenRequest, ...]
-    """Empty if no request asked for the response; several only if the capture lacks responses."""
+    """The requests that the response, or the lost bytes, answer. Empty if no request asked for the
+    response; several only if the capture lacks responses."""
     since_ns: int = 0
     """The time (ns) at which the response before this one was complete; 0 if there was none."""
     is_sure: bool = True
@@ -102,7 +103,7 @@ class PairOption(NamedTuple):
 
 
 class PairReading:
-    """One way to join the requests and responses whose pairing is not decided yet."""
+    """A reading: one way to join the requests and responses whose pairing is not decided yet."""
 
     __slots__ = (
         "behind_others",
@@ -155,7 +156,7 @@ class PairReading:
         return not (one.number in self.given_up or one.may_not_exist)
 
     def give_up(self, late: list[OpenRequest]) -> None:
-        """Note that the master no longer waits for the responses to some requests."""
+        """Note that the master no longer waits for the responses to the requests `late`."""
         self.given_up |= {one.number for one in late}
         self.cost += LATE * sum(not one.may_be_lost for one in late)
 
@@ -168,7 +169,7 @@ class PairReading:
     def is_only_answered_by(self, response: Adu, place: AduPlace | None) -> bool:
         """True if only one request has no response yet, and `response` can belong to it.
 
-        `place` is where the response stands in the connection; None if unknown.
+        `place` is the position of the response in the connection; None if unknown.
         """
         if len(self.waiting) != 1 or self.passed:
             return False
@@ -190,7 +191,7 @@ class PairReading:
     def take(self, option: PairOption, response: Adu, habits: MasterHabits, since_ns: int) -> None:
         """Assign a response to the request of an option, and add the option's cost.
 
-        `since_ns` is when the response before this one was complete.
+        `since_ns` is the time at which the response before this one was complete.
         """
         self.cost += option.cost
         request = option.request
@@ -210,8 +211,8 @@ class PairReading:
     def lose(self, start: int, count: int, cost: float, at_ns: int) -> None:
         """Suppose that lost bytes answered the requests `waiting[start : start + count]`.
 
-        `cost` (in units of LATE) is added to the reading's cost; `at_ns` is when the loss was
-        noticed.
+        `cost` (in units of LATE) is added to the reading's cost; `at_ns` is the time at which the
+        loss was noticed.
         """
         lost = tuple(self.waiting[start : start + count])
         self.cost += cost
@@ -260,7 +261,7 @@ def options(
 ) -> Iterator[PairOption]:
     """Yield the requests of a reading that a response may answer, each with its cost (see LATE).
 
-    `place` is where the response stands in the connection; None if unknown.
+    `place` is the position of the response in the connection; None if unknown.
     """
     too_late = _too_late(reading, response, place)
     skipped: list[OpenRequest] = []
@@ -284,7 +285,7 @@ def _too_late(reading: PairReading, response: Adu, place: AduPlace | None) -> se
     """Return the numbers of the given-up requests that are too old to get this response.
 
     The newest MAX_LATE given-up requests that the response fits by id, unit and function can get
-    it. `place` is where the response stands in the connection; None if unknown.
+    it. `place` is the position of the response in the connection; None if unknown.
     """
     late = [
         one for one in reading.waiting if one.number in reading.given_up and one.adu is not None
@@ -422,7 +423,9 @@ def likely_cost(reading: PairReading) -> float:
 
 
 def _mark_differences(kept: PairReading, other: PairReading) -> None:
-    """In `kept`, mark as unsure the steps that have other requests in the reading `other`."""
+    """Mark as unsure each step of the reading `kept` to which the reading `other` gives other
+    requests.
+    """
     steps = []
     for one, two in zip(kept.steps, other.steps, strict=True):
         if one.requests == two.requests:

@@ -71,7 +71,7 @@ _HEAD_SIZE = MAX_RTU_ADU + 1  # Bytes kept of a direction: one more than the lon
 _MBAP_SIZE = 6  # Bytes of an MBAP header up to and with its length.
 _MBAP_PREFIX = re.compile(rb"(?s).{0,2}\x00{0,2}\Z|..\x00\x00[\x00-\x05]\Z")
 _PROTOCOL_ID = re.compile(rb"(?s)..\x00\x00|.{0,2}\x00?\Z")
-"""Any transaction id followed by protocol id 0, or the beginning of such bytes."""
+"""Matches any transaction id and protocol id 0, or bytes that may become these."""
 
 
 class ProtocolState(Enum):
@@ -201,7 +201,7 @@ class ProtocolDetector:
     def close(self, end_ns: int | None = None) -> list[Decoded]:
         """End the connection: decide its protocol if undecided, and return the remaining results.
 
-        `end_ns` is when its capture ended (a response may have come later), None if it closed.
+        `end_ns` is the end of its capture (a response may have come later), None if it closed.
         """
         if self.state is ProtocolState.MODBUS:
             return self._candidates[0].decoder.close(end_ns)
@@ -313,7 +313,7 @@ class ProtocolDetector:
 
 
 class _ProtocolCandidate:
-    """One possible protocol, with one of the two ends as master, and the evidence for it."""
+    """A candidate: one possible protocol, one of the two ends as master, and the evidence."""
 
     def __init__(self, connection: Connection, *, rtu: bool, swapped: bool, expected: bool) -> None:
         if swapped:
@@ -331,7 +331,7 @@ class _ProtocolCandidate:
         self._is_rtu = rtu
         self._is_swapped = swapped
         self.roles = OTHER if swapped else {direction: direction for direction in OTHER}
-        """Maps a direction of the connection to this candidate's, which may exchange the roles."""
+        """Maps a direction in the capture to this candidate's: the ends may be exchanged."""
         self.is_expected = expected
         """True if this is the protocol expected at the port."""
         self.well_formed = 0
@@ -378,7 +378,7 @@ class _ProtocolCandidate:
                 self.is_ruled_out = True
 
     def may_begin_with(self, heads: Mapping[Direction, bytes]) -> bool:
-        """True if no bytes came, the first ones (`heads`) may begin an ADU, or a CRC was wrong."""
+        """True if no bytes came, one of `heads` may begin an ADU, or a decoded CRC was wrong."""
         if any(_has_bad_check(one) for one in self.decoded) or not any(heads.values()):
             return True
         if not self._is_rtu:

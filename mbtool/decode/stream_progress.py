@@ -26,7 +26,7 @@ OTHER = {Direction.REQUEST: Direction.RESPONSE, Direction.RESPONSE: Direction.RE
 
 
 class AduPlace(msgspec.Struct, frozen=True, gc=False):
-    """Where an ADU stands in its TCP connection.
+    """The position of an ADU in its TCP connection.
 
     A stream position counts the bytes of one direction: from the connection's beginning or, if the
     capture lacks that, from LEAD bytes before the first captured byte.
@@ -55,8 +55,8 @@ class StreamProgress:
         self.has_part = False
         """True while the splitter holds the start of a response whose end the capture lacks."""
         self.lost_ns: int | None = None
-        """When the receiver acknowledged all lost bytes behind the last ADU, in ns; None if
-        unknown."""
+        """The time, in UTC ns, at which the receiver had acknowledged all lost bytes behind the
+        last ADU; None if unknown."""
         self._missing = 0
         """The number of missing bytes in the gaps behind the last ADU, as they were reported."""
         self._known = 0
@@ -127,7 +127,8 @@ class StreamProgress:
     def skip(self, missing: int, known: int, acknowledged_ns: int | None = None) -> None:
         """Note a gap of `missing` bytes; `known` of them belong to an ADU whose start was captured.
 
-        `acknowledged_ns` is when the receiver had acknowledged all missing bytes; None if unknown.
+        `acknowledged_ns` is the time at which the receiver had acknowledged all missing bytes; None
+        if unknown.
         """
         self.lost_ns = acknowledged_ns
         self.unread = 0
@@ -151,8 +152,9 @@ class StreamProgress:
         return missing
 
     def _begin(self, position: int) -> int:
-        # A position below LEAD // 2 is possible only if the capture has the connection's beginning.
-        # Then positions count from 0.
+        # Positions count from 0 if the capture has the connection's beginning, else from LEAD bytes
+        # before the first captured byte (packets/stream.py). So a first position below LEAD // 2
+        # shows that they count from 0.
         self.captured = self._known = 0 if position < LEAD // 2 else position
         return self.captured
 

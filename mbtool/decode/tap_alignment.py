@@ -93,10 +93,11 @@ def request_of_first(
         return 0  # The usual case; no alignment can cost less.
 
     def costs(request: int, response: int) -> tuple[int, int, int]:
-        """Return the lowest costs (ns) of aligning all requests and responses from two indices on.
+        """Return the lowest costs (ns) of aligning the requests from the index `request` on with
+        the responses from the index `response` on.
 
-        The first cost is that of making the two a pair, the second that of leaving the request
-        without a response, the third that of leaving the response without a request.
+        The first cost is that of making the first two a pair, the second that of leaving the first
+        request without a response, the third that of leaving the first response without a request.
         """
         has_request, has_response = request < len(requests), response < len(responses)
         paired = unanswered = unsolicited = _IMPOSSIBLE_NS

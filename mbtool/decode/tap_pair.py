@@ -83,7 +83,8 @@ class TapPair:
         self._has_request = False
         """False until the first request goes to the pairing."""
         self._answered_ns: int | None = None
-        """When the last response ended, in ns; None before it, and once a request has followed."""
+        """The time at which the last response ended, in ns. None before the first response, and
+        after the next request."""
         self._ahead_ns = 0
         """The time in ns by which responses seem to begin before their request ends, because the
         two adapters differ in delay. It is learned from earlier responses; negative if responses
@@ -93,7 +94,7 @@ class TapPair:
         frame fitted its own tap only, or exchanged ports were reported."""
 
     def feed(self, direction: Direction, data: bytes, ts_ns: int) -> list[Decoded]:
-        """Take the bytes of one read; return what they complete.
+        """Take the bytes of one read; return the ADUs, transactions and events that they complete.
 
         `direction` names the tap: RESPONSE the one that hears the slaves, every other direction the
         one that hears the master. `ts_ns` is the time of the last byte.
@@ -108,8 +109,8 @@ class TapPair:
         return decoded + self._take_known()
 
     def advance(self, now_ns: int) -> list[Decoded]:
-        """Note that all bytes that the taps heard until `now_ns` were fed; return what that
-        completes, such as a request that has waited too long.
+        """Note that all bytes that the taps heard until `now_ns` were fed; return the ADUs,
+        transactions and events that this completes, such as a request that has waited too long.
         """
         known_ns = min(side.until_ns for side in self._sides.values())
         decoded = self._restart_if_set_back(now_ns, known_ns)
@@ -123,8 +124,9 @@ class TapPair:
     def close(self, end_ns: int | None = None) -> list[Decoded]:
         """End the line: return all ADUs, transactions and events that still wait.
 
-        `end_ns` is when the capture ended: a pending request whose response may have come later is
-        not-captured. If `end_ns` is None, the request has no answer.
+        `end_ns` is the time at which the capture ended: a pending request whose response may have
+        come later gets the outcome `not-captured`. If `end_ns` is None, it gets the outcome
+        `no-answer`.
         """
         return [*self._take_all(), *self._pairing.close(end_ns)]
 
@@ -153,7 +155,8 @@ class TapPair:
         return decoded
 
     def _take_known(self) -> list[Decoded]:
-        """Give the pairing the waiting events that both taps are known up to LOOKAHEAD_NS after.
+        """Give each waiting event to the pairing once all events of both taps are known that began
+        up to LOOKAHEAD_NS after it.
 
         Returns their results. If more than MAX_HELD events wait, the earliest ones do not wait
         longer.

@@ -315,7 +315,8 @@ def _record(
 
 
 def add_origins(fields: dict[str, Any], request: Origin | None, response: Origin | None) -> None:
-    """Add to `fields`, which are fields of Transaction by name, where the two ADUs come from.
+    """Add the origins of the request's and the response's ADU to `fields`, fields of Transaction by
+    name.
 
     These are the files, packets, offsets, MAC addresses and VLAN; an origin is None if unknown.
     """

@@ -31,9 +31,9 @@ def may_be_answered(waited_ns: int, slowest_ns: int, *, is_given_up: bool = Fals
 def unfinished_in(reading: PairReading, habits: MasterHabits, end_ns: int | None) -> set[int]:
     """Return the numbers of the waiting requests that may be answered after `end_ns`.
 
-    `end_ns` is when the capture ended; if it is None, the set is empty. A slave handles one request
-    at a time, so the wait of a request that was sent while others waited is counted from the last
-    response on. The numbers count the connection's requests from 1.
+    `end_ns` is the time at which the capture ended; if it is None, the set is empty. A slave
+    handles one request at a time, so the wait of a request that was sent while others waited is
+    counted from the last response on. The numbers count the connection's requests from 1.
     """
     if end_ns is None:
         return set()

@@ -20,7 +20,7 @@ class DifferenceKind(StrEnum):
 
 
 class Side(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """What one of the two captures has where they differ."""
+    """The content of one of the two captures at the place where they differ."""
 
     text: str
     """This capture's content in words, for a user; empty if the capture has nothing there."""
@@ -35,7 +35,7 @@ class Side(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class Difference(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """One difference between two captures."""
+    """A difference between two captures; `a` and `b` have the content of each where they differ."""
 
     kind: DifferenceKind
     unit: int

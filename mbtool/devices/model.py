@@ -163,7 +163,7 @@ class AnswerWord(_Part, frozen=True, kw_only=True):
 
 
 class FunctionRule(_Part, frozen=True, kw_only=True):
-    """What the manual says about one function of the device: limits, responses, exceptions."""
+    """The manual's rules for one function of the device: limits, responses, exceptions."""
 
     limit: Annotated[Quantity | None, _about("The largest quantity in the manual.")] = None
     write_limit: Annotated[
@@ -318,7 +318,9 @@ class Point(_Part, frozen=True, kw_only=True):
 
 
 class Profile(_Part, frozen=True, kw_only=True):
-    """What a manual says about one device, or about one model of a family of devices."""
+    """A profile: all that a manual says about one device, or about one model of a family of
+    devices.
+    """
 
     name: Annotated[
         str, _about("The name for --device and the log: letters, digits, '-', '_' and '.'.")

@@ -64,7 +64,7 @@ class ProfileMatch:
     """Number of different requests that ended otherwise than predicted, plus contradictions about
     exception codes, transport and unit."""
     named: int
-    """How many of the `addresses` have a name in the profile."""
+    """The number of those `addresses` that have a name in the profile."""
     addresses: int
     """Number of addresses that a master read or wrote with success."""
     is_model: bool

@@ -31,8 +31,8 @@ class TomlError(InputError):
     def __init__(self, file: str, place: str, problem: str) -> None:
         super().__init__(": ".join(part for part in (file, place, problem) if part))
         self.place = place
-        """Where the mistake is: a line, byte or key of the file, or a word such as `size`. Empty if
-        the file cannot be read."""
+        """The place of the mistake: a line, byte or key of the file, or a word such as `size`.
+        Empty if the file cannot be read."""
         self.problem = problem
 
 

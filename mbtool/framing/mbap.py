@@ -66,12 +66,12 @@ ns. By default, FA3 modules disconnect a master that takes longer (their manual,
 _LENGTH_END = MBAP_BYTES - 1
 _MODBUS = b"\x00\x00"
 _HEADER = re.compile(rb"(?s)..\x00\x00\x00[%c-%c]" % (MIN_LENGTH, MAX_LENGTH))
-"""A transaction id, protocol id 0 and a length from MIN_LENGTH to MAX_LENGTH."""
+"""Matches a transaction id, protocol id 0 and a length from MIN_LENGTH to MAX_LENGTH."""
 LONG_HEADER = re.compile(
     rb"(?s)..\x00\x00(?:\x00[%c-\xff]|[\x01-%c].|%c[\x00-%c])"
     % (MIN_LENGTH, (LONGEST_LENGTH >> 8) - 1, LONGEST_LENGTH >> 8, LONGEST_LENGTH & 0xFF)
 )
-"""A transaction id, protocol id 0 and a length from MIN_LENGTH to LONGEST_LENGTH."""
+"""Matches a transaction id, protocol id 0 and a length from MIN_LENGTH to LONGEST_LENGTH."""
 
 
 class MbapSplitter:

@@ -24,7 +24,7 @@ class SkipRun:
     __slots__ = ("_bytes", "_first_ns", "_why")
 
     def __init__(self, why: Callable[[bytes], Reason]) -> None:
-        """`why` takes the skipped bytes and returns why they cannot be read."""
+        """`why` takes the skipped bytes and returns the reason (Reason) why they cannot be read."""
         self._why = why
         self._bytes = bytearray()
         self._first_ns = 0

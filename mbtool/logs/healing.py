@@ -106,8 +106,8 @@ class SoundRecords:
         self._repaired = repaired
         self._unpacker = Unpacker()
         self._why = ""
-        """Why the record that was checked last is not intact, in words for the user; "" at
-        first."""
+        """The reason, as a text for the user, why the record that was checked last is not intact;
+        "" before the first such record."""
         self.crc_before = 0
         """The CRC of all bytes of the file before the record that was returned last."""
 

@@ -79,7 +79,7 @@ class LogLoss:
     end: int
     """The file offset behind the last lost byte."""
     what: str
-    """What is damaged, in words for the user."""
+    """A text for the user that says what is damaged."""
     begin_ns: int | None
     """The log time (ns) at which the lost part begins: the earliest one of the lost chunks, as the
     summary says, else that of the last message before the loss. None if unknown."""

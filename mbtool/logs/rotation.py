@@ -47,8 +47,8 @@ class Rotation:
     size: int | None = None
     """The size on disk, in bytes, at which a file ends; None for a limit in time."""
     time_ns: int | None = None
-    """How long a file lasts, in ns, counted from the first call of `tick` for it; None for a limit
-    in size."""
+    """The time, in ns, that a file lasts, counted from the first call of `tick` for it; None for a
+    limit in size."""
 
     @classmethod
     def parse(cls, text: str) -> Self:

@@ -36,7 +36,7 @@ _CRC_SIZE = 4
 
 
 class ChunkPlace(NamedTuple):
-    """Where a chunk begins in the file, and the log times (ns) of its messages."""
+    """The offset in the file at which a chunk begins, and the log times (ns) of its messages."""
 
     offset: int
     begin_ns: int

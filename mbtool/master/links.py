@@ -419,9 +419,9 @@ class SerialMaster(MasterLink):
     def _read(self, wait_ns: int) -> tuple[bytes, int]:
         """Return the bytes that have come; if there are none, wait `wait_ns` at most.
 
-        Also returns when the last of them came, or now if there are none. The timeout of the
-        pyserial port stays unchanged. To change it, pyserial would configure the whole port again,
-        which takes time, and fails on a pseudo-terminal if the line has parity.
+        Also returns the time at which the last of them came, or the present time if there are none.
+        The timeout of the pyserial port stays unchanged. To change it, pyserial would configure the
+        whole port again, which takes time, and fails on a pseudo-terminal if the line has parity.
         """
         begin_ns = time.monotonic_ns()
         is_there = self._has_bytes(0.0)

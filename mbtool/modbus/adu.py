@@ -116,7 +116,7 @@ class Adu(msgspec.Struct, frozen=True, kw_only=True, gc=False):
     direction: Direction
     direction_by: DirectionBy
     confidence: float
-    """How certain the direction is, from 0 to 1."""
+    """The probability, 0 to 1, that the direction is right."""
     unit: int
     pdu: bytes
     """The PDU; its first bytes if `missing` is not 0."""
@@ -152,7 +152,7 @@ class Skipped:
     """The time of the first byte, in UTC ns."""
     kind: EventKind
     reason: str
-    """Why the bytes could not be read, as a text for the user."""
+    """The reason, as a text for the user, why the bytes could not be read."""
     raw: bytes
     checksum: Checksum | None = None
     """The wrong CRC or LRC, if the bytes are a frame with one."""

@@ -37,7 +37,7 @@ class Distortion:
     silent: bool = False
     """True if the response is not sent at all."""
     ending: ConnectionEnding | None = None
-    """How the connection ends after the response; None if it stays open."""
+    """The way in which the connection ends after the response; None if it stays open."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ Nanoseconds = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]
 
 
 class Outcome(StrEnum):
-    """How a transaction ended."""
+    """The result of a transaction, such as a normal response or none."""
 
     OK = "ok"
     EXCEPTION = "exception"
@@ -69,9 +69,9 @@ class Transaction(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True,
     exception_name: str | None = None
     outcome: Outcome
     request_ns: Nanoseconds | None = None
-    """When the last byte of the request was on the wire, in UTC ns."""
+    """The time at which the last byte of the request was on the wire, in UTC ns."""
     response_ns: Nanoseconds | None = None
-    """When the last byte of the response was on the wire, in UTC ns."""
+    """The time at which the last byte of the response was on the wire, in UTC ns."""
     latency_ns: Nanoseconds | None = None
     """The time from the end of the request to the start of the response, in ns."""
     retries: Count

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LineTime:
-    """How a part of a serial line's time (ns) was spent: on characters, on waiting for responses
-    that came, and on waiting in vain for missing ones.
+    """The division of a part of a serial line's time (ns): characters, waits for responses that
+    came, and waits for responses that never came.
     """
 
     characters_ns: int
@@ -39,7 +39,7 @@ class LineTime:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BusLoad:
-    """How the time during which a serial line was watched divides into characters, latencies,
+    """The division of the time during which a serial line was watched: characters, latencies,
     missing responses and pauses.
     """
 
@@ -65,7 +65,7 @@ class BusLoad:
 def line_time(tally: RequestTally, link: LinkStatistics, timeout_ns: int) -> LineTime:
     """Return how much time of a serial line the transactions counted in `tally` took.
 
-    `timeout_ns` is how long the master waits for a missing response, in ns.
+    `timeout_ns` is the time, in ns, that the master waits for a missing response.
     """
     return LineTime(
         characters_ns=link.wire_ns(tally.wire_bytes),
@@ -75,10 +75,10 @@ def line_time(tally: RequestTally, link: LinkStatistics, timeout_ns: int) -> Lin
 
 
 def bus_load(tally: RequestTally, link: LinkStatistics, timeout_ns: int) -> BusLoad | None:
-    """Return how the time of a serial line was spent; `tally` counts all its transactions.
+    """Return the division of a serial line's time; `tally` counts all its transactions.
 
     None if the baud rate or the times of the bytes are unknown, or if the line's settings changed.
-    `timeout_ns` is how long the master waits for a missing response, in ns.
+    `timeout_ns` is the time, in ns, that the master waits for a missing response.
     """
     if link.format is None or link.is_mixed or not link.watched_ns:
         return None

@@ -95,7 +95,8 @@ class Inventory:
                 self._poll(kind.like)
 
     def _poll(self, transaction: NamedTransaction) -> _Poll | None:
-        """Return where a transaction is counted: its slave, its master and its functions.
+        """Return the entries in which a transaction is counted: its slave, its master and its
+        functions.
 
         None if its slave has no row, because there are MAX_SLAVES others.
         """
@@ -160,8 +161,8 @@ class Inventory:
         )
 
     def _begin(self, transaction: NamedTransaction, master: str | None) -> _Poll | None:
-        """Return where a transaction is counted (its slave, master and functions), creating what is
-        new.
+        """Return the entries in which a transaction is counted (its slave, master and functions);
+        make those that are new.
 
         None if its slave has no row, because there are MAX_SLAVES others. `master` is the master's
         host, None on a serial line.

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 MAX_RANGES = 1024
 SHOWN = 8
-"""How many ranges or names a text lists at most, unless the caller says otherwise."""
+"""The most ranges or names that a text lists, unless the caller gives another number."""
 _LAST_ADDRESS = 0xFFFF
 
 AddressRange = tuple[int, int]

@@ -33,7 +33,9 @@ class Role(StrEnum):
 
 
 class FunctionUse(msgspec.Struct, kw_only=True):
-    """What the requests of one master to one unit with one function code accessed."""
+    """The use of one function code by one master at one unit: the requests and the addresses in
+    them.
+    """
 
     function: int
     name: str
@@ -74,8 +76,8 @@ class ProfileFit(msgspec.Struct, kw_only=True):
     profile: str | None = None
     """The name of the profile that fits; None if none fits."""
     score: int = 0
-    """How well the profile explains the slave's responses, from 0 to 100. If no profile fits, this
-    is the score of the one that fits best."""
+    """A measure, from 0 to 100, of how well the profile explains the slave's responses. If no
+    profile fits, this is the score of the one that fits best."""
     nearest: str | None = None
     """If no profile fits: the name of the profile that fits best, None if several fit equally
     well."""
@@ -85,7 +87,9 @@ class ProfileFit(msgspec.Struct, kw_only=True):
 
 
 class SlaveRow(msgspec.Struct, kw_only=True):
-    """What the captures show about one unit of one host, or of one serial line."""
+    """A row of the inventory: all that the captures show about one unit of one host, or of one
+    serial line.
+    """
 
     host: str
     port: int | None = None
@@ -100,8 +104,8 @@ class SlaveRow(msgspec.Struct, kw_only=True):
     makers: list[str] = []
     identity: list[IdentityText] = []
     fit: ProfileFit | None = None
-    """How profiles fit the unit. None if it was not compared with them, because it never answered
-    or a memory limit was reached."""
+    """The profile that fits the unit, or the reason why none fits. None if the unit was not
+    compared with profiles, because it never answered or a memory limit was reached."""
     uses: list[FunctionUse] = []
     transactions: int = 0
     answered: int = 0
@@ -133,7 +137,7 @@ class SlaveRow(msgspec.Struct, kw_only=True):
 
 
 class MasterRow(msgspec.Struct, kw_only=True):
-    """What the captures show about a host that sends requests."""
+    """A row of the inventory: all that the captures show about a host that sends requests."""
 
     host: str
     macs: list[str] = []
@@ -157,8 +161,8 @@ class InventoryDocument(msgspec.Struct, kw_only=True):
     slaves: list[SlaveRow] = []
     masters: list[MasterRow] = []
     left_out: dict[str, int] = {}
-    """How much the inventory lacks because a memory limit was reached. The keys are texts such as
-    "requests were not compared with profiles"; the values are numbers."""
+    """The numbers of things that the inventory lacks because a memory limit was reached. The keys
+    are texts such as "requests were not compared with profiles"."""
 
 
 def shown_host(host: str, port: int | None) -> str:

@@ -25,7 +25,9 @@ UNANSWERED = frozenset((Outcome.NO_ANSWER, Outcome.NOT_CAPTURED, Outcome.BROADCA
 
 @dataclass(slots=True)
 class Seen:
-    """When a unit or a master was seen first and last (UTC ns), and with which MAC addresses."""
+    """The times (UTC ns) at which a unit or a master was first and last seen, and its MAC
+    addresses.
+    """
 
     first_ns: int
     last_ns: int = 0
@@ -42,7 +44,7 @@ class Seen:
 
 @dataclass(slots=True)
 class SeenUse:
-    """What one master requested from one slave with one function code."""
+    """The requests of one master to one slave with one function code."""
 
     function: int
     name: str
@@ -93,7 +95,7 @@ class SeenSlave:
 
 @dataclass(slots=True)
 class SeenMaster:
-    """What was seen of a host that sends requests."""
+    """A host that sends requests: its times, its number of requests and the slaves it asked."""
 
     seen: Seen
     requests: int = 0

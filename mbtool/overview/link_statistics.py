@@ -61,7 +61,8 @@ class Hours:
 
 
 class LinkStatistics:
-    """When one link was watched, its requests by hour, and the settings of a serial line.
+    """The times at which one link was watched, its requests by hour, and the settings of a serial
+    line.
 
     A link is a serial bus, or a slave's address on a network.
     """

@@ -161,8 +161,10 @@ class PollList(Generic[P]):
 
     @property
     def missing_cost_ns(self) -> int | None:
-        """How much longer (ns) a cycle is in which an answer is missing: the difference of
-        `missing_ns` and `whole_ns`, at least 0. None if one of them is unknown.
+        """The time (ns) by which a cycle is longer if an answer is missing: the difference of
+        `missing_ns` and `whole_ns`, at least 0.
+
+        None if one of the two is unknown.
         """
         if self.whole_ns is None or self.missing_ns is None:
             return None

@@ -97,8 +97,10 @@ class PollStatistics:
 
     @property
     def jitter_ns(self) -> int | None:
-        """How much the periods vary: half the difference between their 95th and their 5th
-        percentile, in ns. None if there are no periods.
+        """The variation of the periods: half the difference between their 95th and their 5th
+        percentile, in ns.
+
+        None if there are no periods.
         """
         if not self.period.count:
             return None

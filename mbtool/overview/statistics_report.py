@@ -34,7 +34,7 @@ class PollReport:
 
     poll: PollStatistics
     line_time: LineTime | None
-    """How much of the line's time the poll took. None on a network, or if the baud rate or the
+    """The part of the line's time that the poll took. None on a network, or if the baud rate or the
     times of the bytes are unknown."""
 
 

@@ -30,8 +30,8 @@
 # If the capture starts in the middle of a stream, and the byte behind a first single byte does not
 # come in time, that single byte is a probe too.
 #
-# Times. The time of a byte is when that byte and all bytes before it had been captured. So bytes
-# that waited for earlier bytes get the time of those earlier bytes.
+# Times. A byte has the time at which it and all bytes before it had been captured. So bytes that
+# waited for earlier bytes get the time of those earlier bytes.
 #
 # A SYN that carries bytes counts as one sequence number before them (RFC 793, 3.3). If the next
 # segment or the first acknowledgement shows that the sender does not count it, it is not counted.
@@ -126,7 +126,7 @@ class TcpConnection:
 
     @property
     def rest(self) -> RestPlace | None:
-        """Where both directions continue; None if the connection has ended or holds back bytes."""
+        """The next byte of both directions; None if the connection has ended or bytes wait."""
         ways = self._directions[0]
         if self.closed or not all(way.is_at_rest for way in ways):
             return None
@@ -370,7 +370,7 @@ class TcpConnection:
 
         With `force` all missing bytes are treated as lost.
         """
-        # Each pass delivers bytes or gives up a hole, or else is the last one: the loop ends.
+        # Each round but the last one delivers bytes or gives up a hole.
         moved = True
         while moved:
             moved = False

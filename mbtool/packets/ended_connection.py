@@ -56,7 +56,7 @@ class EndedConnection:
         sizes: tuple[int, int],
         master_is_lower: bool,
     ) -> None:
-        """Keep what later segments are compared with.
+        """Keep the facts that later segments are compared with.
 
         `last_ns` is the time of the connection's last segment, in UTC ns. `begins` has the sequence
         numbers of the first request byte and of the first response byte, `sizes` the numbers of

@@ -77,7 +77,7 @@ class Fragment(NamedTuple):
 
 
 class Overlap(Enum):
-    """How later fragments of a packet overlap earlier ones."""
+    """The relation of a fragment to earlier fragments of the packet that it overlaps."""
 
     NONE = 0
     SAME = 1
@@ -89,7 +89,7 @@ class Overlap(Enum):
 
 
 class DatagramEnd(Enum):
-    """Why the reassembly of a packet ended."""
+    """The reason why the reassembly of a packet ended."""
 
     WHOLE = 0
     INCOMPLETE = 1
@@ -111,7 +111,8 @@ class Datagram:
     """Start, end (offsets in the payload) and bytes of each piece of the payload that has come, in
     order, without overlaps."""
     held: int = 0
-    """How many bytes of the packet's payload have come, with those that the snaplen cut off."""
+    """The number of bytes of the packet's payload that have come, including bytes that the snaplen
+    cut off."""
     total: int | None = None
     """The length of the packet's payload in bytes; None until its last fragment has come."""
     overlap: Overlap = Overlap.NONE
@@ -268,8 +269,8 @@ class Fragments:
 def find_fragment(data: bytes, at: int, original_length: int) -> Fragment | None:
     """Read the IP packet that begins at offset `at` of `data` as a fragment.
 
-    `original_length` is how many bytes `data` had on the wire. Returns None if the IP packet is no
-    fragment, or cannot hold TCP.
+    `original_length` is the number of bytes that `data` had on the wire. Returns None if the IP
+    packet is no fragment, or cannot hold TCP.
     """
     if len(data) < at + 20:
         return None

@@ -83,8 +83,8 @@ class WireReads(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     is_open: bool = False
     """True if the last read continues with the first bytes of the next packet."""
     skip: int = 0
-    """How many bytes at the start of the payload (such as an MBAP header) `convert` has added; the
-    bytes that were on the link begin behind them."""
+    """The number of bytes at the start of the payload (such as an MBAP header) that `convert` has
+    added; the bytes that were on the link begin behind them."""
     raw: bytes | None = None
     """The bytes as they were on the link, if the payload shows them in another form, as it does for
     an ASCII frame; None if the payload has them unchanged."""

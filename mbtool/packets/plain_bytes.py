@@ -16,14 +16,14 @@ class PlainBytes(NamedTuple):
     """The last RECENT_BYTES (stream.py) of these bytes, or all if there are fewer. Retransmissions
     are compared with them."""
     last_segment: int
-    """How many segments of both directions the stretch has up to, and including, the one with this
-    direction's last byte."""
+    """The number of the segment with this direction's last byte. The segments of both directions of
+    the plain stretch are counted together, from 1."""
     last_ns: int
     """The time of the segment that brought the last byte, in UTC ns."""
 
 
 class RestPlace(NamedTuple):
-    """Where both directions of a connection continue, if no byte waits for an earlier one.
+    """The next byte of both directions of a connection in which no byte waits for an earlier one.
 
     A position is a byte offset from the beginning of the direction; unlike a sequence number it
     does not wrap.

@@ -241,8 +241,8 @@ class TcpReassembler:
     def _feed_ip(self, data: bytes, at: int, length: int, ts_ns: int, link: str) -> bool:
         """Take the IP packet at offset `at` of `data`; return False if it is a fragment or no TCP.
 
-        `length` is how many bytes the captured packet had on the wire, `ts_ns` its time in UTC ns,
-        and `link` the interface that captured it.
+        `length` is the number of bytes that the captured packet had on the wire, `ts_ns` its time
+        in UTC ns, and `link` the interface that captured it.
         """
         place = find_tcp(data, at, length)
         if place is None:

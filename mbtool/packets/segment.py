@@ -68,8 +68,8 @@ class TcpSegment(msgspec.Struct, frozen=True, gc=False):
 def find_tcp(data: bytes, at: int, original_length: int) -> TcpPlace | None:
     """Find TCP in the IP packet that begins at `at`; None if it holds no TCP, or is a fragment.
 
-    `original_length` is how many bytes `data`, the captured packet, had on the wire. fragments.py
-    reassembles packets that came in fragments.
+    `original_length` is the number of bytes that `data`, the captured packet, had on the wire.
+    fragments.py reassembles packets that came in fragments.
     """
     if len(data) < at + 20:
         return None
@@ -116,8 +116,8 @@ def walk_ipv6(data: bytes, at: int, original_length: int) -> tuple[int, int, int
 def read_segment(data: bytes, at: int, place: TcpPlace, original_length: int) -> TcpSegment | None:
     """Read the TCP segment of the IP packet that begins at `at`; None if it is malformed.
 
-    `original_length` is how many bytes `data`, the captured packet, had on the wire. The caller has
-    checked that at least 14 bytes of the TCP header are there.
+    `original_length` is the number of bytes that `data`, the captured packet, had on the wire. The
+    caller has checked that at least 14 bytes of the TCP header are there.
     """
     source_port, destination_port, sequence, acknowledgement, offset, flags = (
         _TCP_HEADER.unpack_from(data, place.start)

@@ -51,7 +51,7 @@ class HeldBytes(NamedTuple):
     start: int
     end: int
     data: bytes
-    """Empty if the capture did not keep the bytes."""
+    """The bytes; empty if the capture did not keep them (snaplen)."""
     acknowledged: int
     """The byte offset up to which the other direction must be delivered before these bytes, since
     their segment acknowledges it; 0 if these bytes need not wait for that."""
@@ -70,7 +70,8 @@ class HeldBytes(NamedTuple):
 
 
 class Stream:
-    """One direction of a TCP connection: how far it was delivered, and bytes that wait.
+    """One direction of a TCP connection: the position up to which it was delivered, and the bytes
+    that wait for earlier ones.
 
     A position is a byte offset from the stream's beginning; unlike a sequence number it does not
     wrap. If the capture starts in the middle of the stream, the first byte seen has position LEAD.
@@ -111,8 +112,9 @@ class Stream:
         self.finish: int | None = None
         """The byte offset of the stream's end, as the sender's FIN shows; None before the FIN."""
         self.syn_end: int | None = None
-        """Set if the SYN carried bytes and it is unknown if the sender counts the SYN itself as one
-        sequence number: the position behind these bytes if it does. Otherwise None."""
+        """None, except after a SYN segment that carried bytes, until it is known if the sender
+        counts the SYN itself as one sequence number. Meanwhile this is the stream position behind
+        these bytes, calculated as if the SYN counts."""
         self.acknowledged = 0
         """The highest byte offset that the receiver acknowledged before all bytes up to it came."""
         self.held: list[HeldBytes] = []
@@ -255,7 +257,8 @@ class Stream:
                 self.finish = finish
 
     def rebase(self, sequence: int) -> None:
-        """After a jump of the sequence numbers, give the next byte to deliver this sequence number.
+        """Give the next byte to deliver this sequence number, because the sequence numbers have
+        jumped.
 
         Gaps, FIN, acknowledgements and the bytes kept for comparison are forgotten.
         """
@@ -281,7 +284,8 @@ class Stream:
             self._acknowledgements = [*known, (position, arrival, ts_ns)]
 
     def acknowledged_ns(self, position: int) -> int | None:
-        """Return when the receiver first acknowledged the first `position` bytes, in UTC ns.
+        """Return the time, in UTC ns, at which the receiver first acknowledged the first `position`
+        bytes.
 
         The byte before `position` is not delivered yet. Returns None if it was not acknowledged.
         """

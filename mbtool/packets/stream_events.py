@@ -11,7 +11,7 @@ from mbtool.core import Chunk, Connection, Direction, EventKind, WireEvent
 
 
 class CloseReason(StrEnum):
-    """Why a connection ended."""
+    """The reason why a connection ended."""
 
     FINISHED = "finished"
     """Both ends closed the connection with a FIN."""
@@ -57,8 +57,8 @@ class StreamGap:
     kind: EventKind = EventKind.GAP
     """GAP, or CUT if the capture kept only part of a packet."""
     acknowledged_ns: int | None = None
-    """When the receiver first acknowledged all missing bytes, in UTC ns; None if it had not done so
-    when the gap was reported."""
+    """The time, in UTC ns, at which the receiver first acknowledged all missing bytes; None if it
+    had not done so when the gap was reported."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -50,8 +50,8 @@ def find_inner(data: bytes, at: int, original_length: int) -> int:
     """Return the offset of the IP packet inside the outer IP packet, which begins at `at`.
 
     Returns NOT_IP if there is no inner packet, GRE_IN_FRAGMENTS if the outer packet is a fragment
-    that carries GRE. `original_length` is how many bytes `data`, the captured packet, had on the
-    wire; so `at` and the result may lie behind the end of `data`.
+    that carries GRE. `original_length` is the number of bytes that `data`, the captured packet, had
+    on the wire; so `at` and the result may lie behind the end of `data`.
     """
     if len(data) < at + 20:
         return NOT_IP

@@ -35,7 +35,8 @@ class SerialArrivals:
         read."""
 
     def arrived_ns(self, size: int, begin_ns: int, wait_ns: int, now_ns: int) -> int:
-        """Return when the last of the `size` bytes arrived that one read of the port returned.
+        """Return the time at which the last of the `size` bytes arrived that one read of the port
+        returned.
 
         For a read without bytes (`size` 0), return the time up to which the line was silent. The
         read began at `begin_ns` and ended at `now_ns`. `wait_ns` is the longest time that the read
@@ -62,7 +63,8 @@ def note_arrivals(connected: socket.socket) -> None:
 
 
 def receive(connected: socket.socket, size: int) -> tuple[bytes, int]:
-    """Read at most `size` bytes; return them, and when they arrived by the monotonic clock, in ns.
+    """Read at most `size` bytes; return them, and the time (ns of the monotonic clock) at which
+    they arrived.
 
     Without a kernel's time stamp (see `note_arrivals`) the second value is the time of the read.
     Raises the errors of `socket.recv`.

@@ -106,10 +106,11 @@ class ClockWatch:
 
     def __init__(self) -> None:
         self.ahead_ns = 0
-        """How far the system's clock was ahead of `now_ns` (negative: behind), in ns, when it last
-        changed by SLEW_NS or more."""
+        """The time, in ns, by which the system's clock was ahead of `now_ns` (negative: behind)
+        when this time last changed by SLEW_NS or more."""
         self._before_ns = 0
-        """How far the system's clock was ahead of `now_ns` before its last step, in ns."""
+        """The time, in ns, by which the system's clock was ahead of `now_ns` before its last
+        step."""
         self.look()
         self._before_ns = self._told_ns = self.ahead_ns
 

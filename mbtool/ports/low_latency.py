@@ -32,10 +32,12 @@ class LowLatency:
     """Makes the driver of one port deliver bytes at once, and restores its old settings."""
 
     def __init__(self, fd: int, port: str, root: Path = Path("/")) -> None:
-        """Change both settings, as far as the driver and the permissions allow.
+        """Make the driver deliver bytes at once: set the flag ASYNC_LOW_LATENCY, and rx_trig_bytes
+        to 1.
 
-        `fd` is the descriptor of the open port, `port` its path, and `root` the folder that
-        contains /sys. Does nothing on other systems than Linux.
+        A setting that the driver or the permissions do not allow stays as it is. `fd` is the file
+        descriptor of the open port, `port` its path, and `root` the folder that contains /sys. Does
+        nothing on other systems than Linux.
         """
         self._fd = fd
         name = os.path.basename(os.path.realpath(port))

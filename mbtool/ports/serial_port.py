@@ -139,7 +139,9 @@ def _ports_here() -> str:
 
 
 def who_may(port: str) -> Trouble:
-    """Say who may open a port, and, if known, which command gives the user this permission."""
+    """Return the obstacle for a user who may not open a port: who may open it, and, if known, the
+    command that gives the user this permission.
+    """
     if sys.platform == "win32":
         return Trouble("another program may hold it")
     import grp

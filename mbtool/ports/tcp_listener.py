@@ -56,7 +56,8 @@ class TcpListener:
         self._allowed = allowed
         self._rate = ConnectionRate(allowed.limits.per_second)
         self._told_s = -TELL_EVERY_S
-        """When `serve` last called its `on_exhausted`, in seconds on the event loop's clock."""
+        """The time of the last call of `on_exhausted` by `serve`, in seconds on the event loop's
+        clock."""
 
     def open(self) -> None:
         """Bind a socket to the endpoint, and listen.

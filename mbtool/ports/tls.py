@@ -61,8 +61,8 @@ _REFUSALS = {
     "HANDSHAKE_FAILURE": "it demands a certificate, or has no cipher in common",
     "UNKNOWN_CA": "it does not know who vouches for the tap's certificate",
 }
-"""Why a peer refuses the tap, in words for the user, by the name of the TLS alert that the peer
-sends (RFC 8446, 6.2)."""
+"""The reasons why a peer refuses the tap, as texts for the user, by the name of the TLS alert that
+the peer sends (RFC 8446, 6.2)."""
 
 
 def server_context(tls: ListenTls) -> ssl.SSLContext:

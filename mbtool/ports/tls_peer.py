@@ -114,7 +114,8 @@ def role_of(der: bytes) -> str | None:
 
 
 def end_of(pem: bytes) -> datetime | None:
-    """Return when the first certificate in a PEM file expires; None if it cannot be read.
+    """Return the time at which the first certificate in a PEM file expires; None if it cannot be
+    read.
 
     Raises ImportError without the extra mbtool[tls].
     """

@@ -67,8 +67,8 @@ class BusPlayer:
         """The number of runs that were sent more than BEHIND_NS after their recorded time because
         the port was still sending earlier bytes."""
         self.lateness = Sample()
-        """How late (ns) each run was sent after its recorded time. Runs counted in `delayed` and
-        runs that the user sent with the step key are left out."""
+        """The delays (ns) between the recorded time of each run and the time at which it was sent.
+        Runs counted in `delayed` and runs that the user sent with the step key are left out."""
 
     @property
     def has_ended(self) -> bool:

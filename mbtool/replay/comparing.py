@@ -53,7 +53,7 @@ divided by old) are alike: the greater factor is at most ALIKE times the smaller
 
 @dataclass(frozen=True, slots=True)
 class Ignored:
-    """What the user wants to leave out of the comparison of two captures."""
+    """The parts of two captures that the user wants to leave out of their comparison."""
 
     spans: Sequence[Span] = ()
     """Registers and bits whose values are not compared."""

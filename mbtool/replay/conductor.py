@@ -63,8 +63,9 @@ class Conductor:
         """The earliest real time (ns) at which the link allows the next request; None until the
         first request is answered or given up, or a broadcast is sent."""
         self.lateness = Sample()
-        """How late (ns) requests were sent after their recorded time. Requests that had to wait for
-        anything but the clock, such as a response, are left out."""
+        """The delays (ns) between the recorded time of each request and the time at which it was
+        sent. Requests that had to wait for anything but the clock, such as a response, are left
+        out."""
         self.unsolicited = 0
         """The number of responses that came when no request was pending for them."""
 

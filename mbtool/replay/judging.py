@@ -62,8 +62,8 @@ _EXCEPTION_BIT = 0x80
 
 @dataclass(frozen=True, slots=True)
 class Tolerance:
-    """How much longer than a recorded latency a new one may be. The greater of `share` and
-    `least_ns` counts.
+    """The tolerance by which a new latency may be longer than the recorded one: the greater of a
+    share of the latency (`share`) and a time (`least_ns`).
     """
 
     share: float = 0.0
@@ -335,7 +335,9 @@ class Judge:
             )
 
     def _reads(self) -> Counter[tuple[int, ValueKey]]:
-        """How often each register that differed was read in all, by unit and register."""
+        """The number of reads of each register whose value differed, by unit and register,
+        including reads whose value was as recorded.
+        """
         differed = {(unit, key) for unit, _, key in self._registers}
         reads: Counter[tuple[int, ValueKey]] = Counter()
         for result in self._results.values():

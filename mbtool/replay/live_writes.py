@@ -35,7 +35,8 @@ class Place(NamedTuple):
     """
 
     lap: int
-    """How many times the recording had begun again: 0 while it is played for the first time."""
+    """The number of times that the recording had begun again: 0 while it is played for the first
+    time."""
     at_ns: int
     """The recorded time in UTC ns."""
 

@@ -36,11 +36,11 @@ _EXCEPTION_BIT = 0x80
 
 
 class MatchStrategy(StrEnum):
-    """How the player finds the answer to a request of the live master."""
+    """The strategy by which the player finds the answer to a request of the live master."""
 
     AUTO = "auto"
-    """As KEY. For a request that the recording lacks, the response comes from the register image
-    (the recorded values at the player's time), else from the simulated device."""
+    """Answers as KEY does. For a request that the recording lacks, the response comes from the
+    register image (the recorded values at the player's time), else from the simulated device."""
     SEQUENCE = "sequence"
     """Only the request that comes next in the recording is answered; any other gets no recorded
     answer."""
@@ -48,8 +48,8 @@ class MatchStrategy(StrEnum):
     """Each time the same request (unit, function, addresses and values) comes, it gets its next
     recorded answer."""
     TIME = "time"
-    """Of all recorded answers to the same request, the one recorded nearest to the clock's time is
-    given."""
+    """Among all recorded answers to the same request, the one recorded nearest to the clock's time
+    is given."""
     IMAGE = "image"
     """A request gets the values that the registers had in the recording at the clock's time."""
 
@@ -62,7 +62,7 @@ class MatchStrategy(StrEnum):
 
 
 class OnEnd(StrEnum):
-    """What a request gets after all its recorded answers were played."""
+    """The answer to a request after all recorded answers to it were played."""
 
     LAST = "last"
     """A request gets its last recorded answer again."""
@@ -74,7 +74,7 @@ class OnEnd(StrEnum):
 
 
 class NoAnswer(Enum):
-    """What a matcher returns if it has no recorded answer to a request.
+    """The value that a matcher returns if it has no recorded answer to a request.
 
     MISS: the recording has no such request. IMAGE: the player is to answer from the register image
     (the recorded values). SILENCE: the player is to send no response.
@@ -105,8 +105,8 @@ class Found(NamedTuple):
 
     answer: RecordedAnswer
     lap: int = 0
-    """How many times all recorded answers (with KeyMatcher, all answers to this request) were
-    played before this one; always 0 if the matcher uses the clock."""
+    """The number of times that all recorded answers (with KeyMatcher, all answers to this request)
+    were played before this one; always 0 if the matcher uses the clock."""
 
 
 class Matcher(Protocol):

@@ -33,8 +33,8 @@ class PlayQueue(Generic[_Item]):
         self._next = 0
         self._lap = 0
         self._steps = 0
-        """How many items may still be played although the clock is paused: one for each press of
-        the step key."""
+        """The number of items that may still be played although the clock is paused: one for each
+        press of the step key."""
 
     @property
     def taken(self) -> int:

@@ -72,7 +72,7 @@ class OnMiss(StrEnum):
 
 
 class AnsweredFrom(StrEnum):
-    """What the player took its answer to a request of the live master from."""
+    """The source of the player's answer to a request of the live master."""
 
     RECORDED = "recorded"
     """A recorded response; or no response, because the recording has none either."""
@@ -138,8 +138,8 @@ class RecordedSlave:
         )
         self._steering = Steering(self._clock, self._step)
         self._steps = 0
-        """How many answers may still be played although the player is paused: one for each press of
-        the step key."""
+        """The number of answers that may still be played although the player is paused: one for
+        each press of the step key."""
         self._time_ns = recording.begin_ns
         """The time in the recording (UTC ns) from which the values in responses are taken."""
         self._lap = 0

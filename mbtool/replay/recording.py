@@ -43,7 +43,7 @@ Key = tuple[int, bytes]
 
 @dataclass(frozen=True, slots=True)
 class RecordedAnswer:
-    """The recorded response to a request; it may be that there was none."""
+    """The recorded answer to a request: a response, or none."""
 
     pdu: bytes | None
     """The PDU of the response; None if there was no intact response."""

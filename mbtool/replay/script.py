@@ -32,8 +32,8 @@ class Step:
     number: int
     """The index of this step in the script, from 0."""
     position_ns: int
-    """When the last byte of the request was sent, in ns since that of the first request of the
-    recording."""
+    """The time at which the last byte of the request was sent, in ns since the last byte of the
+    recording's first request."""
     unit: int
     pdu: bytes
     expected: bytes | None

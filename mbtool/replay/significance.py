@@ -88,8 +88,8 @@ def same_share(k: int, n: int, other_k: int, other_n: int) -> float:
 
 
 def _log_chance(k: int, n: int, hits: int, whole: int) -> float:
-    """The natural logarithm of a probability: if `hits` of `whole` items are chosen at random, that
-    exactly k of the first n items are chosen.
+    """The natural logarithm of the probability that exactly k of the first n items are chosen, if
+    `hits` of `whole` items are chosen at random.
     """
     return _log_choices(n, k) + _log_choices(whole - n, hits - k) - _log_choices(whole, hits)
 

@@ -37,7 +37,7 @@ class Progress:
     begins at 0."""
     length_ns: int
     lap: int
-    """How many times the recording was played to its end before; 0 in the first round."""
+    """The number of times that the recording was played to its end before; 0 in the first round."""
     rate: Fraction | None
     """Recorded time divided by real time; None for as fast as possible."""
     is_paused: bool

@@ -95,7 +95,7 @@ class Sample:
     def __init__(self) -> None:
         self.values = array("q")
         self._stride = 1
-        """Of this many new times, one is kept: 1, 2, 4, ..."""
+        """The number of new times of which one is kept: 1, 2, 4, ..."""
         self._skip = 1
         """The number of the coming call of `add` whose time is kept: 1 means the next call."""
 

@@ -38,7 +38,8 @@ class AdapterEcho:
         """True once the adapter is known to echo; False again after ENOUGH_SINGLE requests in a row
         without a copy."""
         self.reason = ECHOES
-        """The reason given for the next skipped copy: ECHOES the first time, then ECHO."""
+        """The text that gives the reason for the next skipped copy: ECHOES for the first copy, then
+        the shorter ECHO."""
         self.last = b""
         """The last frame if it was a request and has not been copied; otherwise empty."""
         self.copied = b""
@@ -78,10 +79,12 @@ class AdapterEcho:
         return True
 
     def copied_size(self, data: bytes) -> int:
-        """Return how many bytes at the start of `data` are a retry of the copied request.
+        """Return how many bytes at the start of `data` are a retry of the last request and its
+        copy.
 
-        The adapter copies the retry as well, so it comes twice; `data` may hold only the beginning
-        of the two. The result is 0 if `data` begins with anything else.
+        The adapter copies each request that the master sends, so a retry comes twice, too. `data`
+        may hold only the beginning of these two frames. The result is 0 if `data` begins with
+        anything else, or if the last frame was no copy.
         """
         both = self.copied + self.copied
         return min(len(data), len(both)) if both.startswith(data[: len(both)]) else 0

@@ -73,10 +73,10 @@ class AsciiSplitter:
         self._first_ns = 0
         self._last_ns = 0
         self._read_ns = 0
-        """When the first character of the current read ended, in ns."""
+        """The time at which the first character of the current read ended, in ns."""
         self._least_ns = 0
         self._given_ns: int | None = None
-        """When the last frame that was returned ended, in ns; None at the start."""
+        """The time at which the last frame that was returned ended, in ns; None at the start."""
         self._noise = SkipRun(lambda _: (EventKind.SKIPPED, "characters outside a frame", None))
 
     @property
@@ -87,7 +87,7 @@ class AsciiSplitter:
     def feed(self, data: bytes, ts_ns: int) -> list[Adu | Skipped]:
         """Take the characters of one read; return the frames and skipped characters they complete.
 
-        `ts_ns` is when the last of the characters ended.
+        `ts_ns` is the time at which the last of the characters ended.
         """
         events: list[Adu | Skipped] = []
         if not data:
@@ -128,7 +128,7 @@ class AsciiSplitter:
         return events
 
     def _time(self, offset: int) -> int:
-        """Return when the character at an offset of the current read ended, in ns.
+        """Return the time (ns) at which the character at an offset of the current read ended.
 
         The result is never before the end of the last character of the previous read.
         """

@@ -74,8 +74,8 @@ class BusModel:
     def __init__(self, *, timed: bool = True, response_timeout_ns: int | None = None) -> None:
         """`timed` is False if the bytes have no known times, as in a raw file.
 
-        `response_timeout_ns` is how long the master waits before it repeats a request; None if it
-        has to be learned.
+        `response_timeout_ns` is the time (ns) that the master waits before it repeats a request;
+        None if it has to be learned.
         """
         self.history = LineHistory(timed=timed)
         self.history.timeout = ResponseTimeout(response_timeout_ns)
@@ -116,7 +116,7 @@ class BusModel:
     def cost(self, state: BusState, unit: int, pdu: bytes, role: Direction, at_ns: int) -> float:
         """Return the cost, in bits, of taking a frame for `role` in a bus state.
 
-        `at_ns` is when the first byte of the frame began.
+        `at_ns` is the time at which the first byte of the frame began.
         """
         by_state, by_time = frame_cost(self.history, state, unit, pdu, role, at_ns)
         return by_state + by_time
@@ -125,7 +125,7 @@ class BusModel:
         """Return the least cost of taking a frame for `role` in one of the possible bus states.
 
         The cost in bits has two parts: the first follows from the bus state, the second from the
-        silence before the frame. `at_ns` is when the first byte of the frame began.
+        silence before the frame. `at_ns` is the time at which the first byte of the frame began.
         """
         least = math.inf, 0.0
         for bits, state in self.states:
@@ -311,7 +311,7 @@ class BusModel:
         That is so until a frame shows by its form that it is a request or a response: of two
         alternating silences, either may be the slave's response time. But the first two frames of a
         capture are taken for a request and its response if the second comes within MIN_WRITE_NS.
-        `start_ns` is when the next frame began.
+        `start_ns` is the time at which the next frame began.
         """
         state = self.state
         if not self.history.timed or state.direction_known:

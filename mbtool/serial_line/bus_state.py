@@ -35,8 +35,8 @@ class PendingRequest(msgspec.Struct, frozen=True, gc=False):
     pdu: bytes
     expected: ExpectedResponse
     awaited_from_ns: int
-    """When the wait for the response began, in ns: at the end of this request or, if the master has
-    given it up, at the end of the request sent after it."""
+    """The time, in ns, at which the wait for the response began: the end of this request or, if the
+    master has given it up, the end of the request sent after it."""
     silence_before_ns: int | None
     """The silence before this request, in ns; None for the first frame of a capture."""
 
@@ -57,7 +57,7 @@ class PendingRequest(msgspec.Struct, frozen=True, gc=False):
 
 
 class BusState(msgspec.Struct, frozen=True, gc=False):
-    """Which request is pending and what came last: it tells who may speak next."""
+    """The pending request and the last frame of a serial line, which tell who may speak next."""
 
     pending: PendingRequest | None = None
     overdue: PendingRequest | None = None
@@ -80,7 +80,7 @@ class BusState(msgspec.Struct, frozen=True, gc=False):
     direction_known: bool = False
     """True if some earlier frame, by its form, could only be a request or only a response."""
     last_ns: int | None = None
-    """When the last frame ended, in ns; None at the start of a capture."""
+    """The time at which the last frame ended, in ns; None at the start of a capture."""
     unexplained_silence_ns: int = 0
     """The length, in ns, of the last silence that was not the wait for a missing response. Used
     only when the adapter merges frames: then it is unknown between which frames the silence was."""
@@ -142,7 +142,9 @@ def most_likely(states: Iterable[CostedState]) -> list[CostedState]:
 
 
 def confidence_of(bits: float) -> float:
-    """Return the probability (0.5 to 1) of the better of two explanations that differ by `bits`."""
+    """Return the probability (0.5 to 1) of the cheaper of two explanations whose costs differ by
+    `bits`.
+    """
     return 1 / (1 + math.exp2(-bits))
 
 
@@ -152,7 +154,8 @@ follow from the other direction is not kept."""
 
 
 def bits_of(confidence: float) -> float:
-    """Return by how many bits two explanations differ if the better one has this confidence.
+    """Return the number of bits by which the costs of two explanations differ if the cheaper one
+    has this confidence (0.5 to 1).
 
     It is the inverse of `confidence_of`; infinite for a confidence of 1.
     """

@@ -53,7 +53,7 @@ class ByteWindow:
 
     data: bytes
     times: list[int]
-    """When each byte ended, in ns."""
+    """For each byte, the time at which it ended, in ns."""
     character_ns: int
     silences: list[bool]
     """For each byte, True if a silence of t3.5 precedes it. One more value at the end is True if a
@@ -66,7 +66,7 @@ class ByteWindow:
     """True if the bytes before an incomplete frame must be decided before its end has come."""
 
     def start_ns(self, offset: int) -> int:
-        """When the byte at an offset began, in ns."""
+        """The time at which the byte at an offset of the window began, in ns."""
         return self.times[offset] - self.character_ns
 
 
@@ -394,7 +394,9 @@ class Candidates:
     def _expectation(
         self, head: bytes, size: int, role: Direction, state: BusState
     ) -> tuple[bool, float]:
-        """Return if `state` expects the frame, and the cost in bits of its contents (or less)."""
+        """Return if `state` expects the frame, and a cost in bits: below 0 for expected
+        contents.
+        """
         pdu_size = size - RTU_EXTRA_BYTES if size else 0
         unit, pdu = head[0], head[1 : 1 + pdu_size]
         if role is Direction.REQUEST:

@@ -40,7 +40,7 @@ _RESPONSE_CONFIDENCE = 0.95
 taken for a response only with at least this confidence (0.5 to 1). It is less than for a request,
 since the response's request came just before."""
 _ONLY = {role: [role] for role in ROLES}
-"""By direction, the list of this direction alone."""
+"""For each direction, a list that contains only this direction."""
 _FAR_LESS_LIKELY = 10.0
 """If two frames of different length begin at the same byte, the shorter one is ignored if it costs
 this many bits more than the longer one."""
@@ -83,8 +83,8 @@ class FastPath:
     ) -> tuple[int, Classification] | None:
         """Return the size and the direction of the frame that begins `data`; None if not certain.
 
-        `start_ns` is when the first byte of `data` began. `burst_over` is True if a silence follows
-        `data`.
+        `start_ns` is the time at which the first byte of `data` began. `burst_over` is True if a
+        silence follows `data`.
         """
         sizes = self._sizes or self._measure(data)
         if not sizes or (len(data) < self.needed and not burst_over):

@@ -173,7 +173,7 @@ def _is_unrequested_exception(history: LineHistory, unit: int, pdu: bytes) -> bo
 def _answers_late(overdue: PendingRequest, unit: int, pdu: bytes, at_ns: int) -> bool:
     """True if a frame can be a late response to `overdue`, a request that the master has given up.
 
-    `at_ns` is when the first byte of the frame began.
+    `at_ns` is the time at which the first byte of the frame began.
     """
     if pdu == overdue.pdu and pdu[0] in NEVER_ECHOED:  # The master repeats its read.
         return False
@@ -183,7 +183,7 @@ def _answers_late(overdue: PendingRequest, unit: int, pdu: bytes, at_ns: int) ->
 def _late_response_cost(
     state: BusState, pending: PendingRequest | None, overdue: PendingRequest, pdu: bytes
 ) -> float:
-    # This is the request sent after the given-up one. It is pending, or was answered last.
+    # `after` is the request sent after the given-up one. It is pending, or was answered last.
     after = pending or state.answered
     is_other = after is not None and not after.is_same(overdue.unit, overdue.pdu)
     cost = costs.LATE_RESPONSE_TO_OTHER if is_other else costs.LATE_RESPONSE

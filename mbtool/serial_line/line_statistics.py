@@ -13,12 +13,14 @@ _SLOW_LEARNING_RATE = 1 / 96
 """The weight (0 to 1) of one frame when the frequency of a rare event is learned, once many frames
 were heard. If an event occurs once in 20 frames, a few dozen frames are too few to learn that."""
 _RATE_DECAY = 31 / 32
-"""For a rare event, the weight of each frame is this many times that of the frame before, until it
-is _SLOW_LEARNING_RATE."""
+"""The factor by which the weight of one frame shrinks with each frame, when the frequency of a rare
+event is learned. The weight begins at _LEARNING_RATE and ends at _SLOW_LEARNING_RATE, so that the
+first frames are learned faster."""
 
 _AT_REST = 2**-64
-"""A frequency below this counts exactly as 0 would: the cost is at its upper limit, and at the next
-event the new frequency is the learning rate, to the last bit of a float."""
+"""A frequency (0 to 1) below this has the same effect as 0: the cost is at its upper limit, and
+after the next event the frequency is exactly the learning rate, because a float cannot hold the
+small difference."""
 
 
 class LearnedCost:
@@ -139,13 +141,14 @@ class LatencyStatistics:
     def doublings_late(self, silence_ns: int, least_ns: int = 0) -> float:
         """Return the binary logarithm of a silence divided by the longest response time.
 
-        The result is negative if the silence is shorter than the longest response time. That counts
-        as at least `least_ns`.
+        The result is negative if the silence is shorter than the longest response time. The longest
+        response time counts as at least `least_ns`.
         """
         longest_ns = max(self._longest_ns, least_ns)
         if self._heard < self.ENOUGH_RESPONSES and longest_ns < self.INITIAL_NS:
-            # Each response brings the longest response time nearer from INITIAL_NS to the longest
-            # one heard, by the same factor.
+            # Until ENOUGH_RESPONSES responses were heard, the longest response time counts as
+            # longer: as INITIAL_NS before the first response, and with each response it comes
+            # nearer, by the same factor, to the longest one heard.
             missing = 1 - self._heard / self.ENOUGH_RESPONSES
             longest_ns *= (self.INITIAL_NS / longest_ns) ** missing
         return log2(max(silence_ns, 1) / longest_ns)

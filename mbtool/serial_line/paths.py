@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class SegmentKind(Enum):
-    """What the bytes of a segment are taken for."""
+    """The meaning that a path gives to the bytes of a segment."""
 
     FRAME = "frame"
     DAMAGED = "damaged"

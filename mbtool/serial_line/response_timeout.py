@@ -25,7 +25,8 @@ STEADY_MARGIN = 0.03
 """From ENOUGH_WAITS waits on, the timeout may be shorter than the shortest wait heard by at most
 3 % of that wait, plus three times the spread divided by the number of waits less one."""
 EXACT_MARGIN = 0.001
-"""After the shortest wait heard, less 0.1 % of it, the timeout counts as certainly over."""
+"""The timeout counts as certainly over after a wait that is at most 0.1 % shorter than the shortest
+wait heard."""
 GIVEN_MARGIN = 0.1
 """A wait may differ by 10 % from a timeout that the user names, since timers and adapters are
 late."""
@@ -46,7 +47,8 @@ class ResponseTimeout:
         """The shortest and the longest wait, in ns, after which a frame is taken for a retry; None
         while the timeout is unknown."""
         self._running_until_ns = 0.0
-        """Until this wait, in ns, the timeout is certainly not over; 0 while it is unknown."""
+        """The timeout is certainly not over while the wait since the request is shorter than this,
+        in ns; 0 while the timeout is unknown."""
         if given_ns is not None:
             self._running_until_ns = given_ns * (1 - GIVEN_MARGIN)
             self._range = given_ns * (1 - GIVEN_MARGIN), given_ns * (1 + GIVEN_MARGIN)

@@ -102,7 +102,8 @@ class RtuSplitter:
         self._follows_silence = True
         """True if a silence of t3.5 precedes the frame returned last."""
         self._last_end: tuple[int, Verdict] | None = None
-        """When the last returned byte ended (ns), and the verdict on a frame behind it; or None."""
+        """The end (ns) of the last returned byte, and the verdict on a frame right behind it; or
+        None."""
 
     @property
     def is_idle(self) -> bool:
@@ -112,7 +113,7 @@ class RtuSplitter:
     def feed(self, data: bytes, ts_ns: int) -> list[Adu | Skipped]:
         """Take the bytes of one read; return the frames and skipped bytes that they complete.
 
-        `ts_ns` is when the last of the bytes ended.
+        `ts_ns` is the end of the last byte, in ns.
         """
         events: list[Adu | Skipped] = []
         size, step_ns, times = len(data), self._character_ns, self._times
@@ -175,7 +176,7 @@ class RtuSplitter:
         return events
 
     def _hear_silence(self, events: list[Adu | Skipped], is_long: bool) -> None:
-        """Decide the buffered bytes at a silence; if `is_long`, an incomplete frame as well."""
+        """Decide what the buffered bytes are; an incomplete frame waits, unless `is_long`."""
         if len(self._data) > self._decided_size:
             self._silence_count += 1
             self._end_burst(events, may_continue=True)
@@ -204,7 +205,7 @@ class RtuSplitter:
         self._decided_size = len(self._data)
 
     def _emit_certain_frames(self, events: list[Adu | Skipped], burst_over: bool = False) -> None:
-        """Append frames while the fast path is certain; `burst_over`: a silence ends the bytes."""
+        """Append frames while the fast path is certain; `burst_over`: a silence follows `_data`."""
         while len(self._data) >= MIN_FRAME:
             last = self._echo.last
             if last and self._data.startswith(last) and self._take_copy(events):
@@ -317,7 +318,7 @@ class RtuSplitter:
         unit, pdu = self._data[0], self._data[1 : segment.size - 2]
         start_ns = self._times[0] - self._character_ns
         alone = self._model.classify(unit, pdu, start_ns, segment.roles)
-        # If alone it seems to have the other direction, the bytes after it decided.
+        # If the frame alone seems to have the other direction, the bytes behind it decided.
         by = alone.by if alone.direction is segment.role else DirectionBy.IDLE
         return Classification(segment.role, by, segment.confidence)
 
@@ -412,7 +413,7 @@ class RtuSplitter:
         return tuple(dict.fromkeys(verdicts)) if verdicts else ()
 
     def _emit_skipped(self, size: int, events: list[Adu | Skipped]) -> None:
-        """Skip the first `size` bytes: an event for a frame with a wrong CRC, or for each burst."""
+        """Skip the first `size` bytes; append an event for a bad CRC's frame, or for each burst."""
         self._noise_size += size
         while size:
             cut = size
@@ -436,7 +437,7 @@ class RtuSplitter:
         return self._times[offset] - self._times[offset - 1] >= self._silent_ns
 
     def _remove(self, size: int, leaves: Verdict) -> None:
-        """Remove the first `size` bytes; `leaves` is the verdict on a frame directly behind."""
+        """Remove the first `size` bytes; a frame directly behind them gets the verdict `leaves`."""
         self._last_end = self._times[size - 1], leaves
         self._data = self._data[size:]
         del self._times[:size]

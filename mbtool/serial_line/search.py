@@ -81,8 +81,8 @@ class PathSearch:
         """The cheapest path (explanation of the bytes) that ends in an incomplete frame at the end
         of the window."""
         self._incomplete_limit = float("inf")
-        """Another path that ends in an incomplete frame is kept only if it costs fewer bits than
-        this."""
+        """A path (explanation of the bytes) that ends in an incomplete frame is dropped if it costs
+        this many bits or more; infinite until such a path is found."""
         self._limit = float("inf")
         """Paths (explanations of the bytes so far) that cost more bits than this are dropped."""
         self._candidates = Candidates(window, bus_model, statistics, roles)
@@ -220,7 +220,9 @@ class PathSearch:
         return self._is_response_due(path, offset) or self._model.history.has_function(head)
 
     def _is_response_due(self, path: Path, offset: int) -> bool:
-        """True if the bytes at an offset begin like a response to the path's pending request."""
+        """True if the bytes at an offset begin like a response to the request that is pending on
+        the path.
+        """
         pending = path.state.pending
         return (
             pending is not None
@@ -290,7 +292,7 @@ class PathSearch:
         """Keep a path that ends in an incomplete frame if it is the cheapest such path so far.
 
         Of two paths to the same incomplete frame, the one that costs more becomes a rival of the
-        other.
+        other: it may lower the confidence of the other's segments.
         """
         best = self._incomplete
         if best is not None and best.segment == path.segment:

@@ -15,8 +15,9 @@ def silences(
     """Return for each byte True if a silence precedes it, and `at_end` as one more value.
 
     `times` are the ends of the bytes in ns. A silence is at least `least_ns` from the end of one
-    byte to the end of the next. `last_ns` is when the byte before the first one ended; if it is
-    None, a silence precedes the first byte. `at_end` is True if a silence follows the last byte.
+    byte to the end of the next. `last_ns` is the time at which the byte before the first one ended;
+    if it is None, a silence precedes the first byte. `at_end` is True if a silence follows the last
+    byte.
     """
     first = last_ns is None or times[0] - last_ns >= least_ns
     between = [after - before >= least_ns for before, after in pairwise(times)]

@@ -12,12 +12,15 @@ if TYPE_CHECKING:
 
 
 class ValueChanges(NamedTuple):
-    """When one register or bit changed, and to what. Each list has one element per change."""
+    """The changes of one register or bit: their times and new values. Each list has one element per
+    change.
+    """
 
     rows: list[int]
-    """The index of the read's row in its block, which tells the order of reads of several polls."""
+    """The index of the read's transaction among those of its block of packets, which tells the
+    order of the reads of several polls."""
     at_ns: list[int]
-    """The time of the response (UTC ns)."""
+    """The time (UTC ns) of the response that shows the change."""
     values: list[int]
 
 

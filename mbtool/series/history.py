@@ -27,8 +27,8 @@ _LACKING = frozenset((EventKind.GAP, EventKind.DISCARDED, EventKind.CUT))
 
 
 class UnitSum(IntEnum):
-    """What is counted for a unit in each span of time. The number is the index in the list of
-    sums.
+    """The numbers that are counted for a unit in each span of time. The enumeration's number is the
+    index in the list of sums.
     """
 
     TRANSACTIONS = 0
@@ -47,8 +47,8 @@ class UnitSum(IntEnum):
 
 
 class LinkSum(IntEnum):
-    """What is counted for a link in each span of time. The number is the index in the list of
-    sums.
+    """The numbers that are counted for a link in each span of time. The enumeration's number is the
+    index in the list of sums.
     """
 
     TRANSACTIONS = 0
@@ -101,7 +101,7 @@ class History:
                 self._add_answered(one, times[0], latencies)
 
     def _add_answered(self, one: AnsweredReads, at_ns: int, latencies: Sequence[int]) -> None:
-        """Count requests that belong to one bin."""
+        """Count requests that belong to one bin (span of time)."""
         count = len(latencies)
         if self._has_room(one.link):
             link = self.bins.bin(one.link, at_ns)

@@ -73,7 +73,7 @@ class ReadOnlyScreen:
     def ask(self, data: bytes, ts_ns: int) -> Screened:
         """Take bytes that the master sent, and return which of them are passed on.
 
-        `ts_ns` is when they were read, in UTC ns.
+        `ts_ns` is the time at which they were read, in UTC ns.
         """
         result = Screened()
         for event in self._requests.feed(data, ts_ns):

@@ -98,7 +98,8 @@ class TcpRelay:
         """True once any bytes were sent to the master, by the slave or by a read-only tap."""
         self._is_open = False
         self.active_s = 0.0
-        """When bytes last arrived from either side, in seconds on the event loop's clock."""
+        """The time at which bytes last arrived from either side, in seconds on the event loop's
+        clock."""
         self.master = _RelaySide(self, Direction.REQUEST)
         self.slave = _RelaySide(self, Direction.RESPONSE)
         self.master.peer, self.slave.peer = self.slave, self.master

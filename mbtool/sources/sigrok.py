@@ -143,7 +143,7 @@ class _Channel(NamedTuple):
 
 @dataclass(slots=True)
 class _Recording:
-    """An open recording: where its samples are, and how to read them."""
+    """An open recording, with the names and the format of the files that have its samples."""
 
     archive: zipfile.ZipFile
     name: str

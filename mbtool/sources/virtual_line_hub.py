@@ -62,7 +62,8 @@ class Sender:
 
     @property
     def next_ns(self) -> int | None:
-        """When the next character is due at the other ends, in ns of the monotonic clock.
+        """The time at which the next character is due at the other ends, in ns of the monotonic
+        clock.
 
         None if no character is pending.
         """

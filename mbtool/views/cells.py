@@ -214,7 +214,9 @@ def result_text(
 
 
 def _lacking_response(transaction: NamedTransaction) -> str | None:
-    """Return what part of the response the capture lacks, as text; None if it lacks nothing."""
+    """Return a text that says which part of the response the capture lacks; None if it lacks
+    nothing.
+    """
     is_cut = Verdict.CUT in transaction.verdicts
     if Verdict.CAPTURE_END in transaction.verdicts:
         return "capture ends before an answer"

@@ -32,7 +32,7 @@ class _Choice(NamedTuple):
 
 
 class _Control(NamedTuple):
-    """One control of the dialog.
+    """A control of the dialog that Wireshark shows for mbtool's interface.
 
     The option has the same name on the command line of `mbtool extcap`.
     """

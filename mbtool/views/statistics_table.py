@@ -44,7 +44,7 @@ FEWEST = 3
 """Each section keeps this many rows, however small the terminal is."""
 USUAL = 10
 MOST_IMPORTANT = 3
-"""The first sections, this many, are shown even on the smallest terminal: they matter most."""
+"""This many sections, the first ones, are shown even on the smallest terminal: they matter most."""
 _ALIKE = 0.7
 _BAR = 30
 _EATERS = 3

@@ -59,8 +59,8 @@ class WatchColumn:
     sort: Callable[[Any], Any]
     """Returns the value by which rows are sorted; the values of one column can be compared."""
     rank: int = 0
-    """Where there is little room, columns of the highest rank are left out first; rank 0 never
-    is."""
+    """On a narrow screen, columns with the highest rank are left out first; a column of rank 0
+    never is."""
     is_right: bool = False
     is_usual: bool = True
     """False for a column that is shown only if the user chooses it."""

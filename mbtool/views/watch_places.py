@@ -21,7 +21,7 @@ class PlaceColumn(NamedTuple):
     """The width and the prefix of the column of links or masters in a live table."""
 
     width: int
-    """In characters."""
+    """The width of the column in characters."""
     prefix: str
     """The part that all texts of the column begin with; it is left out of the cells."""
 

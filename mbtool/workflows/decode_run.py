@@ -54,7 +54,7 @@ DONE, FAILED = ".json", ".failed.json"
 
 
 class DecodeTask(msgspec.Struct, frozen=True, kw_only=True):
-    """Consecutive files that one process decodes, and where it writes the results."""
+    """Consecutive files that one process decodes, and the places to which it writes the results."""
 
     run: FileRun
     output: str
@@ -83,7 +83,8 @@ class FileOutcome(msgspec.Struct, kw_only=True, omit_defaults=True):
     there is none."""
     transactions: int = 0
     error: str = ""
-    """Why the file was not read, or not to its end; empty if it was read to its end."""
+    """The error that kept the file from being read, or from being read to its end; empty if it was
+    read to its end."""
 
 
 def decode_run(task: bytes) -> bytes:

@@ -20,7 +20,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DiffOptions:
-    """How two captures are read, and which of their transactions and values are compared."""
+    """Options of a comparison of two captures: how they are read, and which of their transactions
+    and values are compared.
+    """
 
     reading: ReadingOptions
     wanted: Callable[[NamedTransaction], bool] = lambda _: True

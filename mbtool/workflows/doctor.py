@@ -75,7 +75,7 @@ class MachineCheck:
 
 @dataclass(frozen=True, slots=True)
 class Screen:
-    """What is known of the terminal to which standard output goes."""
+    """The facts known about the terminal to which standard output goes."""
 
     is_terminal: bool
     columns: int

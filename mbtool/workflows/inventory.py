@@ -38,7 +38,7 @@ most possible, has some tens of megabytes."""
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InventoryOptions:
-    """How the files of an inventory are read, and which of their transactions are used."""
+    """Options of an inventory: how its files are read, and which of their transactions are used."""
 
     reading: ReadingOptions
     wanted: Callable[[NamedTransaction], bool] | None = None

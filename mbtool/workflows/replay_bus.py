@@ -49,9 +49,9 @@ class BusReport:
     held: int
     """The number of pieces that were sent late because the port was still sending earlier ones."""
     lateness_p99_ns: int | None
-    """How late pieces were sent after their recorded time, as 99th percentile in ns. Pieces counted
-    in `held` are left out. None if no others were sent, or if the recording was played as fast as
-    possible."""
+    """The 99th percentile, in ns, of the delays between a piece's recorded time and its sending.
+    Pieces counted in `held` are left out. None if no others were sent, or if the recording was
+    played as fast as possible."""
 
 
 def line_link(link: LinkSpec) -> SerialLink:

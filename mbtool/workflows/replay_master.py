@@ -80,9 +80,9 @@ class Report(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     unsolicited: int
     """The number of responses that came while no request of theirs was pending."""
     lateness_p99_ns: int | None
-    """How late requests were sent after their recorded times, as 99th percentile in ns. Requests
-    that had to wait for a response are left out. None if there are no others, or if the recording
-    was played as fast as possible."""
+    """The 99th percentile, in ns, of the delays between a request's recorded time and its sending.
+    Requests that had to wait for a response are left out. None if there are no others, or if the
+    recording was played as fast as possible."""
     asked: list[RequestReport]
     differences: list[Difference]
     learned: list[str] = field(default_factory=list)

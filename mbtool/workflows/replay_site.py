@@ -199,8 +199,8 @@ class _SitePart(NamedTuple):
 
 
 def _place(transaction: NamedTransaction) -> str:
-    """Where the slave of a transaction was when recorded: its address and port, or the name of its
-    serial line.
+    """Return the place of a transaction's slave in the recording: its address and port, or the name
+    of its serial line.
     """
     return transaction.destination or transaction.link
 

@@ -36,14 +36,13 @@ if TYPE_CHECKING:
 
 
 ValuesSource = Path | Mapping[str, Any]
-"""Where the values of registers come from: the path of a TOML file, or the keys and values of such
-a file."""
+"""The source of register values: the path of a TOML file, or the keys and values of such a file."""
 
 
 @dataclass(frozen=True, slots=True)
 class Station:
-    """A simulated device on a link: its profile, and where the initial values of its registers come
-    from.
+    """A simulated device on a link: its profile, and the source of the initial values of its
+    registers.
     """
 
     profile: Profile

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class OneLine(Widget):
-    """One line, cut at the width of the screen."""
+    """A widget that shows one line of text, cut at the width of the screen."""
 
     DEFAULT_CSS = "OneLine { height: 1; }"
 

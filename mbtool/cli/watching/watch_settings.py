@@ -1,7 +1,7 @@
 """The settings that `watch` remembers from run to run: columns, sorting, filters."""
 
-# They are one JSON file in the user's config folder. A file that cannot be read or is wrong is
-# ignored; the next change replaces it.
+# The settings are one JSON file in the user's config folder. A file that cannot be read or is wrong
+# is ignored; the next change replaces it.
 
 from __future__ import annotations
 

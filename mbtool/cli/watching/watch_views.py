@@ -38,7 +38,7 @@ class LineRow(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class WatchView:
-    """One view of `mbtool watch`, a table of its own."""
+    """A view of `mbtool watch`: one of the six tables between which the user switches."""
 
     name: str
     what: str

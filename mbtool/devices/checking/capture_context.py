@@ -16,9 +16,8 @@ def _no_line(_: str) -> SerialFormat | None:
 
 @dataclass(frozen=True, slots=True)
 class CaptureContext:
-    """What the rules of `mbtool check` need beside the transactions and events of a capture.
-
-    It holds the user's options and the settings of serial lines.
+    """The facts that the rules of `mbtool check` need beside the transactions and events of a
+    capture: the user's options and the settings of serial lines.
     """
 
     assignments: Assignments = field(default_factory=Assignments)

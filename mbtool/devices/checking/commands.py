@@ -110,8 +110,10 @@ class CommandRules:
 
 
 def stop_command(transaction: NamedTransaction) -> str | None:
-    """What a request that stops or restarts a device tells the device to do, for a message; None
-    for any other request.
+    """Return a text for a message that names the command of a request that stops or restarts a
+    device.
+
+    Returns None for any other request.
     """
     if transaction.function == _DIAGNOSTICS:
         name = _STOPPING_DIAGNOSTICS.get(transaction.sub_function or 0)

@@ -21,7 +21,7 @@ class Finding:
     message: str
     """A line that says what happened, with figures, but without the code."""
     ts_ns: int
-    """When the first case happened, in ns since 1970."""
+    """The time of the first case, in ns since 1970."""
     link: str
     source: str | None = None
     destination: str | None = None

@@ -68,7 +68,7 @@ class _Line:
     format: SerialFormat | None = None
     """The settings of the line; None if the times of its bytes are unknown."""
     end_ns: int | None = None
-    """When the last frame ended, in ns; None before the first frame."""
+    """The time at which the last frame ended, in ns; None before the first frame."""
     broadcast: NamedTransaction | None = None
     """The last transaction, if it was a broadcast; otherwise None."""
 

@@ -1,9 +1,11 @@
-"""Many answered Modbus/TCP reads that break no rule by themselves, as figures for the rules."""
+"""Figures about many answered Modbus/TCP reads that break no rule by themselves, for the rules of
+`mbtool check`.
+"""
 
 # Most transactions of a capture are such reads; columns/ decodes them into arrays, without an
 # object for each. A rule must still remember something of them, such as the last request of a
-# connection or the periods of a poll. The rules take that from these figures, without checking
-# each transaction. A "run" here is a stretch of such reads with no other record between them.
+# connection or the periods of a poll. The rules take that from these figures, without checking each
+# transaction. A "run" here is a series of such reads with no other record between them.
 
 from __future__ import annotations
 
@@ -18,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class QuietPoll(NamedTuple):
-    """The equal requests to one unit in a stretch of answered reads, from all masters."""
+    """The equal requests to one unit, from all masters, in a run (consecutive answered reads)."""
 
     link: str
     unit: int
@@ -31,7 +33,7 @@ class QuietPoll(NamedTuple):
 
 
 class QuietConnection(NamedTuple):
-    """The requests on one connection in a stretch of answered reads.
+    """The requests on one connection in a run (consecutive answered reads).
 
     Each request came after the response to the request before it.
     """
@@ -81,13 +83,13 @@ class QuietRows(Protocol):
     def __len__(self) -> int: ...
 
     def run(self) -> QuietRun:
-        """The figures about all rows."""
+        """The figures about all rows (answered reads), for the rules."""
         ...
 
     def transactions(self, count: int) -> Iterator[NamedTransaction]:
-        """The transactions of the first `count` rows."""
+        """The transactions of the first `count` rows (answered reads)."""
         ...
 
     def behind(self, count: int) -> Self:
-        """All rows but the first `count`."""
+        """All rows (answered reads) but the first `count`."""
         ...

@@ -43,8 +43,8 @@ if TYPE_CHECKING:
 MAX_PENDING = 4096
 MAX_RETRIES = 16
 PATIENCE_NS = 5_000_000_000
-"""How long a request waits for its response, or for the response to a retry, in ns. A response
-that comes within this time of the beginning of the capture may have a request before the
+"""The time, in ns, that a request waits for its response, or for the response to a retry. A
+response that comes within this time of the beginning of the capture may have a request before the
 capture."""
 EDGE_NS = 1_000_000_000
 """If the capture ends less than so many ns after a request, the response may have come after the

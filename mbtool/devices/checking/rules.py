@@ -19,7 +19,7 @@ from enum import StrEnum
 
 
 class Severity(StrEnum):
-    """How serious a finding is. The values are the levels of SARIF, a file format for findings."""
+    """The severity of a finding. The values are the levels of SARIF, a file format for findings."""
 
     ERROR = "error"
     """A request cannot have a correct response, or a response is incorrect."""

@@ -83,12 +83,12 @@ def host_of(end: str) -> str:
 
 
 def master_text(transaction: NamedTransaction) -> str:
-    """Return who sends the request, for a message: the master's host, or `the master` on a serial
-    line, where it has no address.
+    """Return the name of the request's sender, for a message: the master's host, or `the master` on
+    a serial line, where it has no address.
     """
     return "the master" if transaction.source is None else host_of(transaction.source)
 
 
 def place_text(transaction: NamedTransaction) -> str:
-    """Return where the slave is, for a message: its HOST:PORT, or its line as `the line rs485`."""
+    """Return the slave's place, for a message: its HOST:PORT, or its line as `the line rs485`."""
     return transaction.destination or f"the line {transaction.link}"

@@ -57,7 +57,9 @@ class SinglePoint:
 
 
 class Lacking:
-    """Collects losses: what an export cannot express, with the names of the points that lose it."""
+    """Collects losses: facts of a profile that an export cannot express, with the names of the
+    points that lose them.
+    """
 
     def __init__(self) -> None:
         self._names: dict[str, list[str]] = {}

@@ -39,7 +39,9 @@ class PlacedPoint:
 
 @dataclass(frozen=True, slots=True)
 class ImportedDevice:
-    """What a file of another program says about a device, as the material for a profile."""
+    """The facts about a device that were read from another program's file, as material for a
+    profile.
+    """
 
     name: str
     title: str

@@ -13,7 +13,7 @@ from mbtool.modbus.tables import Table
 
 
 class AddressStyle(StrEnum):
-    """How the numbers in the column of addresses are counted."""
+    """The way in which the numbers in the column of addresses are counted."""
 
     ZERO_BASED = "zero-based"
     """Addresses on the wire, counted from 0."""

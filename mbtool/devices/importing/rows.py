@@ -72,7 +72,7 @@ class ListRow:
 
 
 class RowReader:
-    """Reads the cells of one sheet, row by row."""
+    """Reads the cells of one register list (a Sheet), row by row."""
 
     def __init__(self, sheet: Sheet, report: ImportReport, scaling: Scaling | None) -> None:
         self._sheet = sheet

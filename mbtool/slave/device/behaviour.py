@@ -1,4 +1,6 @@
-"""What a simulated device does beyond its profile: methods that the responder calls."""
+"""The base class of what a simulated device does beyond its profile: methods that the responder
+calls.
+"""
 
 # A profile lists the registers, functions and exceptions of a device. A Behaviour adds code for
 # what a list cannot describe, such as an output that follows a register. The base class adds

@@ -54,7 +54,7 @@ class Admission:
     """The decision about a new connection."""
 
     peer: Peer | None
-    """None if the connection is refused."""
+    """The admitted master; None if the connection is refused."""
     leaves: Peer | None = None
     """The master whose connection must be closed to make room for the new one; None if none."""
     is_full: bool = False

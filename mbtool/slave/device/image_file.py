@@ -53,8 +53,8 @@ _STEPS = 20
 """The default step of a walk is the difference of its lowest and highest value, divided by this."""
 
 Course = Callable[[int], list[int]]
-"""How a value changes over time: takes a time, in ns since the first request, and returns the
-contents of the registers or the bit at that time."""
+"""The course of a value: a function that takes a time, in ns since the first request, and returns
+the contents of the registers or the bit at that time."""
 
 
 @dataclass(frozen=True, slots=True)

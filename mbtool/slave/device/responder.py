@@ -52,9 +52,9 @@ _PLAIN_READS = READS - {0x17}
 
 
 _Known = tuple[bytes, bytearray, slice, bool]
-"""How to answer a read that has passed its checks before: the first two bytes of the response
-(function code and byte count), the bytes of the whole table, the slice of them that holds the
-values, and True if the values are bits."""
+"""The parts of the response to a read that has passed its checks before: the first two bytes of the
+response (function code and byte count), the bytes of the whole table, the slice of them that holds
+the values, and True if the values are bits."""
 
 
 class DeviceResponder:
@@ -68,7 +68,7 @@ class DeviceResponder:
         self.behaviour = behaviour
         self.image = behaviour.image
         self._known: dict[bytes, _Known] = {}
-        """By request PDU, how to answer reads that have passed all checks once."""
+        """The parts of the responses to reads that have passed all checks once, by request PDU."""
 
     def respond(self, unit: int, pdu: bytes, now_ns: int) -> Response | None:
         """Return the response to a request PDU, or None if there is none. `unit` is ignored."""

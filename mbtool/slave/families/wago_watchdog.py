@@ -73,8 +73,8 @@ class Watchdog:
         self._time_ns = 0
         self._last_trigger = 0
         self._stop_place = 0
-        """How many values of the stop sequence (AAAAH, 5555H) were written to 1005H so far: 0 or
-        1."""
+        """The number of values of the stop sequence (AAAAH, 5555H) that were written to 1005H so
+        far: 0 or 1."""
 
     @property
     def is_active(self) -> bool:

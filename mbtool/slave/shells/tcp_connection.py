@@ -114,8 +114,8 @@ class MasterConnection(asyncio.BufferedProtocol):
         """True if the splitter has part of a request, or is looking for the next one after bad
         bytes."""
         self._pending: deque[tuple[int, bytes | ConnectionEnding]] = deque()
-        """What to do next, in order, each with its time in ns: send bytes, or end the connection in
-        the given way."""
+        """The next actions, in order, each with its time in ns: send these bytes, or end the
+        connection in the given way."""
         self._has_ended = False
         """True once the master has sent FIN: it sends no more requests."""
         self._peer_is_slow = False

@@ -49,7 +49,7 @@ _NUMBER_BEGINS = "+-.0123456789"
 
 @dataclass(frozen=True, slots=True)
 class FileOrigin:
-    """What a capture file says about its recording, such as the host and the command.
+    """The facts that a capture file states about its recording, such as the host and the command.
 
     The mappings are empty for most files that another program wrote.
     """
@@ -247,7 +247,7 @@ def _values(values: Values, begin_ns: int) -> dict[str, Any]:
 
 
 def _kind(series: ValueSeries) -> str:
-    """Return how the page draws a series: as `bit`, `state` or `number`.
+    """Return the way in which the page draws a series of values: `bit`, `state` or `number`.
 
     A series is a state if the device's manual has words for its values.
     """

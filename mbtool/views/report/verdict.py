@@ -55,7 +55,7 @@ _DAY_NS = 86_400_000_000_000
 
 
 class Rank(IntEnum):
-    """How bad a trouble is; the lowest number is the worst."""
+    """The rank of a trouble; the lowest number is the worst."""
 
     UNREADABLE = 0
     DEAD = 1
@@ -74,7 +74,7 @@ class VerdictTrouble:
     text: str
     """A clause that begins with the name of the unit, link or host that has the trouble."""
     weight: float = 0.0
-    """Of the troubles of one rank, those with the greatest weight come first."""
+    """Troubles of the same rank are sorted by this number, the greatest first."""
     who: str = ""
     """The name of the unit, link, host or rule that the trouble belongs to."""
     search: str = ""
@@ -376,7 +376,8 @@ def _requests(share: float, count: int) -> str:
 
 
 def _period(unit: _Unit, what: UnitSum) -> tuple[str, int, int]:
-    """Return when something happened to a unit, in words, how often, and among how many requests.
+    """Return the time of something that happened to a unit, in words, the number of cases, and the
+    number of requests.
 
     Both counts are of that time only. The words are empty if it happened all the time. The result
     is ("", 0, 0) for a unit that the history does not have.

@@ -19,7 +19,7 @@ NO_FILE = "-"
 """The argument that a printing process gets in place of the file descriptor number of a Parquet
 file, if it makes lines of text and so writes no file."""
 SIZE = Struct("<Q")
-"""What stands before each pickled reply of a printing process: the size of the reply in bytes."""
+"""The size in bytes of a pickled reply, written before each reply of a printing process."""
 
 
 @dataclass(slots=True)

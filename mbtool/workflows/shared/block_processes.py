@@ -150,7 +150,8 @@ class _BlockProcess:
         self._sent = self._taken = 0
         self._replies: SimpleQueue[PrintedBlock | Exception | None] = SimpleQueue()
         self.counts = TransactionCounts()
-        """The counts of transactions, summed over all replies so far."""
+        """A thread reads the child's replies from the pipe. The main thread does not, because
+        Ctrl-C could interrupt it in the middle of a reply, and the reply would be lost."""
         # A thread of its own reads the replies. Ctrl-C interrupts the main thread, which could lose
         # a half-read reply.
         self._receiver = Thread(target=self._receive, daemon=True)

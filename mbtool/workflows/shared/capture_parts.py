@@ -62,9 +62,9 @@ class Part:
 
 
 class Seam:
-    """What is known of the capture read so far, to decide if the next file continues it.
+    """The facts about the capture read so far that decide if the next file continues it.
 
-    It has the times of the first and the last item (packet or chunk), and the link types of all
+    These are the times of the first and the last item (packet or chunk), and the link types of all
     packets.
     """
 

@@ -41,8 +41,8 @@ if TYPE_CHECKING:
 
 @dataclass(slots=True)
 class EvidenceMarks:
-    """What decoding has found in a capture: the frames and packets of its transactions, and
-    comments on them.
+    """The results of decoding a capture that a conversion needs: the frames and packets of its
+    transactions, and comments on them.
     """
 
     frames: dict[StreamKey, list[WireFrame]] = field(default_factory=dict)

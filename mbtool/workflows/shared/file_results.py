@@ -23,8 +23,8 @@ T = TypeVar("T")
 
 @dataclass(slots=True)
 class FileResult:
-    """What reading one file gave: the numbers of transactions and events, and the error if there
-    was one.
+    """The result of reading one file: the numbers of transactions and events, and the error if
+    there was one.
     """
 
     name: str

@@ -67,7 +67,7 @@ Shown = NumberedPacket | WirePiece
 
 @dataclass(slots=True)
 class Converted:
-    """How many packets, reads of ports and transactions a conversion has written."""
+    """The numbers of packets, reads of ports and transactions that a conversion has written."""
 
     packets: int = 0
     reads: int = 0
@@ -157,7 +157,7 @@ class PieceWriter:
         )
 
     def _datagram(self, key: StreamKey, frame: WireFrame) -> _Datagram | None:
-        """Make the IP datagram as which a frame is shown; None for an ASCII frame that is
+        """Make the IP datagram that shows a frame in Wireshark; None for an ASCII frame that is
         malformed.
         """
         raw, skip, original = frame.raw, 6, None

@@ -29,8 +29,8 @@ class ReadingOptions:
     the baud rate."""
     t3_5: Silence | None = None
     response_timeout: Silence | None = None
-    """How long the master of a serial line waits for a response before it repeats the request; None
-    to estimate it from the traffic."""
+    """The time that the master of a serial line waits for a response before it repeats the request;
+    None to estimate it from the traffic."""
     raw: bool = False
     """True to decode the packets and bytes of a log again, and not to use the transactions stored
     in it."""

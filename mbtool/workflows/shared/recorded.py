@@ -81,7 +81,8 @@ def read_recorded(
 
 
 def lateness_p99_ns(sample: Sample, options: PlayOptions) -> int | None:
-    """How late messages were sent after their recorded times, as 99th percentile in ns.
+    """The 99th percentile, in ns, of the delays between the recorded time of a message and its
+    sending.
 
     `sample` has the delays in ns. None if it is empty, or if the user chose to replay as fast as
     possible.

@@ -9,7 +9,8 @@
 # Memory: at most `limit` requests that have not been shown yet. Further requests are counted and
 # dropped, so that a slow screen does not delay the slave.
 #
-# The time of a response is when it should be sent: the end of its request plus the slave's delay.
+# The time of a response is the time at which it should be sent: the end of its request plus the
+# slave's delay.
 
 from __future__ import annotations
 

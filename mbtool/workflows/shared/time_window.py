@@ -138,7 +138,7 @@ class TimeWindow:
         """Remember the begin of a record that is held back, if it is the earliest transaction so
         far.
 
-        Returns when the record begins, in UTC ns.
+        Returns the time at which the record begins, in UTC ns.
         """
         if isinstance(record, WireEvent):
             return record.ts_ns

@@ -181,6 +181,7 @@ def is_of_source(event: WireEvent, taps: Set[str]) -> bool:
         return bool(event.packets) or any(text in event.message for text in _LOSSES_OF_SOURCES)
     if event.kind is EventKind.GAP:
         # A GAP event without a source address is about a damaged place of the log, or a port that
-        # was unplugged. Gaps between packets have one, and decoding finds them again.
+        # was unplugged. A GAP event about missing packets has a source address, and decoding finds
+        # it again.
         return not event.source
     return event.kind in _OF_SOURCES
