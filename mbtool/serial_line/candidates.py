@@ -394,9 +394,7 @@ class Candidates:
     def _expectation(
         self, head: bytes, size: int, role: Direction, state: BusState
     ) -> tuple[bool, float]:
-        """Return if `state` expects the frame, and a cost in bits: below 0 for expected
-        contents.
-        """
+        """Return if `state` expects the frame, and a cost in bits: negative for known contents."""
         pdu_size = size - RTU_EXTRA_BYTES if size else 0
         unit, pdu = head[0], head[1 : 1 + pdu_size]
         if role is Direction.REQUEST:
