@@ -95,7 +95,9 @@ def _print_runs(
     note: Note,
     interrupt: Interrupt,
 ) -> None:
-    """Print a table: the rows of a UsualRun together, all others one by one."""
+    """Print a table: transactions of a UsualRun (common reads and writes, read as arrays) together,
+    all others one by one.
+    """
     from mbtool.columns.table_counts import TransactionCounts
     from mbtool.decode.usual_run import UsualRun
     from mbtool.views.transaction_table import SAMPLE

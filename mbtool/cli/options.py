@@ -54,7 +54,7 @@ class EventChoice(StrEnum):
 
 
 ListFormat = Literal["table", "jsonl"]
-"""The output format of a list."""
+"""The format in which a list is printed: a table, or JSON lines."""
 DeviceOption = Annotated[
     list[str] | None,
     typer.Option(

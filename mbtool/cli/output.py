@@ -135,9 +135,11 @@ class RecordOutput:
             self._printer.print_table(table)
 
     def count(self, counts: TransactionCounts) -> int:
-        """Add to the numbers of the last sentence: `counts` of transactions that `add` did not get.
+        """Add `counts` to the numbers of the last sentence: transactions that were printed without
+        `add`.
 
-        They are printed together, or by another process. Returns the number of the first of them.
+        They are printed together, or by another process. Returns the number of the first of them
+        among all transactions, from 1.
         """
         first = self._read + 1
         self._read += counts.outcomes.total()

@@ -66,7 +66,9 @@ def printer_for(
 
 
 class TablePrinter(Printer):
-    """Prints records as a table; not on a terminal, many transactions together (`print_run`)."""
+    """Prints records as a table. Into a file or pipe, many transactions are printed together by
+    `print_run`.
+    """
 
     def __init__(self, file: TextIO, profile_for: ProfileFor, options: TableOptions | None) -> None:
         from mbtool.cli.console import PipeConsole
@@ -84,11 +86,15 @@ class TablePrinter(Printer):
         return self._table.takes_runs
 
     def form_of(self, like: NamedTransaction) -> RowForm:
-        """Return what all rows have in common whose transactions `print_run` gets as one form."""
+        """Return the text that the rows of equal requests have in common, made from the example
+        `like`.
+        """
         return self._table.form_of(like)
 
     def print_run(self, number: int, run: UsualRun[RowForm]) -> None:
-        """Print many transactions together. `number` is the number of the first of them."""
+        """Print many transactions together. `number` is the first one's number in the capture, from
+        1.
+        """
         self._table.add_run(number, run)
 
     def pause(self) -> None:

@@ -125,7 +125,7 @@ class Interrupt:
 
     def __init__(self) -> None:
         self.asked = False
-        """True if a signal has come."""
+        """True if a signal (Ctrl-C, SIGTERM or SIGHUP) has come."""
         self._at_once = False
         self._woken = threading.Lock()
         self._woken.acquire()

@@ -41,10 +41,10 @@ class PassedConnections:
     stretch: Int64s
     """The index, among the block's plain stretches, of the one that has all its transactions."""
     opened: Int64s
-    """The index in the block of the packet with its SYN."""
+    """The index in the block of the packet with the connection's SYN."""
     opened_ns: Int64s
     closed: Int64s
-    """The index in the block of the packet with its second FIN."""
+    """The index in the block of the packet with the connection's second FIN."""
     closed_ns: Int64s
 
     def events(self) -> list[tuple[int, Record]]:

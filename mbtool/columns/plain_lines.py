@@ -218,7 +218,7 @@ class BlockLines:
         padded = self._words[lists.numbers].view(np.uint8)
         text = padded[padded != 0].tobytes().decode()
         ends = np.concatenate([[0], np.cumsum(_WIDTHS[lists.numbers])])[lists.offsets]
-        # Leave out the separator behind the last number of each row.
+        # Leave out the separator behind the last number of each row (transaction).
         stops = np.maximum(ends[1:] - 1, ends[:-1])
         return [
             text[begin:end] for begin, end in zip(ends[:-1].tolist(), stops.tolist(), strict=True)

@@ -46,7 +46,7 @@ MAC address of the slave (None if unknown)."""
 
 
 class KindsOfRows(NamedTuple):
-    """Tells which rows of a block are requests of the same poll."""
+    """Tells which rows (transactions) of a block are requests of the same poll."""
 
     likes: list[NamedTransaction]
     """An example transaction of each kind of poll, from this block or an earlier one."""
@@ -151,8 +151,9 @@ def in_turn(
 ) -> Iterator[Record | Part]:
     """Yield the transactions and events of a block in the order in which packets completed them.
 
-    `records` are those that the Decoder made. `some` makes the parts for consecutive rows with the
-    indices begin to end (exclusive) for which `is_usual` is True, `one` each other row.
+    `records` are those that the Decoder made. A row is a transaction that was read from arrays.
+    `some(begin, end)` makes the items for the rows with the indices `begin` to `end` (exclusive),
+    for all of which `is_usual` is True; `one(index)` makes the item for any other row.
     """
     begin = 0
     for end, record in _between(rows, is_usual, records):

@@ -99,8 +99,8 @@ class _QuietBlock:
         return self._namer.name(plain_transaction(self._rows, index))
 
     def some(self, begin: int, end: int) -> Iterator[BlockRows | NamedTransaction]:
-        """Yield the rows with the indices `begin` to `end` (exclusive), all of them reads without
-        findings, as one BlockRows; as single transactions if they are fewer than FEWEST.
+        """Yield the rows (transactions) with the indices `begin` to `end` (exclusive), all of them
+        reads without findings: as one BlockRows, or single if they are fewer than FEWEST.
         """
         if end - begin < FEWEST:
             yield from map(self.transaction, range(begin, end))
@@ -179,8 +179,8 @@ class _QuietBlock:
 
 
 class BlockRows:
-    """Consecutive transactions of a block, all of them reads without findings. Implements
-    QuietRows.
+    """A BlockRows: consecutive transactions of a block, all of them reads without findings. It has
+    the methods of QuietRows (devices/checking/quiet_run.py).
     """
 
     def __init__(self, block: _QuietBlock, begin: int, end: int) -> None:
@@ -204,11 +204,11 @@ class BlockRows:
         return map(self._block.transaction, some)
 
     def run(self) -> QuietRun:
-        """The figures that the rules of `check` need."""
+        """The figures about these reads that the rules of `check` need."""
         return self._block.run(self._begin, self._end)
 
     def answered(self) -> AnsweredRun:
-        """The requests by poll, for statistics and inventory."""
+        """The reads grouped by poll, for statistics and the inventory."""
         return self._block.answered(self._begin, self._end)
 
     def reads(self) -> list[AnsweredReads]:

@@ -1,8 +1,9 @@
-"""Joins consecutive common reads and writes in arrays, for a table."""
+"""Joins consecutive common reads and writes that were read as arrays, for the table of `decode`."""
 
 # A row of the arrays is one transaction. Of the common reads and writes (usual_rows.py) of a block
 # that have the same unit, function, address, quantity and exception code, only the first is made an
-# object with names. What the caller makes of it, its form, stands for all of them.
+# object with names. The caller makes a "form" from this example, such as the text that the table
+# rows of all these transactions share.
 #
 # Memory: lists with the times, ids and packet numbers of one block, and with the values of MOST
 # rows.
@@ -34,18 +35,18 @@ if TYPE_CHECKING:
 F = TypeVar("F")
 
 MOST = 4096
-"""The largest number of rows in a UsualRun."""
+"""The largest number of transactions in a UsualRun."""
 
 
 class UsualRuns(Generic[F]):
-    """Joins the common reads and writes of each block.
+    """Joins the consecutive common reads and writes of each block of packets to UsualRuns.
 
     For a capture that is decoded without device profiles.
     """
 
     def __init__(self, form_of: Callable[[NamedTransaction], F], singly: int) -> None:
-        """`form_of` makes the form of an example transaction. The first `singly` rows of the
-        capture are given as single transactions.
+        """`form_of` makes the form (such as a text) that all transactions equal to an example
+        share. The first `singly` transactions of the capture are given as single transactions.
         """
         self._form_of = form_of
         self._singly = singly
@@ -79,12 +80,12 @@ class UsualRuns(Generic[F]):
 
 
 class _BlockForms(Generic[F]):
-    """The common reads and writes of a block, as lists."""
+    """The common reads and writes of a block: their forms, ends, numbers and values as lists."""
 
     def __init__(self, rows: PlainRows, usual: UsualValues, form_of: Callable[[int], F]) -> None:
         chosen = np.flatnonzero(usual.is_usual)
         self._index: Int64s = np.cumsum(usual.is_usual) - usual.is_usual
-        """For each row, the number of common reads and writes before it."""
+        """For each row (transaction), the number of common reads and writes before it."""
         _, first, kind = np.unique(usual.asked[chosen], return_index=True, return_inverse=True)
         forms = [form_of(index) for index in chosen[first].tolist()]
         ends = [(one.link, str(one.master), str(one.slave)) for one in rows.connections]
@@ -107,8 +108,8 @@ class _BlockForms(Generic[F]):
         self._written, self._read = usual.request_values(chosen), usual.response_values(chosen)
 
     def some(self, begin: int, end: int) -> Iterator[UsualRun[F]]:
-        """Yield the rows with the indices `begin` to `end` (exclusive), all of them common reads
-        and writes.
+        """Yield the rows (transactions) with the indices `begin` to `end` (exclusive), all of them
+        common reads and writes, as UsualRuns of at most MOST.
         """
         first = int(self._index[begin])
         stop = first + end - begin
@@ -135,7 +136,9 @@ class _BlockForms(Generic[F]):
 
 
 def _lists(lists: ValueLists, some: slice) -> list[list[int]]:
-    """Return the list of values of each row in the slice `some`; empty for a missing list."""
+    """Return the values of each row (transaction) in the slice `some`; an empty list for one
+    without.
+    """
     offsets = lists.offsets[some.start : some.stop + 1]
     numbers = lists.numbers[offsets[0] : offsets[-1]].tolist()
     ends = (offsets - offsets[0]).tolist()

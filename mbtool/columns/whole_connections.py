@@ -44,19 +44,19 @@ class WholeConnections:
     """
 
     flow: Int64s
-    """The number of the connection's flow: its pair of IP addresses and TCP ports."""
+    """The number of the connection's flow (its pair of IP addresses and TCP ports)."""
     stretch: Int64s
-    """The index of its only plain stretch among those of the block. This stretch has all its
-    transactions."""
+    """The index, among those of the block, of the connection's only plain stretch. This stretch has
+    all transactions of the connection."""
     opening: Int64s
-    """The index in `Segments` of its SYN."""
+    """The index in `Segments` of the connection's SYN."""
     answering: Int64s
-    """The index in `Segments` of its SYN with ACK."""
+    """The index in `Segments` of the connection's SYN with ACK."""
     closing: Int64s
-    """The index in `Segments` of its second FIN."""
+    """The index in `Segments` of the connection's second FIN."""
     last: Int64s
     request_bytes: Int64s
-    """The sum of the lengths of its requests, in bytes."""
+    """The sum of the lengths of the connection's requests, in bytes."""
     response_bytes: Int64s
 
     def __len__(self) -> int:

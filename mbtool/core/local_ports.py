@@ -77,7 +77,7 @@ class LocalSerialPort:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LocalInterface:
-    """A network interface."""
+    """A network interface of this machine."""
 
     name: str
     description: str = ""

@@ -22,7 +22,7 @@ frames."""
 
 
 class SilenceUnit(StrEnum):
-    """The unit of a silence."""
+    """The unit in which the length of a silence is given."""
 
     BITS = "bits"
     CHARACTERS = "chars"

@@ -33,7 +33,7 @@ Decoded = Adu | Transaction | WireEvent
 
 
 class _LostBytes(NamedTuple):
-    """Bytes of one direction that the capture lacks."""
+    """Bytes of one direction of a connection that the capture lacks."""
 
     direction: Direction
     size: int

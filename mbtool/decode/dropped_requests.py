@@ -36,7 +36,7 @@ class DroppedRequests:
         return not self._counts
 
     def note(self, request: Adu, now_ns: int) -> None:
-        """Remember a request that is dropped at `now_ns`."""
+        """Remember a request that is dropped at the time `now_ns`."""
         key = (request.transaction_id, request.unit)
         if key not in self._counts and len(self._counts) >= MAX_DROPPED:
             del self._counts[next(iter(self._counts))]

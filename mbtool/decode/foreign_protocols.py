@@ -7,15 +7,18 @@ import re
 TLS = "TLS"
 
 _PATTERNS = {
-    # RFC 8446, 5.1: content type and version.
+    # The first bytes of a TLS record (RFC 8446, 5.1): content type and version.
     TLS: re.compile(rb"[\x14-\x17]\x03[\x01-\x04]"),
     "HTTP": re.compile(rb"(?:GET|HEAD|POST|PUT|OPTIONS|CONNECT|DELETE|TRACE) |HTTP/"),
     "SSH": re.compile(rb"SSH-"),
-    # RFC 4511, 4.1.1: a SEQUENCE that begins with an INTEGER of 1 to 4 bytes.
+    # The first bytes of an LDAP message (RFC 4511, 4.1.1): a SEQUENCE that begins with an INTEGER
+    # of 1 to 4 bytes.
     "LDAP": re.compile(rb"(?s)\x30(?:\x84....|[\x05-\x7F])\x02[\x01-\x04]"),
-    # RFC 1006, 6: version 3, a zero, the length, and the length and kind of a COTP header.
+    # The first bytes of a TPKT packet (RFC 1006, 6): version 3, a zero, the length, and the length
+    # and kind of a COTP header.
     "TPKT, as of S7 or RDP": re.compile(rb"(?s)\x03\x00...[\xE0\xD0\xF0]"),
-    # The Open Group's C706, 12.6.3: version 5.0 or 5.1, then a packet type of 00 to 13H.
+    # The first bytes of a DCE/RPC message (The Open Group's C706, 12.6.3): version 5.0 or 5.1, then
+    # a packet type of 00 to 13H.
     "DCE/RPC": re.compile(rb"\x05[\x00\x01][\x00-\x13]"),
 }
 _TLS_RECORD = re.compile(rb"(?s)[\x14-\x17]\x03[\x01-\x04](?:[\x00-\x3F].|[\x40-\x48].)")

@@ -39,7 +39,8 @@ class MasterHabits:
 
     def __init__(self) -> None:
         self.pipelines = False
-        """True once ENOUGH_OVERLAPS responses came while a further request waited."""
+        """True once the master counts as pipelining: ENOUGH_OVERLAPS responses came while a further
+        request waited."""
         self.ids_vary = False
         """True once two requests in a row had different transaction ids."""
         self.ids_count_up = False
@@ -60,7 +61,7 @@ class MasterHabits:
         """By function code, the mean latency of the last responses, in ns. A latency above twice
         the mean counts as twice the mean."""
         self._fastest_ns: dict[int | None, int] = {}
-        """By function code, the shortest latency, in ns."""
+        """By function code, the shortest latency so far, in ns."""
         self.longest_ns = 0
         """The longest latency of all responses so far, in ns."""
         self._in_a_row = 0
@@ -181,7 +182,9 @@ class MasterHabits:
         self.longest_ns = max(self.longest_ns, *latencies)
 
     def note_answered(self, number: int) -> None:
-        """Note that the request with this number got its response."""
+        """Note that the request with this number (counted from 1 in the connection) got its
+        response.
+        """
         self.reorders = self.reorders or number < self._latest_answered
         self._latest_answered = max(number, self._latest_answered)
 
@@ -192,7 +195,7 @@ class MasterHabits:
             self.pipelines, self.is_sequential = True, False
 
     def note_latency(self, function: int, latency_ns: int) -> None:
-        """Note how long a response took, in ns."""
+        """Note the latency of a response, in ns."""
         slowest_ns = self._slowest_ns.get(function, 0)
         self._slowest_ns[function] = max(slowest_ns - slowest_ns // FORGET, latency_ns)
         usual_ns = self._usual_ns.get(function, latency_ns)

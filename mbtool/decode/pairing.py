@@ -93,7 +93,8 @@ class Pairing:
         """For each of the last overtaken requests that got a response: the number of requests heard
         by then."""
         self._has_told = False
-        """True once the event TWO_MASTERS was returned."""
+        """True once the event TWO_MASTERS (two masters on the line) was returned, so that it is not
+        repeated."""
         self._unanswered = UnansweredCounts()
 
     def feed(self, adu: Adu, _place: AduPlace | None = None) -> list[Transaction | WireEvent]:

@@ -81,7 +81,7 @@ class PairStep(NamedTuple):
 
     at_ns: int
     response: Adu | None
-    """The response; None for lost bytes."""
+    """The response of this step; None if the step is lost response bytes."""
     requests: tuple[OpenRequest, ...]
     """The requests that the response, or the lost bytes, answer. Empty if no request asked for the
     response; several only if the capture lacks responses."""
@@ -161,7 +161,7 @@ class PairReading:
         self.cost += LATE * sum(not one.may_be_lost for one in late)
 
     def has_different_ids(self, habits: MasterHabits) -> bool:
-        """True if several requests wait, and each has its own id."""
+        """True if several requests wait for responses, and each has its own transaction id."""
         ids = [one.transaction_id for one in self.waiting]
         is_known = habits.ids_vary or None not in ids
         return is_known and len(ids) > 1 and len(set(ids)) == len(ids)

@@ -56,7 +56,7 @@ _IMPOSSIBLE_NS = sys.maxsize
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TapRequest:
-    """A request with its parsed PDU."""
+    """A request that a tap heard, with its parsed PDU."""
 
     adu: Adu
     pdu: Pdu

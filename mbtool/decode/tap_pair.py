@@ -81,7 +81,8 @@ class TapPair:
         """The last request that went to the pairing. None before the first one, after its response
         went there too, and after a broadcast."""
         self._has_request = False
-        """False until the first request goes to the pairing."""
+        """True once the first request was passed to the pairing, which joins requests and
+        responses."""
         self._answered_ns: int | None = None
         """The time at which the last response ended, in ns. None before the first response, and
         after the next request."""
@@ -250,7 +251,7 @@ class TapPair:
 
 
 class _TapSide:
-    """One tap of a TapPair: its splitter, and its events that wait for the pairing."""
+    """One tap of a TapPair: its splitter, and its events that are not yet passed to the pairing."""
 
     def __init__(self, speaker: Direction, line: SerialFormat, *, ascii: bool) -> None:  # noqa: A002
         self.speaker = speaker

@@ -1,7 +1,7 @@
-"""Common reads and writes that came one after another, with what differs between them."""
+"""Describes consecutive common reads and writes: the fields in which they differ, as lists."""
 
-# The array decoder gives these instead of single transactions (columns/usual_runs.py), so that a
-# table makes their rows together.
+# The array decoder yields a UsualRun in place of single transactions (columns/usual_runs.py), so
+# that a table prints all of them together.
 
 from __future__ import annotations
 
@@ -17,22 +17,23 @@ F = TypeVar("F")
 
 @dataclass(slots=True)
 class UsualRun(Generic[F]):
-    """Requests on a network with their responses, in the order of the responses.
+    """Consecutive requests on a network with their responses, in the order of the responses.
 
     Each transaction has the outcome OK or EXCEPTION, and no retries. Each list has one element per
     transaction.
     """
 
     forms: Sequence[F]
-    """What the caller made of an example: of a transaction of the same file that differs from this
-    one at most in what the lists below tell."""
+    """For each transaction, its form: an object that the caller made from an example, such as a
+    text. Example and transaction are of the same file and differ at most in the fields of this
+    class."""
     refused: int
     """The number of transactions with the outcome EXCEPTION."""
     links: Sequence[str]
     sources: Sequence[str]
-    """Address and port of the master."""
+    """The master's address and port, as text."""
     destinations: Sequence[str]
-    """Address and port of the slave."""
+    """The slave's address and port, as text."""
     transaction_ids: Sequence[int]
     request_ns: Sequence[int]
     """The time of the request (UTC ns)."""

@@ -24,7 +24,7 @@ class TimedBuffer:
         self.data = bytearray()
         """The bytes; only this class changes them."""
         self._taken = 0
-        """The number of bytes ever taken."""
+        """The number of bytes that were removed from the start so far."""
         self._marks: deque[tuple[int, int, Origin | None]] = deque()
         """For each `append` that has bytes left in the buffer: the number of bytes ever appended up
         to its end, the time of its bytes in ns, and their origin."""

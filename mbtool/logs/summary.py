@@ -44,7 +44,7 @@ class ChunkPlace(NamedTuple):
 
 
 class LogSummary:
-    """The contents of a log's summary."""
+    """The contents of a log's summary, the section at its end that lists its chunks."""
 
     def __init__(self) -> None:
         self.schemas: dict[int, Schema] = {}

@@ -40,7 +40,7 @@ class ExpectedResponse(msgspec.Struct, frozen=True, gc=False):
     """The properties of a response that follow from its request."""
 
     code: int
-    """The request's function code."""
+    """The function code of the request."""
     prefix: bytes
     """The bytes with which the response's PDU must begin, unless it is an exception response."""
     size: int = UNKNOWN_SIZE

@@ -32,7 +32,7 @@ class TapedRequest(NamedTuple):
     """The time (UTC ns) of the response's last byte; without a response, of the request's last
     byte."""
     is_missing: bool
-    """True if the slave should have responded and did not."""
+    """True if the slave had to respond and did not, or only with a wrong CRC or LRC."""
     wire_ns: int
     """The time (ns) that the bytes of the request took on a serial line; 0 on a network."""
     is_damaged: bool = False

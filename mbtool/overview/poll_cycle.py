@@ -258,7 +258,9 @@ def _lists(starts: Sequence[PollStart[P]]) -> list[PollList[P]]:
 
 
 def _with_others(cycles: CutCycles[P]) -> list[PollList[P]]:
-    """Return the polled list that `cycles` show, and the lists of the other polls in them."""
+    """Return the polled list of the usual cycle in `cycles`, and lists of all polls that this cycle
+    lacks.
+    """
     if not _has_pace(cycles):
         return []
     others = {start.poll for start in cycles.starts} - set(cycles.usual)

@@ -53,7 +53,7 @@ class RequestOrder:
         """The number of requests left out because a later request had already been passed on."""
         self._heap: list[TapedRequest] = []
         self._ordered_ns = 0
-        """The time (UTC ns) of the last request that was passed on."""
+        """The time (UTC ns) of the last request that was passed on, in the order of time."""
         self._taken = 0
 
     def begin_capture(self) -> None:

@@ -49,7 +49,7 @@ class InterfaceSettings(NamedTuple):
 
     description: str = ""
     speed: int = 0
-    """Bits per second; 0 if unknown."""
+    """The speed in bits per second; 0 if unknown."""
 
 
 class PcapWriter:

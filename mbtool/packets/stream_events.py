@@ -49,13 +49,13 @@ class StreamGap:
     """Bytes of one direction that are missing between two chunks."""
 
     ts_ns: int
-    """The time of the bytes behind the gap."""
+    """The time, in UTC ns, of the bytes behind the gap."""
     connection: Connection
     direction: Direction
     missing: int
     """The number of missing bytes; 0 if unknown, since the sequence numbers jumped too far."""
     kind: EventKind = EventKind.GAP
-    """GAP, or CUT if the capture kept only part of a packet."""
+    """The kind of event to report: GAP, or CUT if the capture kept only part of a packet."""
     acknowledged_ns: int | None = None
     """The time, in UTC ns, at which the receiver first acknowledged all missing bytes; None if it
     had not done so when the gap was reported."""

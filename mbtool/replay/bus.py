@@ -72,12 +72,14 @@ class BusPlayer:
 
     @property
     def has_ended(self) -> bool:
-        """True if the last run was sent."""
+        """True if the recording's last run (bytes without silences between them) was sent."""
         return self._queue.upcoming() is None
 
     @property
     def sent(self) -> int:
-        """The number of runs sent; in a loop, of all laps together."""
+        """The number of runs (bytes without silences between them) sent; in a loop, of all laps
+        together.
+        """
         return self._queue.taken
 
     @property

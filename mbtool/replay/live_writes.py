@@ -38,7 +38,7 @@ class Place(NamedTuple):
     """The number of times that the recording had begun again: 0 while it is played for the first
     time."""
     at_ns: int
-    """The recorded time in UTC ns."""
+    """The time in the recording, in UTC ns."""
 
 
 @dataclass(slots=True)

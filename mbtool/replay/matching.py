@@ -1,4 +1,4 @@
-"""Finds the recorded answer to a request."""
+"""Finds the recorded answer to a request of the live master, by one of several strategies."""
 
 # The matchers differ in the recorded answer that they choose:
 #

@@ -51,9 +51,9 @@ class AdapterEcho:
         self.copies = 0
         """The number of requests in a row that came twice and then had a response."""
         self._singles = 0
-        """The number of requests in a row that came only once."""
+        """The number of requests in a row that came only once, that is without a copy."""
         self._has_single = False
-        """True if some request has come only once."""
+        """True if some request has come only once, that is without a copy."""
 
     def awaits(self, data: bytes) -> bool:
         """True if the undecided bytes `data` may begin a copy of the last request."""

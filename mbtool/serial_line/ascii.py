@@ -81,7 +81,7 @@ class AsciiSplitter:
 
     @property
     def is_idle(self) -> bool:
-        """True if no frame is incomplete."""
+        """True if the splitter holds no incomplete frame."""
         return not self._frame
 
     def feed(self, data: bytes, ts_ns: int) -> list[Adu | Skipped]:

@@ -119,7 +119,7 @@ class BusState(msgspec.Struct, frozen=True, gc=False):
         return inside_ns > 0 or start_ns - (self.last_ns or start_ns) > 0
 
     def after_damage(self) -> BusState:
-        """The bus state after bytes that could not be read."""
+        """Return the bus state that follows this one after bytes that could not be read."""
         overdue = self.pending or self.overdue
         return replace(
             self, pending=None, overdue=overdue, follows_damage=True, unexplained_silence_ns=0
@@ -131,8 +131,8 @@ CostedState = tuple[float, BusState]
 
 
 def most_likely(states: Iterable[CostedState]) -> list[CostedState]:
-    """Return the different states that cost less than DOUBT_BITS: at most MAX_STATES, cheapest
-    first.
+    """Return the different states whose extra cost is below DOUBT_BITS, the cheapest first, at most
+    MAX_STATES.
     """
     kept: list[CostedState] = []
     for bits, state in sorted(states, key=lambda one: one[0]):

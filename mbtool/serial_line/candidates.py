@@ -71,7 +71,7 @@ class ByteWindow:
 
 
 class FrameCandidate(msgspec.Struct, gc=False):
-    """A frame with a correct CRC."""
+    """A candidate: bytes of the window that are a frame with a correct CRC."""
 
     size: int
     role: Direction
@@ -83,7 +83,7 @@ class FrameCandidate(msgspec.Struct, gc=False):
 
 
 class DamagedCandidate(msgspec.Struct, gc=False):
-    """Bytes that are possibly a damaged frame."""
+    """A candidate: bytes of the window that are possibly a damaged frame."""
 
     size: int
     cost: float
@@ -93,7 +93,7 @@ class DamagedCandidate(msgspec.Struct, gc=False):
 
 
 class _RangeCount:
-    """Counts the offsets of a range for which `has_it` is True; it calls that once for each."""
+    """Counts the offsets in a range for which `has_it` returns True; calls it once for each."""
 
     __slots__ = ("_before", "_has_it")
 

@@ -35,7 +35,7 @@ USUAL_TIMEOUT_NS = 200_000_000
 """Masters seldom wait less than this, in ns, for a response."""
 
 USUAL_RETRIES = 3
-"""Masters seldom repeat a request more often than this."""
+"""Masters usually repeat a request at most this many times."""
 
 CostParts = tuple[float, float]
 """The cost of a frame in bits, in two parts: the first follows from the bus state, the second from

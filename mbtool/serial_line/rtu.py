@@ -242,7 +242,7 @@ class RtuSplitter:
         # if a silence precedes the request, these bytes are no retry but a copy.
         is_heard = self._model.history.trusts_silences and self._follows_silence
         is_glued = is_heard and first_ns - self._last_end[0] < self._silent_ns
-        # If no silence follows, a longer frame may begin with the same bytes.
+        # If no silence follows these bytes, they may begin a longer frame.
         is_glued &= len(self._data) == size or self._is_silent(size)
         is_exact = first_ns - self._last_end[0] > self._character_ns
         if not self._echo.takes_copy(glued=is_glued, exact=is_exact):

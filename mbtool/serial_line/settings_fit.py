@@ -162,8 +162,8 @@ class SettingsTrial:
 
 
 View = tuple[bytes, int]
-"""The bytes as one setting reads them (with 7 data bits, bit 7 is cleared), and the number of
-damaged bytes among them."""
+"""The bytes heard, in the form in which one setting reads them (with 7 data bits, bit 7 is
+cleared), and the number of damaged bytes among them."""
 
 
 class _SettingsReading:

@@ -65,7 +65,7 @@ class TimeBins:
         return row in self._rows
 
     def __len__(self) -> int:
-        """The number of rows."""
+        """The number of rows (counted things, such as units)."""
         return len(self._rows)
 
     @property

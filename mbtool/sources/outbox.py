@@ -1,4 +1,6 @@
-"""Delays a relay's items by a few ms, so that decoding a request delays no response."""
+"""Delays the chunks and events of a relay by a few ms, so that decoding a request does not delay
+the response.
+"""
 
 # Without a delay, the consumer would decode a request and write the log just when the response
 # comes; as both run in one interpreter, the relay would have to wait. So the outbox collects items

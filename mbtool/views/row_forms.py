@@ -1,7 +1,7 @@
-"""Makes the texts of transactions that differ only in their values."""
+"""Makes the texts of table rows for transactions that differ only in their values."""
 
-# The text of an example is made as for any row, but with _MARK as its only value. The text before
-# and behind the mark is that of all these transactions.
+# The text of one of these transactions, the example, is made as for any row, but with the number
+# _MARK as its only value. All the others have the same text before and behind the mark.
 
 from __future__ import annotations
 
@@ -15,29 +15,31 @@ from mbtool.views.cells import finding_texts, transaction_text, values_text
 from mbtool.views.tables import printable
 
 _MARK = 1_000_000_007
-"""Greater than a register, a reference and every other number in a text."""
+"""A number greater than any register, reference or other number in a text, so that it occurs only
+as the mark."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RowForm:
-    """What the texts of equal requests with equal outcomes have in common."""
+    """The text that the rows of equal requests with equal outcomes share: all but their values."""
 
     like: NamedTransaction
-    """An example."""
+    """One of these transactions, as an example."""
     before: str
-    """The text up to the values; the whole text if it has no values."""
+    """The text of a row up to the values; the whole text if it has no values."""
     behind: str | None
-    """The text behind the values; None if the text has no values."""
+    """The text of a row behind the values; None if it has no values."""
     is_bits: bool
-    """True if the values are bits."""
+    """True if the values are bits, False if they are registers."""
     in_hex: bool
-    """True if registers are shown as 1234H."""
+    """True if registers are shown in hexadecimal, as 1234H."""
 
     @classmethod
     def of(cls, like: NamedTransaction, *, in_hex: bool) -> RowForm:
-        """Return the form of the transactions that differ from `like` only in their values.
+        """Return the form (RowForm) of the transactions that differ from `like` only in their
+        values.
 
-        `like` has no named points.
+        `like` has no points (named values).
         """
         function = FUNCTIONS.get(like.function)
         is_bits = function is not None and function.table is not None and function.table.is_bits

@@ -33,7 +33,7 @@ class Times:
     def day_of(self, ts_ns: int) -> str:
         """Return the day of a row that starts at `ts_ns` (UTC ns), with the time zone.
 
-        It is "" if rows show seconds instead.
+        The text is "" if rows show seconds instead.
         """
         match self._style:
             case TimeStyle.UTC:

@@ -60,7 +60,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 SAMPLE = 100
-"""So many rows decide the columns of a table and their widths."""
+"""The number of first rows that decide which columns a table has, and how wide they are."""
 MAX_LINES = 4
 """A row's text takes at most this many lines on a terminal; with --full there is no limit."""
 _MIN_TEXT = 24
@@ -170,15 +170,18 @@ class TransactionTable:
 
     @property
     def takes_runs(self) -> bool:
-        """True if `add_run` prints the same as `add`: for a pipe or file."""
+        """True if `add_run` prints the same text as `add`: into a pipe or a file, not on a
+        terminal.
+        """
         return not self._console.is_terminal
 
     def form_of(self, like: NamedTransaction) -> RowForm:
-        """Return what the rows of a UsualRun have in common with the row of the example `like`."""
+        """Return the text that the rows of a UsualRun share with the row of the example `like`."""
         return RowForm.of(like, in_hex=self._options.in_hex)
 
     def add_run(self, number: int, run: UsualRun[RowForm]) -> None:
-        """Print many transactions without named points; `number` is that of the first of them.
+        """Print many transactions without points (named values); `number` is the first one's, from
+        1.
 
         Call this only if `takes_runs` is True, and after SAMPLE calls of `add`.
         """
@@ -194,7 +197,9 @@ class TransactionTable:
             begin = end
 
     def _run_cells(self, column: TableColumn, number: int, run: UsualRun[RowForm]) -> Iterable[str]:
-        """Return the cells of a column, filled up to its width."""
+        """Return the cells of a column for the transactions of `run`, padded to the
+        column's width.
+        """
         aligned = self._aligned[column]
         match column:
             case TableColumn.NUMBER:

@@ -38,7 +38,7 @@ class Watched:
     ) -> None:
         self._format_of, self._profile_for, self._kept = format_of, profile_for, kept
         self.wanted: Wanted | None = None
-        """The filter; None if every record passes."""
+        """The user's filter; None if every record passes."""
         self._order = self._numbers = 0
         self._settled_ns: int | None = 0
         self.whole = self._board()

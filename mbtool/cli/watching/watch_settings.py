@@ -15,7 +15,7 @@ MAX_FILTERS = 20
 
 
 class WatchSettings(msgspec.Struct, omit_defaults=True):
-    """The user's choices for the views."""
+    """The user's choices for the views of `mbtool watch`: columns, sorting, filters."""
 
     columns: dict[str, list[str]] = {}
     """The names of the columns of a view, by the view's name; a view that is absent has its usual
@@ -24,7 +24,7 @@ class WatchSettings(msgspec.Struct, omit_defaults=True):
     """For a view: the column that its rows are sorted by, and True if the greatest value comes
     first."""
     filters: list[str] = []
-    """The last filters, the newest first."""
+    """The texts of the last filters, the newest first."""
 
     def note_filter(self, text: str) -> None:
         """Remember a filter as the newest one."""

@@ -72,7 +72,7 @@ class _Silences:
 
 @dataclass(slots=True)
 class LineSilences:
-    """The wrong silences of one line."""
+    """Counts the wrong silences of one serial line."""
 
     transactions: int = 0
     in_blocks: int = 0

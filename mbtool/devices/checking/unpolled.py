@@ -50,7 +50,8 @@ class _Attempts:
     """
 
     request: int
-    """The hash of the one request that is remembered, to recognise its repetition."""
+    """The hash of the remembered request to the thing, by which a repetition is recognised. Request
+    number 1 is remembered, then number 2, 4, 8 and so on in its place."""
     is_answered: bool
     """True if the remembered request has a response."""
     text: str
@@ -58,7 +59,7 @@ class _Attempts:
     message."""
     finding: Finding
     number: int = 1
-    """The number of requests so far."""
+    """The number of the master's requests to the thing so far."""
     repeats: int = 0
     """Number of times that the remembered request was repeated."""
 

@@ -127,7 +127,7 @@ class ModelLayout:
 
     base: int
     at: int = 0
-    """The address of the next point."""
+    """The address that the next point gets."""
     points: list[PlacedPoint] = field(default_factory=list)
     _told: dict[str, list[str]] = field(default_factory=dict)
     _unscaled: list[_Unscaled] = field(default_factory=list)

@@ -51,7 +51,7 @@ class Peer:
 
 @dataclass(frozen=True, slots=True)
 class Admission:
-    """The decision about a new connection."""
+    """The decision if a new connection is accepted, and which other one must be closed for it."""
 
     peer: Peer | None
     """The admitted master; None if the connection is refused."""

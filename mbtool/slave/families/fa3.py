@@ -49,7 +49,7 @@ _VOLATILE = (
 
 
 class Fa3(Behaviour):
-    """A module without outputs, such as FA3-TH1M16XC."""
+    """The behaviour of an FA3 module without outputs, such as FA3-TH1M16XC."""
 
     kept = ((Table.HOLDING_REGISTERS, NON_VOLATILE),)
 
@@ -128,7 +128,7 @@ def overlap(one: range, other: range) -> bool:
 
 
 class Fa3DigitalOutput(Fa3):
-    """The modules with 16 digital outputs: FA3-TH1M16Y and FA3-TH1M16YE."""
+    """The behaviour of the FA3 modules with 16 digital outputs: FA3-TH1M16Y and FA3-TH1M16YE."""
 
     def outputs(self) -> tuple[DeviceOutput, ...]:
         bits = self.image.get(Table.COILS, 0, len(DIGITAL_OUTPUTS))

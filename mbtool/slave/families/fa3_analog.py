@@ -125,7 +125,7 @@ _NOT_STARTED: Sequence[_InputChannel | None] = (None,) * len(CHANNELS)
 
 
 class Fa3AnalogInput(_Fa3Analog):
-    """The module with eight analog inputs: FA3-AT1M8X."""
+    """The behaviour of the FA3 module with eight analog inputs: FA3-AT1M8X."""
 
     def __init__(self, profile: Profile, image: RegisterImage) -> None:
         super().__init__(profile, image)
@@ -208,7 +208,7 @@ class Fa3AnalogInput(_Fa3Analog):
 
 
 class Fa3AnalogOutput(_Fa3Analog):
-    """The module with eight analog outputs: FA3-AT1M8Y."""
+    """The behaviour of the FA3 module with eight analog outputs: FA3-AT1M8Y."""
 
     def __init__(self, profile: Profile, image: RegisterImage) -> None:
         super().__init__(profile, image)

@@ -40,7 +40,7 @@ _DIAGNOSIS_BYTES = 5
 
 
 class Lt830(Behaviour):
-    """A digital indicating controller."""
+    """The behaviour of an LT830, a digital indicating controller."""
 
     units = range(1, 100)
 

@@ -65,7 +65,7 @@ class Counter(IntEnum):
 
 
 class Wago(Behaviour):
-    """A fieldbus coupler of the series 750."""
+    """The behaviour of a fieldbus coupler of the series 750."""
 
     kept = ((HOLDING, PARAMETERS),)
     watches = True

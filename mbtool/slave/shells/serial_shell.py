@@ -50,7 +50,7 @@ _NEVER = 32.0
 
 
 class SerialSlave(Shell):
-    """Answers on one serial port."""
+    """A shell that answers requests on one serial port, in RTU or ASCII."""
 
     def __init__(
         self,

@@ -129,8 +129,8 @@ class BlockProcesses:
 
 
 class _BlockProcess:
-    """One child process that prints decoded blocks, with the files in memory and the thread for its
-    replies.
+    """A child process that prints decoded blocks, with the files in memory that pass the data to
+    it, and the thread that reads its replies.
     """
 
     def __init__(self, format_: str, output: int | None) -> None:
@@ -150,10 +150,10 @@ class _BlockProcess:
         self._sent = self._taken = 0
         self._replies: SimpleQueue[PrintedBlock | Exception | None] = SimpleQueue()
         self.counts = TransactionCounts()
-        """A thread reads the child's replies from the pipe. The main thread does not, because
-        Ctrl-C could interrupt it in the middle of a reply, and the reply would be lost."""
-        # A thread of its own reads the replies. Ctrl-C interrupts the main thread, which could lose
-        # a half-read reply.
+        """The numbers of transactions by outcome that the child has printed, summed over its
+        replies so far."""
+        # A thread reads the child's replies from the pipe. The main thread does not, because Ctrl-C
+        # could interrupt it in the middle of a reply, and the reply would be lost.
         self._receiver = Thread(target=self._receive, daemon=True)
         self._receiver.start()
 

@@ -151,7 +151,7 @@ class ColumnReading(PartReading):
         """Yield all transactions and events. Many common reads and writes come together as one
         UsualRun.
 
-        The arguments are those of UsualRuns. Raises as `batches` does.
+        `form_of` and `singly` are as for UsualRuns. Raises the errors of `batches`.
         """
         runs = UsualRuns(form_of, singly)
         for block in self._blocks():

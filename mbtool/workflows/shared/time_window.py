@@ -103,8 +103,8 @@ class TimeWindow:
 
     @property
     def why_empty(self) -> str | None:
-        """A message for the user if all tested transactions were outside the window; None if one
-        was inside, or if none was tested.
+        """A message for the user if all transactions that were tested with `in` are outside the
+        window; None if one is inside, or if none was tested.
         """
         if self._has_any or self._times is None:
             return None
