@@ -15,7 +15,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class ConnectionOptions(OptionGroup):
-    """Options that limit TCP connections: how many at once, how many new per second, idle time."""
+    """Options that limit TCP connections: the number at once, the number of new ones per second,
+    and the idle time.
+    """
 
     heading: ClassVar[str] = "Connections"
 

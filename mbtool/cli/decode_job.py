@@ -74,7 +74,8 @@ def run_job(
     *,
     overwrite: bool,
 ) -> None:
-    """Decode each file into a Parquet file in the folder `output`, and print how many were decoded.
+    """Decode each file into a Parquet file in the folder `output`, and print the number of decoded
+    files.
 
     `jobs` is the number of processes, None for one per core. Raises UsageError if options do not
     fit, and InputError after the last file if one could not be read to its end.

@@ -181,7 +181,9 @@ class AsSlaveOptions(OptionGroup):
 
 @dataclass(frozen=True, slots=True)
 class PaceOptions(OptionGroup):
-    """The options for every side: how fast, how often, and which part of the recording."""
+    """The options for every side: the speed, the number of repetitions, and the part of the
+    recording.
+    """
 
     heading: ClassVar[str] = "Pace and part"
 

@@ -26,7 +26,7 @@ _wipes: list[Callable[[], None]] = []
 
 
 class _Waiting:
-    """Says how long `say` waits if standard error takes no text, as on a stopped terminal."""
+    """The time that `say` waits if standard error takes no text, as on a stopped terminal."""
 
     patience_s: float | None = None
     """A message is dropped after this many seconds; with None, `say` waits for ever."""
@@ -137,7 +137,7 @@ class Interrupt:
     def ask(self, number: int, _frame: FrameType | None) -> None:
         """Handle a signal: note the first one, and raise KeyboardInterrupt at the second one.
 
-        It is also raised at the first one while `breakable` waits for an item.
+        While `breakable` waits for an item, the first signal also raises KeyboardInterrupt.
         """
         if number == signal.SIGINT and not self.asked:
             _end_line_of_echo()

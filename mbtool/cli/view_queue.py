@@ -50,7 +50,8 @@ class ViewQueue:
         self._size = 0
         self._is_full = False
         self._written = 0
-        """Number of writes to the file so far; if it stays the same, the reader takes nothing."""
+        """The number of pieces of text written to the file so far. While it stays the same, the
+        reader of the terminal or pipe takes no text."""
         self._is_idle = True
         self._error: OSError | None = None
         self._changed = Condition()

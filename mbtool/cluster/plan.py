@@ -94,7 +94,8 @@ def plan(files: Iterable[InputFile], most: int = MAX_FILES) -> list[FileRun]:
 
 
 def files_each(files: int, processes: int) -> int:
-    """Return how many files one decoder should decode in a row, so that all processes are busy.
+    """Return the number of files that one decoder should decode in a row, so that all processes are
+    busy.
 
     `files` is the number of all files, `processes` that of the processes that decode them.
     """

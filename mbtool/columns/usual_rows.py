@@ -40,7 +40,8 @@ address, quantity and byte count."""
 
 
 class UsualRows:
-    """Finds the common reads and writes among transactions in arrays, and reads their PDUs' fields.
+    """Finds, among transactions in arrays, the usual ones (functions 01 to 06, 0F and 10 in
+    hexadecimal), and reads the fields of their PDUs.
 
     Each array has one element per transaction.
     """
@@ -88,8 +89,8 @@ class UsualRows:
 
     @property
     def asked(self) -> Int64s:
-        """For each row a number: equal for common reads and writes that have the same unit,
-        function, address, quantity and exception code.
+        """For each row (transaction) a number. Two common reads or writes have equal numbers if
+        they have the same unit, function, address, quantity and exception code.
         """
         head = self.exception + 1 << 48 | self._code << 40 | self._unit << 32
         return head | self.address << 16 | self.quantity

@@ -45,8 +45,9 @@ class UsualRuns(Generic[F]):
     """
 
     def __init__(self, form_of: Callable[[NamedTransaction], F], singly: int) -> None:
-        """`form_of` makes the form (such as a text) that all transactions equal to an example
-        share. The first `singly` transactions of the capture are given as single transactions.
+        """`form_of` gets one transaction and makes what all equal transactions share, such as the
+        text of their lines. The first `singly` transactions of the capture are given as single
+        transactions.
         """
         self._form_of = form_of
         self._singly = singly

@@ -1,4 +1,6 @@
-"""Learns how the master of a connection sends requests, and how long its slave takes."""
+"""Learns how the master of a connection sends requests, and the time that its slave takes to
+respond.
+"""
 
 from __future__ import annotations
 

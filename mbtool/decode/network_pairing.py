@@ -79,8 +79,8 @@ response is still paired with its request."""
 MAX_HELD = 32
 """The most responses held back until something decides which request they answer."""
 HOLD_NS = 3_000_000_000
-"""The longest time that a response is held back, in ns: a user who watches a live capture sees the
-transaction so much later."""
+"""The longest time, in ns, that a response is held back because it may answer one of several
+requests. A user who watches a live capture sees its transaction later by up to this time."""
 DOUBTFUL = 0.5
 """The confidence (0 to 1) of a transaction whose response may as well belong to another request."""
 

@@ -81,7 +81,7 @@ class PairStep(NamedTuple):
 
     at_ns: int
     response: Adu | None
-    """The response of this step; None if the step is lost response bytes."""
+    """The response of this step; None if the step is response bytes that the capture lacks."""
     requests: tuple[OpenRequest, ...]
     """The requests that the response, or the lost bytes, answer. Empty if no request asked for the
     response; several only if the capture lacks responses."""

@@ -368,9 +368,10 @@ def _expected_list(value: object, choices: list[str], *, of_numbers: bool = Fals
 
 
 def _choices(cls: type[msgspec.Struct], path: str) -> list[str]:
-    """Return the texts that a key of `cls` can have if its type is an enumeration; otherwise none.
+    """Return the texts that are allowed as the value of a key; none if its type is no enumeration.
 
-    `path` is the place of the key in msgspec's message, such as `transports[0]`.
+    `path` is the place of the value in msgspec's message, such as `transports[0]`; it begins with
+    the key, which is a field of `cls`.
     """
     hint = typing.get_type_hints(cls)[re.split(r"[.\[]", path)[0]]
     for kind in (hint, *typing.get_args(hint)):

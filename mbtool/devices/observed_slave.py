@@ -76,7 +76,8 @@ class Samples:
     count: int = 0
     """Number of transactions that had values, also of those that are not in `rows`."""
     changes: list[int] = field(default_factory=list)
-    """For each register, how often its value changed from one transaction to the next."""
+    """For each register, the number of times that its value changed from one transaction to the
+    next."""
     _last: tuple[int, ...] = ()
     _every: int = 1
 

@@ -44,8 +44,9 @@ if TYPE_CHECKING:
 
 BATCH = 4096
 _COUNTED = 16
-"""A message of joined serial reads counts as 1 plus its length divided by this (in bytes) against
-the limit of BATCH messages, as it decodes into many reads. One read takes 2 bytes or more of it."""
+"""A message with joined serial reads becomes many items, one for each read, which takes at least 2
+bytes of the message. So it counts as 1 plus its length in bytes divided by this number. A batch
+ends as soon as its messages count BATCH in all."""
 
 _TYPES: dict[str, Any] = {
     schemas.CHUNK: ChunkMessage,

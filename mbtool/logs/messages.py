@@ -104,7 +104,9 @@ class PointMessage(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True
 
 
 class DecodingMark(msgspec.Struct, frozen=True, kw_only=True):
-    """Says how far the decoder is behind the capture. It is written to the log as it is."""
+    """Says how far the decoder is behind the capture. Its fields are those of the message in the
+    log.
+    """
 
     ts_ns: int
     waiting: int

@@ -42,7 +42,7 @@ class Distortion:
 
 @dataclass(frozen=True, slots=True)
 class Response:
-    """A response PDU and how long the slave takes before it sends it."""
+    """A response PDU and the time that the slave waits before it sends the response."""
 
     pdu: bytes
     delay_ns: int = 0

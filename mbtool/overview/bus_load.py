@@ -63,7 +63,7 @@ class BusLoad:
 
 
 def line_time(tally: RequestTally, link: LinkStatistics, timeout_ns: int) -> LineTime:
-    """Return how much time of a serial line the transactions counted in `tally` took.
+    """Return the time of a serial line that the transactions counted in `tally` took.
 
     `timeout_ns` is the time, in ns, that the master waits for a missing response.
     """

@@ -1,4 +1,4 @@
-"""Measures how long a link was watched, and counts missing answers by hour."""
+"""Measures the time during which a link was watched, and counts missing answers by hour."""
 
 # Memory: the counts of MAX_HOURS hours for each link; at the limit the oldest hour is dropped.
 

@@ -105,8 +105,8 @@ class Asked(NamedTuple, Generic[P]):
 
 @dataclass(frozen=True, slots=True)
 class PollStep(Generic[P]):
-    """One step of a polled list: a poll, the pause before it, and how long it takes. Times are in
-    ns.
+    """One step of a polled list: a poll, the pause before it, and the time that the poll takes.
+    Times are in ns.
     """
 
     poll: P

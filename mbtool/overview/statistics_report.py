@@ -30,7 +30,7 @@ class FunctionReport:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PollReport:
-    """The statistics of one poll, and how much of a serial line's time its transactions took."""
+    """The statistics of one poll, and the time of a serial line that its transactions took."""
 
     poll: PollStatistics
     line_time: LineTime | None

@@ -139,7 +139,9 @@ class Datagram:
         return data, len(data) - len(payload) + length
 
     def add(self, fragment: Fragment) -> int:
-        """Keep the new bytes of a fragment; return how many entries `pieces` got by this."""
+        """Keep the new bytes of a fragment; return the number of entries that this adds to
+        `pieces`.
+        """
         start, end = fragment.start, fragment.end
         is_behind = not self.pieces or end >= self.pieces[-1][1]
         if self.total is None and fragment.last and is_behind:

@@ -78,8 +78,8 @@ class WireReads(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """Describes the reads of a port or socket whose bytes a packet holds."""
 
     reads: list[tuple[int, int]]
-    """For each read: how many of its bytes are in this packet, and the time of the read in UTC
-    ns."""
+    """For each read, the number of its bytes that are in this packet, and the time of the read in
+    UTC ns."""
     is_open: bool = False
     """True if the last read continues with the first bytes of the next packet."""
     skip: int = 0

@@ -48,7 +48,9 @@ PCAP_MAGICS = tuple(_FORMATS)
 
 
 class PcapForm(NamedTuple):
-    """The form of a pcap file's records, as the file header gives it."""
+    """The properties of a pcap file that one needs to read its records, as the file's header gives
+    them.
+    """
 
     order: str
     """The byte order as a format character of `struct`: `<` or `>`."""

@@ -143,9 +143,10 @@ class TcpReassembler:
     def may_drop(self, now_ns: int, flows: Iterable[FlowEnds], more: int = 0) -> bool:
         """True if dropping connections up to the time `now_ns` (UTC ns) may change results.
 
-        A connection is dropped if it is idle or one too many. That may change results if it is
-        still open, or if it is one of `flows`, which get more segments. `more` is the largest
-        number of connections that will open besides `flows`.
+        A connection is dropped if it is idle for IDLE_NS, or if there are more than
+        MAX_CONNECTIONS. That may change results if the connection has not ended, or if it is one of
+        `flows`: these get further segments. `more` is the largest number of connections that will
+        open besides `flows`.
         """
         known = self._connections
         used = {("", *ends) for ends in flows}

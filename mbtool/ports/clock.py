@@ -63,7 +63,7 @@ def _measured_ahead_ns() -> int:
 
 
 class _RunClock:
-    """The clock of this process: its offset, and how many captures and slaves are using it."""
+    """The clock of this process: its offset, and the number of captures and slaves that use it."""
 
     lock = Lock()
     ahead_ns = int(os.environ.get(_AHEAD) or _measured_ahead_ns())

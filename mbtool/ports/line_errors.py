@@ -52,7 +52,7 @@ class ErrorCounts:
 
 @dataclass(frozen=True, slots=True)
 class LineTrouble:
-    """A report of damaged bytes (`text` describes them) or of lost bytes (`lost`: how many)."""
+    """A report of damaged bytes, which `text` describes, or of `lost` bytes (their number)."""
 
     ts_ns: int
     text: str = ""

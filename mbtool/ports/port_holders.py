@@ -17,10 +17,11 @@ if TYPE_CHECKING:
 
 
 def holders_of(devices: Collection[str], root: Path) -> tuple[dict[str, list[Holder]], int]:
-    """Return the processes that have each port open, and how many processes may not be inspected.
+    """Return the processes that have each port open, and the number of processes that may not be
+    inspected.
 
-    `devices` are the paths of the ports, such as /dev/ttyUSB0; they become the keys of the
-    returned dictionary. `root` is the folder that contains /proc.
+    `devices` are the paths of the ports, such as /dev/ttyUSB0; they become the keys of the returned
+    dictionary. `root` is the folder that contains /proc.
     """
     found: dict[str, list[Holder]] = {device: [] for device in devices}
     unseen = 0

@@ -67,7 +67,7 @@ class SerialRecord:
 
     @property
     def lost(self) -> int:
-        """The number in the data of a LOST or OVERRUN record: how many bytes were lost."""
+        """The number in the data of a LOST or OVERRUN record: the number of lost bytes."""
         count: int = _COUNT.unpack(self.data)[0]
         return count
 

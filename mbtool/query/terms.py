@@ -49,7 +49,7 @@ class Term:
     """True if the value is an address with a port (HOST:PORT). A text without a port equals it if
     the hosts are equal."""
     is_host: bool = False
-    """True if the value is an address without a port."""
+    """True if the value is the address of a host (HOST), without a port."""
     constant: str | None = None
     """The text, if the term is a text in quotes; otherwise None."""
     items: tuple[Term, ...] = ()

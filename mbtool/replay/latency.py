@@ -1,4 +1,4 @@
-"""Decides how long a slave that plays a recording takes for each response."""
+"""Decides after what time a slave that plays a recording sends each response."""
 
 # A recorded latency is divided by the rate of playing (recorded time divided by real time); a fixed
 # latency is in real time.

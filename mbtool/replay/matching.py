@@ -134,7 +134,7 @@ class KeyMatcher:
         self._answers = recording.answers
         self._on_end = on_end
         self._given: dict[Key, int] = {}
-        """For each request (unit and PDU), how many of its recorded answers were played."""
+        """For each request (unit and PDU), the number of its recorded answers that were played."""
 
     def find(self, key: Key, moment: Moment) -> Found | NoAnswer:
         answers = self._answers.get(key)

@@ -79,8 +79,8 @@ class AdapterEcho:
         return True
 
     def copied_size(self, data: bytes) -> int:
-        """Return how many bytes at the start of `data` are a retry of the last request and its
-        copy.
+        """Return the number of bytes at the start of `data` that are a retry of the last request
+        and its copy.
 
         The adapter copies each request that the master sends, so a retry comes twice, too. `data`
         may hold only the beginning of these two frames. The result is 0 if `data` begins with

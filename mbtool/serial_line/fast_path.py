@@ -70,7 +70,8 @@ class FastPath:
         direction; empty until its bytes tell the sizes."""
 
     def restart(self, *, behind_noise: bool) -> None:
-        """Forget the sizes of the next frame, since it begins at another byte than before.
+        """Forget the possible sizes of the next frame, as this frame begins at another byte than
+        before.
 
         `behind_noise` is True if the byte before the next frame belongs to no frame.
         """

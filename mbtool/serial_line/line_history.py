@@ -86,9 +86,10 @@ class LineHistory:
     def silent_bits(self, state: BusState, pending: PendingRequest) -> float:
         """The cost, in bits, of supposing that a unit answers `pending` after it was silent lately.
 
-        The cost grows with the number of requests in a row that the unit did not answer. If
-        silences do not tell who speaks, it is higher for a function whose response equals its
-        request, to a unit that never answered while others did.
+        The cost grows with the number of requests in a row that the unit did not answer.
+        SILENT_UNIT is added if silences do not tell who speaks, the response to this function
+        equals its request, and other units have answered but this unit never has (not even the
+        request before, which `pending` repeats).
         """
         unit = pending.unit
         unanswered = self.unanswered.get(unit, 0)

@@ -84,7 +84,9 @@ class LineStatistics:
 
 
 class LatencyStatistics:
-    """The longest time, in ns, that slaves on this line take to respond."""
+    """Learns the longest time, in ns, from a request to its response: of a line, or only of the
+    writes with one function to one unit.
+    """
 
     __slots__ = ("_heard", "_longest_ns")
 
@@ -123,9 +125,9 @@ class LatencyStatistics:
         self._longest_ns = max(latency_ns, self._longest_ns * 0.99, self.MIN_NS)
 
     def learn_capped(self, latency_ns: int) -> None:
-        """Note a latency (ns) of what may be no response.
+        """Note the latency (ns) of a frame that may be no response.
 
-        It counts only up to twice the remembered longest latency.
+        A latency above twice the remembered longest one counts as twice that one.
         """
         self.learn(min(latency_ns, 2 * int(self._longest_ns)))
 

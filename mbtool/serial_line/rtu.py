@@ -44,8 +44,9 @@ WINDOW = 512
 HOLD_NS = 300_000_000
 """An incomplete frame waits this long, in ns, for more bytes. FTDI adapters wait at most 255 ms."""
 MAX_SILENCES = 16
-"""After this many silences of t3.5 the buffered bytes are decided, even if a frame may be
-incomplete. A frame of 256 bytes that comes in pieces of 32 bytes has 8 silences."""
+"""After this many silences of t3.5, the search must decide what the buffered bytes are, even if
+they may end with an incomplete frame. A frame of 256 bytes that comes in pieces of 32 bytes has 8
+silences."""
 
 UNSURE = 0.79
 """The confidence (0.5 to 1) of a frame that is found ambiguous is lowered to this, below `SURE`."""

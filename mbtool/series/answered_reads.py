@@ -28,7 +28,7 @@ class ReadValues(Protocol):
     """The values of registers or bits in the responses to the reads of one poll."""
 
     def last(self) -> list[int]:
-        """The values in the last response."""
+        """Return the values in the last response, one for each register or bit."""
         ...
 
     def changes(self, before: Sequence[int] | None, place: int) -> ValueChanges:

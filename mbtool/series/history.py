@@ -53,7 +53,7 @@ class LinkSum(IntEnum):
 
     TRANSACTIONS = 0
     BYTES = 1
-    """Number of bytes of all ADUs, and of bytes that belong to no ADU."""
+    """The number of all bytes, both those of ADUs and those that belong to no ADU."""
     BAD_CHECK = 2
     NO_FRAME = 3
     """Number of events about bytes that belong to no ADU."""

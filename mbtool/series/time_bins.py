@@ -127,7 +127,9 @@ class TimeBins:
 
 
 def note_value(one: Bin, value: int) -> None:
-    """Update the least and the greatest value of a bin with a value above 0."""
+    """Update the least and the greatest value of a bin with `value`, which is above 0; 0 in a bin
+    means that it has no value yet.
+    """
     if value > one[GREATEST]:
         one[GREATEST] = value
     if value < one[LEAST] or not one[LEAST]:

@@ -120,7 +120,9 @@ class _Head:
 
     @property
     def is_inverted(self) -> bool:
-        """True if the channel is low most of the time: an idle line is high, so it is inverted."""
+        """True if the channel is low most of the time. An idle serial line is high, so such a
+        channel was recorded inverted.
+        """
         times = [0, *self.edges, self.end]
         high = sum(times[at + 1] - times[at] for at in range(1 - self.first, len(times) - 1, 2))
         return 2 * high < self.end

@@ -118,7 +118,8 @@ def _known(until_ns: int, ts_ns: int) -> int:
 class _Tap:
     """The sink for the items of one of the two ports.
 
-    It passes them on to `source`, together with `speaker`: whose bytes the port receives.
+    It passes them on to `source`, together with `speaker`, the direction of the bytes that the port
+    receives.
     """
 
     def __init__(self, source: TwoTapsSource, speaker: Direction) -> None:

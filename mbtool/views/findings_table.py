@@ -111,7 +111,9 @@ class Summaries:
 
 
 def print_summaries(console: Console, summaries: Summaries) -> None:
-    """Print an entry for each code and place: how many findings, and the first and last one."""
+    """Print an entry for each code and place: the number of findings, and the first and
+    last one.
+    """
     rows = [
         (code, summary, place, counted(place.number, "time"))
         for code, summary in summaries

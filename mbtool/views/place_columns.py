@@ -113,9 +113,8 @@ class PlaceColumns:
         return ", ".join(parts)
 
     def _shorten(self, column: TableColumn, texts: Iterable[str]) -> None:
-        """Show the addresses of a column by their last number if all are of one IPv4 network.
-
-        Only a narrow table does so.
+        """If the table is narrow and all addresses of a column are in one IPv4 network (their first
+        three numbers are equal), show only the last number of each.
         """
         if self._is_narrow and (network := common_network(texts)) is not None:
             self.networks[column] = network

@@ -72,9 +72,9 @@ def cycle_lines(links: Sequence[LinkReport], width: int | None, top: int) -> lis
 
 
 def _untold_lists(number: int, shown: int) -> list[StyledLine]:
-    """Return a line that says for how many of `number` poll lists the polls are not shown.
+    """Return a line with the number of poll lists, out of `number`, whose polls are not shown.
 
-    `shown` is the number of those whose polls are shown; if they are all, there is no line.
+    `shown` is the number of lists whose polls are shown; if that is all of them, there is no line.
     """
     if number <= shown:
         return []

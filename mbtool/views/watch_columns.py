@@ -36,7 +36,8 @@ class DrawContext:
     now_ns: int = 0
     """The time for which the view is drawn, in ns since 1970."""
     formats: dict[Hashable, ValueFormat] = field(default_factory=dict)
-    """The format of values that the user chose for a row, by the row's key."""
+    """The formats in which the user chose to see the values of single rows. The key is the row's
+    `key`, which identifies the poll, point or transaction that the row shows."""
     marked: Collection[int] = ()
     """The `order` numbers (place among all records, from 1) of the transactions that the user
     marked."""
@@ -177,7 +178,8 @@ def cut_spans(spans: Spans, width: int) -> Spans:
 
 
 def _cut_at(text: str, width: int) -> int:
-    """Return how many characters of a text to keep when it is cut to `width` and `..` is added.
+    """Return the number of characters of a text to keep when it is cut to `width` and `..` is
+    added.
 
     The cut is behind a space, so that no number looks like a shorter one, and no word is halved.
     """

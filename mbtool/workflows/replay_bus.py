@@ -40,8 +40,8 @@ class BusOptions(PlayOptions):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BusReport:
-    """The result of a replay: how many pieces (bytes given to the port at once) were sent, and how
-    late.
+    """The result of a replay: the number of pieces sent (bytes given to the port at once), and
+    their delays.
     """
 
     pieces: int

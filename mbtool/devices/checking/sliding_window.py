@@ -37,8 +37,8 @@ class SlidingWindow:
         yet."""
 
     def add(self, at_ns: int) -> int:
-        """Add a case at the time `at_ns`, and return how many cases are counted for the first time
-        now.
+        """Add a case at the time `at_ns`, and return the number of cases that are counted for the
+        first time now.
 
         A case is counted if it is in a full window: one of at least the limit's number of cases
         within the limit's time.
@@ -71,7 +71,7 @@ class SlidingWindow:
     def _count(self, begin: int) -> int:
         """Count the cases of a full window that begins at the index `begin` in `_times`.
 
-        Returns how many of them were not counted before.
+        Returns the number of those that were not counted before.
         """
         times, known_ns = self._times, self._counted_to_ns
         end = begin + self._limit.number

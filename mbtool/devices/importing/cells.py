@@ -208,8 +208,8 @@ def _parse_pairs(text: str, number: str, next_one: str) -> dict[int, str] | None
     pair = re.compile(rf"\s*{number}{_IS}\s*", re.IGNORECASE)
     splits = [text.split(sign) for sign in ("\n", ";", "|", ",")]
     splits.append(re.split(rf"\s+(?={next_one})", text))
-    # A pair's text may itself contain a comma or another separator. Try the separators in the
-    # order of how many parts they give, the most first.
+    # A pair's text may itself contain a comma or another separator. Try the separators in the order
+    # of the number of parts that they give, the greatest first.
     for parts in sorted(splits, key=len, reverse=True):
         pairs = [pair.fullmatch(part.rstrip(" ,;|")) for part in parts if part.strip()]
         found = {_whole(one["number"]): one["text"] for one in pairs if one is not None}

@@ -113,9 +113,9 @@ def _titles(models: Sequence[SunModel]) -> str:
 
 
 def _prefixes(models: Sequence[SunModel]) -> list[str]:
-    """Return for each model the beginning of the names of its points: `inverter.`, `inverter[2].`.
+    """Return for each model the prefix of the names of its points: `inverter.`, `inverter[2].`.
 
-    If there is only one model, it is empty.
+    If there is only one model, its prefix is empty.
     """
     if len(models) == 1:
         return [""]
@@ -129,10 +129,10 @@ def _prefixes(models: Sequence[SunModel]) -> list[str]:
 
 
 def _repeat(file: str, model: SunModel, place: FoundModel) -> int:
-    """Compute how often the repeating groups of a model occur in a device.
+    """Compute the number of times that the repeating groups of a model occur in a device.
 
-    It follows from the length of the model in the device, which `place` has. `file` is the name of
-    the model's file, for messages.
+    The number follows from the length of the model in the device, which `place` has. `file` is the
+    name of the model's file, for messages.
     """
     once, none = words_of(file, model, 1), words_of(file, model, 0)
     if once <= none:

@@ -1,4 +1,6 @@
-"""The rules of a device for TCP connections: how many, which one must leave, when one ends."""
+"""The rules of a device for TCP connections: their greatest number, the one that must leave for a
+new one, and the times at which one is closed.
+"""
 
 # The TCP shell (shells/tcp_shell.py) owns the sockets and the clock, and asks the device's policy:
 #

@@ -58,7 +58,9 @@ class FaultKind(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FaultCondition:
-    """The conditions a request must meet for a fault to act. A field that is None fits any."""
+    """The conditions that a request must meet for a fault to act. A field that is None allows every
+    request.
+    """
 
     units: frozenset[int] | None = None
     functions: frozenset[int] | None = None

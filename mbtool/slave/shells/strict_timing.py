@@ -24,7 +24,9 @@ if TYPE_CHECKING:
 
 
 class StrictTiming:
-    """Delays a request until the silences before, inside and after it are known to be right."""
+    """Holds a request back until the line was silent for t3.5 after it; drops a request if a
+    silence before, inside or after it is wrong.
+    """
 
     def __init__(self, line: SerialFormat) -> None:
         self._t3_5_ns = line.t3_5_ns

@@ -46,7 +46,9 @@ silently."""
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Bounds:
-    """The limits of one endpoint: connections, seconds without a request, responses that wait."""
+    """The limits of one TCP endpoint: its number of connections, the seconds that a connection may
+    be without a request, and its number of pending responses.
+    """
 
     connections: int = 32
     idle_s: float = 600.0

@@ -74,8 +74,8 @@ class TransactionRows:
             self._keep(one, codes)
 
     def first_of(self, count: int) -> int:
-        """Return how many of the next `count` transactions need a row; none of them failed or has a
-        finding.
+        """Return the number of transactions, out of the next `count`, that need a row. None of the
+        `count` transactions failed or has a finding.
         """
         return count if self._everything else min(max(FIRST - self.transactions, 0), count)
 

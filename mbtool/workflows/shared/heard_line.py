@@ -34,8 +34,8 @@ def serial_types(line: LineSettings | None) -> AbstractSet[int]:
 
 
 class HeardLine:
-    """Counts the pieces of bytes (packets of a serial line) in one file, and how many overlap at an
-    assumed baud rate.
+    """Counts the pieces of bytes (packets of a serial line) in one file, and those that overlap at
+    an assumed baud rate.
     """
 
     def __init__(self, name: str, format_: SerialFormat) -> None:

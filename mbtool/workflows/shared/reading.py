@@ -95,7 +95,7 @@ class Reading:
         self._has_found = False
         """True once a transaction or event was found in the files."""
         self._has_decoded = False
-        """True once a transaction was found, or an event not about undecodable data."""
+        """True once a transaction was found, or an event that does not report undecodable data."""
         self._first_undecodable: str | None = None
         """The message of the first event about undecodable data; None if there was none."""
         self._heard: list[HeardLine] = []

@@ -97,8 +97,8 @@ class Recorder:
         far behind."""
         self._told_dropped = 0
         self._awaited = (0, now_ns())
-        """An earlier value of `_recorded`, and the time (ns) when it had this value. The decoder is
-        behind if it has not decoded so many chunks and packets BEHIND_NS later."""
+        """An earlier value of `_recorded`, and the time (ns) when it had this value. If the decoder
+        has not decoded as many chunks and packets BEHIND_NS after that time, it is behind."""
         self._is_behind = False
         self._marked_ns = now_ns() - _MARK_NS
         self._discarded_packets = 0

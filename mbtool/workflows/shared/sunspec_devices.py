@@ -101,7 +101,8 @@ class SunSpecFolder:
     def try_all(self) -> tuple[int, list[str]]:
         """Import each model by itself, to check the folder.
 
-        Returns how many models can be imported, and an error message for each that cannot.
+        Returns the number of models that can be imported, and an error message for each that
+        cannot.
         """
         from mbtool.devices.importing.sunspec import import_sunspec
 

@@ -39,7 +39,7 @@ class StreamKey(NamedTuple):
 
 
 class WireFrame(NamedTuple):
-    """A frame that decoding has found, with what is known of it from its transaction."""
+    """A frame that decoding has found, with facts about it from its transaction."""
 
     raw: bytes
     is_request: bool
