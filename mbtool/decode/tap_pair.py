@@ -78,8 +78,8 @@ class TapPair:
         self._master = self._sides[Direction.REQUEST]
         self._slaves = self._sides[Direction.RESPONSE]
         self._pending: TapRequest | None = None
-        """The last request that went to the pairing. None before the first one, after its response
-        went there too, and after a broadcast."""
+        """The last request that was passed to the pairing. None before the first request, after a
+        broadcast, and once the request's response was passed to the pairing, too."""
         self._has_request = False
         """True once the first request was passed to the pairing, which joins requests and
         responses."""

@@ -49,9 +49,9 @@ class LearnedCost:
         self._bits: float | None = bits
         """The cached value of the property `bits`; None if `frequency` has changed since."""
         self.is_at_rest = False
-        """True after so many frames without the event that one more changes no cost: then `learn`
-        need not be called for it. That takes some thousand frames, long after the learning rate has
-        become the final one."""
+        """True if `frequency` is so low that another frame without the event changes no cost, so
+        that `learn` need not be called for such a frame. This needs some thousand frames without
+        the event. By then the learning rate has become the final one."""
 
     def learn(self, seen: bool) -> None:
         """Count one more frame; `seen` is True if the event with this cost occurred at it."""

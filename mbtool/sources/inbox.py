@@ -94,8 +94,8 @@ class Inbox:
         self._losses: dict[str, _Loss] = {}
         self._changed = Condition()
         self._first = 0
-        """The number of sources that are inside the context of `first` now. While it is not 0, the
-        consumer waits."""
+        """The number of sources that have entered the context manager `first` and not yet left it.
+        While it is not 0, the consumer waits."""
         self._calm = Event()
         self._calm.set()
 

@@ -82,8 +82,8 @@ class ReturningSource(LiveSource[SerialLink | InterfaceLink]):
     def put(self, item: Item) -> None:
         """Take an item of the present source, and put it into the inbox.
 
-        An Ended is not put into the inbox. If it has an error, the link was lost: the thread then
-        tries to open it again.
+        An Ended item (the source has ended) is not put into the inbox. If this item has an error,
+        the link was lost: the thread then tries to open the link again.
         """
         if not isinstance(item, Ended):
             self._inbox.put(item)

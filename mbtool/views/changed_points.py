@@ -1,4 +1,6 @@
-"""Sorts the points (named values) of a response: those that changed since the last one first."""
+"""Sorts the points (named values) of a response: first those whose values have changed since they
+were last read.
+"""
 
 # Memory: the texts of about MAX_POINTS points. When there are more, all of them are forgotten; each
 # point is then treated as one that is read for the first time.

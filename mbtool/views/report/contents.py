@@ -146,7 +146,8 @@ def _statistics(contents: ReportContents) -> dict[str, Any]:
 def _bins(contents: ReportContents) -> dict[str, Any]:
     """Return counts over time: for each unit and link, lists with a number for each bin of time.
 
-    `begin` is in seconds since 1970, `width` in seconds.
+    `begin`, the beginning of the first bin, is in seconds since 1970; `width`, the width of each
+    bin, is in seconds. `count` is the number of bins.
     """
     bins = contents.history.bins
     timed = {link.name for link in contents.links if link.has_times}
