@@ -230,7 +230,7 @@ def _compare_requests(
         if is_accepted or is_predicted:
             against.append(f"{text} {'answered' if is_accepted else 'refused'}, though {rule}")
         elif other:
-            against.append(f"{text} refused by {other}, though {rule}")
+            against.append(f"{text} refused with exception {other}, though {rule}")
         else:
             explained += 1
             refusals.append(f"{text} refused, as {rule}")

@@ -124,6 +124,10 @@ class Distribution:
                 return min(max(middle, self.least), self.greatest)
         return 0
 
+    def number_from(self, ns: int) -> int:
+        """Return how many durations are `ns` or longer, as exactly as `error` says."""
+        return sum(count for low, count in self._buckets.items() if low + self._width(low) > ns)
+
     def histogram(self) -> list[Bucket]:
         """Count the durations in steps that begin at 0, 1, 2, 5, 10, 20 us and so on.
 

@@ -96,11 +96,12 @@ def _doubt(result: MatchResult, confirmation: str, score: int) -> str:
     if best.is_other_model:
         return "its model code is another's"
     if best.contradicted and score <= FITS:
-        return f"{best.contradicted} of {asked} contradict it: {best.against[0]}"
+        example = f"for example {best.against[0]}"
+        return f"{best.profile} would answer {best.contradicted} of {asked} otherwise, {example}"
     if len(ties) > 1 and not best.is_model:
-        return f"{asked} fit {len(ties)} profiles alike"
+        return f"{asked} fit {len(ties)} profiles equally well"
     if not confirmation:
-        return f"{asked} fit it, but nothing was seen that only this device does"
+        return f"{asked} fit {best.profile}, but so would other devices: nothing shows its model"
     if best.explained < MIN_EXPLAINED or score <= FITS:
         return _too_little(best.explained + best.contradicted)
     return ""

@@ -352,6 +352,7 @@ def _slave_row(slave: SeenSlave, is_gateway: bool, maker: Callable[[str], str | 
         transactions=slave.outcomes.total(),
         answered=slave.answered,
         unanswered=slave.outcomes[Outcome.NO_ANSWER] + slave.unreached,
+        unreached=slave.unreached,
         exceptions=dict(sorted(slave.exceptions.items())),
         first_ns=slave.seen.first_ns,
         last_ns=slave.seen.last_ns,

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from mbtool.overview.master_tape import MasterTape, TapedRequest
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence, Set
+    from collections.abc import Callable, Mapping, Sequence, Set
 
     from mbtool.overview.answered_run import AnsweredRun
     from mbtool.overview.link_statistics import LinkStatistics
@@ -44,8 +44,16 @@ class RequestOrder:
     the periods of its poll, and its master's tape (the list of the master's last requests).
     """
 
-    def __init__(self, links: Mapping[str, LinkStatistics]) -> None:
+    def __init__(
+        self,
+        links: Mapping[str, LinkStatistics],
+        on_retry: Callable[[PollStatistics, int, int], None],
+    ) -> None:
+        """`on_retry` is called with a poll, the time (UTC ns) of a retry, and 1; or with -1, if a
+        request that was told as a retry turns out to be none.
+        """
         self._links = links
+        self._on_retry = on_retry
         self.tapes: OrderedDict[tuple[str, str], MasterTape] = OrderedDict()
         """The tape (the last requests) of each master; the key is the link and the master's
         host."""
@@ -195,7 +203,9 @@ class RequestOrder:
         link, master = poll.key.link, poll.key.master
         self._links[link].hours.add(one.at_ns, is_missing=one.is_missing)
         if self._tape(link, master).add(one):
-            poll.repetitions += 1
+            number, times = poll.begin_again(one.at_ns)
+            for at_ns in times:
+                self._on_retry(poll, at_ns, number)
         else:
             poll.begin(one.at_ns)
 

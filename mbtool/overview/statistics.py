@@ -53,11 +53,15 @@ class Statistics:
     be read at any time.
     """
 
-    def __init__(self, format_of: Callable[[str], SerialFormat | None] = lambda _: None) -> None:
+    def __init__(
+        self,
+        format_of: Callable[[str], SerialFormat | None] = lambda _: None,
+        on_retry: Callable[[PollStatistics, int, int], None] = lambda *_: None,
+    ) -> None:
         """Collect the statistics of links.
 
         `format_of` is called with the name of a link. It returns the baud rate and character format
-        of a serial line, None if they are unknown.
+        of a serial line, None if they are unknown. `on_retry` is that of RequestOrder.
         """
         self._format_of = format_of
         self.links: dict[str, LinkStatistics] = {}
@@ -74,7 +78,7 @@ class Statistics:
         self.connections: dict[tuple[str, str], ConnectionTally] = {}
         """The counts of TCP connections; the key is the link and the master's host."""
         self.transactions = 0
-        self._order = RequestOrder(self.links)
+        self._order = RequestOrder(self.links, on_retry)
         self._damaged = DamagedAnswers()
         self._hosts: dict[str, str] = {}
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -26,6 +27,8 @@ class FunctionReport:
     function: int
     function_name: str
     tally: RequestTally
+    repetitions: int
+    """The number of retries of the polls that are still known."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -150,8 +153,10 @@ def _functions(
     groups: list[tuple[int, int, RequestTally]],
 ) -> list[FunctionReport]:
     tallies: dict[tuple[int, int], list[RequestTally]] = {}
+    repetitions: Counter[tuple[int, int]] = Counter()
     for poll in polls:
         tallies.setdefault((poll.key.unit, poll.key.function), []).append(poll.tally)
+        repetitions[poll.key.unit, poll.key.function] += poll.repetitions
     for unit, function, tally in groups:
         tallies.setdefault((unit, function), []).append(tally)
     return [
@@ -161,6 +166,7 @@ def _functions(
             function=function,
             function_name=statistics.function_names.get(function) or function_name(function),
             tally=merged(some),
+            repetitions=repetitions[unit, function],
         )
         for (unit, function), some in sorted(tallies.items(), key=lambda one: one[0])
     ]

@@ -38,6 +38,7 @@ class UnitSum(IntEnum):
     OTHER = 4
     """Transactions with any other outcome: not captured, unsolicited, broadcast, malformed."""
     RETRIES = 5
+    """Requests that repeat an equal one without response at once; only `add_retry` counts them."""
     BAD_CHECK = 6
     """Requests whose response came with a wrong CRC or LRC."""
     LATENCIES = 7
@@ -100,6 +101,13 @@ class History:
                 times, latencies = zip(*some, strict=True)
                 self._add_answered(one, times[0], latencies)
 
+    def add_retry(self, row: UnitRow, at_ns: int, number: int = 1) -> None:
+        """Count `number` retries of a unit, whose transactions are counted by `add`, too. A
+        negative number takes back what was counted before.
+        """
+        if self._has_room(row):
+            self.bins.bin(row, at_ns)[UnitSum.RETRIES] += number
+
     def _add_answered(self, one: AnsweredReads, at_ns: int, latencies: Sequence[int]) -> None:
         """Count requests that belong to one bin (span of time)."""
         count = len(latencies)
@@ -129,8 +137,6 @@ class History:
         outcome = one.outcome
         unit[UnitSum.TRANSACTIONS] += 1
         unit[_PLACES.get(outcome, UnitSum.OTHER)] += 1
-        if one.retries:
-            unit[UnitSum.RETRIES] += 1
         latency_ns = one.latency_ns
         if latency_ns is not None:
             unit[UnitSum.LATENCIES] += 1

@@ -31,6 +31,7 @@ INVENTORY_COLUMNS = (
     "host", "port", "unit", "role", "macs", "makers", "identity", "device", "profile", "score",
     "why", "reads", "writes", "refused", "readers", "writers", "transactions", "answered",
     "unanswered", "exceptions", "first", "last", "first_ns", "last_ns", "transports",
+    "unreached",
 )  # fmt: skip
 """The CSV columns in order. A column never changes its name or meaning; new columns come last."""
 CHANGE_COLUMNS = ("kind", "host", "port", "unit", "text", "first", "first_ns")
@@ -131,6 +132,7 @@ def _slave_cells(row: SlaveRow) -> dict[str, object]:
         "first_ns": row.first_ns,
         "last_ns": row.last_ns,
         "transports": "; ".join(row.transports),
+        "unreached": row.unreached,
     }
 
 

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
         FunctionUse,
         InventoryDocument,
         MasterRow,
+        ProfileFit,
         SlaveRow,
     )
 
@@ -178,8 +179,10 @@ def _lines(row: SlaveRow, most: int) -> Iterator[str]:
     counts = [one for one in row.transports if one != Transport.TCP]
     counts.append(f"seen {seen_text(row.first_ns, row.last_ns)}")
     counts.append(counted(row.transactions, "transaction", ","))
-    if row.unanswered:
-        counts.append(f"{row.unanswered:,} without answer")
+    if row.unanswered > row.unreached:
+        counts.append(f"{row.unanswered - row.unreached:,} without answer")
+    if row.unreached:
+        counts.append(f"{row.unreached:,} that its gateway could not deliver")
     yield ", ".join(counts)
     yield from _mac_lines(row)
     if row.identity:
@@ -189,9 +192,8 @@ def _lines(row: SlaveRow, most: int) -> Iterator[str]:
         if fit.profile is not None:
             yield f"fits {fit.profile}, by {fit.why}"
         else:
-            nearest = f"; nearest {fit.nearest}, {fit.score} of 100" if fit.nearest else ""
-            alone = "from its traffic alone no profile is sure" if row.device else "no profile"
-            yield f"{alone}: {fit.why}{nearest}"
+            alone = "from its traffic alone no profile is sure" if row.device else "no profile fits"
+            yield f"{alone}: {fit.why}{_nearest(fit)}"
     yield from _use_lines(row.uses, most)
     if row.exceptions:
         texts = (
@@ -199,6 +201,13 @@ def _lines(row: SlaveRow, most: int) -> Iterator[str]:
             for code, count in row.exceptions.items()
         )
         yield f"exceptions: {', '.join(texts)}"
+
+
+def _nearest(fit: ProfileFit) -> str:
+    """Return which profile is the most alike, unless the reason why none fits names it."""
+    if fit.nearest is None or fit.nearest in fit.why:
+        return ""
+    return f"; the most alike is {fit.nearest}, score {fit.score} of 100"
 
 
 def _use_lines(uses: Sequence[FunctionUse], most: int) -> Iterator[str]:
@@ -219,7 +228,7 @@ def _use_lines(uses: Sequence[FunctionUse], most: int) -> Iterator[str]:
         yield _use_line(several, most)
     if lacking:
         by = _masters("; asked by", lacking)
-        yield f"refused as no function of it: {_codes(use.function for use in lacking)}{by}"
+        yield f"functions that it refuses as unknown: {_codes(use.function for use in lacking)}{by}"
 
 
 def _use_line(several: Sequence[FunctionUse], most: int) -> str:

@@ -82,6 +82,7 @@ def _link(link: LinkReport) -> dict[str, Any]:
                 "function": one.function,
                 "function_name": one.function_name,
                 **_tally(one.tally, link),
+                "repetitions": one.repetitions,
             }
             for one in link.functions
         ],

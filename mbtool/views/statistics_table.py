@@ -207,13 +207,15 @@ def _of_master(link: LinkReport, one: PollReport) -> str:
 
 def _poll_cells(one: PollReport, link: LinkReport) -> list[str]:
     poll = one.poll
-    jitter_ns = poll.jitter_ns if poll.period.count > 1 else None
+    is_regular = poll.has_regular_period
+    jitter_ns = poll.jitter_ns if is_regular and poll.period.count > 1 else None
+    every = "varies" if poll.period.count else "-"
     share = ""
     if link.load is not None and one.line_time is not None:
         share = percent(link.load.share(one.line_time.total_ns))
     return [
         f"{poll.tally.requests:,}",
-        in_s(poll.period.percentile(50)) if poll.period.count else "-",
+        in_s(poll.period.percentile(50)) if is_regular else every,
         "-" if jitter_ns is None else in_ms(jitter_ns),
         *_latency_cells(poll.tally),
         counted(poll.tally.count(Outcome.EXCEPTION)),

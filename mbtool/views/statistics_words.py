@@ -74,8 +74,13 @@ def counted(number: int) -> str:
 
 def poll_text(poll: PollStatistics) -> str:
     """Return unit, function code and reference of a repeated request: `1 03 HR400001..400004`."""
+    return f"{poll.key.unit} {request_text(poll)}"
+
+
+def request_text(poll: PollStatistics) -> str:
+    """Return function code and reference of a repeated request: `03 HR400001..400004`."""
     key = poll.key
     what = poll.reference or short_name(key.function, poll.function_name)
     if not poll.reference and key.sub_function is not None:
         what = f"{what} {key.sub_function:02X}"
-    return f"{key.unit} {key.function:02X} {what}"
+    return f"{key.function:02X} {what}"

@@ -16,7 +16,7 @@ from mbtool.overview.inventory import Inventory
 from mbtool.overview.statistics import Statistics
 from mbtool.overview.statistics_report import report
 from mbtool.ports.clock import now_ns
-from mbtool.series.history import History
+from mbtool.series.history import History, UnitRow
 from mbtool.series.values import Values
 from mbtool.sources.files import shown_name
 from mbtool.sources.makers import maker
@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from mbtool.core import SerialFormat
     from mbtool.devices import NamedTransaction
     from mbtool.devices.checking.finding import Finding
+    from mbtool.overview.poll_statistics import PollStatistics
     from mbtool.workflows.check import CheckedRecord, CodeFilter
     from mbtool.workflows.shared.reading import Reading, ReadingOptions
     from mbtool.workflows.shared.time_window import TimeWindow
@@ -75,7 +76,7 @@ class ReportRun:
         self._options = options
         self._check = CheckRun(files, options, codes, window=window)
         self.reading = self._check.reading
-        self.statistics = Statistics(self._format_of)
+        self.statistics = Statistics(self._format_of, self._add_retry)
         self._inventory = Inventory()
         self._history = History()
         self._values = Values()
@@ -211,6 +212,9 @@ class ReportRun:
         return ComparisonWith(
             other, found.b_transactions, found.a_transactions, found.is_whole, found.differences
         )
+
+    def _add_retry(self, poll: PollStatistics, at_ns: int, number: int) -> None:
+        self._history.add_retry(UnitRow(poll.key.link, poll.key.unit), at_ns, number)
 
     def _format_of(self, link: str) -> SerialFormat | None:
         return self.reading.format_of(link)

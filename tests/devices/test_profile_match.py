@@ -127,7 +127,7 @@ def test_a_refusal_for_another_reason_counts_against_a_profile() -> None:
     lacking = transaction(15, 0, quantity=1, exception=2, outcome=Outcome.EXCEPTION)
     touch = of(verdict(lacking), "idec-ft1a-touch")
     assert (touch.explained, touch.contradicted) == (0, 1)
-    assert touch.against == ("0F C1 refused by 02, though it has no function 0F",)
+    assert touch.against == ("0F C1 refused with exception 02, though it has no function 0F",)
 
 
 def test_a_refused_value_is_no_evidence_about_its_address() -> None:

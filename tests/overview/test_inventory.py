@@ -92,10 +92,10 @@ def test_who_never_answered_is_silent_and_a_gateway_s_answer_is_none_of_the_unit
             asked(3, 0, 1, slave="10.0.0.31", outcome=Outcome.NOT_CAPTURED),
         ]
     ).slaves
-    assert [(row.role, row.answered, row.unanswered) for row in rows] == [
-        (Role.SILENT, 0, 1),
-        (Role.SILENT, 0, 1),
-        (Role.UNHEARD, 0, 0),
+    assert [(row.role, row.answered, row.unanswered, row.unreached) for row in rows] == [
+        (Role.SILENT, 0, 1, 1),
+        (Role.SILENT, 0, 1, 0),
+        (Role.UNHEARD, 0, 0, 0),
     ]
 
 

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from collections import Counter
 from random import Random
 from typing import TYPE_CHECKING
 
@@ -289,3 +290,29 @@ def test_of_a_dead_unit_only_what_is_repeated_at_once_is_a_repetition() -> None:
     link = only_link(counted(*requests_of(master.run(60))))
     _, dead = link.polls
     assert dead.poll.repetitions * 3 == dead.poll.tally.unanswered * 2
+
+
+def told_retries(*records: NamedTransaction) -> tuple[int, list[int]]:
+    """Return how many retries are counted, and the times (ms) of those that were told."""
+    told: Counter[int] = Counter()
+    statistics = Statistics(
+        lambda _: LINE, lambda _, at_ns, number: told.update({(at_ns - START_NS) // MS: number})
+    )
+    for one in records:
+        statistics.add(one)
+    statistics.settle()
+    (poll,) = statistics.polls.values()
+    return poll.repetitions, sorted(told.elements())
+
+
+def test_the_polls_of_a_unit_that_fell_silent_are_no_retries() -> None:
+    answered = [request(1000 * at) for at in range(8)]
+    silent = [unanswered(1000 * at) for at in range(8, 30)]
+    assert told_retries(*answered, *silent) == (0, [])
+    assert told_retries(*answered, *silent, unanswered(29_300)) == (1, [29_300])
+
+
+def test_the_polls_of_a_unit_that_never_answers_are_no_retries_if_they_are_steady() -> None:
+    steady = [unanswered(1000 * at) for at in range(20)]
+    assert told_retries(*steady[:5]) == (4, [1000, 2000, 3000, 4000])
+    assert told_retries(*steady) == (0, [])

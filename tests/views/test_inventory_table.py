@@ -10,7 +10,7 @@ from rich.console import Console
 
 from mbtool.modbus import Outcome
 from mbtool.overview.inventory_rows import InventoryDocument, MasterRow, ProfileFit, SlaveRow
-from mbtool.views.inventory_table import print_inventory, seen_text
+from mbtool.views.inventory_table import print_inventory, seen_text, slave_lines
 from tests.overview.plant import GATEWAY, START_NS, asked, inventory_of, named, plant
 
 
@@ -72,7 +72,9 @@ def test_hosts_that_are_alike_are_folded_where_there_are_many() -> None:
 def test_functions_that_it_does_not_have_are_one_line() -> None:
     probes = [asked(code, exception=1) for code in (1, 2, 5, 0x41, 0x42)]
     lines = printed(inventory_of([asked(3, 0, 1), *probes]))
-    assert "      refused as no function of it: 01..02, 05, 41..42; asked by 10.0.0.1" in lines
+    assert (
+        "      functions that it refuses as unknown: 01..02, 05, 41..42; asked by 10.0.0.1" in lines
+    )
 
 
 @pytest.mark.parametrize("width", [80, 120])
@@ -105,7 +107,10 @@ def test_profiles_are_named_with_how_sure_that_is_or_none_fits() -> None:
     assert lines[1].split() == ["10.0.0.7", "1", "slave", "wago-750", "91"]
     assert "      fits wago-750, by its answers" in lines
     assert lines[4].split() == ["10.0.0.7", "2", "slave", "none", "fits"]
-    assert "      no profile: 3 contradict it; nearest wago-750, 33 of 100" in lines
+    assert (
+        "      no profile fits: 3 contradict it; the most alike is wago-750, score 33 of 100"
+        in lines
+    )
     assert lines[-5].split() == ["10.0.0.7", "3", "slave", "pump", "(named)"]
     alone = "from its traffic alone no profile is sure: 1 request tells too little"
     assert lines[-1] == f"      {alone}"
@@ -143,3 +148,12 @@ def test_a_unit_of_a_gateway_with_silent_neighbours_is_named_by_its_unit() -> No
     assert f"  no answer from {GATEWAY} units 8, 9, asked by 10.0.0.1" in printed(
         inventory_of([*plant(), *silent])
     )
+
+
+def test_what_a_gateway_could_not_deliver_is_not_called_unanswered() -> None:
+    row = SlaveRow(host="10.0.0.7", unit=9, transactions=9, answered=4, unanswered=5, unreached=3)
+    assert slave_lines(row)[0].endswith(
+        "9 transactions, 2 without answer, 3 that its gateway could not deliver"
+    )
+    row = SlaveRow(host="10.0.0.7", unit=9, transactions=9, answered=6, unanswered=3, unreached=3)
+    assert "without answer" not in slave_lines(row)[0]

@@ -79,7 +79,7 @@ def test_the_charts_count_what_the_tables_count(sick_page: Page) -> None:
             ("requests", "transactions"),
             ("no_answer", "no_answer"),
             ("exceptions", "exception"),
-            ("retries", "retries"),
+            ("retries", "repetitions"),
         ):
             assert sum(unit[key]) == sum(one[figure] for one in of_unit), key
             assert len(unit[key]) == told["bins"]["count"]

@@ -112,6 +112,7 @@ def report_document(contents: ReportContents) -> dict[str, Any]:
                     "who": one.who,
                     "search": one.search,
                     "rank": one.rank.name.lower(),
+                    "is_rule": one.is_rule,
                     "told": place < verdict.told,
                 }
                 for place, one in enumerate(verdict.troubles[:MAX_ROWS])
@@ -274,7 +275,8 @@ def _inventory(document: InventoryDocument) -> dict[str, Any]:
                 "role": row.role.value,
                 "profile": profile_text(row),
                 "transactions": row.transactions,
-                "unanswered": row.unanswered,
+                "no_answer": row.unanswered - row.unreached,
+                "unreached": row.unreached,
                 "details": slave_lines(row),
             }
             for row in sorted(document.slaves, key=lambda row: row.role in quiet)[:MAX_ROWS]

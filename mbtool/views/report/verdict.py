@@ -7,32 +7,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from enum import IntEnum
 from typing import TYPE_CHECKING
 
 from mbtool.core.wording import counted
-from mbtool.devices.checking.rules import Severity, rule_of
 from mbtool.modbus import Outcome
+from mbtool.overview.poll_statistics import PollStatistics
 from mbtool.overview.request_tally import RequestTally, merged
 from mbtool.overview.slow_units import SLOW_NS, are_many, slow_units
-from mbtool.series.history import History, LinkSum, UnitRow, UnitSum
+from mbtool.series.history import History, UnitRow, UnitSum
 from mbtool.views.cells import clock_time, day
-from mbtool.views.place_columns import host_of
-from mbtool.views.statistics_verdict import exception_text
+from mbtool.views.report.line_troubles import finding_troubles, line_troubles
+from mbtool.views.report.odd_polling import odd_polling
+from mbtool.views.report.refusals import codes_text, joined_refusals, refused_polls
+from mbtool.views.report.troubles import ENOUGH, FEW, Rank, VerdictTrouble, link_word, rank_of
 from mbtool.views.statistics_words import in_ms, percent
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from mbtool.overview.statistics_report import LinkReport
     from mbtool.views.findings_table import Summaries
 
 IN_SENTENCE = 3
 """The first sentence of a report names at most this many troubles; the page lists all below it."""
-FEW = 0.01
-"""If less than this share of a unit's requests failed (0.01 is 1 %), the trouble is minor, and its
-text gives the number of failures and not the share."""
 SLOWER = 2
 """A unit has become slower if the mean latency in the last quarter of its bins of time is at least
 this many times that in the first half, and at least SLOW_NS more."""
@@ -40,47 +37,12 @@ _ENOUGH_BINS = 8
 """A unit with fewer bins of time than this is never reported as having become slower."""
 JOINED_SLOW = 3
 """If at least this many units are slow, they are reported as one trouble."""
-_MANY_REFUSING = 4
-"""If at least this many units, and half of all, refuse requests, they are reported as one
-trouble."""
 _THROUGHOUT = 0.1
 """A trouble that shows in this first share (0.1 is 10 %) of a unit's time was there from the
 beginning."""
 _ENDED = 0.25
 """A trouble that does not show in this last share (0.25 is 25 %) of a unit's time has ended."""
-_ENOUGH = 3
-"""A trouble with fewer failures than this is minor. If the failures lie in fewer bins of time than
-this, the text does not say since when or until when they came."""
 _DAY_NS = 86_400_000_000_000
-
-
-class Rank(IntEnum):
-    """The rank of a trouble; the lowest number is the worst."""
-
-    UNREADABLE = 0
-    DEAD = 1
-    ATTACK = 2
-    FAILING = 3
-    SLOW = 4
-    RULE = 5
-    MINOR = 6
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class VerdictTrouble:
-    """One thing that is wrong with a unit, a link, a host or a rule."""
-
-    rank: Rank
-    text: str
-    """A clause that begins with the name of the unit, link or host that has the trouble."""
-    weight: float = 0.0
-    """Troubles of the same rank are sorted by this number, the greatest first."""
-    who: str = ""
-    """The name of the unit, link, host or rule that the trouble belongs to."""
-    search: str = ""
-    """The text that finds the trouble's transactions in the search field of the report's table."""
-    units: frozenset[UnitRow] = frozenset()
-    is_refusal: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,6 +54,7 @@ class _Unit:
     tally: RequestTally
     history: History | None
     """Counts over time; None if the capture of the unit's line has no times."""
+    polls: Sequence[PollStatistics] = ()
 
     def trouble(self, rank: Rank, text: str, weight: float, word: str = "") -> VerdictTrouble:
         search = f"{link_word(self.row.link)}unit:{self.row.unit} {word}".rstrip()
@@ -119,11 +82,6 @@ class ReportVerdict:
         return "bad" if worst < Rank.RULE else "doubt"
 
 
-def link_word(link: str) -> str:
-    """Return the link and a space, for the page's search field; empty if the link has spaces."""
-    return "" if " " in link else f"{link} "
-
-
 def report_verdict(
     links: Sequence[LinkReport], history: History, findings: Summaries
 ) -> ReportVerdict:
@@ -135,15 +93,23 @@ def report_verdict(
     several = len(links) > 1
     names = {row: _name(row, several=several) for row in units}
     timed = {link.name for link in links if link.has_times}
-    slow = slow_units({row: one.latency for row, one in units.items()})
-    troubles = [*_line_troubles(links, history), *_finding_troubles(findings)]
+    latencies = {row: one.latency for row, one in units.items()}
+    slow = slow_units(latencies)
+    polls = _polls(links)
+    troubles = [
+        *line_troubles(links, history),
+        *finding_troubles(findings),
+        *odd_polling(links, names, latencies),
+    ]
     for row, tally in units.items():
         of_time = history if row.link in timed else None
-        troubles += _unit_troubles(_Unit(row, names[row], tally, of_time), slow.get(row))
+        unit = _Unit(row, names[row], tally, of_time, polls.get(row, ()))
+        troubles += _unit_troubles(unit, slow.get(row))
     troubles.sort(key=lambda one: (one.rank, -one.weight))
-    troubles = _joined_slow(_joined_refusals(troubles, len(units)), len(units))
+    troubles = joined_refusals(troubles, {row: polls.get(row, ()) for row in units})
+    troubles = _joined_slow(troubles, len(units))
     grave = sum(one.rank < Rank.RULE for one in troubles)
-    told = min(grave, IN_SENTENCE) if grave else min(len(troubles), 1)
+    told = min(grave or len(troubles), IN_SENTENCE)
     return ReportVerdict(_sentence(troubles, units, total), troubles, told)
 
 
@@ -157,6 +123,14 @@ def _tallies(links: Sequence[LinkReport]) -> dict[UnitRow, RequestTally]:
     return {row: merged(some) for row, some in tallies.items()}
 
 
+def _polls(links: Sequence[LinkReport]) -> dict[UnitRow, list[PollStatistics]]:
+    polls: dict[UnitRow, list[PollStatistics]] = {}
+    for link in links:
+        for one in link.polls:
+            polls.setdefault(UnitRow(link.name, one.poll.key.unit), []).append(one.poll)
+    return polls
+
+
 def _name(row: UnitRow, *, several: bool) -> str:
     return f"unit {row.unit} at {row.link}" if several else f"unit {row.unit}"
 
@@ -166,48 +140,31 @@ def _sentence(
 ) -> str:
     grave = [one for one in troubles if one.rank < Rank.RULE]
     minor = [one for one in troubles if one.rank >= Rank.RULE]
-    if not grave:
-        word = "well" if not minor else "well, but for small things"
-        return f"Everything is {word}: {_all_well(units, total, minor)}."
-    parts = [one.text for one in grave[:IN_SENTENCE]]
-    more = len(grave) - len(parts)
+    if not troubles:
+        return f"Everything is well: {_all_well(units, total)}."
+    told = grave or minor
+    parts = [one.text for one in told[:IN_SENTENCE]]
+    more = len(told) - len(parts)
     if more:
         parts.append(f"{counted(more, 'more trouble')} below")
-    else:
+    elif grave:
         sick = {unit for one in grave for unit in one.units}
         if len(units) > len(sick):
             parts.append("everything else is well" if not minor else "nothing else is grave")
     text = "; ".join(parts)
-    return f"{text[:1].upper()}{text[1:]}."
+    if grave:
+        return f"{text[:1].upper()}{text[1:]}."
+    if minor[0].rank is Rank.MINOR:
+        return f"Everything is well, but for small things: {text}."
+    return f"Nothing grave, but worth a look: {text}."
 
 
-def _all_well(
-    units: dict[UnitRow, RequestTally], total: RequestTally, minor: Sequence[VerdictTrouble]
-) -> str:
-    if minor:
-        return minor[0].text
+def _all_well(units: dict[UnitRow, RequestTally], total: RequestTally) -> str:
     who = "the unit answers" if len(units) == 1 else f"{len(units):,} units answer"
     requests = counted(total.transactions, "request", ",")
     usual = total.latency.percentile(50)
     half = f", half of them within {in_ms(usual)} ms" if usual else ""
     return f"{who} {requests}{half}"
-
-
-def _joined_refusals(troubles: list[VerdictTrouble], units: int) -> list[VerdictTrouble]:
-    """Join the refusals of many of the `units` into one trouble: the requests are wrong."""
-    refusing = [one for one in troubles if one.rank is Rank.FAILING and one.is_refusal]
-    if len(refusing) < _MANY_REFUSING or len(refusing) * 2 < units:
-        return troubles
-    worst = refusing[0]
-    some = f"all {units}" if len(refusing) == units else f"{len(refusing)} of {units}"
-    joined = replace(
-        worst,
-        text=f"{some} units refuse requests: {worst.text}",
-        units=_units_of(refusing),
-    )
-    place = troubles.index(worst)
-    others = [one for one in troubles if one not in refusing]
-    return [*others[:place], joined, *others[place:]]
 
 
 def _joined_slow(troubles: list[VerdictTrouble], units: int) -> list[VerdictTrouble]:
@@ -228,46 +185,6 @@ def _joined_slow(troubles: list[VerdictTrouble], units: int) -> list[VerdictTrou
 
 def _units_of(troubles: Sequence[VerdictTrouble]) -> frozenset[UnitRow]:
     return frozenset(unit for one in troubles for unit in one.units)
-
-
-def _line_troubles(links: Sequence[LinkReport], history: History) -> list[VerdictTrouble]:
-    """Return troubles of lines: bad CRCs that fit no unit, and TCP connections reset or refused."""
-    troubles = []
-    for link in links:
-        frames = sum(history.bins.column(link.name, LinkSum.BAD_CHECK))
-        known = link.tally.damaged
-        if frames > known:
-            troubles.append(
-                VerdictTrouble(
-                    rank=_rank(
-                        Rank.FAILING,
-                        (frames - known) / (link.tally.transactions or 1),
-                        frames - known,
-                    ),
-                    text=f"{link.name} has {counted(frames - known, 'frame', ',')} with a wrong "
-                    "CRC that no unit can be blamed for",
-                    weight=frames - known,
-                    who=link.name,
-                    search=link_word(link.name).strip(),
-                )
-            )
-        lost = sum(one.resets + one.refused for _, one in link.connections)
-        if lost:
-            troubles.append(
-                VerdictTrouble(
-                    rank=Rank.MINOR,
-                    text=f"{link.name} had {counted(lost, 'connection', ',')} reset or refused",
-                    weight=lost,
-                    who=link.name,
-                    search=link_word(link.name).strip(),
-                )
-            )
-    return troubles
-
-
-def _rank(grave: Rank, share: float, count: int) -> Rank:
-    """Return `grave` if share and count of the failures reach FEW and _ENOUGH, else MINOR."""
-    return grave if share >= FEW and count >= _ENOUGH else Rank.MINOR
 
 
 def _unit_troubles(unit: _Unit, usual: float | None) -> list[VerdictTrouble]:
@@ -291,7 +208,9 @@ def _unit_troubles(unit: _Unit, usual: float | None) -> list[VerdictTrouble]:
     if malformed:
         share = malformed / asked
         text = f"{name} gives {counted(malformed, 'malformed answer', ',')} ({percent(share)})"
-        found.append(unit.trouble(_rank(Rank.FAILING, share, malformed), text, share, "malformed"))
+        found.append(
+            unit.trouble(rank_of(Rank.FAILING, share, malformed), text, share, "malformed")
+        )
     own = tally.latency.percentile(50)
     if usual is not None:
         text = f"{name} is slow: half of its answers take {in_ms(own)} ms or more, "
@@ -343,7 +262,7 @@ def _unanswered(unit: _Unit) -> VerdictTrouble:
         text = f"{unit.name} answers {requests} {how}{when}"
     else:
         text = f"{unit.name} leaves {requests} without an answer{when}"
-    return unit.trouble(_rank(Rank.FAILING, share, lost), text, share, "no-answer")
+    return unit.trouble(rank_of(Rank.FAILING, share, lost), text, share, "no-answer")
 
 
 def _refusals(unit: _Unit) -> VerdictTrouble:
@@ -352,21 +271,11 @@ def _refusals(unit: _Unit) -> VerdictTrouble:
     if not of:
         refused, of = tally.count(Outcome.EXCEPTION), tally.transactions
     share = refused / of
-    text = f"{unit.name} refuses {_requests(share, refused)}{when}, "
-    text += _codes(tally)
-    return unit.trouble(_rank(Rank.FAILING, share, refused), text, share, "exception")
-
-
-def _codes(tally: RequestTally) -> str:
-    """Return the exception code of most refusals in words, or the two most frequent codes."""
-    total = sum(tally.exceptions.values())
-    often = sorted(tally.exceptions, key=lambda one: -tally.exceptions[one])
-    first, *others = (exception_text(code, tally.exception_names[code]) for code in often)
-    if not others:
-        return f"with {first}"
-    if tally.exceptions[often[0]] * 2 > total:
-        return f"mostly with {first}"
-    return f"with {first}{f', {others[0]} or others' if len(others) > 1 else f' or {others[0]}'}"
+    text = f"{unit.name} refuses {_requests(share, refused)}{when}, {codes_text(tally)}"
+    named = refused_polls(unit.polls)
+    if named:
+        text = f"{unit.name} {named} {codes_text(tally)}"
+    return unit.trouble(rank_of(Rank.FAILING, share, refused), text, share, "exception")
 
 
 def _requests(share: float, count: int) -> str:
@@ -395,7 +304,7 @@ def _period(unit: _Unit, what: UnitSum) -> tuple[str, int, int]:
     begin, end = places[0], places[-1]
     is_late = begin - active[0] > _THROUGHOUT * whole
     is_over = active[-1] - end > _ENDED * whole
-    if len(places) < _ENOUGH or not (is_late or is_over):
+    if len(places) < ENOUGH or not (is_late or is_over):
         return "", sum(hits), sum(asked)
     begin = begin if is_late else active[0]
     end = end if is_over else active[-1]
@@ -415,34 +324,3 @@ def _moment(ns: int, *, is_long: bool, width_ns: int) -> str:
     """Write a time of day as exactly as the bins of time are; `is_long` adds the date."""
     time = clock_time(ns)[: 5 if width_ns >= 60_000_000_000 else 8]
     return f"{day(ns)} {time}" if is_long else time
-
-
-def _finding_troubles(findings: Summaries) -> list[VerdictTrouble]:
-    """Return the broken rules as troubles, except those that the counts of units show already."""
-    troubles = []
-    for code, summary in findings:
-        places = summary.places()
-        number = sum(place.number for place in places) + summary.number_elsewhere
-        rule = rule_of(code)
-        meaning = "" if rule is None else rule.meaning.rstrip(".")
-        meaning = f"{meaning[:1].lower()}{meaning[1:]}"
-        first = places[0].first
-        if code.startswith("SEC") and summary.severity is not Severity.NOTE:
-            who = host_of(first.source) or first.link
-            rank, text = Rank.ATTACK, f"{who}: {meaning} ({code})"
-        elif code == "RTU-204":
-            rank, text = Rank.UNREADABLE, f"{first.link}: {meaning}"
-        elif summary.severity is Severity.ERROR or _is_of_a_manual(code, summary.severity):
-            rank, text = Rank.RULE, f"{code}, {counted(number, 'time', ',')}: {meaning}"
-        else:
-            continue
-        troubles.append(VerdictTrouble(rank=rank, text=text, weight=number, who=code, search=code))
-    return troubles
-
-
-def _is_of_a_manual(code: str, severity: Severity) -> bool:
-    """True for a warning about a rule of a device's manual.
-
-    The counts of units show the warnings about the standard's rules.
-    """
-    return severity is Severity.WARNING and not code.startswith(("MB-", "RTU-", "TCP-"))

@@ -14,7 +14,8 @@ from mbtool.overview.statistics import Statistics
 from mbtool.overview.statistics_report import report
 from mbtool.series.history import History
 from mbtool.views.findings_table import Summaries
-from mbtool.views.report.verdict import Rank, ReportVerdict, report_verdict
+from mbtool.views.report.troubles import Rank
+from mbtool.views.report.verdict import ReportVerdict, report_verdict
 from tests.series.test_history import asked, event
 
 if TYPE_CHECKING:
@@ -142,9 +143,7 @@ def test_the_codes_of_refusals_are_told_as_often_as_they_came() -> None:
 def test_many_units_that_refuse_are_told_as_one() -> None:
     records = [one for unit in range(1, 6) for one in refused(1, unit, 2, 2, 2)]
     told = judged(records)
-    assert told.sentence == (
-        "All 5 units refuse requests: unit 1 refuses all its requests, with 02 name 2."
-    )
+    assert told.sentence == ("All 5 units refuse all their requests (15), with 02 name 2.")
     assert judged([*records, *polled(3, unit=9)]).sentence.endswith("; everything else is well.")
 
 
@@ -159,7 +158,7 @@ def test_an_error_of_a_rule_is_no_alarm() -> None:
     finding = Finding(code="MB-104", message="", ts_ns=0, link="rs485", unit=1)
     told = judged(polled(20), finding)
     assert told.level == "doubt"
-    assert told.sentence.startswith("Everything is well, but for small things: MB-104, 1 time: ")
+    assert told.sentence.startswith("Nothing grave, but worth a look: MB-104, 1 time: ")
 
 
 def test_an_empty_capture_is_said() -> None:

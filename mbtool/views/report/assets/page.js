@@ -42,6 +42,7 @@ const span = (s) => {
     : whole < 86400 ? two(Math.floor(whole / 3600), "h", Math.floor((whole % 3600) / 60), "min")
     : two(Math.floor(whole / 86400), "d", Math.floor((whole % 86400) / 3600), "h");
 };
+const baseName = (path) => path.split(/[\\/]/).pop() || path;
 const several = stats.links.length > 1;
 const unitName = (link, unit) => (several ? `unit ${unit} at ${link}` : `unit ${unit}`);
 
@@ -221,8 +222,9 @@ function verdict() {
   const { level, sentence, troubles } = data.verdict;
   get("verdict").classList.add(level);
   get("sentence").textContent = clean(sentence);
-  document.title = clean(`mbtool report: ${stats.sources.join(", ")}`);
-  get("what").append(clean(stats.sources.join(", ")));
+  const names = stats.sources.map(baseName), shownNames = names.length > 4 ? `${names.slice(0, 3).join(", ")} and ${count(names.length - 3)} more files` : names.join(", ");
+  document.title = clean(`mbtool report: ${shownNames}`);
+  get("what").append(clean(shownNames));
   const lead = (one, text) => el("button", { type: "button", class: "link screen", "aria-label": `${text}: the transactions of ${one.text}`, on: { click: () => search(one.search) } }, text);
   const told = troubles.filter((one) => one.told && one.search), others = troubles.filter((one) => !one.told);
   if (told.length) get("troubles").before(el("p", { class: "screen" }, "Transactions of ", told.flatMap((one, at) => [at ? ", " : "", lead(one, one.who)])));
@@ -236,15 +238,16 @@ function verdict() {
   const facts = [
     ["transactions", count(stats.transactions)], ["links", count(stats.links.length)], ["units", count(units.size)],
     ["watched", watched ? span(watched) : "no times"], ["missing answers", count(all("no_answer"))],
-    ["exceptions", count(all("exception"))], ["retries", count(all("retries"))], ["findings", count(data.findings.count)],
+    ["exceptions", count(all("exception"))], ["retries", count(all("repetitions"))], ["broken rules", count(data.findings.count)],
   ];
   get("figures").append(...facts.map(([name, value]) => el("div", {}, el("dt", {}, name), el("dd", {}, value))));
   if (begins.length) get("what").append(` · from ${moment(Math.min(...begins)).slice(0, 19)} UTC`);
 }
 
 function findings() {
-  const { rows } = data.findings;
-  if (!rows.length) { show("findings", soft("No rule of Modbus, or of a device’s manual, is broken.")); return; }
+  const { rows } = data.findings, counted = data.verdict.troubles.filter((one) => !one.is_rule).slice(0, 40);
+  const none = "No rule of Modbus, or of a device’s manual, is broken";
+  if (!rows.length && !counted.length) { show("findings", soft(`${none}.`)); return; }
   const body = el("tbody", { role: "rowgroup" }), heads = ["code", "severity", ">times", "~where", "+what"];
   const lines = rows.map((one) => {
     const cases = [one.first, one.last].filter(Boolean);
@@ -258,6 +261,12 @@ function findings() {
         one.elsewhere ? el("div", { class: "soft" }, `and ${count(one.elsewhere)} times at other places`) : null)], true);
     return [text, row];
   });
+  /* What the counts show stands above the rules: a reader looks here for all that is wrong. */
+  for (const one of counted.reverse()) {
+    const find = one.search ? el("button", { type: "button", class: "link", "aria-label": `${one.who}: its transactions`, on: { click: () => search(one.search) } }, "counts") : "counts";
+    const is = ["odd", "minor"].includes(one.rank) ? "note" : one.rank === "slow" ? "warning" : "error";
+    lines.unshift([`counts ${is} ${one.who} ${one.text}`.toLowerCase(), tableRow(heads, [find, el("span", { class: `tag ${is}` }, is), "", one.who, one.text], true)]);
+  }
   const told = el("span", { class: "soft", role: "status" });
   const fill = () => {
     const words = field.value.toLowerCase().split(/\s+/).filter(Boolean);
@@ -266,7 +275,7 @@ function findings() {
     told.textContent = words.length ? `${count(found.length)} of ${count(lines.length)}` : "";
   };
   const field = el("input", { type: "search", on: { input: fill } });
-  show("findings", soft(`${plural(data.findings.count, "finding")}. A time leads to the transaction, a code to all of them.`),
+  show("findings", soft(`${rows.length ? `Rules were broken ${plural(data.findings.count, "time")}. A time leads to the transaction, a code to all of them` : none}. ${counted.length ? "“counts” marks what missing answers, refusals, times and connections show when they are counted." : ""}`),
     el("div", { class: "tools" }, el("label", {}, "Search findings", field), told),
     frame("Findings", heads, body, true));
   fill();
@@ -304,10 +313,10 @@ function failures() {
   });
   place.append(make(bins.units, all));
   const rows = stats.links.flatMap((link) => link.functions.map((one) => [link, one]))
-    .filter(([, one]) => one.no_answer || one.exception || one.malformed || one.unsolicited || one.not_captured || one.retries)
+    .filter(([, one]) => one.no_answer || one.exception || one.malformed || one.unsolicited || one.not_captured || one.repetitions)
     .sort(([, a], [, b]) => b.no_answer + b.exception - a.no_answer - a.exception)
     .map(([link, one]) => [...(several ? [link.link] : []), String(one.unit), `${hex(one.function)} ${one.function_name}`, count(one.transactions), some(one.no_answer), some(one.wrong_crc), some(one.exception),
-      one.exceptions.map((each) => `${hex(each.code)} ${each.name} ×${count(each.count)}`).join(", "), some(one.retries), some(one.malformed), some(one.unsolicited), some(one.not_captured)]);
+      one.exceptions.map((each) => `${hex(each.code)} ${each.name} ×${count(each.count)}`).join(", "), some(one.repetitions), some(one.malformed), some(one.unsolicited), some(one.not_captured)]);
   show("failures", failing.length > 1 ? choice : null, place,
     rows.length ? table("Failures by unit and function", [...(several ? ["link"] : []), ">unit", "~function", ">asked", ">no answer", ">wrong CRC", ">exceptions", "+which", ">retries", ">malformed", ">unasked", ">not captured"], rows) : null,
     rows.some((row) => row[row.length - 1]) ? soft("What was not captured is the capture’s loss, and no device’s fault.") : null,
@@ -369,7 +378,9 @@ function cycle() {
   const made = [];
   for (const link of stats.links) for (const master of link.masters) {
     const who = [several ? link.link : "", link.masters.length > 1 && master.master ? `master ${master.master}` : ""].filter(Boolean).join(", ");
-    for (const list of master.lists) made.push(cycleTable(link, list, who, made.length < OPEN_CYCLES));
+    const asked = link.polls.filter((poll) => poll.master === master.master).reduce((sum, poll) => sum + poll.requests, 0);
+    const part = asked > master.requests_looked_at ? `Of the last ${count(master.requests_looked_at)} of ${count(asked)} requests, ` : "";
+    for (const list of master.lists) made.push(cycleTable(link, list, who, made.length < OPEN_CYCLES, part));
     const between = master.between.map((one) => `${pollText(pollOf(link, one.poll))} ×${count(one.count)}`);
     if (between.length && master.lists.length) made.push(soft(`In no cycle${who ? ` of ${who}` : ""}: ${between.slice(0, 20).join("; ")}${between.length > 20 ? ` and ${between.length - 20} more` : ""}.`));
     if (master.response_timeout_ms) made.push(soft(`The master${who ? ` (${who})` : ""} waits ${digits(master.response_timeout_ms)} ms for an answer.`));
@@ -377,7 +388,7 @@ function cycle() {
   if (!made.length) return;
   show("cycle", made.slice(0, 60));
 }
-function cycleTable(link, list, who, isOpen) {
+function cycleTable(link, list, who, isOpen, part) {
   const whole = list.steps.reduce((sum, step) => sum + step.pause_ms + step.took_ms, 0) || 1;
   let from = 0;
   const rows = list.steps.map((step) => {
@@ -394,7 +405,7 @@ function cycleTable(link, list, who, isOpen) {
   const [least, most] = [digits(list.min_ms), digits(list.max_ms)], took = least === most ? `${least} ms each` : `${least} to ${most} ms`;
   const other = list.other_cycles ? ` ${plural(list.other_cycles, "cycle")} had a poll more or less, or another order.` : "";
   return el("details", { open: isOpen }, el("summary", {}, el("h3", {}, `${who ? `${who}: ` : ""}${plural(list.steps.length, "poll")} every ${span(list.cycle_ms / 1000)}`)),
-    soft(`${plural(list.cycles, "cycle")} went in this order and took ${took}.${other}${missing}`),
+    soft(`${part}${plural(list.cycles, "cycle")} went in this order and took ${took}.${other}${missing}`),
     table(`One cycle in order${who ? `, ${who}` : ""}, every ${span(list.cycle_ms / 1000)}`, ["~poll", ">pause before, ms", ">took, ms", ">cycles with missing", "+timeline"], rows));
 }
 
@@ -432,12 +443,17 @@ function load() {
   if (made.length) show("load", made);
 }
 
+/* As in `stats`: where the times between requests vary more than their median, there is no period. */
+function everyText(period) {
+  if (!period) return ["–", "–"];
+  if (period.jitter_ms <= period.p50_ms) return [seconds(period.p50_ms / 1000), period.count > 1 ? digits(period.jitter_ms) : "–"];
+  return [period.mean_ms > 2 * period.p50_ms ? "in bursts" : "varies", "–"];
+}
 function polls() {
   const all = stats.links.flatMap((link) => link.polls.map((poll) => [link, poll]));
   if (!all.length) return;
   const ranked = all.sort(([, a], [, b]) => (b.latency?.p95_ms ?? 0) - (a.latency?.p95_ms ?? 0));
-  const rows = ranked.map(([link, one]) => [...(several ? [link.link] : []), pollText(one), one.device || "", count(one.transactions), seconds(one.period ? one.period.p50_ms / 1000 : null),
-    digits(one.period?.jitter_ms), digits(one.latency?.p50_ms), digits(one.latency?.p95_ms), digits(one.latency?.max_ms), some(one.exception), some(one.no_answer), one.load ? share(one.load.total_share) : ""]);
+  const rows = ranked.map(([link, one]) => [...(several ? [link.link] : []), pollText(one), one.device || "", count(one.transactions), ...everyText(one.period), digits(one.latency?.p50_ms), digits(one.latency?.p95_ms), digits(one.latency?.max_ms), some(one.exception), some(one.no_answer), one.load ? share(one.load.total_share) : ""]);
   const listed = all.length < stats.polls_listed ? ` Of ${count(stats.polls_listed)} polls the ${count(all.length)} that were asked most.` : "";
   show("polls", soft(`Equal requests, the slowest first; unit, function and address.${listed}`),
     table("Polls", [...(several ? ["link"] : []), "~poll", "device", ">asked", ">every s", ">± ms", ">p50 ms", ">p95 ms", ">most ms", ">exceptions", ">no answer", ">line"], rows));
@@ -516,9 +532,9 @@ function bandChart(group, where, lines, title) {
 function inventory() {
   const { slaves, masters } = data.inventory;
   if (!slaves.length && !masters.length) return;
-  const rows = slaves.map((one) => [one.where, String(one.unit), one.role, one.profile, count(one.transactions), some(one.unanswered),
+  const rows = slaves.map((one) => [one.where, String(one.unit), one.role, one.profile, count(one.transactions), some(one.no_answer), some(one.unreached),
     el("ul", { class: "plain soft" }, one.details.map((line) => el("li", {}, line)))]);
-  show("inventory", table(`Units (${count(data.inventory.slaves_seen)})`, ["host or line", ">unit", "role", "profile", ">transactions", ">no answer", "+details"], rows, true),
+  show("inventory", table(`Units (${count(data.inventory.slaves_seen)})`, ["host or line", ">unit", "role", "profile", ">transactions", ">no answer", ">not reached", "+details"], rows, "cards"),
     masters.length ? table(`Masters (${count(data.inventory.masters_seen)})`, ["host", ">asks units", ">writes to", ">requests", "seen (UTC)", "+MAC"],
       masters.map(([host, asks, writes, requests, seen, mac]) => [host, count(asks), count(writes), count(requests), seen, mac])) : null);
 }

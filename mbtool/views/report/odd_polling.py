@@ -1,0 +1,129 @@
+"""Finds what is odd in the polling though requests are answered: pauses, late answers, connections.
+
+Each is found by figures of `stats`, and so without a look at single transactions.
+"""
+
+# A trouble's weight is about the time in s that it took from the polling, so that pauses, late
+# answers and connections can be compared.
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from mbtool.core.wording import counted
+from mbtool.overview.request_tally import merged
+from mbtool.views.report.troubles import Rank, VerdictTrouble, link_word
+from mbtool.views.statistics_words import duration, in_ms
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from mbtool.overview.distribution import Distribution
+    from mbtool.overview.poll_statistics import PollStatistics
+    from mbtool.overview.statistics_report import LinkReport
+    from mbtool.series.history import UnitRow
+
+LATE_NS = 100_000_000
+LATE_TIMES = 20
+"""An answer is late if it takes at least LATE_NS (ns), and this many times the unit's median."""
+ENOUGH_ANSWERS = 50
+"""Units with fewer answers than this have no late answers, as their usual latency is not known."""
+PAUSE_NS = 3_000_000_000
+PAUSE_TIMES = 10
+"""The polling paused if a poll with a regular period did not come for PAUSE_NS (ns) or longer, and
+for this many of its periods."""
+ENOUGH_PERIODS = 20
+REQUESTS_PER_CONNECTION = 3
+"""A link has a TCP connection for each poll if its connections carry at most so many requests in
+the mean, and are at least ENOUGH_CONNECTIONS."""
+ENOUGH_CONNECTIONS = 20
+JOINED = 3
+"""At least so many troubles of one kind are told as one."""
+
+
+def odd_polling(
+    links: Sequence[LinkReport],
+    names: Mapping[UnitRow, str],
+    latencies: Mapping[UnitRow, Distribution],
+) -> Iterator[VerdictTrouble]:
+    """Yield what is odd. `names` and `latencies` (ns) have an item for each unit."""
+    yield from _joined([one for link in links for one in _pauses(link)])
+    yield from _joined([one for link in links for one in _connections(link)])
+    yield from _joined(
+        [one for row, some in latencies.items() for one in _late_answers(row, names[row], some)]
+    )
+
+
+def _joined(troubles: list[VerdictTrouble]) -> list[VerdictTrouble]:
+    """Join troubles of one kind if they are many: the text is that of the worst one."""
+    if len(troubles) < JOINED:
+        return troubles
+    worst = max(troubles, key=lambda one: one.weight)
+    return [
+        replace(
+            worst,
+            text=f"{worst.text}, and {len(troubles) - 1:,} more like this",
+            weight=sum(one.weight for one in troubles),
+            units=frozenset(unit for one in troubles for unit in one.units),
+        )
+    ]
+
+
+def _late_answers(row: UnitRow, name: str, latency: Distribution) -> Iterator[VerdictTrouble]:
+    usual = latency.percentile(50)
+    late_ns = max(LATE_NS, LATE_TIMES * usual)
+    if latency.count < ENOUGH_ANSWERS or latency.greatest < late_ns:
+        return
+    number = latency.number_from(late_ns)
+    longest = duration(latency.greatest)
+    text = f"{name} gives {counted(number, 'answer', ',')} late, the latest after {longest} "
+    text += f"(usually {in_ms(usual)} ms)"
+    yield VerdictTrouble(
+        rank=Rank.ODD, text=text, weight=number * latency.greatest / 1e9, who=name,
+        search=f"{link_word(row.link)}unit:{row.unit}", units=frozenset((row,)),
+    )  # fmt: skip
+
+
+def _pauses(link: LinkReport) -> Iterator[VerdictTrouble]:
+    """Yield the pauses of each master, as its fastest regular poll shows them."""
+    fastest: dict[str, PollStatistics] = {}
+    for one in link.polls:
+        poll, period = one.poll, one.poll.period
+        if period.count < ENOUGH_PERIODS or not poll.has_regular_period:
+            continue
+        other = fastest.get(poll.key.master)
+        if other is None or period.percentile(50) < other.period.percentile(50):
+            fastest[poll.key.master] = poll
+    for master, poll in fastest.items():
+        usual = poll.period.percentile(50)
+        pause_ns = max(PAUSE_NS, PAUSE_TIMES * usual)
+        number = poll.period.number_from(pause_ns)
+        if not number:
+            continue
+        longest = duration(poll.period.greatest)
+        how = f"for {longest}" if number == 1 else f"{number:,} times, for up to {longest}"
+        text = f"{master or link.name} paused its polling{_of(link, master)} {how} "
+        text += f"(usually a request every {duration(usual)})"
+        yield VerdictTrouble(
+            rank=Rank.ODD, text=text, weight=number * poll.period.greatest / 1e9,
+            who=master or link.name, search=link_word(link.name).strip(),
+        )  # fmt: skip
+
+
+def _of(link: LinkReport, master: str) -> str:
+    return f" of {link.name}" if master else ""
+
+
+def _connections(link: LinkReport) -> Iterator[VerdictTrouble]:
+    for master, one in link.connections:
+        polls = [each.poll.tally for each in link.polls if each.poll.key.master == master]
+        tally = merged(polls)
+        if one.opened < ENOUGH_CONNECTIONS or tally.requests > REQUESTS_PER_CONNECTION * one.opened:
+            continue
+        text = f"{master or 'a master'} opened {one.opened:,} TCP connections to {link.name} for "
+        text += f"{counted(tally.requests, 'request', ',')} (one could stay open)"
+        yield VerdictTrouble(
+            rank=Rank.ODD, text=text, weight=one.opened * tally.latency.percentile(50) / 1e9,
+            who=master or link.name, search=link_word(link.name).strip(),
+        )  # fmt: skip

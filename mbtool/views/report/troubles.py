@@ -1,0 +1,59 @@
+"""What a trouble in a report is: its rank, its text, and the units that have it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+from mbtool.series.history import UnitRow
+
+FEW = 0.01
+"""If less than this share of a unit's requests failed (0.01 is 1 %), the trouble is minor, and its
+text gives the number of failures and not the share."""
+ENOUGH = 3
+"""A trouble with fewer failures than this is minor. If the failures lie in fewer bins of time than
+this, the text does not say since when or until when they came."""
+
+
+class Rank(IntEnum):
+    """The rank of a trouble; the lowest number is the worst."""
+
+    UNREADABLE = 0
+    DEAD = 1
+    ATTACK = 2
+    FAILING = 3
+    SLOW = 4
+    RULE = 5
+    ODD = 6
+    """Nothing fails, but the polling is not as one would have it: pauses, late answers, a TCP
+    connection for each poll."""
+    MINOR = 7
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VerdictTrouble:
+    """One thing that is wrong with a unit, a link, a host or a rule."""
+
+    rank: Rank
+    text: str
+    """A clause that names the unit, link or host that has the trouble."""
+    weight: float = 0.0
+    """Troubles of the same rank are sorted by this number, the greatest first."""
+    who: str = ""
+    """The name of the unit, link, host or rule that the trouble belongs to."""
+    search: str = ""
+    """The text that finds the trouble's transactions in the search field of the report's table."""
+    units: frozenset[UnitRow] = frozenset()
+    is_refusal: bool = False
+    is_rule: bool = False
+    """True if the trouble is a broken rule, which stands among the findings, too."""
+
+
+def link_word(link: str) -> str:
+    """Return the link and a space, for the page's search field; empty if the link has spaces."""
+    return "" if " " in link else f"{link} "
+
+
+def rank_of(grave: Rank, share: float, count: int) -> Rank:
+    """Return `grave` if share and count of the failures reach FEW and ENOUGH, else MINOR."""
+    return grave if share >= FEW and count >= ENOUGH else Rank.MINOR
