@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -62,6 +62,15 @@ class PlainRows:
     unit: Int64s
     code: Int64s
     response_code: Int64s
+
+    def part(self, begin: int, end: int) -> PlainRows:
+        """Return the transactions with the indices `begin` to `end` (exclusive)."""
+        some: dict[str, Any] = {name: getattr(self, name)[begin:end] for name in _PER_ROW}
+        return replace(self, **some)
+
+
+_PER_ROW = [one.name for one in fields(PlainRows)][4:]
+"""The names of the arrays that have one element per transaction."""
 
 
 class _Lists(NamedTuple):

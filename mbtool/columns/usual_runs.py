@@ -5,8 +5,8 @@
 # object with names. The caller makes a "form" from this example, such as the text that the table
 # rows of all these transactions share.
 #
-# Memory: lists with the times, ids and packet numbers of one block, and with the values of MOST
-# rows.
+# Memory: lists with the times, ids and packet numbers of one portion of a block (portions.py), and
+# with the values of MOST rows.
 
 from __future__ import annotations
 

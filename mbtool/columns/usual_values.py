@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from mbtool.columns.arrays import Bools, Int64s, gather, ranges
+from mbtool.columns.arrays import Bools, Int64s, Octets, gather, pieces
 from mbtool.columns.usual_rows import COUNTED, WRITE_COIL, WRITE_WORD, UsualRows
 
 Words = npt.NDArray[np.uint16]
@@ -84,17 +84,24 @@ class UsualValues(UsualRows):
         """
         counts = np.where(words | bits, counts, 0)
         offsets = np.concatenate([[0], np.cumsum(counts)])
+        registers = pieces(self._data, begin[words], 2 * counts[words]).view(_PAIR)
         if not bits.any():
-            places = ranges(begin[words], 2 * counts[words])
-            return self._data[places].view(_PAIR).astype(np.uint16), offsets
-        numbers = np.zeros(int(offsets[-1]), np.uint16)
-        for chosen, is_bits in ((words, False), (bits, True)):
-            row = np.flatnonzero(chosen)
-            inside = ranges(np.zeros(len(row), np.int64), counts[row])
-            starts = np.repeat(begin[row], counts[row])
-            targets = np.repeat(offsets[row], counts[row]) + inside
-            if is_bits:
-                numbers[targets] = self._data[starts + inside // 8] >> (inside % 8) & 1
-            else:
-                numbers[targets] = gather(self._data, starts + 2 * inside, _PAIR)
+            return registers.astype(np.uint16), offsets
+        numbers = np.empty(int(offsets[-1]), np.uint16)
+        is_bit = np.repeat(bits, counts)
+        numbers[~is_bit] = registers
+        numbers[is_bit] = self._bits(begin[bits], counts[bits])
         return numbers, offsets
+
+    def _bits(self, begin: Int64s, counts: Int64s) -> Octets:
+        """Return the bits of all rows joined in one array: for each i, the `counts[i]` bits from
+        the offset `begin[i]` in the data on, the lowest bit of a byte first.
+        """
+        sizes = (counts + 7) // 8
+        bits: Octets = np.unpackbits(pieces(self._data, begin, sizes), bitorder="little")
+        padding = 8 * sizes - counts
+        if not padding.any():
+            return bits
+        lengths = np.column_stack([counts, padding]).ravel()
+        some: Octets = bits[np.repeat(np.arange(len(lengths)) % 2 == 0, lengths)]
+        return some

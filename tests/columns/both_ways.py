@@ -19,6 +19,7 @@ from mbtool.columns.block_table import BlockTables
 from mbtool.columns.column_decoder import ColumnDecoder
 from mbtool.columns.packet_block import read_blocks
 from mbtool.columns.plain_lines import BlockLines
+from mbtool.columns.portions import portions
 from mbtool.columns.row_table import row_table
 from mbtool.core import InputError, WireEvent
 from mbtool.decode.decoder import Decoder
@@ -86,7 +87,7 @@ def as_arrays(capture: bytes, block_packets: int = packet_block.BLOCK_PACKETS) -
 def blocks_of(
     capture: bytes, block_packets: int = packet_block.BLOCK_PACKETS
 ) -> tuple[list[DecodedBlock], str | None, int]:
-    """The results of all blocks, the error that ends the capture, and how many rows are plain."""
+    """The results of all portions, the error that ends the capture, and how many rows are plain."""
     decoder = ColumnDecoder(Decoder(Namer(), ports=PORTS, across=True), PORTS)
     blocks: list[DecodedBlock] = []
     error = None
@@ -94,7 +95,8 @@ def blocks_of(
     with patch.object(packet_block, "BLOCK_PACKETS", block_packets):
         try:
             for block in read_blocks(stream, NAME):
-                blocks += decoder.feed(block)
+                for decoded in decoder.feed(block):
+                    blocks += portions(decoded)
         except InputError as one:
             error = str(one)
     return [*blocks, decoder.close()], error, decoder.plain_rows

@@ -11,7 +11,7 @@ from unittest.mock import patch
 import pytest
 from rich.console import Console
 
-from mbtool.columns import usual_runs
+from mbtool.columns import portions, usual_runs
 from mbtool.columns.usual_runs import UsualRuns
 from mbtool.core import WireEvent
 from mbtool.decode.usual_run import UsualRun
@@ -110,7 +110,11 @@ def test_each_form_of_pdu_gives_equal_rows() -> None:
 def test_disturbed_captures_give_equal_tables(number: int) -> None:
     rng = random.Random(f"tables {number}")
     capture = disturbed(number) if number % 2 else generated(number)
-    with patch.object(usual_runs, "MOST", rng.choice((2, 4096))):
+    most = rng.choice((30, portions.MOST_VALUES))
+    with (
+        patch.object(usual_runs, "MOST", rng.choice((2, 4096))),
+        patch.object(portions, "MOST_VALUES", most),
+    ):
         assert_equal(damaged(capture, rng), rng.choice((17, 100, 65_536)))
 
 

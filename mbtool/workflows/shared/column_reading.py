@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
+from itertools import chain
 from typing import TYPE_CHECKING, TypeVar
 
 from mbtool.columns.column_decoder import ColumnDecoder, DecodedBlock
@@ -14,6 +15,7 @@ from mbtool.columns.packet_block import read_blocks
 from mbtool.columns.plain_lines import BlockLines
 from mbtool.columns.plain_records import plain_records
 from mbtool.columns.poll_runs import PollRuns
+from mbtool.columns.portions import portions
 from mbtool.columns.quiet_rows import QuietParts
 from mbtool.columns.usual_runs import UsualRuns
 from mbtool.core import InputError, WireEvent
@@ -104,7 +106,7 @@ class ColumnReading(PartReading):
         from mbtool.columns.block_table import BlockTables  # Other methods do not need pyarrow.
 
         tables = BlockTables()
-        for block in self._blocks():
+        for block in self._portions():
             batch = tables.batch(block)
             for record in batch.records:
                 self._note(record)
@@ -120,7 +122,7 @@ class ColumnReading(PartReading):
         middle of a packet.
         """
         lines = BlockLines(line_of, separator)
-        for block in self._blocks():
+        for block in self._portions():
             batch = lines.batch(block)
             for record in batch.records:
                 self._note(record)
@@ -132,7 +134,7 @@ class ColumnReading(PartReading):
         Raises InputError if a file cannot be read, CutError for a file that ends in the middle of a
         packet.
         """
-        for block in self._blocks():
+        for block in self._portions():
             for _, record in block.records:
                 self._note(record)
             yield block
@@ -154,7 +156,7 @@ class ColumnReading(PartReading):
         `form_of` and `singly` are as for UsualRuns. Raises the errors of `batches`.
         """
         runs = UsualRuns(form_of, singly)
-        for block in self._blocks():
+        for block in self._portions():
             for part in runs.parts(block):
                 if not isinstance(part, UsualRun):
                     self._note(part)
@@ -169,6 +171,10 @@ class ColumnReading(PartReading):
             for _, record in block.records:
                 self._note(record)
             yield from quiet.parts(block)
+
+    def _portions(self) -> Iterator[DecodedBlock]:
+        """Yield the blocks cut into portions, as each value of a row takes memory."""
+        return chain.from_iterable(map(portions, self._blocks()))
 
     def _blocks(self) -> Iterator[DecodedBlock]:
         return self.results.in_turn(self._file_blocks, self._broken_off, self._ended)
