@@ -120,7 +120,8 @@ class Capture:
 
         Returns None if it cannot decode these files, or does not support the options.
         """
-        from mbtool.workflows.shared.column_reading import ColumnReading, can_read_columns
+        from mbtool.workflows.shared.column_reading import ColumnReading
+        from mbtool.workflows.shared.reading_choice import can_read_columns
 
         if not can_read_columns(self._paths, self._options):
             return None

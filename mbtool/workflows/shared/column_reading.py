@@ -6,7 +6,6 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from itertools import chain
 from typing import TYPE_CHECKING, TypeVar
 
@@ -23,7 +22,7 @@ from mbtool.decode.usual_run import UsualRun
 from mbtool.devices import Namer
 from mbtool.overview.answered_run import AnsweredRun
 from mbtool.packets import serial_pieces
-from mbtool.sources.files import PACKET_KINDS, CaptureKind, open_capture, place_of
+from mbtool.sources.files import open_capture
 from mbtool.workflows.shared.capture_parts import Part
 from mbtool.workflows.shared.heard_line import HeardLine, serial_types
 from mbtool.workflows.shared.part_reading import PartReading
@@ -42,30 +41,6 @@ if TYPE_CHECKING:
     from mbtool.workflows.shared.reading import ReadingOptions
 
 F = TypeVar("F")
-
-
-def can_read_columns(paths: Sequence[str], options: ReadingOptions) -> bool:
-    """True if a ColumnReading can read these files with these options.
-
-    Raises InputError if a file cannot be read.
-    """
-    if any(options.assignments) or options.line is not None or options.any_port:
-        return False
-    return all(not place_of(path)[1] and _has_plain_packets(path) for path in paths)
-
-
-def _has_plain_packets(path: str) -> bool:
-    """True for a file of packets. False if mbtool made it from a log, as it then describes its
-    links and may have frames of serial lines.
-    """
-    with open_capture(path) as capture:
-        if capture.kind is CaptureKind.PCAPNG:
-            # `capture.head` (the description of links) is known once the first packet is read. A
-            # file that has it may have packets with frames of a serial line, which the array
-            # decoder cannot read.
-            with suppress(InputError):
-                next(capture.packets(), None)
-        return capture.kind in PACKET_KINDS and capture.head is None
 
 
 class ColumnReading(PartReading):

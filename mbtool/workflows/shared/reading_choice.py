@@ -8,6 +8,7 @@ from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
 from mbtool.core import InputError
+from mbtool.sources.files import PACKET_KINDS, CaptureKind, open_capture, place_of
 from mbtool.workflows.shared.part_reading import PartReading
 
 if TYPE_CHECKING:
@@ -48,12 +49,37 @@ def column_reading(
     """
     if find_spec("numpy") is None or unpacked_bytes(paths) < at_least:
         return None
-    from mbtool.workflows.shared.column_reading import ColumnReading, can_read_columns
-
     with suppress(InputError):  # Reading the file will raise the error.
         if can_read_columns(paths, options):
+            # Importing numpy takes 0.1 s, which other files need not wait for.
+            from mbtool.workflows.shared.column_reading import ColumnReading
+
             return ColumnReading(paths, options)
     return None
+
+
+def can_read_columns(paths: Sequence[str], options: ReadingOptions) -> bool:
+    """True if a ColumnReading can read these files with these options.
+
+    Raises InputError if a file cannot be read.
+    """
+    if any(options.assignments) or options.line is not None or options.any_port:
+        return False
+    return all(not place_of(path)[1] and _has_plain_packets(path) for path in paths)
+
+
+def _has_plain_packets(path: str) -> bool:
+    """True for a file of packets. False if mbtool made it from a log, as it then describes its
+    links and may have frames of serial lines.
+    """
+    with open_capture(path) as capture:
+        if capture.kind is CaptureKind.PCAPNG:
+            # `capture.head` (the description of links) is known once the first packet is read. A
+            # file that has it may have packets with frames of a serial line, which the array
+            # decoder cannot read.
+            with suppress(InputError):
+                next(capture.packets(), None)
+        return capture.kind in PACKET_KINDS and capture.head is None
 
 
 def unpacked_bytes(paths: Sequence[str]) -> int:
