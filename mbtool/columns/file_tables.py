@@ -36,11 +36,6 @@ def with_file_names(table: Table, names: Mapping[str, str]) -> Table:
     return table
 
 
-def _renamed(column: pa.DictionaryArray, names: Mapping[str, str]) -> pa.DictionaryArray:
-    words = [names.get(one, one) for one in column.dictionary.to_pylist()]
-    return pa.DictionaryArray.from_arrays(column.indices, pa.array(words, pa.string()))
-
-
 def tables_by_file(table: Table) -> dict[str, Table]:
     """Return one table per capture file, by the file's name.
 

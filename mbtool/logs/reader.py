@@ -86,8 +86,6 @@ class LogReader(ClosesOnExit):
         self._damage = Damage(name)
         self._sound = SoundRecords(self._records, self._damage.add)
         self._messages = MessageDecoder(self._records, self._damage)
-        self._crc_holds = True
-        """False once a part of the stream was read twice: then the CRC of its bytes is unknown."""
         self._kept = 0
         """The number of bytes of metadata and attachments read so far."""
         self.capture = {}
