@@ -23,6 +23,7 @@ from mbtool.cli.options import (
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
+    from types import FrameType
 
     from mbtool.cli.talk import Interrupt
     from mbtool.decode.decoder import Record
@@ -232,22 +233,26 @@ def _show(
     from mbtool.cli.options import condition
     from mbtool.cli.talk import Interrupted
     from mbtool.cli.watching.app import WatchApp
+    from mbtool.cli.watching.terminal_output import terminal_output
 
     if where is not None:
         feed.watched.set_filter(condition(where))
-    app = WatchApp(
-        feed, place, saver=saver, recording=recording, where=where or "", is_asked_to_end=ends
-    )
     try:
-        with _ended_by_hangup(interrupt), restored_terminal():
+        with _ended_by_signals(interrupt), restored_terminal(), terminal_output(ends) as is_gone:
+            app = WatchApp(
+                feed, place, saver=saver, recording=recording, where=where or "",
+                # SIGHUP does not come if the command has a session of its own.
+                is_asked_to_end=lambda: is_gone() or ends(),
+            )  # fmt: skip
             code = app.run()
+            was_gone = is_gone()
     finally:
         feed.stop()
     if feed.error is not None:
         raise feed.error
     if app.return_code:  # textual has printed why the screen failed.
         raise typer.Exit(app.return_code)
-    if interrupt.asked:
+    if interrupt.asked or was_gone:
         raise Interrupted
     raise typer.Exit(code or exit_codes.DONE)
 
@@ -267,22 +272,33 @@ def _end(interrupt: Interrupt, duration_s: float | None) -> Callable[[], bool]:
 
 
 @contextmanager
-def _ended_by_hangup(interrupt: Interrupt) -> Iterator[None]:
-    """While the context is open, a terminal that goes away ends the command, as SIGTERM does."""
-    hangup = getattr(signal, "SIGHUP", None)
-    if hangup is None:
-        yield
-        return
-    before = signal.signal(hangup, interrupt.ask)
+def _ended_by_signals(interrupt: Interrupt) -> Iterator[None]:
+    """While the context is open, a terminal that goes away ends the command, as SIGTERM does.
+
+    Further signals change nothing: an error raised in the screen's main loop would leave textual's
+    thread that reads the keyboard, and the command would never end.
+    """
+
+    def ask(number: int, frame: FrameType | None) -> None:
+        if not interrupt.asked:
+            interrupt.ask(number, frame)
+
+    numbers = [signal.SIGINT, signal.SIGTERM]
+    if hasattr(signal, "SIGHUP"):
+        numbers.append(signal.SIGHUP)
+    before = [(number, signal.signal(number, ask)) for number in numbers]
     try:
         yield
     finally:
-        signal.signal(hangup, before)
+        for number, handler in before:
+            signal.signal(number, handler)
 
 
 @contextmanager
 def restored_terminal() -> Iterator[None]:
     """Restore the terminal when the context ends, even by an unexpected error of the screen."""
+    from mbtool.cli.watching.terminal_output import TerminalOutput
+
     try:
         import termios
     except ImportError:
@@ -293,9 +309,7 @@ def restored_terminal() -> Iterator[None]:
     try:
         yield
     except BaseException:
-        with suppress(OSError):
-            sys.stdout.write(_RESTORE)
-            sys.stdout.flush()
+        TerminalOutput(sys.stdout, lambda: True).write(_RESTORE)
         raise
     finally:
         with suppress(termios.error):  # The terminal may be gone.

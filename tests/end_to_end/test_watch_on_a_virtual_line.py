@@ -10,12 +10,13 @@ import signal
 import subprocess
 import tempfile
 import tty
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING
 
 import mbtool
+from mbtool.logs import LogReader
 from mbtool.modbus import rtu_adu
 from tests.end_to_end.programs import MBTOOL, PATIENCE_S, decoded, required
 
@@ -125,39 +126,57 @@ def test_the_screen_shows_the_line_and_the_terminal_is_given_back(tmp_path: Path
     assert len(decoded(log)) == 5
 
 
-def test_a_terminal_that_takes_nothing_costs_no_evidence(tmp_path: Path) -> None:
-    log = tmp_path / "seen.mcap"
-    with polled_line() as (master, link):
-        ours, theirs = pty.openpty()  # Nobody reads `ours` while the line is heard.
-        environment = {**os.environ, "TERM": "xterm", "XDG_CONFIG_HOME": str(tmp_path)}
-        process = subprocess.Popen(
-            [MBTOOL, "watch", link, "-w", str(log)],
-            stdin=theirs, stdout=theirs, stderr=subprocess.DEVNULL, env=environment,
-        )  # fmt: skip
-        os.close(theirs)
-        try:
-            until(log.exists, lambda: "no log")
-            master.ask(40)
-            process.send_signal(signal.SIGTERM)
-            until(lambda: len(decoded(log)) == 40, lambda: len(decoded(log)))
-            assert _read_until_it_ends(ours, process) == 130
-        finally:
-            process.kill()
-            process.wait()
+@contextmanager
+def watching(folder: Path, *words: str) -> Iterator[tuple[subprocess.Popen[bytes], int]]:
+    """`watch` on a pseudo-terminal that sends it no SIGHUP, and the other end, which nobody reads.
+
+    The context's body closes that end, or the context does.
+    """
+    ours, theirs = pty.openpty()
+    environment = {**os.environ, "TERM": "xterm", "XDG_CONFIG_HOME": str(folder)}
+    process = subprocess.Popen(
+        [MBTOOL, "watch", *words], stdin=theirs, stdout=theirs, stderr=theirs,
+        env=environment, start_new_session=True,
+    )  # fmt: skip
+    os.close(theirs)
+    try:
+        yield process, ours
+    finally:
+        process.kill()
+        process.wait()
+        with suppress(OSError):
             os.close(ours)
 
 
-def _read_until_it_ends(ours: int, process: subprocess.Popen[bytes]) -> int:
-    """Take what the terminal is given, and return the exit code."""
+def test_a_terminal_that_takes_nothing_costs_no_evidence_and_a_signal_ends_watch(
+    tmp_path: Path,
+) -> None:
+    log = tmp_path / "seen.mcap"
+    with polled_line() as (master, link), watching(tmp_path, link, "-w", str(log)) as (process, _):
+        until(log.exists, lambda: "no log")
+        master.ask(40)
+        process.send_signal(signal.SIGTERM)
+        until(lambda: len(decoded(log)) == 40, lambda: len(decoded(log)))
+        assert process.wait(PATIENCE_S) == 130
 
-    def is_over() -> bool:
-        if select.select([ours], [], [], 0)[0]:
-            try:
-                os.read(ours, 65536)
-            except OSError:  # The other end is closed.
-                return process.poll() is not None
-        return process.poll() is not None
 
-    until(is_over, lambda: "it does not end")
-    assert process.returncode is not None
-    return process.returncode
+def test_a_terminal_that_is_gone_ends_watch_also_without_a_signal(tmp_path: Path) -> None:
+    log = tmp_path / "seen.mcap"
+    with (
+        polled_line() as (master, link),
+        watching(tmp_path, link, "-w", str(log)) as (
+            process,
+            ours,
+        ),
+    ):
+        seen = b""
+        while b"polls" not in seen:
+            assert select.select([ours], [], [], PATIENCE_S)[0]
+            seen += os.read(ours, 65536)
+        master.ask(4)
+        until(lambda: len(decoded(log)) == 4, lambda: len(decoded(log)))
+        os.close(ours)
+        assert process.wait(PATIENCE_S) == 130
+    with LogReader.open(log) as reader:
+        assert sum(1 for _ in reader.evidence())
+        assert reader.closed
