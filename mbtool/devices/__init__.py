@@ -21,7 +21,7 @@ from mbtool.devices.references import parse_reference, write_reference
 from mbtool.devices.schema import profile_schema
 from mbtool.devices.spans import Span, find_span, parse_span
 from mbtool.devices.values import PointInstance, registers_of
-from mbtool.devices.wording import describe, describe_points, describe_written
+from mbtool.devices.wording import describe, describe_points, describe_written, subject_of
 
 __all__ = [
     "Access",
@@ -61,5 +61,6 @@ __all__ = [
     "profile_schema",
     "profile_to_json",
     "registers_of",
+    "subject_of",
     "write_reference",
 ]

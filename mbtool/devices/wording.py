@@ -56,12 +56,8 @@ def describe_points(points: Sequence[PointValue]) -> list[str]:
     """
     series: dict[str, list[tuple[str, PointValue]]] = {}
     for point in points:
-        label, _, subject = point.name.partition(" ")
-        if point.name == point.reference:
-            subject = ""
-        elif not subject:
-            subject = point.name
-        series.setdefault(subject, []).append((label, point))
+        label = point.name.partition(" ")[0]
+        series.setdefault(subject_of(point), []).append((label, point))
     unnamed = series.pop("", None)
     phrases = []
     for subject, members in series.items():
@@ -72,6 +68,16 @@ def describe_points(points: Sequence[PointValue]) -> list[str]:
     if unnamed is not None:
         phrases.append(_values(unnamed, beside_others=bool(series)))
     return phrases
+
+
+def subject_of(point: PointValue) -> str:
+    """Return a point's name without its first word; the whole name if it has only one word.
+
+    It is empty if the name is the point's reference.
+    """
+    if point.name == point.reference:
+        return ""
+    return point.name.partition(" ")[2] or point.name
 
 
 def _values(members: Sequence[tuple[str, PointValue]], *, beside_others: bool = False) -> str:

@@ -24,7 +24,8 @@ MAX_FRAMES = 16
 class DamagedAnswers:
     """Matches damaged frames with requests without a response.
 
-    Give `note` all events and `has` all transactions, in the order of a decoder's results.
+    Give `note` all events, and `has` or `frame_of` all transactions, in the order of a decoder's
+    results.
     """
 
     def __init__(self) -> None:
@@ -39,13 +40,21 @@ class DamagedAnswers:
     def has(self, one: Transaction) -> bool:
         """True if a transaction has no response because a damaged frame was its response.
 
-        Call this once for each transaction: the damaged frame is then forgotten, as it is the
-        response to one request only.
+        Call this or `frame_of` once for each transaction: the damaged frame is then forgotten, as
+        it is the response to one request only.
+        """
+        return self.frame_of(one) is not None
+
+    def frame_of(self, one: Transaction) -> int | None:
+        """Return the time (UTC ns) of the damaged frame that was a transaction's response.
+
+        None if there was none.
         """
         if one.outcome is not Outcome.NO_ANSWER or one.link not in self._frames_ns:
-            return False
+            return None
         frames = self._frames_ns[one.link]
         while frames:
-            if frames.popleft() >= one.start_ns:
-                return True
-        return False
+            frame_ns = frames.popleft()
+            if frame_ns >= one.start_ns:
+                return frame_ns
+        return None

@@ -81,15 +81,22 @@ def short_transaction_text(
     Points (named values) that did not change since the last reading are only counted. The
     standard's exceptions get the short names of _SHORT_EXCEPTIONS.
     """
-    code, name = transaction.exception, transaction.exception_name
-    if code is not None and name == exception_name(code):
-        result = result_text(transaction, in_hex=in_hex).removesuffix(name)
-        result += _SHORT_EXCEPTIONS.get(code, name)
+    if transaction.exception is not None:
+        result = short_result(transaction, in_hex=in_hex)
     elif in_hex or len(points.fresh) == len(points.every) or transaction.outcome is not Outcome.OK:
         result = result_text(transaction, points.every, in_hex=in_hex)
     else:
         result = _fresh_text(points)
     return _joined(transaction, result, in_hex=in_hex)
+
+
+def short_result(transaction: NamedTransaction, *, in_hex: bool = False) -> str:
+    """Return the result of a transaction with the short names of the standard's exceptions."""
+    code, name = transaction.exception, transaction.exception_name
+    result = result_text(transaction, in_hex=in_hex)
+    if code is not None and name == exception_name(code):
+        result = result.removesuffix(name) + _SHORT_EXCEPTIONS.get(code, name)
+    return result.removeprefix(_EXCEPTION)
 
 
 def _fresh_text(points: PointsRead) -> str:

@@ -26,7 +26,7 @@ _LONGEST_PART = 12
 characters."""
 LEAST_REST = 22
 """Columns of width 0 share the width that the others leave. If one of them would get fewer
-characters than this, another column is left out."""
+characters than this, or than its `least`, another column is left out."""
 
 
 @dataclass(slots=True)
@@ -63,6 +63,13 @@ class WatchColumn:
     """On a narrow screen, columns with the highest rank are left out first; a column of rank 0
     never is."""
     is_right: bool = False
+    fit: Callable[[Any, DrawContext, int], Spans] | None = None
+    """Makes the cell where it has so many characters; None if the cell is just cut."""
+    least: int = 0
+    """If more than 0, the column is as wide as its widest cell, from this to `width` characters.
+
+    For a column of width 0: the fewest characters for which other columns are left out; with 0,
+    LEAST_REST."""
     is_usual: bool = True
     """False for a column that is shown only if the user chooses it."""
 
@@ -82,13 +89,20 @@ def fitted(
     width: int,
     chosen: Collection[str] | None = None,
     places: Mapping[str, PlaceColumn] | None = None,
+    widest: Mapping[str, int] | None = None,
 ) -> list[FittedColumn]:
     """Return the columns to show on a screen of `width` characters, with their widths.
 
     If `chosen` names columns, exactly these are shown. With None, the usual columns are shown, as
     many as fit, and those in `places` (link and master) always, with the width given there.
+    `widest` has the number of characters in the widest cell of columns that need not be wider.
     """
     places = places or {}
+    if widest:
+        columns = [
+            replace(one, width=min(widest[one.name], one.width)) if one.name in widest else one
+            for one in columns
+        ]
     if chosen is None:
         columns = [_placed(one, places) for one in columns]
     kept = [one for one in columns if (one.is_usual if chosen is None else one.name in chosen)]
@@ -97,7 +111,8 @@ def fitted(
         rests = sum(not one.width for one in kept)
         room = width - sum(one.width for one in kept) - (len(kept) - 1)
         rank = max(one.rank for one in kept)
-        if chosen is not None or not rank or room >= LEAST_REST * rests:
+        least = sum(one.least or LEAST_REST for one in kept if not one.width)
+        if chosen is not None or not rank or room >= least:
             break
         kept.remove(next(one for one in reversed(kept) if one.rank == rank))
     share, more = divmod(max(room, 0), rests) if rests else (0, 0)
@@ -143,7 +158,8 @@ def row_spans(row: Any, columns: Sequence[FittedColumn], context: DrawContext) -
     for number, one in enumerate(columns):
         if number:
             spans.append((" ", ""))
-        cell = one.column.cell(row, context)
+        fit = one.column.fit
+        cell = one.column.cell(row, context) if fit is None else fit(row, context, one.width)
         if isinstance(cell, str):
             cell = cell.removeprefix(one.prefix)
             spans.append((_aligned(printable(cell), one.width, is_right=one.column.is_right), ""))
@@ -158,6 +174,22 @@ def row_text(row: Any, columns: Sequence[WatchColumn], context: DrawContext) -> 
     return " ".join(
         cell if isinstance(cell, str) else "".join(text for text, _ in cell) for cell in cells
     )
+
+
+def widest_cells(
+    rows: Sequence[Any], columns: Sequence[WatchColumn], context: DrawContext
+) -> dict[str, int]:
+    """Return the characters of the widest cell in `rows` of each column that fits itself to it."""
+    widths = {}
+    for one in columns:
+        if one.least and one.width:
+            cells = (one.cell(row, context) for row in rows)
+            texts = (
+                cell if isinstance(cell, str) else "".join(text for text, _ in cell)
+                for cell in cells
+            )
+            widths[one.name] = max(one.least, *map(len, texts), 0)
+    return widths
 
 
 def cut_spans(spans: Spans, width: int) -> Spans:

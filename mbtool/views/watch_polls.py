@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 from mbtool.core import WireEvent
 from mbtool.devices import describe_points
 from mbtool.modbus import FUNCTIONS, Outcome
-from mbtool.views.cells import GROUP, MANY_BITS, result_text, transaction_text
+from mbtool.views.cells import GROUP, MANY_BITS, result_text, short_result, transaction_text
 from mbtool.views.statistics_words import in_ms
 from mbtool.views.watch_columns import DrawContext, Spans, WatchColumn
+from mbtool.views.watch_names import short_name, with_short_names
 from mbtool.views.watch_words import OVERDUE, age, change_style, count, period, sparkline
 from mbtool.watching.value_formats import ValueFormat, float_text, register_text, register_texts
 
@@ -18,7 +19,8 @@ if TYPE_CHECKING:
     from mbtool.watching.board_rows import PollRow, WatchedPointRow
 
 _MAX_VALUES = 125
-_CODE = 2
+_LEAST_VALUES = 30
+"""If the last values of a poll would get fewer characters than this, its latencies are left out."""
 
 
 def _poll_request(row: PollRow, _: DrawContext) -> Spans:
@@ -45,6 +47,20 @@ def poll_values(row: PollRow, context: DrawContext) -> Spans:
         text = "wrong CRC" if row.is_damaged else result
         return [(text, "bold red"), *_separated(_values(row, one, context))]
     return _values(row, one, context) or [(result_text(one), "dim")]
+
+
+def fitted_values(row: PollRow, context: DrawContext, width: int) -> Spans:
+    """Return the cell with the last result of a poll for `width` characters, with shorter names."""
+    spans, one = poll_values(row, context), row.kept.record
+    if isinstance(one, WireEvent):
+        return spans
+    if (
+        sum(len(text) for text, _ in spans) > width
+        and one.exception is not None
+        and not row.is_damaged
+    ):
+        spans = [(short_result(one), spans[0][1]), *spans[1:]]
+    return with_short_names(spans, one.points, width)
 
 
 def _separated(spans: Spans) -> Spans:
@@ -135,11 +151,12 @@ POLL_COLUMNS = (
         cell=lambda row, _: str(row.poll.unit), sort=lambda row: row.poll.unit,
     ),
     WatchColumn(
-        name="request", title="request", width=23, cell=_poll_request,
+        name="request", title="request", width=23, least=10, cell=_poll_request,
         sort=lambda row: (row.poll.function, row.poll.address or 0),
     ),
     WatchColumn(
-        name="values", title="last values", width=0, cell=poll_values,
+        name="values", title="last values", width=0, least=_LEAST_VALUES, cell=poll_values,
+        fit=fitted_values,
         sort=lambda row: transaction_text(row.kept.record),
     ),
     WatchColumn(
@@ -202,7 +219,7 @@ POINT_COLUMNS = (
         cell=lambda row, _: str(row.unit), sort=lambda row: row.unit,
     ),
     WatchColumn(
-        name="reference", title="reference", width=14,
+        name="reference", title="reference", width=14, least=9,
         cell=lambda row, _: row.reference,
         sort=lambda row: (row.device or "", row.reference.rstrip("0123456789"),
                           len(row.reference), row.reference),
@@ -210,6 +227,7 @@ POINT_COLUMNS = (
     WatchColumn(
         name="name", title="name", width=0,
         cell=lambda row, _: row.name, sort=lambda row: row.name,
+        fit=lambda row, _, width: [(short_name(row.name, width), "")],
     ),
     WatchColumn(
         name="value", title="value", width=0, cell=_point_value,

@@ -4,15 +4,23 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mbtool.core import WireEvent
+from mbtool.core import EventKind, WireEvent
 from mbtool.devices import finding_text
 from mbtool.modbus import Outcome
-from mbtool.views.cells import clock_time, event_text, transaction_text
+from mbtool.views.cells import (
+    clock_time,
+    event_text,
+    result_text,
+    short_result,
+    transaction_text,
+)
 from mbtool.views.place_columns import host_of
 from mbtool.views.statistics_words import in_ms, percent
 from mbtool.views.watch_columns import DrawContext, Spans, WatchColumn
+from mbtool.views.watch_names import with_short_names
 from mbtool.views.watch_troubles import slave_trouble
 from mbtool.views.watch_words import age, count
+from mbtool.watching.board_rows import time_of_row
 from mbtool.watching.value_formats import ValueFormat
 
 if TYPE_CHECKING:
@@ -27,6 +35,9 @@ _STYLES = {
 }
 
 
+_OF_SOME_UNIT = (EventKind.BAD_CHECK, EventKind.SKIPPED, EventKind.LINE_ERROR, EventKind.GAP)
+
+
 def record_text(row: RecordRow, context: DrawContext) -> Spans:
     """Return request and result of a transaction with the codes of its findings.
 
@@ -36,8 +47,24 @@ def record_text(row: RecordRow, context: DrawContext) -> Spans:
     if isinstance(record, WireEvent):
         return [(event_text(record), "yellow")]
     in_hex = context.format_of(row.key) is ValueFormat.HEX
-    spans = [(transaction_text(record, in_hex=in_hex), _STYLES.get(record.outcome, ""))]
+    text = transaction_text(record, in_hex=in_hex)
+    if row.is_damaged:
+        text = f"{text.removesuffix(result_text(record))}wrong CRC"
+    spans = [(text, _STYLES.get(record.outcome, ""))]
     return [*spans, (f" ! {' '.join(record.findings)}", "magenta")] if record.findings else spans
+
+
+def fitted_record(row: RecordRow, context: DrawContext, width: int) -> Spans:
+    """Return the text of a transaction for `width` characters, with shorter names of points."""
+    spans, record = record_text(row, context), row.kept.record
+    if isinstance(record, WireEvent) or sum(len(text) for text, _ in spans) <= width:
+        return spans
+    if record.exception is not None:
+        text = spans[0][0].replace(
+            result_text(record).removeprefix("exception "), short_result(record)
+        )
+        spans = [(text, spans[0][1]), *spans[1:]]
+    return with_short_names(spans, record.points, width)
 
 
 def _text_of(name: str, row: RecordRow) -> str:
@@ -56,9 +83,12 @@ def _field(name: str, title: str, width: int) -> WatchColumn:
     )  # fmt: skip
 
 
-def _time(row: RecordRow) -> int:
+def _unit(row: RecordRow | TroubleRow) -> str:
+    """Return the unit; `?` for bytes of some unit that cannot be told, `-` for an event of none."""
+    if row.unit is not None:
+        return str(row.unit)
     record = row.kept.record
-    return record.ts_ns if isinstance(record, WireEvent) else record.start_ns
+    return "?" if isinstance(record, WireEvent) and record.kind in _OF_SOME_UNIT else "-"
 
 
 def _latency(row: RecordRow) -> int | None:
@@ -91,7 +121,7 @@ RECORD_COLUMNS = (
     ),
     WatchColumn(
         name="time", title="time (UTC)", width=12,
-        cell=lambda row, _: clock_time(_time(row)), sort=_time,
+        cell=lambda row, _: clock_time(time_of_row(row)), sort=time_of_row,
     ),
     WatchColumn(
         name="ms", title="ms", width=5, is_right=True, cell=_in_ms,
@@ -107,8 +137,7 @@ RECORD_COLUMNS = (
     _field("destination", "to", 21),
     WatchColumn(
         name="unit", title="un", width=3, is_right=True,
-        cell=lambda row, _: _text_of("unit", row),
-        sort=lambda row: getattr(row.kept.record, "unit", -1),
+        cell=lambda row, _: _unit(row), sort=lambda row: -1 if row.unit is None else row.unit,
     ),
     _field("device", "device", 16),
     _field("transaction_id", "id", 5),
@@ -119,7 +148,7 @@ RECORD_COLUMNS = (
         sort=lambda row: getattr(row.kept.record, "confidence", 0),
     ),
     WatchColumn(
-        name="text", title="request -> response", width=0, cell=record_text,
+        name="text", title="request -> response", width=0, cell=record_text, fit=fitted_record,
         sort=lambda row: "".join(text for text, _ in record_text(row, DrawContext())),
     ),
 )  # fmt: skip
@@ -147,8 +176,7 @@ TROUBLE_COLUMNS = (
     ),
     WatchColumn(
         name="unit", title="un", width=3, is_right=True,
-        cell=lambda row, _: "" if row.unit is None else str(row.unit),
-        sort=lambda row: -1 if row.unit is None else row.unit,
+        cell=lambda row, _: _unit(row), sort=lambda row: -1 if row.unit is None else row.unit,
     ),
     WatchColumn(
         name="first", title="first (UTC)", width=12, rank=1,
@@ -234,7 +262,7 @@ SLAVE_COLUMNS = (
         cell=lambda row, _: count(row.findings), sort=lambda row: row.findings,
     ),
     WatchColumn(
-        name="state", title="state", width=0, cell=slave_state,
+        name="state", title="state", width=0, least=30, cell=slave_state,
         sort=lambda row: slave_state(row, DrawContext())[0][0],
     ),
 )  # fmt: skip

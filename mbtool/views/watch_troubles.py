@@ -13,11 +13,17 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from mbtool.watching.board_rows import WatchedSlaveRow
+    from mbtool.watching.watched_rows import FailureSpan
 
 FEW = 0.01
 """Failures are not shown if they are fewer than ENOUGH, or a smaller share of the requests than
 this (0.01 is 1 %)."""
 ENOUGH = 3
+THROUGHOUT = 0.1
+"""A failure that shows in this first share (0.1 is 10 %) of a slave's time was there from the
+beginning. This and ENDED are those of the verdict of `report`."""
+ENDED = 0.25
+"""A failure that does not show in this last share of a slave's time has ended."""
 _MORE = " more: key 5"
 """Ends the line on slaves with troubles, after the number of those that had no room in it. The key
 5 opens the table of slaves."""
@@ -34,18 +40,40 @@ def slave_trouble(row: WatchedSlaveRow, *, is_short: bool = False) -> str:
     parts = []
     if row.silent_since_ns is not None and row.damaged * 2 <= row.missing:
         parts.append(f"no answer since {clock_time(row.silent_since_ns)[:8]}")
-    elif row.missing:
+    elif row.missing_span is not None:
         word = "wrong CRC" if row.damaged * 2 > row.missing else "unanswered"
-        parts.append(f"{percent(row.missing / row.asked)} {word}")
-    refused = row.exceptions + row.malformed
-    if refused:
-        word = "refused" if row.exceptions >= row.malformed else "malformed"
-        share = f"{percent(refused / row.asked)} {word}"
-        parts.append("refuses every request" if row.exceptions == row.asked else share)
+        parts.append(_share(row, row.missing_span, word, is_short=is_short))
+    if row.exceptions == row.asked:
+        parts.append("refuses every request")
+    elif row.refused_span is not None:
+        parts.append(_share(row, row.refused_span, "refused", is_short=is_short))
+    if row.malformed:
+        parts.append(f"{percent(row.malformed / row.asked)} malformed")
     if row.usual_ns is not None:
         others = "" if is_short else f" (others {in_ms(row.usual_ns)})"
         parts.append(f"slow, {in_ms(row.median_ns)} ms{others}")
     return ", ".join(parts)
+
+
+def _share(row: WatchedSlaveRow, span: FailureSpan, word: str, *, is_short: bool) -> str:
+    """Return which share of the requests failed, and since when, as the verdict of `report` does.
+
+    If the failures came late or have ended, the share is of the requests from the first one that
+    failed to the last one or the present, and the text tells the time. Else it is of all requests.
+    """
+    whole_ns = row.last_ns - row.first_ns
+    is_late = span.first_ns - row.first_ns > THROUGHOUT * whole_ns
+    is_over = row.last_ns - span.last_ns > ENDED * whole_ns
+    if span.failed < ENOUGH or not (is_late or is_over):
+        return f"{percent(span.failed / row.asked)} {word}"
+    before = span.asked_before if is_late else 0
+    end = span.asked_before + span.asked if is_over else row.asked
+    digits = 5 if is_short else 8
+    since, until = clock_time(span.first_ns)[:digits], clock_time(span.last_ns)[:digits]
+    when = f"since {since}"
+    if is_over:
+        when = f"{since} to {until}" if is_late else f"until {until}"
+    return f"{percent(span.failed / (end - before))} {word} {when}"
 
 
 def trouble_line(rows: Sequence[WatchedSlaveRow], width: int) -> str:

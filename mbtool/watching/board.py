@@ -14,11 +14,11 @@ from __future__ import annotations
 from collections import OrderedDict, deque
 from typing import TYPE_CHECKING
 
-from mbtool.core import WireEvent
+from mbtool.core import EventKind, WireEvent
 from mbtool.devices.references import write_reference
 from mbtool.modbus import FUNCTIONS, Outcome
 from mbtool.overview.statistics import MAX_POLLS, Statistics
-from mbtool.serial_line.damaged_answers import DamagedAnswers
+from mbtool.serial_line.damaged_answers import MAX_FRAMES, DamagedAnswers
 from mbtool.watching.watched_rows import (
     NEVER_NS,
     KeptRecord,
@@ -39,6 +39,7 @@ MAX_KEPT = 10_000
 MAX_POINTS = 20_000
 MAX_SLAVES = 4096
 MAX_TROUBLES = 1024
+_MAX_BLAMED = 2 * MAX_KEPT
 
 _MASK_WRITE, _READ_WRITE = 0x16, 0x17
 
@@ -61,6 +62,11 @@ class Board:
         self.profile_for = profile_for
         self.statistics = Statistics(format_of)
         self._damaged = DamagedAnswers()
+        self._bad_checks: deque[KeptRecord] = deque(maxlen=MAX_FRAMES)
+        """The last events of frames with a wrong CRC or LRC."""
+        self.blamed: OrderedDict[int, int] = OrderedDict()
+        """The unit by the `order` number of a record: of an event that tells of a damaged response
+        of the unit, and of the request to it."""
         self.records: deque[KeptRecord] = deque(maxlen=kept)
         """The last transactions and events, in the order in which they were decoded."""
         self.polls: OrderedDict[int, WatchedPoll] = OrderedDict()
@@ -86,13 +92,18 @@ class Board:
             self.statistics.add(record)
             self.last_ns = max(self.last_ns, record.ts_ns)
             self._damaged.note(record)
+            if record.kind is EventKind.BAD_CHECK:
+                self._bad_checks.append(kept)
             self._note_trouble(record.kind.value, kept, record.link, None, record.ts_ns)
             return
         self.transactions += 1
         at_ns = record.start_ns
         if at_ns > self.last_ns:
             self.last_ns = at_ns
-        is_damaged = self._damaged.has(record)
+        frame_ns = self._damaged.frame_of(record)
+        is_damaged = frame_ns is not None
+        if frame_ns is not None:
+            self._blame(record, kept, frame_ns)
         self._note_slave(record, is_damaged=is_damaged)
         statistics = self.statistics.add(record)
         if statistics is not None:
@@ -213,6 +224,29 @@ class Board:
         reference = write_reference(self.profile_for(one), table, address)
         return WatchedPoint(one.link, one.unit, one.device, reference, "", table, address, poll)
 
+    def _blame(self, one: NamedTransaction, kept: KeptRecord, frame_ns: int) -> None:
+        """Note that the damaged frame of time `frame_ns` (UTC ns) came from the unit of a request.
+
+        Its event is then counted as one about this unit.
+        """
+        self.blamed[kept.order] = one.unit
+        for event in self._bad_checks:
+            record = event.record
+            if not isinstance(record, WireEvent) or record.ts_ns != frame_ns:
+                continue
+            if record.link != one.link:
+                continue
+            self.blamed[event.order] = one.unit
+            key = record.kind.value, record.link, None
+            nobodys = self.troubles.get(key)
+            if nobodys is not None:
+                nobodys.count -= 1
+                if not nobodys.count:
+                    del self.troubles[key]
+                self._note_trouble(record.kind.value, event, record.link, one.unit, frame_ns)
+        while len(self.blamed) > _MAX_BLAMED:
+            self.blamed.popitem(last=False)
+
     def _note_trouble(
         self, code: str, kept: KeptRecord, link: str, unit: int | None, at_ns: int
     ) -> None:
@@ -222,7 +256,7 @@ class Board:
             if len(self.troubles) >= MAX_TROUBLES:
                 self.left_out += 1
                 return
-            is_finding = unit is not None
+            is_finding = not isinstance(kept.record, WireEvent)
             row = self.troubles[key] = WatchedTrouble(code, is_finding, link, unit, at_ns, kept)
         row.last, row.last_ns = kept, at_ns
         row.count += 1

@@ -4,17 +4,26 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
+from mbtool.core import EventKind, WireEvent
 from mbtool.modbus import Outcome
 from mbtool.overview.slow_units import slow_units
 from mbtool.watching.watched_rows import KeptRecord, errors_of
 
 if TYPE_CHECKING:
-    from collections.abc import Hashable, Sequence
+    from collections.abc import Hashable, Mapping, Sequence
 
     from mbtool.modbus import Table
     from mbtool.overview.poll_statistics import PollKey
     from mbtool.watching.board import Board
-    from mbtool.watching.watched_rows import WatchedPoint, WatchedPoll, WatchedSlave
+    from mbtool.watching.watched_rows import (
+        FailureSpan,
+        Record,
+        WatchedPoint,
+        WatchedPoll,
+        WatchedSlave,
+    )
+
+_CONNECTION = (EventKind.OPENED, EventKind.CLOSED)
 
 
 class PollRow(NamedTuple):
@@ -75,6 +84,10 @@ class RecordRow(NamedTuple):
 
     key: Hashable
     kept: KeptRecord
+    unit: int | None
+    """The unit; for an event, that of the damaged response which it tells of, or None."""
+    is_damaged: bool
+    """True if the response to the request came with a wrong CRC or LRC."""
 
 
 class WatchedSlaveRow(NamedTuple):
@@ -97,7 +110,10 @@ class WatchedSlaveRow(NamedTuple):
     usual_ns: float | None
     """The median latency of the other units in ns, if this unit is much slower; else None."""
     slowest_ns: int
+    first_ns: int
     last_ns: int
+    missing_span: FailureSpan | None
+    refused_span: FailureSpan | None
     answered_ns: int | None
     silent_since_ns: int | None
     findings: int
@@ -132,8 +148,31 @@ def point_rows(board: Board) -> list[WatchedPointRow]:
 
 
 def record_rows(board: Board) -> list[RecordRow]:
-    """Return the transactions and events that are kept, in the order in which they were decoded."""
-    return [RecordRow(kept.order, kept) for kept in board.records]
+    """Return the transactions and events that are kept, in the order of their times.
+
+    Opened and closed connections are left out: of many short ones, nothing else would be seen.
+    """
+    blamed = board.blamed
+    rows = [_record_row(kept, blamed) for kept in board.records if not _is_connection(kept.record)]
+    rows.sort(key=time_of_row)
+    return rows
+
+
+def time_of_row(row: RecordRow) -> int:
+    """Return the start of a row's transaction or the time of its event, in ns since 1970."""
+    record = row.kept.record
+    return record.ts_ns if isinstance(record, WireEvent) else record.start_ns
+
+
+def _is_connection(record: Record) -> bool:
+    return isinstance(record, WireEvent) and record.kind in _CONNECTION
+
+
+def _record_row(kept: KeptRecord, blamed: Mapping[int, int]) -> RecordRow:
+    is_blamed = kept.order in blamed if blamed else False
+    if isinstance(kept.record, WireEvent):
+        return RecordRow(kept.order, kept, blamed.get(kept.order), is_damaged=False)
+    return RecordRow(kept.order, kept, kept.record.unit, is_blamed)
 
 
 def slave_rows(board: Board) -> list[WatchedSlaveRow]:
@@ -229,7 +268,10 @@ def _slave_row(slave: WatchedSlave, usual_ns: float | None) -> WatchedSlaveRow:
         median_ns=tally.latency.percentile(50),
         usual_ns=usual_ns,
         slowest_ns=tally.latency.greatest,
+        first_ns=slave.first_ns,
         last_ns=slave.last_ns,
+        missing_span=slave.missing,
+        refused_span=slave.refused,
         answered_ns=slave.answered_ns,
         silent_since_ns=slave.silent_since_ns,
         findings=slave.findings,

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 from mbtool.core import EventKind, WireEvent
 from mbtool.devices import PointValue
 from mbtool.modbus import Outcome, Transport, Verdict, ascii_adu
+from mbtool.views.cells import clock_time
 from mbtool.views.watch_columns import (
     DrawContext,
     FittedColumn,
@@ -53,6 +54,10 @@ def board_of(*records: Record) -> Board:
 
 def read(at_ms: float, *values: int, **fields: Any) -> Record:
     return request(at_ms, **{"response_values": list(values), "quantity": len(values), **fields})
+
+
+def time_of(record: Record) -> int:
+    return record.ts_ns if isinstance(record, WireEvent) else record.start_ns
 
 
 def text_of(spans: Spans) -> str:
@@ -180,6 +185,40 @@ def test_the_state_of_a_slave_is_in_words() -> None:
 def test_a_poll_whose_last_answer_was_damaged_says_so() -> None:
     (row,) = poll_rows(board_of(read(0, 7), damaged(12), unanswered(10, quantity=1)))
     assert text_of(poll_values(row, DrawContext())) == "wrong CRC last 7 "
+
+
+def test_a_share_of_failures_that_came_late_or_ended_is_of_the_requests_since() -> None:
+    def state(*records: Record) -> str:
+        return text_of(slave_state(slave_rows(board_of(*records))[0], DrawContext()))
+
+    def times(first: int, last: int, step: int = 1) -> range:
+        return range(1000 * first, 1000 * last, 1000 * step)
+
+    well = [read(at, 1) for at in times(0, 45)]
+    fails = [unanswered(at) for at in times(45, 60, 3)]
+    others = [read(at, 1) for at in times(45, 60) if at % 3000]
+    sick = sorted([*fails, *others], key=time_of)
+    later = [read(at, 1) for at in times(60, 120)]
+    since = clock_time(START_NS + 45_000 * MS)[:8]
+    until = clock_time(START_NS + 57_000 * MS)[:8]
+    assert state(*well, *sick) == f"33 % unanswered since {since}"
+    assert state(*sick) == "33 % unanswered"
+    assert state(*well, *sick, *later) == f"38 % unanswered {since} to {until}"
+    assert state(*sick, *later) == f"38 % unanswered until {until}"
+    line = trouble_line(slave_rows(board_of(*well, *sick)), 78)
+    assert line == f"unit 1: 33 % unanswered since {since}"
+
+
+def test_the_unit_of_an_event_is_a_sign_if_there_is_none() -> None:
+    opened = WireEvent(ts_ns=START_NS, link="line", kind=EventKind.OPENED, message="")
+    rows = trouble_rows(board_of(opened, damaged(5)))
+    assert [cell(TROUBLE_COLUMNS, "unit", row, DrawContext()) for row in rows] == ["-", "?"]
+
+
+def test_a_request_with_a_damaged_answer_says_so_and_comes_before_its_event() -> None:
+    rows = record_rows(board_of(damaged(12), unanswered(10, reference="D1")))
+    texts = [cell(RECORD_COLUMNS, "text", row, DrawContext()) for row in rows]
+    assert texts == ["03 read D1 -> wrong CRC", "bad-check"]
 
 
 SICK = (

@@ -136,6 +136,30 @@ def test_findings_and_events_are_counted_by_kind_and_unit() -> None:
     assert (finding.code, finding.unit, finding.times, finding.is_finding) == ("MB-101", 1, 2, True)
 
 
+def event(at_ms: float, kind: EventKind) -> WireEvent:
+    return WireEvent(ts_ns=START_NS + round(at_ms * MS), link="line", kind=kind, message="x")
+
+
+def test_transactions_and_events_are_listed_by_time_without_connections() -> None:
+    board = board_of(
+        event(0, EventKind.OPENED), event(12, EventKind.BAD_CHECK), unanswered(10), read(20, 1),
+        event(30, EventKind.CLOSED),
+    )  # fmt: skip
+    assert [row.key for row in record_rows(board)] == [3, 2, 4]
+    assert {row.code for row in trouble_rows(board)} == {"opened", "bad-check", "closed"}
+
+
+def test_a_damaged_answer_belongs_to_the_unit_that_was_asked() -> None:
+    board = board_of(
+        read(0, 1, unit=4), event(5, EventKind.BAD_CHECK), event(12, EventKind.BAD_CHECK),
+        unanswered(10, unit=4), read(20, 1, unit=4),
+    )  # fmt: skip
+    rows = {row.key: (row.unit, row.is_damaged) for row in record_rows(board)}
+    assert rows == {1: (4, False), 2: (None, False), 3: (4, False), 4: (4, True), 5: (4, False)}
+    counts = {(row.unit, row.times, row.is_finding) for row in trouble_rows(board)}
+    assert counts == {(None, 1, False), (4, 1, False)}
+
+
 def test_the_oldest_record_gives_way() -> None:
     board = Board(kept=3)
     for order in range(1, 6):

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from textual.app import SystemCommand
 from textual.binding import Binding
 
 from mbtool.cli import exit_codes
 from mbtool.cli.watching.choices import AS_IT_COMES, ColumnChoice, SortChoice
+from mbtool.cli.watching.help_window import HelpWindow, key_name
 from mbtool.cli.watching.prompted_app import PromptedApp
 from mbtool.cli.watching.watch_views import VIEWS
 from mbtool.workflows.watch import FileFeed
@@ -25,7 +26,7 @@ _TRANSACTIONS = 2
 class WatchApp(PromptedApp):
     """The full screen that the command runs."""
 
-    BINDINGS = [  # noqa: RUF012 - textual reads the list from the class
+    BINDINGS: ClassVar[list[Binding]] = [  # type: ignore[assignment]
         *(
             Binding(str(key), f"view({key - 1})", f"View {view.name}")
             for key, view in enumerate(VIEWS, 1)
@@ -59,17 +60,19 @@ class WatchApp(PromptedApp):
         Binding("left_square_bracket", "scroll_detail(-3)", "Detail up", key_display="["),
         Binding("right_square_bracket", "scroll_detail(3)", "Detail down", key_display="]"),
         Binding("escape", "close", "Close what is open", show=False),
-        Binding("question_mark", "help", "Keys", key_display="?"),
+        Binding("question_mark", "help", "Keys and signs", key_display="?"),
         Binding("q", "leave", "Quit"),
-        Binding("ctrl+c", "interrupt", "Quit", show=False, priority=True),
+        Binding("ctrl+c", "interrupt", "Quit, as when interrupted", show=False, priority=True),
     ]
 
     def get_system_commands(self, screen: Screen[Any]) -> Iterable[SystemCommand]:
-        yield from super().get_system_commands(screen)
         for binding in self.BINDINGS:
-            if isinstance(binding, Binding) and binding.show:
-                key = binding.key_display or binding.key.replace(",", " or ")
+            if binding.show:
+                key = key_name(binding)
                 yield SystemCommand(binding.description, f"key {key}", self._runner(binding.action))
+        for command in super().get_system_commands(screen):
+            if command.title in ("Theme", "Screenshot"):  # textual's others do nothing useful here.
+                yield command
 
     def _runner(self, action: str) -> Callable[[], Any]:
         return lambda: self.run_action(action)
@@ -107,15 +110,10 @@ class WatchApp(PromptedApp):
     def action_close(self) -> None:
         self.tell("")
         self.screen_stack[0].query_one("#detail").remove_class("open")
-        if self.screen.query("HelpPanel"):
-            self.action_hide_help_panel()
         self.call_after_refresh(self.draw)
 
     def action_help(self) -> None:
-        if self.screen.query("HelpPanel"):
-            self.action_hide_help_panel()
-        else:
-            self.action_show_help_panel()
+        self.push_screen(HelpWindow(self.BINDINGS))
 
     def action_mark(self) -> None:
         row = self.table.row

@@ -23,7 +23,7 @@ from mbtool.cli.watching.status_line import ScreenState, keys_line, status_text,
 from mbtool.cli.watching.watch_settings import WatchSettings, load_settings, save_settings
 from mbtool.cli.watching.watch_views import VIEWS
 from mbtool.core import MbtoolError
-from mbtool.views.watch_columns import DrawContext, fitted
+from mbtool.views.watch_columns import DrawContext, fitted, widest_cells
 from mbtool.views.watch_detail import record_detail, slave_detail
 from mbtool.views.watch_places import place_columns
 from mbtool.views.watch_troubles import trouble_line
@@ -69,7 +69,6 @@ class DrawnApp(App[int]):
     #troubles.told { display: block; }
     #note { height: auto; max-height: 2; display: none; }
     #note.told { display: block; }
-    HelpPanel { width: 50; max-width: 70%; }
     OptionList:nocolor > .option-list--option-highlighted { text-style: bold underline; }
     """
 
@@ -106,6 +105,10 @@ class DrawnApp(App[int]):
         self._before_typing = where
         self._typed_at = 0
         self._contexts = [DrawContext() for _ in VIEWS]
+        self._widest: list[dict[str, int]] = [{} for _ in VIEWS]
+        """By view, the width in characters of the widest cell so far of some columns."""
+        self._measured = [0] * len(VIEWS)
+        """By view, the number of rows that were there when the cells were measured last."""
         self._next_draw_s = 0.0
         self.drawings = 0
         """The number of times that the screen was drawn."""
@@ -189,12 +192,14 @@ class DrawnApp(App[int]):
         self.context.now_ns = now_ns
         self.context.is_over = self.feed.is_over or not self.feed.is_live
         self.context.marked = self.feed.watched.marked
+        self._measure(rows)
         name, descending = self._sorting
         column = next((one for one in self.view.columns if one.name == name), None)
         if column is not None:
             rows = sorted(rows, key=column.sort, reverse=descending)
         chosen = self.settings.columns.get(self.view.name)
-        columns = fitted(self.view.columns, width, chosen, self._places(width))
+        widest = self._widest[self.view_at]
+        columns = fitted(self.view.columns, width, chosen, self._places(width), widest)
         table = self.table
         table.can_follow = self.view.can_follow
         sorting = (None if column is None else name, descending)
@@ -202,6 +207,17 @@ class DrawnApp(App[int]):
         self._draw_lines(width)
         self._draw_detail()
         self.call_after_refresh(self._drawn, began_s)
+
+    def _measure(self, rows: Sequence[Any]) -> None:
+        """Note the widest cells of the present view; rows that were measured before are left out.
+
+        A column never becomes narrower, as the table would jump.
+        """
+        widest = self._widest[self.view_at]
+        new = rows[self._measured[self.view_at] :]
+        self._measured[self.view_at] = len(rows)
+        for name, width in widest_cells(new, self.view.columns, self.context).items():
+            widest[name] = max(width, widest.get(name, 0))
 
     def _why_empty(self) -> str:
         """Return the text for a view that has no rows; it says why there are none."""

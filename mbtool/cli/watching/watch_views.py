@@ -55,7 +55,10 @@ class WatchView:
 
 def _line_rows(board: Board, width: int) -> list[LineRow]:
     lines = statistics_lines(report(board.statistics), width=width, top=10)
-    return [LineRow(at, line.text, line.style) for at, line in enumerate(lines)]
+    # Lines of `stats` name its option, which `watch` does not have.
+    texts = (line.text.replace("; --top ", "; mbtool stats --top ") for line in lines)
+    styles = (line.style for line in lines)
+    return [LineRow(at, *both) for at, both in enumerate(zip(texts, styles, strict=True))]
 
 
 _LINES = (

@@ -14,6 +14,7 @@ from textual.widgets import OptionList
 
 from mbtool.cli.watching.app import WatchApp
 from mbtool.cli.watching.choices import ColumnChoice, SortChoice
+from mbtool.cli.watching.help_window import HelpWindow
 from mbtool.cli.watching.prompt import PromptLine
 from tests.cli.watching.screens import run
 
@@ -66,7 +67,7 @@ def bound_keys() -> Iterator[Key]:
 
     Of textual's own, those that choose in a list, enter a text, and leave; not those that edit.
     """
-    own = (WatchApp, PromptLine, ColumnChoice, SortChoice)
+    own = (WatchApp, PromptLine, ColumnChoice, SortChoice, HelpWindow)
     bound = [(one.__name__, binding) for one in own for binding in one.BINDINGS]
     bound += [("WatchApp", binding) for binding in App.BINDINGS]
     windows = (ColumnChoice, SortChoice)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from textual.widgets import OptionList
 
 from mbtool.cli import exit_codes
+from mbtool.cli.watching.help_window import key_name
 from mbtool.core import EventKind, OutputError, WireEvent
+from mbtool.devices import PointValue
 from mbtool.watching.value_formats import ValueFormat
 from tests.cli.watching.screens import GivenFeed, NotingSaver, run, screen
 from tests.overview.masters import MS, START_NS
@@ -19,6 +22,7 @@ if TYPE_CHECKING:
     import pytest
 
     from mbtool.watching.watched_rows import Record
+    from tests.cli.watching.screens import Screen
 
 
 def read(at_ms: float, *values: int, **fields: Any) -> Record:
@@ -372,5 +376,63 @@ def test_a_view_without_rows_says_why() -> None:
             feed.give(read(0, 1, 2))
             seen.app.apply_filter("unit == 9")
             assert "no values read or written pass the filter; \\ switches it off" in seen.text
+
+    run(test)
+
+
+def differs(seen: Screen, line: str) -> bool:
+    return seen.lines[3] != line
+
+
+def test_the_help_begins_with_the_views_and_all_of_it_can_be_reached() -> None:
+    async def test() -> None:
+        async with screen(line()) as seen:
+            await seen.press("question_mark")
+            await seen.until(lambda: "Keys and signs" in seen.lines[1])
+            assert "1 View polls" in seen.lines[3]
+            read_lines = [*seen.lines]
+            while "a broken rule" not in seen.text:
+                top = seen.lines[3]
+                await seen.press("pagedown")
+                await seen.until(partial(differs, seen, top))
+                read_lines += seen.lines
+            for binding in seen.app.BINDINGS:
+                keys = f" {key_name(binding)} {binding.description}"
+                assert any(keys in one for one in read_lines), keys
+            assert not any("Focus" in one for one in read_lines)
+
+    run(test)
+
+
+def test_the_view_of_the_bus_names_no_option_that_watch_lacks() -> None:
+    feed = GivenFeed(read(at, 1, address=at, reference=f"holding {at}") for at in range(12))
+
+    async def test() -> None:
+        async with screen(feed) as seen:
+            await seen.press("6")
+            (more,) = (row.text for row in seen.rows if "more polls" in row.text)
+            assert more == "  ... 2 more polls; mbtool stats --top 12 shows all"
+
+    run(test)
+
+
+def test_at_80_columns_values_with_long_names_are_shown() -> None:
+    names = [f"CH{number} digital operation value" for number in range(1, 9)]
+    points = [
+        PointValue(name=name, reference=f"RWr{at}", value=4000 + at, text=str(4000 + at))
+        for at, name in enumerate(names)
+    ]
+    feed = GivenFeed([read(0, *range(8), reference="RWr0..RWr7", points=points, device="x")])
+
+    async def test() -> None:
+        async with screen(feed) as seen:
+            assert "RWr0..RWr7 CH1 4000, CH2 4001" in seen.text
+            await seen.press("2")
+            assert [line.split()[2:6] for line in seen.lines[3:5]] == [
+                ["CH1", "dig.", "ope.", "value"],
+                ["CH2", "dig.", "ope.", "value"],
+            ]
+            await seen.press("3")
+            assert "read RWr0..RWr7 -> CH1 4000, CH2 4001, " in seen.text
 
     run(test)

@@ -182,13 +182,16 @@ async def test_windows_choose_the_order_and_the_columns(keys: KeyLog) -> None:
         await keys.press(seen, "u", lambda: seen.lines[2].split()[0] == "un^")
 
 
-@presses(WatchApp="question_mark escape ctrl+p")
+@presses(WatchApp="question_mark ctrl+p", HelpWindow="question_mark escape q j k")
 async def test_the_keys_and_the_palette_are_shown_and_left(keys: KeyLog) -> None:
-    async with screen(many(), (120, 40)) as seen:
-        await keys.press(seen, "question_mark", has(seen, "Freeze the view, or go on"))
-        await keys.press(seen, "question_mark", lacks(seen, "Freeze the view"))
-        await seen.press("question_mark")
-        await keys.press(seen, "escape", lacks(seen, "Freeze the view"))
+    async with screen(many()) as seen:
+        for leave in ("question_mark", "escape", "q"):
+            await keys.press(seen, "question_mark", lambda: len(seen.app.screen_stack) > 1)
+            if leave == "q":
+                await keys.press(seen, "j", lambda: "Views" not in seen.text)
+                await keys.press(seen, "k", has(seen, "Views"))
+            await keys.press(seen, leave, lambda: len(seen.app.screen_stack) == 1)
+        assert seen.app.is_running
         await keys.press(seen, "ctrl+p", lambda: len(seen.app.screen_stack) > 1)
         await seen.press(*"detail")
         await seen.until(has(seen, "key ["))
