@@ -68,8 +68,8 @@ class WatchColumn:
     least: int = 0
     """If more than 0, the column is as wide as its widest cell, from this to `width` characters.
 
-    For a column of width 0: the fewest characters for which other columns are left out; with 0,
-    LEAST_REST."""
+    For a column of width 0: other columns are left out if this one would get fewer characters than
+    this, and fewer than its widest cell; 0 stands for LEAST_REST."""
     is_usual: bool = True
     """False for a column that is shown only if the user chooses it."""
 
@@ -95,14 +95,11 @@ def fitted(
 
     If `chosen` names columns, exactly these are shown. With None, the usual columns are shown, as
     many as fit, and those in `places` (link and master) always, with the width given there.
-    `widest` has the number of characters in the widest cell of columns that need not be wider.
+    `widest` has the number of characters in the widest cell of columns with `least`.
     """
     places = places or {}
     if widest:
-        columns = [
-            replace(one, width=min(widest[one.name], one.width)) if one.name in widest else one
-            for one in columns
-        ]
+        columns = [_as_wide(one, widest.get(one.name, 0)) for one in columns]
     if chosen is None:
         columns = [_placed(one, places) for one in columns]
     kept = [one for one in columns if (one.is_usual if chosen is None else one.name in chosen)]
@@ -125,6 +122,15 @@ def fitted(
         place = places.get(one.name) if chosen is None else None
         result.append(FittedColumn(one, max(size, 1), "" if place is None else place.prefix))
     return result
+
+
+def _as_wide(column: WatchColumn, widest: int) -> WatchColumn:
+    """Return a column that is only as wide as its widest cell, or needs no more than that."""
+    if not widest:
+        return column
+    if not column.width:
+        return replace(column, least=min(column.least, max(widest, LEAST_REST)))
+    return replace(column, width=min(column.width, max(widest, column.least)))
 
 
 def _placed(column: WatchColumn, places: Mapping[str, PlaceColumn]) -> WatchColumn:
@@ -179,16 +185,16 @@ def row_text(row: Any, columns: Sequence[WatchColumn], context: DrawContext) -> 
 def widest_cells(
     rows: Sequence[Any], columns: Sequence[WatchColumn], context: DrawContext
 ) -> dict[str, int]:
-    """Return the characters of the widest cell in `rows` of each column that fits itself to it."""
+    """Return the number of characters in the widest cell in `rows` of each column with `least`."""
     widths = {}
     for one in columns:
-        if one.least and one.width:
+        if one.least:
             cells = (one.cell(row, context) for row in rows)
             texts = (
                 cell if isinstance(cell, str) else "".join(text for text, _ in cell)
                 for cell in cells
             )
-            widths[one.name] = max(one.least, *map(len, texts), 0)
+            widths[one.name] = max(map(len, texts), default=0)
     return widths
 
 
