@@ -47,9 +47,12 @@ def why_not() -> str | None:
 
 
 @contextmanager
-def cable() -> Iterator[Cable]:
-    """Both ends are up and have the addresses of IPV4 and IPV6."""
-    ends = Cable(f"mbtool-m-{os.getpid()}", f"mbtool-s-{os.getpid()}")
+def cable(name: str = "mbtool") -> Iterator[Cable]:
+    """Both ends are up and have the addresses of IPV4 and IPV6.
+
+    Cables of one process that are there at once need different names.
+    """
+    ends = Cable(f"{name}-m-{os.getpid()}", f"{name}-s-{os.getpid()}")
     names = (ends.master, ends.slave)
     try:
         for name in names:

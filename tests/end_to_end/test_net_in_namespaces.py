@@ -44,6 +44,13 @@ def ends() -> Iterator[Cable]:
         yield made
 
 
+@pytest.fixture
+def own_ends(ends: Cable) -> Iterator[Cable]:
+    """A cable of one test: an interface that was down has lost its IPv6 addresses."""
+    with cable("mbtool-own") as made:
+        yield made
+
+
 @pytest.mark.parametrize(
     ("host", "slave", "options"),
     [
@@ -216,20 +223,21 @@ class listening(ExitStack):  # noqa: N801
         return program
 
 
-def test_an_interface_that_goes_down_and_up_is_heard_again(ends: Cable, tmp_path: Path) -> None:
-    """The last test of this file: the cable loses its IPv6 addresses."""
+def test_an_interface_that_goes_down_and_up_is_heard_again(own_ends: Cable, tmp_path: Path) -> None:
     log = tmp_path / "both.mcap"
     sniff = (MBTOOL, "sniff", f"net:{INTERFACE}", "-w", str(log), "--format", "jsonl")
-    with Program(*ends.within(ends.slave, *sniff)) as sniffer:
+    with Program(*own_ends.within(own_ends.slave, *sniff)) as sniffer:
         sniffer.said.find("listening on")
         speak = (sys.executable, "-c", SPEAK, "3", INTERFACE)
-        subprocess.run(ends.within(ends.slave, *speak), check=True, timeout=PATIENCE_S)
+        subprocess.run(own_ends.within(own_ends.slave, *speak), check=True, timeout=PATIENCE_S)
         sniffer.printed.take(3)
         for way, told in (("down", "It is opened again when it is back"), ("up", "is back after")):
             command = ("ip", "link", "set", INTERFACE, way)
-            subprocess.run(ends.within(ends.slave, *command), check=True, timeout=PATIENCE_S)
+            subprocess.run(
+                own_ends.within(own_ends.slave, *command), check=True, timeout=PATIENCE_S
+            )
             sniffer.said.find(told)
-        subprocess.run(ends.within(ends.slave, *speak), check=True, timeout=PATIENCE_S)
+        subprocess.run(own_ends.within(own_ends.slave, *speak), check=True, timeout=PATIENCE_S)
         sniffer.printed.take(3)
         assert sniffer.interrupt() == 130
     assert len(decoded(log)) == 6
