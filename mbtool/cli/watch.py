@@ -77,6 +77,7 @@ def watch(
     """
     from mbtool.cli.options import condition
     from mbtool.cli.stats import is_link
+    from mbtool.cli.talk import never_waiting
     from mbtool.cli.watching.terminal_abilities import prepare_terminal
     from mbtool.core import UsageError
 
@@ -92,11 +93,14 @@ def watch(
     if sys.stdin is None or not (sys.stdin.isatty() and sys.stdout.isatty()):
         raise UsageError("watch needs a terminal; into a pipe or file, use sniff, decode or stats")
     prepare_terminal()
-    if any(live):
-        _watch_links(sources, write, device, where, source, silences, allow, duration, overwrite)
-    else:
-        options = source.read(device, raw=raw, silences=silences)
-        _watch_files(sources, options, where, duration, plays=play)
+    with never_waiting():
+        if any(live):
+            _watch_links(
+                sources, write, device, where, source, silences, allow, duration, overwrite
+            )
+        else:
+            options = source.read(device, raw=raw, silences=silences)
+            _watch_files(sources, options, where, duration, plays=play)
 
 
 def _demand_textual() -> None:
