@@ -80,7 +80,7 @@ def now_ns() -> int:
 def begun_run() -> Iterator[None]:
     """A context for one run of a capture or slave.
 
-    If no other such context is open, entering it sets `now_ns` to the system's clock.
+    If no other such context is open, entering it aligns the clock of `now_ns` with the system's.
     """
     with _RunClock.lock:
         if not _RunClock.runs:

@@ -62,7 +62,9 @@ _MS = 1_000_000
 
 
 class _Fa3Analog(Fa3):
-    """The base class of both analog models: it handles the initial data setting."""
+    """The base class of both analog models: it takes over new settings when the
+    master requests the "initial data setting" of the manual.
+    """
 
     def __init__(self, profile: Profile, image: RegisterImage) -> None:
         super().__init__(profile, image)

@@ -1,4 +1,6 @@
-"""The child process that prints blocks: `python -m mbtool.workflows.shared.block_printing`."""
+"""The child process that makes lines of text or Parquet of decoded transactions, while its parent
+decodes the next packets: `python -m mbtool.workflows.shared.block_printing`.
+"""
 
 # The parent (block_processes.py) decodes blocks of packets; this process prints their transactions
 # as lines or Parquet. Its arguments are the format, the descriptor of the Parquet file (or -), and
