@@ -23,6 +23,8 @@ MAX_BUCKETS = 1024
 _EXACT_BITS = 64
 _STEPS = (1, 2, 5)
 _MICROSECOND = 1000
+_FAR = 1.5
+"""Bars leave out durations beyond the 99th percentile if the greatest is so many times that."""
 
 
 class Bucket(NamedTuple):
@@ -144,6 +146,27 @@ class Distribution:
             for step in range(min(counts), max(counts) + 1)
         ]
 
+    def bars(self, most: int = 40) -> tuple[list[Bucket], int]:
+        """Count the durations in at most `most` + 1 bars of equal width, and those beyond the bars.
+
+        The bars end at the 99th percentile, or at the greatest duration if that is not far away.
+        """
+        if not self.count:
+            return [], 0
+        end = self.percentile(99)
+        end = self.greatest if self.greatest <= _FAR * end else end
+        width = _nice_width((end - self.least) / most)
+        first, last = self.least // width, end // width
+        counts: dict[int, int] = {}
+        for low, count in self._buckets.items():
+            middle = min(max(low + (self._width(low) - 1) // 2, self.least), self.greatest)
+            counts[middle // width] = counts.get(middle // width, 0) + count
+        bars = [
+            Bucket(bar * width, (bar + 1) * width, counts.get(bar, 0))
+            for bar in range(first, last + 1)
+        ]
+        return bars, self.count - sum(bar.number for bar in bars)
+
     def _put(self, ns: int, count: int) -> None:
         low = self._low(ns)
         self._buckets[low] = self._buckets.get(low, 0) + count
@@ -167,6 +190,15 @@ class Distribution:
         for low, count in buckets.items():
             coarse = self._low(low)
             self._buckets[coarse] = self._buckets.get(coarse, 0) + count
+
+
+def _nice_width(least_ns: float) -> int:
+    """Return the least of 1, 2, 5, 10, 20 us and so on that is not below `least_ns`, in ns."""
+    width, at = _MICROSECOND, 0
+    while width < least_ns:
+        at += 1
+        width = _STEPS[at % len(_STEPS)] * 10 ** (at // len(_STEPS)) * _MICROSECOND
+    return width
 
 
 def _edge(step: int) -> int:

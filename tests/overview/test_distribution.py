@@ -109,3 +109,25 @@ def test_the_histogram_counts_each_duration_once() -> None:
     histogram = distribution.histogram()
     assert sum(one.number for one in histogram) == 5000
     assert all(one.high_ns == other.low_ns for one, other in itertools.pairwise(histogram))
+
+
+def test_bars_end_at_the_99th_percentile_where_few_durations_are_far_longer() -> None:
+    durations = of([*range(1_000_000, 2_000_000, 1000), 999_000_000])
+    bars, beyond = durations.bars()
+    assert beyond == 1
+    assert len(bars) <= 41
+    assert (bars[0].low_ns, bars[0].high_ns, bars[0].number) == (1_000_000, 1_050_000, 50)
+    assert sum(bar.number for bar in bars) + beyond == durations.count
+
+
+def test_bars_have_all_durations_if_none_is_far_away() -> None:
+    bars, beyond = of([*range(5_000_000, 9_000_000, 1000)]).bars()
+    assert (bars[-1].high_ns >= 8_999_000, beyond) == (True, 0)
+    assert of([]).bars() == ([], 0)
+    ((low, high, number),), beyond = of([7_000_000, 7_000_000]).bars()
+    assert (low <= 7_000_000 < high, number, beyond) == (True, 2, 0)
+
+
+def test_the_durations_from_one_on_are_counted() -> None:
+    durations = of([10, 20, 30, 30])
+    assert [durations.number_from(ns) for ns in (5, 20, 21, 31)] == [4, 3, 2, 0]

@@ -150,3 +150,22 @@ def test_texts_of_the_wire_and_of_the_user_become_no_markup(tmp_path: Path) -> N
     told: dict[str, Any] = page.document
     assert told["stats"]["links"][0]["link"] == "</script><b>"
     assert told["stats"]["sources"] == [str(path)]
+
+
+def test_the_bars_of_latency_have_all_answers(sick_page: Page) -> None:
+    told = sick_page.document
+    (link,) = told["stats"]["links"]
+    latencies = {(None, None): link["latency"]}
+    latencies |= {(one["unit"], one["function"]): one["latency"] for one in link["functions"]}
+    assert [(one["unit"], one["function"]) for one in told["bars"]] == [*latencies]
+    for one in told["bars"]:
+        latency = latencies[one["unit"], one["function"]]
+        number = sum(step[2] for step in one["steps"]) + one["beyond"]
+        assert number == (0 if latency is None else latency["count"])
+
+
+def test_only_troubles_that_no_rule_tells_are_marked_so(sick_page: Page) -> None:
+    troubles = sick_page.document["verdict"]["troubles"]
+    assert [(one["who"], one["is_rule"]) for one in troubles] == [
+        ("unit 3", False), ("unit 4", False), ("unit 2", False),
+    ]  # fmt: skip

@@ -36,6 +36,7 @@ from mbtool.views.statistics_document import statistics_document
 
 if TYPE_CHECKING:
     from mbtool.devices.checking.finding import Finding
+    from mbtool.overview.distribution import Distribution
     from mbtool.series.value_series import ValueSeries
 
 MAX_UNITS = 24
@@ -44,6 +45,8 @@ LEAST_SAMPLES = 100
 MOST_SAMPLES = 800
 MAX_POLLS = 300
 MAX_ROWS = 1000
+MAX_BARS = 200
+"""Histograms beyond this have the coarse steps of `stats --json`."""
 _NUMBER_BEGINS = "+-.0123456789"
 
 
@@ -120,6 +123,7 @@ def report_document(contents: ReportContents) -> dict[str, Any]:
         },
         "stats": _statistics(contents),
         "bins": _bins(contents),
+        "bars": _bars(contents.links),
         "values": _values(contents.values, contents.history.bins.begin_ns),
         "inventory": _inventory(contents.inventory),
         "findings": _findings(contents),
@@ -142,6 +146,32 @@ def _statistics(contents: ReportContents) -> dict[str, Any]:
         for poll in link["polls"]:
             (poll["latency"] or {}).pop("histogram", None)
     return document
+
+
+def _bars(links: Sequence[LinkReport]) -> list[dict[str, Any]]:
+    """Return the bars of latency histograms: of each link, and of each unit and function in it.
+
+    `steps` has the begin and the end of each bar in ms, and its number of responses; `beyond` is
+    the number of responses that took longer.
+    """
+    found: list[dict[str, Any]] = []
+    for link in links:
+        all_units: list[tuple[int | None, int | None, Distribution]] = [
+            (None, None, link.tally.latency)
+        ]
+        all_units += [(one.unit, one.function, one.tally.latency) for one in link.functions]
+        for unit, function, latency in all_units[:MAX_BARS]:
+            bars, beyond = latency.bars()
+            found.append(
+                {
+                    "link": link.name,
+                    "unit": unit,
+                    "function": function,
+                    "steps": [[bar.low_ns / 1e6, bar.high_ns / 1e6, bar.number] for bar in bars],
+                    "beyond": beyond,
+                }
+            )
+    return found[:MAX_BARS]
 
 
 def _bins(contents: ReportContents) -> dict[str, Any]:

@@ -7,6 +7,10 @@ const data = JSON.parse(document.getElementById("data").textContent);
 const { stats, bins } = data;
 const PAGE_ROWS = 100;
 const FEW_ROWS = 12;
+const PRINTED_ROWS = 60;
+const MANY_COLUMNS = 3;
+const MANY_SAMPLES = 150;
+const VALUE_COLUMNS = 120;
 const OPEN_CYCLES = 6;
 const CHARTS_AT_ONCE = 12;
 const DASHES = [[], [6, 4], [2, 3]];
@@ -73,12 +77,13 @@ const soft = (text) => el("p", { class: "soft" }, text);
 const KINDS = { ">": "right", "+": "wide", "~": "name" };
 const kindOf = (head) => KINDS[head[0]] ?? null;
 const nameOf = (head) => head.replace(/^[>+~]/, "");
-/* On a phone, a table of `cards` shows each row as lines of its own. Then the browser no longer
-   knows that it is a table, unless the roles say so. */
+/* On a phone, a table of `cards` shows each row as lines of its own, and one that is "compact" shows
+   its numbers behind each other. Then the browser no longer knows that it is a table, unless the
+   roles say so. */
 function frame(caption, heads, body, cards) {
   const role = (name) => (cards ? name : null);
   return el("div", { class: "scroll", role: "region", tabindex: "0", "aria-label": caption },
-    el("table", { class: cards ? "cards" : null, role: role("table") }, cards ? null : el("caption", {}, caption),
+    el("table", { class: cards === true ? "cards" : cards || null, role: role("table") }, cards === true ? null : el("caption", {}, caption),
       el("thead", { role: role("rowgroup") }, el("tr", { role: role("row") }, heads.map((head) => el("th", { scope: "col", role: role("columnheader"), class: kindOf(head) }, nameOf(head))))), body));
 }
 /* A reference such as HR400001..400004 may be broken behind its dots. */
@@ -87,20 +92,22 @@ const breakable = (cell) => (typeof cell !== "string" || !cell.includes("..") ? 
 function tableRow(heads, cells, cards, attributes) {
   return el("tr", { role: cards ? "row" : null, ...attributes }, cells.map((cell, at) => el("td", { class: kindOf(heads[at]), role: cards ? "cell" : null, "data-label": cards ? nameOf(heads[at]) : null }, breakable(cell))));
 }
-function table(caption, allHeads, allRows, cards = false) {
+function table(caption, allHeads, allRows, wanted = false, printed = PRINTED_ROWS) {
   const filled = allHeads.map((_, at) => allRows.some((cells) => cells[at] !== "" && cells[at] !== null));
   const heads = allHeads.filter((_, at) => filled[at]), rows = allRows.map((cells) => cells.filter((_, at) => filled[at]));
-  const row = (cells) => tableRow(heads, cells, cards);
-  const body = el("tbody", { role: cards ? "rowgroup" : null }, rows.slice(0, FEW_ROWS).map(row));
+  const cards = wanted || (heads.length > MANY_COLUMNS ? "compact" : false);
+  const row = (cells, at) => tableRow(heads, cells, cards, at >= FEW_ROWS ? { class: "on-paper" } : {});
+  const body = el("tbody", { role: cards ? "rowgroup" : null }, rows.slice(0, Math.max(FEW_ROWS, printed)).map(row));
   const region = frame(caption, heads, body, cards);
   const hidden = rows.length - FEW_ROWS;
   if (hidden <= 0) return region;
   const more = el("button", { type: "button", on: { click: () => {
-    body.append(...rows.slice(FEW_ROWS).map(row));
+    body.replaceChildren(...rows.map((cells) => row(cells, 0)));
     tools.remove();
   } } }, `Show ${count(hidden)} more`);
   const tools = el("div", { class: "tools" }, more);
-  return el("div", {}, region, tools, el("p", { class: "soft printed" }, `${plural(hidden, "row")} more on the screen.`));
+  const unprinted = rows.length - printed;
+  return el("div", {}, region, tools, unprinted > 0 ? el("p", { class: "soft printed" }, `${plural(unprinted, "row")} more on the screen.`) : null);
 }
 
 /* ---- charts ---- */
@@ -151,6 +158,7 @@ function chart(spec) {
           paths: one.paths, fillTo: one.fillTo, points: { show: spec.dots !== false && spec.data[place + 1].filter((v) => v !== null && v !== undefined).length < 40, size: 5 }, spanGaps: one.spanGaps ?? false,
         };
       })],
+      bands: spec.bands ? [{ series: [2, 1], fill: `${palette(0)}44` }] : undefined,
       hooks: { setCursor: [(u) => { const text = read(u.cursor.idx); if (readout.textContent !== text) readout.textContent = clean(text); }] },
     }, spec.data, plot);
     legend.replaceChildren(...(spec.series.length > 1 && spec.legend !== false ? spec.series.map((one, place) => {
@@ -186,7 +194,7 @@ function asTable(spec) {
     const rows = spec.data[0].map((x, at) => [spec.at ? spec.at(x) : moment(x * 1e6),
       ...spec.series.map((one, place) => { const v = spec.data[place + 1][at]; return v === null || v === undefined ? "" : one.text ? one.text(v) : number(v); })])
       .filter((row) => row.slice(1).some((cell) => cell !== "" && cell !== "0"));
-    details.append(table(spec.title, [spec.head || "time (UTC)", ...spec.series.map((one) => `>${one.label}`)], rows));
+    details.append(table(spec.title, [spec.head || "time (UTC)", ...spec.series.map((one) => `>${one.label}`)], rows, false, 0));
   }, { passive: true });
   return details;
 }
@@ -213,6 +221,8 @@ matchMedia("print").addEventListener("change", (event) => { if (event.matches) r
 
 const times = Array.from({ length: bins.count }, (_, at) => bins.begin + at * bins.width);
 const stepped = uPlot.paths.stepped({ align: 1 });
+/* Of so few bins a chart would be a dot; the tables have the same figures. */
+const hasTimeline = bins.count > 2;
 const added = (columns) => times.map((_, at) => columns.reduce((sum, one) => sum + one[at], 0));
 const total = (column) => column.reduce((sum, one) => sum + one, 0);
 
@@ -226,7 +236,7 @@ function verdict() {
   document.title = clean(`mbtool report: ${shownNames}`);
   get("what").append(clean(shownNames));
   const lead = (one, text) => el("button", { type: "button", class: "link screen", "aria-label": `${text}: the transactions of ${one.text}`, on: { click: () => search(one.search) } }, text);
-  const told = troubles.filter((one) => one.told && one.search), others = troubles.filter((one) => !one.told);
+  const told = troubles.filter((one, at) => one.told && one.search && troubles.findIndex((other) => other.search === one.search) === at), others = troubles.filter((one) => !one.told);
   if (told.length) get("troubles").before(el("p", { class: "screen" }, "Transactions of ", told.flatMap((one, at) => [at ? ", " : "", lead(one, one.who)])));
   get("troubles").append(...others.slice(0, 40).map((one) => el("li", {}, one.text, " ", one.search ? lead(one, "show") : null)));
   if (others.length > 40) get("troubles").append(el("li", {}, `and ${count(others.length - 40)} more`));
@@ -263,7 +273,7 @@ function findings() {
   });
   /* What the counts show stands above the rules: a reader looks here for all that is wrong. */
   for (const one of counted.reverse()) {
-    const find = one.search ? el("button", { type: "button", class: "link", "aria-label": `${one.who}: its transactions`, on: { click: () => search(one.search) } }, "counts") : "counts";
+    const find = one.search ? el("button", { type: "button", class: "link", "aria-label": `counts: the transactions of ${one.who}`, on: { click: () => search(one.search) } }, "counts") : "counts";
     const is = ["odd", "minor"].includes(one.rank) ? "note" : one.rank === "slow" ? "warning" : "error";
     lines.unshift([`counts ${is} ${one.who} ${one.text}`.toLowerCase(), tableRow(heads, [find, el("span", { class: `tag ${is}` }, is), "", one.who, one.text], true)]);
   }
@@ -298,6 +308,7 @@ function failures() {
   const make = (units, title) => {
     const series = FAILURES.map(([key, label, at]) => ({ key, label, color: at, column: added(units.map((one) => one[key])) }));
     const sums = series.map((one) => `${plural(total(one.column), one.label.replace(/s$/, ""))}`);
+    if (!hasTimeline) return null;
     if (!series.some((one) => total(one.column))) return soft(units.length === bins.units.length ? "No request failed." : `No request of ${title} failed.`);
     return chart({
       title: `Failures over time, ${title}`, note: BINNED, summary: `${sums.join(", ")}.`, sync: "time", dots: false,
@@ -308,10 +319,10 @@ function failures() {
   const place = el("div");
   const all = several ? "all links" : "all units";
   const failing = bins.units.filter((one) => FAILURES.some(([key]) => total(one[key])));
-  const choice = chooser("Unit", [all, ...failing.map((one) => unitName(one.link, one.unit))], (at) => {
+  const choice = hasTimeline && chooser("Unit", [all, ...failing.map((one) => unitName(one.link, one.unit))], (at) => {
     place.replaceChildren(make(at ? [failing[at - 1]] : bins.units, at ? unitName(failing[at - 1].link, failing[at - 1].unit) : all));
   });
-  place.append(make(bins.units, all));
+  if (hasTimeline) place.append(make(bins.units, all));
   const rows = stats.links.flatMap((link) => link.functions.map((one) => [link, one]))
     .filter(([, one]) => one.no_answer || one.exception || one.malformed || one.unsolicited || one.not_captured || one.repetitions)
     .sort(([, a], [, b]) => b.no_answer + b.exception - a.no_answer - a.exception)
@@ -330,11 +341,11 @@ function chooser(label, names, choose) {
 }
 
 function latency() {
-  const timed = bins.units.filter((one) => one.mean_ms.some((ms) => ms !== null));
+  const timed = bins.units.filter((one) => hasTimeline && one.mean_ms.some((ms) => ms !== null));
   const sources = stats.links.flatMap((link) => [
-    ...(link.latency ? [[several ? link.link : "all units", link.latency]] : []),
+    ...(link.latency ? [[several ? link.link : "all units", link.latency, barsOf(link.link, null, null)]] : []),
     ...link.functions.filter((one) => one.latency && link.functions.length > 1)
-      .map((one) => [`${unitName(link.link, one.unit)}, ${hex(one.function)} ${one.function_name}`, one.latency])]);
+      .map((one) => [`${unitName(link.link, one.unit)}, ${hex(one.function)} ${one.function_name}`, one.latency, barsOf(link.link, one.unit, one.function)])]);
   if (!sources.length) return;
   const over = timed.length ? chart({
     title: "Mean latency by unit over time", note: BINNED, measure: "ms", sync: "time", height: 240,
@@ -356,18 +367,21 @@ function latency() {
     table("Latency, ms", ["~of", ">answers", ">mean", ">least", ">p50", ">p95", ">p99", ">most"], rows));
 }
 
-function histogram(name, one) {
-  const steps = one.histogram;
+/* Bars of equal width up to p99: a single late answer would leave all others one bar. */
+const barsOf = (link, unit, code) => data.bars.find((one) => one.link === link && one.unit === unit && one.function === code);
+function histogram(name, one, bars) {
+  const steps = bars ? bars.steps.map(([from_ms, below_ms, n]) => ({ from_ms, below_ms, count: n })) : one.histogram;
+  const beyond = bars?.beyond ? `; ${plural(bars.beyond, "longer answer")}, up to ${digits(one.max_ms)} ms, not shown` : "";
   const labels = steps.map((step) => `${number(step.from_ms)}–${number(step.below_ms)}`);
   return chart({
-    title: `Latency of ${name}`, note: "number of answers by latency in ms", head: "ms", height: 200,
+    title: `Latency of ${name}`, note: `number of answers by latency in ms${beyond}`, head: "ms", height: 200,
     summary: `${plural(one.count, "answer")}, half of them within ${digits(one.p50_ms)} ms, 95 % within ${digits(one.p95_ms)} ms.`,
     data: [steps.map((_, at) => at), steps.map((step) => step.count)], at: (x) => `${labels[x] ?? ""} ms`,
     axisX: (u, splits) => {
       const every = Math.ceil((steps.length * 7 * Math.max(...labels.map((text) => text.length + 1))) / Math.max(u.bbox.width / devicePixelRatio, 1));
       return splits.map((x) => (steps[x] && x % every === 0 ? labels[x] : ""));
     },
-    axis0: { splits: () => steps.map((_, at) => at) }, scaleX: { range: () => [-0.6, steps.length - 0.4] },
+    axis0: { grid: { show: false }, splits: () => steps.map((_, at) => at) }, scaleX: { range: () => [-0.6, steps.length - 0.4] },
     dots: false, series: [{ label: "answers", paths: uPlot.paths.bars({ size: [0.8, 60] }), fill: "99" }],
   });
 }
@@ -422,20 +436,20 @@ function load() {
       soft(`There are characters on the line for ${share(link.load.busy_share)} of the time.`), parts,
       el("ul", { class: "legend keys" }, [...PARTS, ["pauses_share", "free"]].map(([key, name]) => el("li", {}, el("span", { class: "key", "aria-hidden": "true" }), `${name} ${share(link.load[key])}`))));
   }
-  const timed = bins.links.filter((one) => one.load);
+  const timed = bins.links.filter((one) => hasTimeline && one.load);
   if (timed.length) made.push(chart({
     title: "Bus load over time", note: `share of the time in which there are characters on the line, ${BINNED}`, sync: "time", summary: "",
     data: [times, ...timed.map((one) => one.load.map((part) => part * 100))], measure: "%",
     series: timed.map((one) => ({ label: one.link, paths: stepped, fill: true, text: (v) => v.toFixed(1) })),
   }));
-  if (bins.links.length) made.push(chart({
+  if (bins.links.length && hasTimeline) made.push(chart({
     title: "Requests a second", note: BINNED, sync: "time", summary: "", height: 170,
     data: [times, ...bins.links.map((one) => one.requests.map((n) => n / bins.width))],
     series: bins.links.map((one, at) => ({ label: one.link, paths: stepped, show: at < 8, text: (v) => number(Number(v.toPrecision(3))) })),
   }));
   const bad = [["bad_check", "wrong CRC or LRC", 6], ["no_frame", "bytes in no frame", 4], ["lacking", "missing in the capture", 7]]
     .map(([key, label, at]) => ({ label, color: at, column: added(bins.links.map((one) => one[key])) })).filter((one) => total(one.column));
-  if (bad.length) made.push(chart({ title: "Damage on the line and in the capture", note: `events ${BINNED}`, sync: "time", height: 170,
+  if (bad.length && hasTimeline) made.push(chart({ title: "Damage on the line and in the capture", note: `events ${BINNED}`, sync: "time", height: 170,
     summary: bad.map((one) => `${one.label}: ${count(total(one.column))}`).join(", "), data: [times, ...bad.map((one) => one.column)],
     series: bad.map((one) => ({ ...one, paths: stepped, fill: true })) }));
   const rows = stats.links.flatMap((link) => link.connections.map((one) => [link.link, one.master || "", count(one.opened), some(one.joined), some(one.refused), some(one.resets), count(one.most_at_once)]));
@@ -496,7 +510,7 @@ function values() {
   more.addEventListener("click", draw);
   draw();
   show("values", soft(`${plural(series.length, "value")} changed, ${count(constant.length)} did not. A value holds until the next one is read or written.`),
-    grid, tools, bands,
+    hasTimeline ? [grid, tools, ...bands] : null,
     constant.length ? table("Values that never changed", [...(several ? ["link"] : []), ">unit", "~name", "address", "+value"],
       constant.map(([link, unit, name, reference, value]) => [...(several ? [link] : []), String(unit), name, reference, value])) : null,
     data.values.left_out ? soft(`${plural(data.values.left_out, "more register")} or points were seen and are not followed.`) : null);
@@ -507,12 +521,31 @@ function valueChart(one, where, title, [x, y]) {
   const known = [...new Set(y)].sort((a, b) => a - b);
   const shortened = (text) => (text.length > 17 ? `${text.slice(0, 16)}…` : text);
   const y0 = words ? { splits: () => known, values: (u, splits) => splits.map((v) => shortened(clean(texts.get(v) ?? number(v)))), size: 140 } : {};
+  if (!words && x.length > MANY_SAMPLES) return bandOfValues(one, where, title, [x, y]);
   return chart({
     title, note: `${where}${one.measure ? `, ${one.measure}` : ""}, ${plural(one.changes, "change")}`, sync: "time", height: 150, measure: words ? "" : one.measure,
     summary: y.length ? `From ${number(Math.min(...y))} to ${number(Math.max(...y))}.` : "", data: [x, y], axisY: y0,
     scaleX: { range: (u, low, high) => [bins.begin, bins.begin + bins.count * bins.width].map((edge, at) => (u.zoomed ? [low, high][at] : edge)) },
     scaleY: { range: (u, low, high) => { const room = (high - low) * 0.08 || Math.abs(high) * 0.05 || 1; return [low - room, high + room]; } },
     series: [{ label: one.name, paths: stepped, text: (v) => texts.get(v) ?? number(v) }],
+  });
+}
+/* Of many values, the least and the greatest in each part of the time: lines would fill the chart. */
+function bandOfValues(one, where, title, [x, y]) {
+  const width = (bins.count * bins.width) / VALUE_COLUMNS, at = Array.from({ length: VALUE_COLUMNS }, (_, place) => bins.begin + place * width);
+  const low = Array(VALUE_COLUMNS).fill(null), high = Array(VALUE_COLUMNS).fill(null);
+  const note = (place, value) => { low[place] = Math.min(low[place] ?? value, value); high[place] = Math.max(high[place] ?? value, value); };
+  x.forEach((time, place) => {
+    const begin = Math.max(Math.floor((time - bins.begin) / width), 0);
+    const end = place + 1 < x.length ? Math.floor((x[place + 1] - bins.begin) / width) : VALUE_COLUMNS - 1;
+    for (let column = begin; column <= Math.min(end, VALUE_COLUMNS - 1); column++) note(column, y[place]);
+  });
+  return chart({
+    title, note: `${where}${one.measure ? `, ${one.measure}` : ""}, ${plural(one.changes, "change")}; least and greatest in ${span(width)}`, sync: "time", height: 150, measure: one.measure, dots: false,
+    summary: `From ${number(Math.min(...y))} to ${number(Math.max(...y))}.`, data: [at, low, high], legend: false,
+    scaleX: { range: () => [bins.begin, bins.begin + bins.count * bins.width] }, bands: true,
+    scaleY: { range: (u, least, most) => { const room = (most - least) * 0.08 || Math.abs(most) * 0.05 || 1; return [least - room, most + room]; } },
+    series: [{ label: "least", paths: stepped, color: 0, width: 1 }, { label: "greatest", paths: stepped, color: 0, width: 1 }],
   });
 }
 function bandChart(group, where, lines, title) {
@@ -534,7 +567,7 @@ function inventory() {
   if (!slaves.length && !masters.length) return;
   const rows = slaves.map((one) => [one.where, String(one.unit), one.role, one.profile, count(one.transactions), some(one.no_answer), some(one.unreached),
     el("ul", { class: "plain soft" }, one.details.map((line) => el("li", {}, line)))]);
-  show("inventory", table(`Units (${count(data.inventory.slaves_seen)})`, ["host or line", ">unit", "role", "profile", ">transactions", ">no answer", ">not reached", "+details"], rows, "cards"),
+  show("inventory", table(`Units (${count(data.inventory.slaves_seen)})`, ["host or line", ">unit", "role", "profile", ">transactions", ">no answer", ">not reached", "+details"], rows, true),
     masters.length ? table(`Masters (${count(data.inventory.masters_seen)})`, ["host", ">asks units", ">writes to", ">requests", "seen (UTC)", "+MAC"],
       masters.map(([host, asks, writes, requests, seen, mac]) => [host, count(asks), count(writes), count(requests), seen, mac])) : null);
 }
