@@ -19,6 +19,8 @@ FEW = 0.01
 """Failures are not shown if they are fewer than ENOUGH, or a smaller share of the requests than
 this (0.01 is 1 %)."""
 ENOUGH = 3
+_MANY_REFUSING = 4
+"""If at least this many slaves, and half of all, refuse every request, they are named together."""
 THROUGHOUT = 0.1
 """A failure that shows in this first share (0.1 is 10 %) of a slave's time was there from the
 beginning. This and ENDED are those of the verdict of `report`."""
@@ -45,6 +47,8 @@ def slave_trouble(row: WatchedSlaveRow, *, is_short: bool = False) -> str:
         parts.append(_share(row, row.missing_span, word, is_short=is_short))
     if row.exceptions == row.asked:
         parts.append("refuses every request")
+    elif 0 < row.refused_polls < row.polls and row.exceptions >= ENOUGH:
+        parts.append(f"always refuses {row.refused_polls} of {row.polls} polls")
     elif row.refused_span is not None:
         parts.append(_share(row, row.refused_span, "refused", is_short=is_short))
     if row.malformed:
@@ -87,10 +91,17 @@ def trouble_line(rows: Sequence[WatchedSlaveRow], width: int) -> str:
     slow = sum(row.usual_ns is not None for row in rows)
     told = not are_many(slow, len(rows))
     sick = sorted((row for row in rows if _fails(row) or (told and row.usual_ns)), key=_weight)
+    refusing = [row for row in sick if row.exceptions == row.asked]
+    joined = ""
+    if len(refusing) >= _MANY_REFUSING and 2 * len(refusing) >= len(rows):
+        some = "all" if len(refusing) == len(rows) else f"{len(refusing)} of"
+        joined = f"{some} {len(rows)} units refuse every request"
+        sick = [row for row in sick if row not in refusing]
+        width -= len(joined) + 2
     line = _line(sick, network if len(links) > 1 else None, width, is_short=False)
     if _MORE in line:
         line = _line(sick, network if len(links) > 1 else None, width, is_short=True)
-    return line
+    return "; ".join(filter(None, (line, joined)))
 
 
 def _line(

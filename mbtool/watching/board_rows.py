@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
     from mbtool.modbus import Table
     from mbtool.overview.poll_statistics import PollKey
+    from mbtool.overview.request_tally import RequestTally
     from mbtool.watching.board import Board
     from mbtool.watching.watched_rows import (
         FailureSpan,
@@ -117,6 +118,10 @@ class WatchedSlaveRow(NamedTuple):
     answered_ns: int | None
     silent_since_ns: int | None
     findings: int
+    refused_polls: int
+    """The number of polls (repeated requests) that the unit refuses each time, if all its refusals
+    are of these; else 0."""
+    polls: int
 
 
 class TroubleRow(NamedTuple):
@@ -178,7 +183,14 @@ def _record_row(kept: KeptRecord, blamed: Mapping[int, int]) -> RecordRow:
 def slave_rows(board: Board) -> list[WatchedSlaveRow]:
     """Return the slaves, sorted by link and unit."""
     slow = slow_units({key: slave.tally.latency for key, slave in board.slaves.items()})
-    return [_slave_row(slave, slow.get(key)) for key, slave in sorted(board.slaves.items())]
+    polls: dict[tuple[str, int], list[RequestTally]] = {}
+    for poll in board.polls.values():
+        key = poll.statistics.key
+        polls.setdefault((key.link, key.unit), []).append(poll.statistics.tally)
+    return [
+        _slave_row(slave, slow.get(key), polls.get(key, ()))
+        for key, slave in sorted(board.slaves.items())
+    ]
 
 
 def trouble_rows(board: Board) -> list[TroubleRow]:
@@ -250,7 +262,15 @@ def _pair(point: WatchedPoint) -> tuple[int, int] | None:
     return (values[at], values[at + 1]) if 0 <= at < len(values) - 1 else None
 
 
-def _slave_row(slave: WatchedSlave, usual_ns: float | None) -> WatchedSlaveRow:
+def _refused_polls(slave: WatchedSlave, polls: Sequence[RequestTally]) -> int:
+    refused = [one for one in polls if one.count(Outcome.EXCEPTION)]
+    every = sum(one.transactions for one in refused)
+    return len(refused) if every == slave.tally.count(Outcome.EXCEPTION) else 0
+
+
+def _slave_row(
+    slave: WatchedSlave, usual_ns: float | None, polls: Sequence[RequestTally]
+) -> WatchedSlaveRow:
     tally = slave.tally
     return WatchedSlaveRow(
         key=(slave.link, slave.unit),
@@ -275,4 +295,6 @@ def _slave_row(slave: WatchedSlave, usual_ns: float | None) -> WatchedSlaveRow:
         answered_ns=slave.answered_ns,
         silent_since_ns=slave.silent_since_ns,
         findings=slave.findings,
+        refused_polls=_refused_polls(slave, polls),
+        polls=len(polls),
     )

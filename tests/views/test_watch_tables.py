@@ -244,6 +244,27 @@ def test_the_line_of_troubles_names_hosts_where_there_are_several() -> None:
     assert trouble_line(slave_rows(board), 78) == "unit 1 at .3 never answers"
 
 
+def test_many_slaves_that_refuse_everything_are_named_together() -> None:
+    refusals = [
+        request(at, unit=unit, outcome=Outcome.EXCEPTION, exception=2)
+        for at in range(3)
+        for unit in range(1, 6)
+    ]
+    assert trouble_line(slave_rows(board_of(*refusals)), 78) == "all 5 units refuse every request"
+    others = [unanswered(at, unit=9) for at in range(3)]
+    line = trouble_line(slave_rows(board_of(*refusals, *others)), 78)
+    assert line == "unit 9 never answers; 5 of 6 units refuse every request"
+
+
+def test_a_slave_that_always_refuses_some_polls_is_told_so() -> None:
+    well = [read(at, 1) for at in range(9)]
+    refused = [request(10 + at, 70, outcome=Outcome.EXCEPTION, exception=2) for at in range(3)]
+    rows = slave_rows(board_of(*well, *refused))
+    assert trouble_line(rows, 78) == "unit 1 always refuses 1 of 2 polls"
+    rows = slave_rows(board_of(*well, *refused, request(20, 70)))
+    assert trouble_line(rows, 78).startswith("unit 1: 23 % refused")
+
+
 def test_few_failures_and_many_slow_units_are_no_trouble() -> None:
     few = [*(read(at, 1) for at in range(300)), unanswered(300)]
     assert trouble_line(slave_rows(board_of(*few)), 78) == ""
