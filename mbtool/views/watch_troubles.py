@@ -26,6 +26,9 @@ THROUGHOUT = 0.1
 beginning. This and ENDED are those of the verdict of `report`."""
 ENDED = 0.25
 """A failure that does not show in this last share of a slave's time has ended."""
+_SHORTEST_NS = 2_000_000_000
+"""No time of failures is told of a slave that was heard for less than this (ns), as times have
+whole seconds."""
 _MORE = " more: key 5"
 """Ends the line on slaves with troubles, after the number of those that had no room in it. The key
 5 opens the table of slaves."""
@@ -68,7 +71,8 @@ def _share(row: WatchedSlaveRow, span: FailureSpan, word: str, *, is_short: bool
     whole_ns = row.last_ns - row.first_ns
     is_late = span.first_ns - row.first_ns > THROUGHOUT * whole_ns
     is_over = row.last_ns - span.last_ns > ENDED * whole_ns
-    if span.failed < ENOUGH or not (is_late or is_over):
+    is_short_time = whole_ns < _SHORTEST_NS or span.failed < ENOUGH
+    if is_short_time or not (is_late or is_over):
         return f"{percent(span.failed / row.asked)} {word}"
     before = span.asked_before if is_late else 0
     end = span.asked_before + span.asked if is_over else row.asked
