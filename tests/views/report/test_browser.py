@@ -115,3 +115,13 @@ def test_hostile_texts_do_nothing_in_a_browser(page: str) -> None:
     )
     assert body.count("<script") == 3
     assert HOSTILE in unescape(body)
+
+
+def test_a_capture_too_short_for_charts_says_all_in_tables(tmp_path: Path) -> None:
+    log = sick_line(tmp_path / "short.mcap", 1)
+    out = tmp_path / "r.html"
+    assert run(["report", str(log), "--end", "2023-11-14T22:13:20.1Z", "-o", str(out)]) == 0
+    page = shown(out, tmp_path / "profile")
+    assert page.count("<canvas") == 0
+    assert "All answers of all units took about 8.0 ms." in page
+    assert "No request failed." in page

@@ -328,7 +328,7 @@ function failures() {
     .sort(([, a], [, b]) => b.no_answer + b.exception - a.no_answer - a.exception)
     .map(([link, one]) => [...(several ? [link.link] : []), String(one.unit), `${hex(one.function)} ${one.function_name}`, count(one.transactions), some(one.no_answer), some(one.wrong_crc), some(one.exception),
       one.exceptions.map((each) => `${hex(each.code)} ${each.name} ×${count(each.count)}`).join(", "), some(one.repetitions), some(one.malformed), some(one.unsolicited), some(one.not_captured)]);
-  show("failures", failing.length > 1 ? choice : null, place,
+  show("failures", failing.length > 1 ? choice : null, place, hasTimeline || rows.length ? null : soft("No request failed."),
     rows.length ? table("Failures by unit and function", [...(several ? ["link"] : []), ">unit", "~function", ">asked", ">no answer", ">wrong CRC", ">exceptions", "+which", ">retries", ">malformed", ">unasked", ">not captured"], rows) : null,
     rows.some((row) => row[row.length - 1]) ? soft("What was not captured is the capture’s loss, and no device’s fault.") : null,
     bins.units_left_out ? soft(`The chart has the ${count(bins.units.length)} units that were asked most; ${plural(bins.units_left_out, "unit")} left out.`) : null);
@@ -372,6 +372,7 @@ const barsOf = (link, unit, code) => data.bars.find((one) => one.link === link &
 function histogram(name, one, bars) {
   const steps = bars ? bars.steps.map(([from_ms, below_ms, n]) => ({ from_ms, below_ms, count: n })) : one.histogram;
   const beyond = bars?.beyond ? `; ${plural(bars.beyond, "longer answer")}, up to ${digits(one.max_ms)} ms, not shown` : "";
+  if (steps.length < 2) return soft(`All answers of ${name} took about ${digits(one.p50_ms)} ms.`);
   const labels = steps.map((step) => `${number(step.from_ms)}–${number(step.below_ms)}`);
   return chart({
     title: `Latency of ${name}`, note: `number of answers by latency in ms${beyond}`, head: "ms", height: 200,
@@ -510,7 +511,8 @@ function values() {
   more.addEventListener("click", draw);
   draw();
   show("values", soft(`${plural(series.length, "value")} changed, ${count(constant.length)} did not. A value holds until the next one is read or written.`),
-    hasTimeline ? [grid, tools, ...bands] : null,
+    ...(hasTimeline ? [grid, tools, ...bands] : [series.length && table("Values that changed", [...(several ? ["link"] : []), ">unit", "~name", "+values"],
+      series.map((one) => [...(several ? [one.link] : []), String(one.unit), title(one), one.samples.map(([, value]) => new Map(one.texts).get(value) ?? number(value)).slice(0, 8).join(", ")]))]),
     constant.length ? table("Values that never changed", [...(several ? ["link"] : []), ">unit", "~name", "address", "+value"],
       constant.map(([link, unit, name, reference, value]) => [...(several ? [link] : []), String(unit), name, reference, value])) : null,
     data.values.left_out ? soft(`${plural(data.values.left_out, "more register")} or points were seen and are not followed.`) : null);
