@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from mbtool.overview.failure_limits import ENDED, MANY_REFUSING, THROUGHOUT
 from mbtool.overview.slow_units import are_many
 from mbtool.views.cells import clock_time
 from mbtool.views.place_columns import common_network
@@ -19,13 +20,6 @@ FEW = 0.01
 """Failures are not shown if they are fewer than ENOUGH, or a smaller share of the requests than
 this (0.01 is 1 %)."""
 ENOUGH = 3
-_MANY_REFUSING = 4
-"""If at least this many slaves, and half of all, refuse every request, they are named together."""
-THROUGHOUT = 0.1
-"""A failure that shows in this first share (0.1 is 10 %) of a slave's time was there from the
-beginning. This and ENDED are those of the verdict of `report`."""
-ENDED = 0.25
-"""A failure that does not show in this last share of a slave's time has ended."""
 _SHORTEST_NS = 2_000_000_000
 """No time of failures is told of a slave that was heard for less than this (ns), as times have
 whole seconds."""
@@ -97,7 +91,7 @@ def trouble_line(rows: Sequence[WatchedSlaveRow], width: int) -> str:
     sick = sorted((row for row in rows if _fails(row) or (told and row.usual_ns)), key=_weight)
     refusing = [row for row in sick if row.exceptions == row.asked]
     joined = ""
-    if len(refusing) >= _MANY_REFUSING and 2 * len(refusing) >= len(rows):
+    if len(refusing) >= MANY_REFUSING and 2 * len(refusing) >= len(rows):
         some = "all" if len(refusing) == len(rows) else f"{len(refusing)} of"
         joined = f"{some} {len(rows)} units refuse every request"
         sick = [row for row in sick if row not in refusing]

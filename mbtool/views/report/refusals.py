@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from mbtool.core.wording import counted
 from mbtool.modbus import Outcome
+from mbtool.overview.failure_limits import MANY_REFUSING
 from mbtool.overview.request_tally import RequestTally, merged
 from mbtool.views.report.troubles import Rank, VerdictTrouble
 from mbtool.views.statistics_verdict import exception_text
@@ -18,9 +19,6 @@ if TYPE_CHECKING:
     from mbtool.overview.poll_statistics import PollStatistics
     from mbtool.series.history import UnitRow
 
-MANY_REFUSING = 4
-"""If at least this many units, and half of all, refuse requests, they are reported as one
-trouble."""
 _NAMED = 2
 """At most so many requests of a unit that it always refuses are named."""
 _SCAN = 20

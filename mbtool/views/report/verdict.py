@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from mbtool.core.wording import counted
 from mbtool.modbus import Outcome
+from mbtool.overview.failure_limits import ENDED, THROUGHOUT
 from mbtool.overview.poll_statistics import PollStatistics
 from mbtool.overview.request_tally import RequestTally, merged
 from mbtool.overview.slow_units import SLOW_NS, are_many, slow_units
@@ -37,11 +38,6 @@ _ENOUGH_BINS = 8
 """A unit with fewer bins of time than this is never reported as having become slower."""
 JOINED_SLOW = 3
 """If at least this many units are slow, they are reported as one trouble."""
-_THROUGHOUT = 0.1
-"""A trouble that shows in this first share (0.1 is 10 %) of a unit's time was there from the
-beginning."""
-_ENDED = 0.25
-"""A trouble that does not show in this last share (0.25 is 25 %) of a unit's time has ended."""
 _DAY_NS = 86_400_000_000_000
 
 
@@ -302,8 +298,8 @@ def _period(unit: _Unit, what: UnitSum) -> tuple[str, int, int]:
         return "", 0, 0
     whole = active[-1] - active[0] + 1
     begin, end = places[0], places[-1]
-    is_late = begin - active[0] > _THROUGHOUT * whole
-    is_over = active[-1] - end > _ENDED * whole
+    is_late = begin - active[0] > THROUGHOUT * whole
+    is_over = active[-1] - end > ENDED * whole
     if len(places) < ENOUGH or not (is_late or is_over):
         return "", sum(hits), sum(asked)
     begin = begin if is_late else active[0]
