@@ -95,7 +95,7 @@ def _print_runs(
     note: Note,
     interrupt: Interrupt,
 ) -> None:
-    """Print a table: transactions of a UsualRun (common reads and writes, read as arrays) together,
+    """Print a table: transactions of a UsualRun (usual reads and writes, read as arrays) together,
     all others one by one.
     """
     from mbtool.columns.table_counts import TransactionCounts

@@ -215,8 +215,9 @@ def _columns(
 ) -> ColumnReading | None:
     """Return a reading by the array decoder if format and files allow it, else None.
 
-    The format must be Parquet, or JSON lines or CSV without events. With None, the caller decodes
-    the transactions one by one.
+    Formats that allow it: Parquet; JSON lines and CSV without events; a table without all events (a
+    `format_` of None is the table, unless the suffix of `output` means another format). If None is
+    returned, the caller decodes the transactions one by one.
     """
     from mbtool.cli.output import OUTPUT_FORMATS
     from mbtool.cli.printers import demand_columns

@@ -34,7 +34,7 @@ class TransactionBatch:
     `table`, too. The opening and closing events are missing for a connection that was read from
     arrays as a whole, from SYN to FIN."""
     made: list[NamedTransaction] = field(default_factory=list)
-    """The transactions that were read from arrays but are not common reads or writes
+    """The transactions that were read from arrays but are not usual reads or writes
     (usual_rows.py), so that an object was made for each."""
 
 

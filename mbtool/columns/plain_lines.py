@@ -1,7 +1,7 @@
 """Formats the transactions of each block of packets as lines of JSON or CSV."""
 
 # The caller gives a function that formats one transaction as a line. It is slow, so it is called
-# seldom. Transactions with common reads and writes (usual_rows.py) are grouped; in a group they
+# seldom. Transactions with usual reads and writes (usual_rows.py) are grouped; in a group they
 # differ only in time, ends, transaction id, values, raw bytes and packet numbers. The function
 # formats one transaction of each group with a random mark in each of these fields. The result is a
 # template: the line of each transaction is the template with the transaction's own texts in place
@@ -67,7 +67,7 @@ class LineBatch:
     which packets completed them; then the transactions of `made`. The opening and closing events
     are missing for a connection that was read from arrays as a whole, from SYN to FIN."""
     made: list[NamedTransaction] = field(default_factory=list)
-    """The transactions that were read from arrays but are not common reads or writes
+    """The transactions that were read from arrays but are not usual reads or writes
     (usual_rows.py), so that an object was made for each."""
 
 

@@ -69,7 +69,8 @@ class PlainRows:
         return replace(self, **some)
 
 
-_PER_ROW = [one.name for one in fields(PlainRows)][4:]
+_OF_A_BLOCK = ("block", "data", "connections", "addresses")
+_PER_ROW = [one.name for one in fields(PlainRows) if one.name not in _OF_A_BLOCK]
 """The names of the arrays that have one element per transaction."""
 
 

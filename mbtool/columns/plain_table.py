@@ -1,10 +1,10 @@
 """Makes a pyarrow table of the transactions that were read from arrays."""
 
-# The table has a row per transaction. The columns of common reads and writes (usual_rows.py) are
+# The table has a row per transaction. The columns of usual reads and writes (usual_rows.py) are
 # computed from the arrays. For every other transaction, an object equal to the Decoder's is made
 # first (plain_transactions.py).
 #
-# The function's name, the reference and the findings of a common read or write depend only on its
+# The function's name, the reference and the findings of a usual read or write depend only on its
 # function, address and quantity. So one transaction object is made for each combination of these
 # three, and all rows with this combination take these fields from it.
 

@@ -2,7 +2,7 @@
 without making an object of each.
 """
 
-# Only the common reads and writes (usual_rows.py) are grouped. Two transactions are of one kind if
+# Only the usual reads and writes (usual_rows.py) are grouped. Two transactions are of one kind if
 # they have the same link, master address (without port), slave and MAC addresses, and if their PDUs
 # have the same unit, function, address, quantity and exception code. Only the first transaction of
 # each kind is made an object with names, as the Decoder makes it. It stands for all of its kind.
@@ -37,7 +37,7 @@ Part = TypeVar("Part")
 
 MAX_KINDS = 65_536
 _SHORT = 24
-"""If fewer common reads and writes than this follow one another, they are given as single
+"""If fewer usual reads and writes than this follow one another, they are given as single
 transactions, which is faster than as an AnsweredRun."""
 
 _Place = tuple[str, str, str, str | None, str | None]
@@ -51,12 +51,12 @@ class KindsOfRows(NamedTuple):
     likes: list[NamedTransaction]
     """An example transaction of each kind of poll, from this block or an earlier one."""
     kind: Int64s
-    """For each row, the index of its kind; meaningless for a row that is no common read or write.
+    """For each row, the index of its kind; meaningless for a row that is no usual read or write.
     """
 
 
 class PollRuns:
-    """Groups the common reads and writes of each block: consecutive ones become an AnsweredRun,
+    """Groups the usual reads and writes of each block: consecutive ones become an AnsweredRun,
     which counts equal polls together.
 
     For a capture that is decoded without device profiles.
@@ -71,7 +71,7 @@ class PollRuns:
         """Yield the transactions and events of a block in the order in which packets completed
         them.
 
-        Consecutive common reads and writes come together as one AnsweredRun, if they are at least
+        Consecutive usual reads and writes come together as one AnsweredRun, if they are at least
         _SHORT.
         """
         records = decoded.sorted_records(with_passed=True)
@@ -98,7 +98,7 @@ class PollRuns:
         """Return an example transaction of each kind of poll in the block, and for each row the
         index of its kind among these examples.
 
-        The index of a row that is no common read or write is meaningless.
+        The index of a row that is no usual read or write is meaningless.
         """
         if len(self._kinds) > MAX_KINDS:
             self._kinds.clear()
@@ -124,7 +124,7 @@ class PollRuns:
     def _run(
         self, rows: PlainRows, kinds: KindsOfRows, begin: int, end: int
     ) -> Iterator[AnsweredRun | NamedTransaction]:
-        """Yield the rows with the indices `begin` to `end` (exclusive), all of them common reads
+        """Yield the rows with the indices `begin` to `end` (exclusive), all of them usual reads
         and writes, as one AnsweredRun; as single transactions if they are fewer than _SHORT.
         """
         run = run_of(rows, kinds, begin, end)
@@ -146,27 +146,28 @@ def in_turn(
     rows: PlainRows,
     is_usual: Bools,
     records: list[tuple[int, Record]],
-    some: Callable[[int, int], Iterable[Part]],
-    one: Callable[[int], Record],
+    make_run: Callable[[int, int], Iterable[Part]],
+    make_single: Callable[[int], Record],
 ) -> Iterator[Record | Part]:
     """Yield the transactions and events of a block in the order in which packets completed them.
 
     `records` are those that the Decoder made. A row is a transaction that was read from arrays.
-    `some(begin, end)` makes the items for the rows with the indices `begin` to `end` (exclusive),
-    for all of which `is_usual` is True; `one(index)` makes the item for any other row.
+    `make_run(begin, end)` makes the items for the rows with the indices `begin` to `end`
+    (exclusive), for all of which `is_usual` is True; `make_single(index)` makes the item for any
+    other row.
     """
     begin = 0
     for end, record in _between(rows, is_usual, records):
         if begin < end:
-            yield from some(begin, end)
+            yield from make_run(begin, end)
         begin = end
         if record is None:
-            yield one(end)
+            yield make_single(end)
             begin += 1
         else:
             yield record
     if begin < len(is_usual):
-        yield from some(begin, len(is_usual))
+        yield from make_run(begin, len(is_usual))
 
 
 def _between(
@@ -187,7 +188,7 @@ def _between(
 
 
 def run_of(rows: PlainRows, kinds: KindsOfRows, begin: int, end: int) -> AnsweredRun:
-    """Return the rows with the indices `begin` to `end` (exclusive), all of them common reads and
+    """Return the rows with the indices `begin` to `end` (exclusive), all of them usual reads and
     writes, as one AnsweredRun.
     """
     some = slice(begin, end)

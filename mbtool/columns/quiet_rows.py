@@ -2,7 +2,7 @@
 object of each.
 """
 
-# A row of the arrays is one transaction. It is quiet if it is one of the common reads
+# A row of the arrays is one transaction. It is quiet if it is one of the usual reads
 # (usual_rows.py), has the outcome OK, has a function, address and quantity that give no finding,
 # and does not read holding registers of a SunSpec slave (sunspec_rows.py). Every other row is made
 # a transaction object, as the Decoder makes it.

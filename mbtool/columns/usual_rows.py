@@ -1,4 +1,4 @@
-"""Finds the common reads and writes (functions 01 to 06, 0F and 10, hexadecimal) among transactions
+"""Finds the usual reads and writes (functions 01 to 06, 0F and 10, hexadecimal) among transactions
 in arrays, and reads the fields of their PDUs.
 """
 
@@ -89,7 +89,7 @@ class UsualRows:
 
     @property
     def asked(self) -> Int64s:
-        """For each row (transaction) a number. Two common reads or writes have equal numbers if
+        """For each row (transaction) a number. Two usual reads or writes have equal numbers if
         they have the same unit, function, address, quantity and exception code.
         """
         head = self.exception + 1 << 48 | self._code << 40 | self._unit << 32

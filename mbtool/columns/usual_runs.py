@@ -1,6 +1,6 @@
-"""Joins consecutive common reads and writes that were read as arrays, for the table of `decode`."""
+"""Joins consecutive usual reads and writes that were read as arrays, for the table of `decode`."""
 
-# A row of the arrays is one transaction. Of the common reads and writes (usual_rows.py) of a block
+# A row of the arrays is one transaction. Of the usual reads and writes (usual_rows.py) of a block
 # that have the same unit, function, address, quantity and exception code, only the first is made an
 # object with names. The caller makes a "form" from this example, such as the text that the table
 # rows of all these transactions share.
@@ -39,7 +39,7 @@ MOST = 4096
 
 
 class UsualRuns(Generic[F]):
-    """Joins the consecutive common reads and writes of each block of packets to UsualRuns.
+    """Joins the consecutive usual reads and writes of each block of packets to UsualRuns.
 
     For a capture that is decoded without device profiles.
     """
@@ -58,7 +58,7 @@ class UsualRuns(Generic[F]):
         """Yield the transactions and events of a block in the order in which packets completed
         them.
 
-        Consecutive common reads and writes come together as UsualRuns. OPENED and CLOSED events of
+        Consecutive usual reads and writes come together as UsualRuns. OPENED and CLOSED events of
         connections that the Decoder did not follow are left out.
         """
         records = decoded.sorted_records()
@@ -81,12 +81,12 @@ class UsualRuns(Generic[F]):
 
 
 class _BlockForms(Generic[F]):
-    """The common reads and writes of a block: their forms, ends, numbers and values as lists."""
+    """The usual reads and writes of a block: their forms, ends, numbers and values as lists."""
 
     def __init__(self, rows: PlainRows, usual: UsualValues, form_of: Callable[[int], F]) -> None:
         chosen = np.flatnonzero(usual.is_usual)
         self._index: Int64s = np.cumsum(usual.is_usual) - usual.is_usual
-        """For each row (transaction), the number of common reads and writes before it."""
+        """For each row (transaction), the number of usual reads and writes before it."""
         _, first, kind = np.unique(usual.asked[chosen], return_index=True, return_inverse=True)
         forms = [form_of(index) for index in chosen[first].tolist()]
         ends = [(one.link, str(one.master), str(one.slave)) for one in rows.connections]
@@ -110,7 +110,7 @@ class _BlockForms(Generic[F]):
 
     def some(self, begin: int, end: int) -> Iterator[UsualRun[F]]:
         """Yield the rows (transactions) with the indices `begin` to `end` (exclusive), all of them
-        common reads and writes, as UsualRuns of at most MOST.
+        usual reads and writes, as UsualRuns of at most MOST.
         """
         first = int(self._index[begin])
         stop = first + end - begin

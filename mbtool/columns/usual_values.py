@@ -1,4 +1,4 @@
-"""Reads the register and bit values of common reads and writes from arrays."""
+"""Reads the register and bit values of usual reads and writes from arrays."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class ValueLists(NamedTuple):
 
 
 class UsualValues(UsualRows):
-    """Reads the register and bit values of common reads and writes. A bit is the number 0 or 1."""
+    """Reads the register and bit values of usual reads and writes. A bit is the number 0 or 1."""
 
     def request_values(self, chosen: Int64s) -> ValueLists:
         """Return the values that requests write, for the rows (transactions) with the indices

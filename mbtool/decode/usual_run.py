@@ -1,4 +1,4 @@
-"""Describes consecutive common reads and writes: the fields in which they differ, as lists."""
+"""Describes consecutive usual reads and writes: the fields in which they differ, as lists."""
 
 # The array decoder yields a UsualRun in place of single transactions (columns/usual_runs.py), so
 # that a table prints all of them together.

@@ -86,13 +86,15 @@ def test_the_table_of_portions_is_that_of_the_whole_block() -> None:
     for form in FORMS:
         packets += poll(talk, 3, *encoded(form))
     capture = pcap(packets)
-    tables = []
+    tables, numbers = [], []
     for most in (20, portions.MOST_VALUES):
         with patch.object(portions, "MOST_VALUES", most):
             made = [BlockTables().batch(one).table for one in blocks_of(capture)[0]]
+        numbers.append(len(made))
         tables.append(pa.concat_tables(map(without_dictionaries, made)).combine_chunks())
     assert tables[0].equals(tables[1])
     assert tables[0].num_rows == 3 * len(FORMS)
+    assert numbers[0] > numbers[1]
 
 
 @pytest.mark.parametrize("coils", [COILS, COILS - 3])

@@ -30,7 +30,7 @@ class PrintedBlock:
 
     counts: TransactionCounts
     made: list[NamedTransaction] = field(default_factory=list)
-    """The transactions that are no common reads or writes, so that the array decoder cannot print
+    """The transactions that are no usual reads or writes, so that the array decoder cannot print
     them. Each was made into a NamedTransaction to print it."""
     text: str = ""
     """The lines of all transactions in the block; empty if the process writes a Parquet file."""

@@ -125,7 +125,7 @@ class ColumnReading(PartReading):
     def runs(
         self, form_of: Callable[[NamedTransaction], F], singly: int
     ) -> Iterator[Record | UsualRun[F]]:
-        """Yield all transactions and events. Many common reads and writes come together as one
+        """Yield all transactions and events. Many usual reads and writes come together as one
         UsualRun.
 
         `form_of` and `singly` are as for UsualRuns. Raises the errors of `batches`.
