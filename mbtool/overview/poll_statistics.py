@@ -23,6 +23,16 @@ _STEADY = 8
 its requests are polls and no retries."""
 
 
+class RetryChange(NamedTuple):
+    """The times (UTC ns) of the requests of a poll that a new request shows to be retries, or to be
+    none.
+    """
+
+    found: Sequence[int] = ()
+    withdrawn: Sequence[int] = ()
+    """Requests that were found to be retries before, but are none."""
+
+
 class PollKey(NamedTuple):
     """The fields that identify a poll: all requests that are equal in these fields are one poll."""
 
@@ -57,6 +67,7 @@ class PollStatistics:
 
     __slots__ = (
         "_again_ns",
+        "_asked_ns",
         "_last_ns",
         "device",
         "function_name",
@@ -82,8 +93,11 @@ class PollStatistics:
         """The number of retries: requests that directly follow an equal request without a
         response, and do not come at the usual period of the poll."""
         self._last_ns: int | None = None
+        """The time (UTC ns) of the last request that is no retry."""
+        self._asked_ns = 0
+        """The time (UTC ns) of the last request, be it a retry or not; 0 if `_last_ns` is None."""
         self._again_ns: list[int] = []
-        """The times (UTC ns) of the last retries, if the poll has no usual period; fewer than
+        """The times (UTC ns) of the last retries, if the poll has no usual period; at most
         _STEADY."""
 
     def begin(self, at_ns: int) -> None:
@@ -91,7 +105,7 @@ class PollStatistics:
         self._again_ns.clear()
         if self._last_ns is not None:
             self.period.add(at_ns - self._last_ns)
-        self._last_ns = at_ns
+        self._last_ns = self._asked_ns = at_ns
 
     def begin_all(self, times_ns: Sequence[int]) -> None:
         """Note several requests of the poll that are no retries. `times_ns` (UTC ns) is sorted and
@@ -99,43 +113,45 @@ class PollStatistics:
         """
         self.begin(times_ns[0])
         self.period.add_all(list(map(sub, times_ns[1:], times_ns)))
-        self._last_ns = times_ns[-1]
+        self._last_ns = self._asked_ns = times_ns[-1]
 
-    def begin_again(self, at_ns: int) -> tuple[int, Sequence[int]]:
+    def begin_again(self, at_ns: int) -> RetryChange:
         """Note a request that directly follows an equal one without a response, at `at_ns` (UTC
         ns).
 
-        Returns a number, and times (UTC ns): 1 and the time of the request if it is a retry. If it
-        is none, there are no times; but if it shows that the requests before it were none either,
-        the result is -1 and their times, and `repetitions` no longer has them.
+        It is no retry if it comes at the usual period of the poll after the last poll, or after the
+        last request of any kind: a poll can come late, and the polls after it keep that delay.
+        `repetitions` counts what the result says.
         """
-        last_ns = self._last_ns
-        if last_ns is None or self._is_usual(at_ns - last_ns):
+        last_ns, asked_ns = self._last_ns, self._asked_ns
+        self._asked_ns = at_ns
+        if last_ns is None or self._is_usual(at_ns - last_ns, at_ns - asked_ns):
             self.begin(at_ns)
-            return 1, ()
+            return RetryChange()
         if self.period.count < _ENOUGH_PERIODS:
             self._again_ns.append(at_ns)
-            if len(self._again_ns) >= _STEADY:
-                times, self._again_ns = self._again_ns, []
-                if _are_steady((last_ns, *times)):
-                    self.repetitions -= len(times) - 1
-                    self.begin_all(times)
-                    return -1, times[:-1]
+            times = (last_ns, *self._again_ns)[-_STEADY - 1 :]
+            if len(times) > _STEADY and _are_steady(times):
+                again_ns = self._again_ns.copy()
+                self.repetitions -= len(again_ns) - 1
+                self.begin_all(again_ns)
+                return RetryChange(withdrawn=again_ns[:-1])
+            del self._again_ns[:-_STEADY]
         self.repetitions += 1
-        return 1, (at_ns,)
+        return RetryChange(found=(at_ns,))
 
-    def _is_usual(self, distance_ns: int) -> bool:
-        """True if the poll has a usual period, and `distance_ns` is about that."""
+    def _is_usual(self, *distances_ns: int) -> bool:
+        """True if the poll has a usual period, and one of `distances_ns` is about that."""
         if self.period.count < _ENOUGH_PERIODS:
             return False
         usual = self.period.percentile(50)
-        return abs(distance_ns - usual) <= _USUAL * usual
+        return any(abs(distance - usual) <= _USUAL * usual for distance in distances_ns)
 
     def cut(self) -> None:
         """End a capture: the time from its last request to the first one of the next capture is no
         period.
         """
-        self._last_ns = None
+        self._last_ns, self._asked_ns = None, 0
         self._again_ns.clear()
 
     @property

@@ -203,9 +203,11 @@ class RequestOrder:
         link, master = poll.key.link, poll.key.master
         self._links[link].hours.add(one.at_ns, is_missing=one.is_missing)
         if self._tape(link, master).add(one):
-            number, times = poll.begin_again(one.at_ns)
-            for at_ns in times:
-                self._on_retry(poll, at_ns, number)
+            change = poll.begin_again(one.at_ns)
+            for at_ns in change.found:
+                self._on_retry(poll, at_ns, 1)
+            for at_ns in change.withdrawn:
+                self._on_retry(poll, at_ns, -1)
         else:
             poll.begin(one.at_ns)
 

@@ -316,3 +316,26 @@ def test_the_polls_of_a_unit_that_never_answers_are_no_retries_if_they_are_stead
     steady = [unanswered(1000 * at) for at in range(20)]
     assert told_retries(*steady[:5]) == (4, [1000, 2000, 3000, 4000])
     assert told_retries(*steady) == (0, [])
+
+
+def test_a_poll_that_comes_late_once_makes_no_retries_of_the_polls_after_it() -> None:
+    answered = [request(1000 * at) for at in range(8)]
+    late = [unanswered(1000 * at + (400 if at >= 20 else 0)) for at in range(8, 60)]
+    assert told_retries(*answered, *late) == (1, [20_400])
+    skipped = [unanswered(1000 * at) for at in range(8, 60) if at != 20]
+    assert told_retries(*answered, *skipped) == (1, [21_000])
+
+
+def test_a_retry_that_puts_off_the_next_poll_is_the_only_retry() -> None:
+    answered = [request(1000 * at) for at in range(8)]
+    pairs = [unanswered(8000 + 1300 * (at // 2) + 300 * (at % 2)) for at in range(20)]
+    assert told_retries(*answered, *pairs) == (10, [8300 + 1300 * at for at in range(10)])
+
+
+def test_the_steady_polls_of_a_unit_that_never_answers_may_begin_after_a_pause() -> None:
+    steady = [unanswered(1000 * at + (400 if at >= 4 else 0)) for at in range(30)]
+    count, times = told_retries(*steady)
+    assert (count, times) == (3, [1000, 2000, 3000])
+    for again in range(2):  # Steady for a short time only: always retries.
+        bursts = [unanswered(5000 * (at // 4) + 300 * (at % 4)) for at in range(16 + again)]
+        assert told_retries(*bursts)[0] == 15 + again
