@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
     from mbtool.overview.distribution import Distribution
     from mbtool.overview.poll_statistics import PollStatistics
+    from mbtool.overview.request_tally import RequestTally
     from mbtool.overview.statistics_report import LinkReport
     from mbtool.series.history import UnitRow
 
@@ -48,22 +49,33 @@ def odd_polling(
     latencies: Mapping[UnitRow, Distribution],
 ) -> Iterator[VerdictTrouble]:
     """Yield what is odd. `names` and `latencies` (ns) have an item for each unit."""
-    yield from _joined([one for link in links for one in _pauses(link)])
-    yield from _joined([one for link in links for one in _connections(link)])
+    yield from _joined_of_links([list(_pauses(link)) for link in links])
+    yield from _joined_of_links([list(_connections(link)) for link in links])
     yield from _joined(
-        [one for row, some in latencies.items() for one in _late_answers(row, names[row], some)]
+        [one for row, some in latencies.items() for one in _late_answers(row, names[row], some)],
+        "unit",
     )
 
 
-def _joined(troubles: list[VerdictTrouble]) -> list[VerdictTrouble]:
-    """Join troubles of one kind if they are many: the text is that of the worst one."""
+def _joined_of_links(by_link: list[list[VerdictTrouble]]) -> list[VerdictTrouble]:
+    """Join troubles of one kind, each of a master on a link; `by_link` has those of each link."""
+    troubles = [one for some in by_link for one in some]
+    noun = "master" if len({one.who for one in troubles}) == len(troubles) else "case"
+    return _joined(troubles, "link" if max(map(len, by_link), default=0) <= 1 else noun)
+
+
+def _joined(troubles: list[VerdictTrouble], noun: str) -> list[VerdictTrouble]:
+    """Join troubles of one kind if they are many: the text is that of the worst one.
+
+    `noun` names the things that have one of the troubles each, such as `unit`.
+    """
     if len(troubles) < JOINED:
         return troubles
     worst = max(troubles, key=lambda one: one.weight)
     return [
         replace(
             worst,
-            text=f"{worst.text}, and {len(troubles) - 1:,} more like this",
+            text=f"{worst.text}, and {counted(len(troubles) - 1, f'more {noun}', ',')}",
             weight=sum(one.weight for one in troubles),
             units=frozenset(unit for one in troubles for unit in one.units),
         )
@@ -77,7 +89,8 @@ def _late_answers(row: UnitRow, name: str, latency: Distribution) -> Iterator[Ve
         return
     number = latency.number_from(late_ns)
     longest = duration(latency.greatest)
-    text = f"{name} gives {counted(number, 'answer', ',')} late, the latest after {longest} "
+    after = f"after {longest}" if number == 1 else f"the longest after {longest}"
+    text = f"{name} gives {counted(number, 'answer', ',')} late, {after} "
     text += f"(usually {in_ms(usual)} ms)"
     yield VerdictTrouble(
         rank=Rank.ODD, text=text, weight=number * latency.greatest / 1e9, who=name,
@@ -116,14 +129,24 @@ def _of(link: LinkReport, master: str) -> str:
 
 
 def _connections(link: LinkReport) -> Iterator[VerdictTrouble]:
+    """Yield the masters with a connection for each poll.
+
+    Yields none if the requests of some polls are known only for the whole link.
+    """
+    if sum(one.poll.tally.requests for one in link.polls) < link.tally.requests:
+        return
+    tallies: dict[str, list[RequestTally]] = {}
+    for each in link.polls:
+        tallies.setdefault(each.poll.key.master, []).append(each.poll.tally)
     for master, one in link.connections:
-        polls = [each.poll.tally for each in link.polls if each.poll.key.master == master]
-        tally = merged(polls)
-        if one.opened < ENOUGH_CONNECTIONS or tally.requests > REQUESTS_PER_CONNECTION * one.opened:
+        polls = tallies.get(master, [])
+        requests = sum(poll.requests for poll in polls)
+        if one.opened < ENOUGH_CONNECTIONS or requests > REQUESTS_PER_CONNECTION * one.opened:
             continue
+        latency = merged(polls).latency
         text = f"{master or 'a master'} opened {one.opened:,} TCP connections to {link.name} for "
-        text += f"{counted(tally.requests, 'request', ',')} (one could stay open)"
+        text += f"{counted(requests, 'request', ',')} (one could stay open)"
         yield VerdictTrouble(
-            rank=Rank.ODD, text=text, weight=one.opened * tally.latency.percentile(50) / 1e9,
+            rank=Rank.ODD, text=text, weight=one.opened * latency.percentile(50) / 1e9,
             who=master or link.name, search=link_word(link.name).strip(),
         )  # fmt: skip

@@ -27,12 +27,16 @@ _ONCE = 0.9
 """A scan sends at least this share (0 to 1) of its requests once."""
 
 
-def refused_polls(polls: Sequence[PollStatistics]) -> str:
+def refused_polls(polls: Sequence[PollStatistics], tally: RequestTally) -> str:
     """Return which requests a unit refuses each time, as text: `always refuses 03 holding 4 (3
     times)`.
 
-    The text is empty if other refusals remain, or if the unit refuses all that it is asked.
+    `tally` has the counts of the unit, `polls` those of its polls that are still known. The text is
+    empty if some are no longer known, if other refusals remain, or if the unit refuses all that it
+    is asked.
     """
+    if not _are_all(polls, tally):
+        return ""
     refused = [poll for poll in polls if poll.tally.count(Outcome.EXCEPTION)]
     number = sum(poll.tally.count(Outcome.EXCEPTION) for poll in refused)
     if len(refused) == len(polls) or number < sum(poll.tally.transactions for poll in refused):
@@ -60,33 +64,46 @@ def codes_text(tally: RequestTally) -> str:
 
 
 def joined_refusals(
-    troubles: list[VerdictTrouble], units: Mapping[UnitRow, Sequence[PollStatistics]]
+    troubles: list[VerdictTrouble],
+    tallies: Mapping[UnitRow, RequestTally],
+    polls: Mapping[UnitRow, Sequence[PollStatistics]],
 ) -> list[VerdictTrouble]:
     """Join the refusals of many units into one trouble: the requests are wrong, not the units.
 
-    `units` has the polls of all units.
+    `tallies` has the counts of all units, `polls` the polls of each that are still known.
     """
-    refusing = [one for one in troubles if one.rank is Rank.FAILING and one.is_refusal]
-    if len(refusing) < MANY_REFUSING or len(refusing) * 2 < len(units):
+    refusing = [one for one in troubles if _is_grave_refusal(one)]
+    if len(refusing) < MANY_REFUSING or len(refusing) * 2 < len(tallies):
         return troubles
     rows = frozenset(unit for one in refusing for unit in one.units)
-    every = len(refusing) == len(units)
-    some = f"all {len(units)}" if every else f"{len(refusing)} of {len(units)}"
-    text = f"{some} units refuse {_what(units, rows)}"
+    every = len(refusing) == len(tallies)
+    some = f"all {len(tallies)}" if every else f"{len(refusing)} of {len(tallies)}"
+    what = _what(
+        merged([tallies[row] for row in rows]),
+        [poll for row in rows for poll in polls.get(row, ())],
+    )
+    text = f"{some} units refuse {what}"
     joined = replace(refusing[0], text=text, who="these units", search="exception", units=rows)
     place = troubles.index(refusing[0])
-    others = [one for one in troubles if one not in refusing]
+    others = [one for one in troubles if not _is_grave_refusal(one)]
     return [*others[:place], joined, *others[place:]]
 
 
-def _what(units: Mapping[UnitRow, Sequence[PollStatistics]], rows: frozenset[UnitRow]) -> str:
-    polls = [poll for row in rows for poll in units.get(row, ())]
-    tally = merged([poll.tally for poll in polls])
-    refused, asked = tally.count(Outcome.EXCEPTION), tally.transactions
+def _is_grave_refusal(trouble: VerdictTrouble) -> bool:
+    return trouble.is_refusal and trouble.rank is Rank.FAILING
+
+
+def _are_all(polls: Sequence[PollStatistics], tally: RequestTally) -> bool:
+    """False if some of the requests of `tally` are of polls that are no longer known."""
+    return sum(poll.tally.requests for poll in polls) >= tally.requests
+
+
+def _what(tally: RequestTally, polls: Sequence[PollStatistics]) -> str:
+    refused, asked = tally.count(Outcome.EXCEPTION), tally.requests
     share = f"all their requests ({asked:,})"
     if refused < asked:
         share = f"{refused:,} of their {counted(asked, 'request', ',')}"
-    if len(polls) < _SCAN or len(polls) < _ONCE * asked:
+    if not _are_all(polls, tally) or len(polls) < max(_SCAN, _ONCE * asked):
         return f"{share}, {codes_text(tally)}"
     masters = {poll.key.master for poll in polls} - {""}
     by = f" by {next(iter(masters))}" if len(masters) == 1 else ""

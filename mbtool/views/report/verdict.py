@@ -102,7 +102,7 @@ def report_verdict(
         unit = _Unit(row, names[row], tally, of_time, polls.get(row, ()))
         troubles += _unit_troubles(unit, slow.get(row))
     troubles.sort(key=lambda one: (one.rank, -one.weight))
-    troubles = joined_refusals(troubles, {row: polls.get(row, ()) for row in units})
+    troubles = joined_refusals(troubles, units, polls)
     troubles = _joined_slow(troubles, len(units))
     grave = sum(one.rank < Rank.RULE for one in troubles)
     told = min(grave or len(troubles), IN_SENTENCE)
@@ -268,7 +268,7 @@ def _refusals(unit: _Unit) -> VerdictTrouble:
         refused, of = tally.count(Outcome.EXCEPTION), tally.transactions
     share = refused / of
     text = f"{unit.name} refuses {_requests(share, refused)}{when}, {codes_text(tally)}"
-    named = refused_polls(unit.polls)
+    named = refused_polls(unit.polls, tally)
     if named:
         text = f"{unit.name} {named} {codes_text(tally)}"
     return unit.trouble(rank_of(Rank.FAILING, share, refused), text, share, "exception")

@@ -9,11 +9,17 @@ import msgspec
 from mbtool.core import CONNECTION_OPENED, EventKind, WireEvent
 from mbtool.modbus import Outcome
 from mbtool.modbus.adu import Transport
+from mbtool.overview import statistics
+from mbtool.overview.request_tally import merged
+from mbtool.views.report import odd_polling
 from tests.series.test_history import START, asked
 from tests.views.report.test_verdict import judged, polled
 
 if TYPE_CHECKING:
+    import pytest
+
     from mbtool.devices import NamedTransaction
+    from mbtool.overview.request_tally import RequestTally
 
 SLAVE, MASTER = "10.0.0.9", "10.0.0.1:50000"
 
@@ -24,10 +30,10 @@ def on_network(at_s: float, latency_ms: int = 5) -> NamedTransaction:
     )
 
 
-def opened(at_s: float) -> WireEvent:
+def opened(at_s: float, master: str = MASTER) -> WireEvent:
     return WireEvent(
         ts_ns=START + round(at_s * 1e9), link=SLAVE, kind=EventKind.OPENED,
-        message=CONNECTION_OPENED, raw=b"", source=MASTER,
+        message=CONNECTION_OPENED, raw=b"", source=master,
     )  # fmt: skip
 
 
@@ -35,7 +41,7 @@ def test_answers_much_slower_than_usual_are_told() -> None:
     told = judged([asked(at, latency_ms=990 if at in (40, 90) else 2) for at in range(100)])
     assert told.level == "doubt"
     assert told.sentence == (
-        "Nothing grave, but worth a look: unit 1 gives 2 answers late, the latest after 990 ms "
+        "Nothing grave, but worth a look: unit 1 gives 2 answers late, the longest after 990 ms "
         "(usually 2.0 ms)."
     )
 
@@ -130,6 +136,47 @@ def test_many_of_one_kind_are_told_as_one() -> None:
         for at in range(60)
     ]
     assert judged(late).sentence == (
-        "Nothing grave, but worth a look: unit 4 gives 1 answer late, the latest after 400 ms "
-        "(usually 2.0 ms), and 3 more like this."
+        "Nothing grave, but worth a look: unit 4 gives 1 answer late, after 400 ms "
+        "(usually 2.0 ms), and 3 more units."
     )
+
+
+def test_pauses_of_many_links_or_masters_are_told_as_one() -> None:
+    def paused(slave: int, master: int) -> list[NamedTransaction]:
+        names = {"link": f"10.0.0.{slave}", "source": f"10.0.1.{master}:50000"}
+        polls = [on_network(at / 4 + (7 if at > 60 else 0)) for at in range(100)]
+        return [msgspec.structs.replace(one, **names) for one in polls]
+
+    def told(*pairs: tuple[int, int]) -> str:
+        return judged([one for pair in pairs for one in paused(*pair)]).sentence
+
+    assert told((1, 1), (2, 1), (3, 1)).endswith(" 250 ms), and 2 more links.")
+    assert told((1, 1), (1, 2), (1, 3)).endswith(" 250 ms), and 2 more masters.")
+    assert told((1, 1), (1, 2), (2, 1)).endswith(" 250 ms), and 2 more cases.")
+
+
+def test_connections_are_not_compared_with_requests_if_some_polls_are_no_longer_known(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(statistics, "MAX_POLLS", 20)
+    polls = [
+        msgspec.structs.replace(on_network(at / 10), address=at % 200, quantity=1)
+        for at in range(400)
+    ]
+    assert judged([*map(opened, range(25)), *polls]).level == "well"
+
+
+def test_requests_of_masters_are_added_up_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    merging: list[int] = []
+
+    def count(tallies: list[RequestTally]) -> RequestTally:
+        merging.append(len(tallies))
+        return merged(tallies)
+
+    monkeypatch.setattr(odd_polling, "merged", count)
+    masters = [f"10.0.1.{at}:50000" for at in range(50)]
+    polls = [msgspec.structs.replace(on_network(at), source=one) for at, one in enumerate(masters)]
+    judged([*polls, *[opened(at, one) for at, one in enumerate(masters)]])
+    assert merging == []
+    judged([*polls, *[opened(at, masters[7]) for at in range(20)]])
+    assert merging == [1]
