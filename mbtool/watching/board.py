@@ -42,6 +42,7 @@ MAX_TROUBLES = 1024
 _MAX_BLAMED = 2 * MAX_KEPT
 
 _MASK_WRITE, _READ_WRITE = 0x16, 0x17
+_BAD_CHECK = EventKind.BAD_CHECK.value
 
 
 class Board:
@@ -62,8 +63,10 @@ class Board:
         self.profile_for = profile_for
         self.statistics = Statistics(format_of)
         self._damaged = DamagedAnswers()
-        self._bad_checks: deque[KeptRecord] = deque(maxlen=MAX_FRAMES)
-        """The last events of frames with a wrong CRC or LRC."""
+        self._bad_checks: dict[str, deque[tuple[int, KeptRecord]]] = {}
+        """By link, times (UTC ns) and events of the last frames with a wrong CRC or LRC that
+        belong to no unit so far. They are one more than can still be matched with a request, so
+        the last one that stays is among them."""
         self.blamed: OrderedDict[int, int] = OrderedDict()
         """The unit by the `order` number of a record: of an event that tells of a damaged response
         of the unit, and of the request to it."""
@@ -93,7 +96,8 @@ class Board:
             self.last_ns = max(self.last_ns, record.ts_ns)
             self._damaged.note(record)
             if record.kind is EventKind.BAD_CHECK:
-                self._bad_checks.append(kept)
+                events = self._bad_checks.setdefault(record.link, deque(maxlen=MAX_FRAMES + 1))
+                events.append((record.ts_ns, kept))
             self._note_trouble(record.kind.value, kept, record.link, None, record.ts_ns)
             return
         self.transactions += 1
@@ -230,22 +234,33 @@ class Board:
         Its event is then counted as one about this unit.
         """
         self.blamed[kept.order] = one.unit
-        for event in self._bad_checks:
-            record = event.record
-            if not isinstance(record, WireEvent) or record.ts_ns != frame_ns:
-                continue
-            if record.link != one.link:
-                continue
-            self.blamed[event.order] = one.unit
-            key = record.kind.value, record.link, None
-            nobodys = self.troubles.get(key)
-            if nobodys is not None:
-                nobodys.count -= 1
-                if not nobodys.count:
-                    del self.troubles[key]
-                self._note_trouble(record.kind.value, event, record.link, one.unit, frame_ns)
+        events = self._bad_checks[one.link]
+        for at, (at_ns, event) in enumerate(events):
+            if at_ns == frame_ns:
+                del events[at]
+                self.blamed[event.order] = one.unit
+                if self._take_back(one.link, events):
+                    self._note_trouble(_BAD_CHECK, event, one.link, one.unit, frame_ns)
+                break
         while len(self.blamed) > _MAX_BLAMED:
             self.blamed.popitem(last=False)
+
+    def _take_back(self, link: str, left: Sequence[tuple[int, KeptRecord]]) -> bool:
+        """Count one damaged frame of no unit less; `left` has the last events that stay.
+
+        Return False if such frames are not counted, as there are too many kinds of troubles.
+        """
+        row = self.troubles.get((_BAD_CHECK, link, None))
+        if row is None:
+            return False
+        row.count -= 1
+        if not row.count:
+            del self.troubles[_BAD_CHECK, link, None]
+            return True
+        row.last_ns, row.last = left[-1]
+        if len(left) == row.count:
+            row.first_ns = left[0][0]
+        return True
 
     def _note_trouble(
         self, code: str, kept: KeptRecord, link: str, unit: int | None, at_ns: int

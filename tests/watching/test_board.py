@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from mbtool.core import EventKind, WireEvent
 from mbtool.devices import PointValue
 from mbtool.modbus import Outcome
+from mbtool.serial_line.damaged_answers import MAX_FRAMES
 from mbtool.watching import board as limits
 from mbtool.watching.board import Board
 from mbtool.watching.board_rows import point_rows, poll_rows, record_rows, slave_rows, trouble_rows
@@ -158,6 +159,47 @@ def test_a_damaged_answer_belongs_to_the_unit_that_was_asked() -> None:
     assert rows == {1: (4, False), 2: (None, False), 3: (4, False), 4: (4, True), 5: (4, False)}
     counts = {(row.unit, row.times, row.is_finding) for row in trouble_rows(board)}
     assert counts == {(None, 1, False), (4, 1, False)}
+
+
+def test_the_damaged_frames_of_no_unit_are_those_that_stay() -> None:
+    board = board_of(
+        event(5, EventKind.BAD_CHECK), event(1000, EventKind.BAD_CHECK), unanswered(990, unit=4)
+    )
+    assert [
+        (row.unit, row.key, row.kept.order, row.first_ns - START_NS, row.last_ns - START_NS)
+        for row in trouble_rows(board)
+    ] == [
+        (None, ("bad-check", "line", None), 1, 5 * MS, 5 * MS),
+        (4, ("bad-check", "line", 4), 2, 1000 * MS, 1000 * MS),
+    ]  # fmt: skip
+    board = board_of(
+        event(5, EventKind.BAD_CHECK), event(1000, EventKind.BAD_CHECK), unanswered(0, unit=4)
+    )
+    nobodys = trouble_rows(board)[-1]
+    assert (nobodys.unit, nobodys.first_ns - START_NS) == (None, 1000 * MS)
+
+
+def test_of_damaged_frames_with_equal_times_only_one_belongs_to_a_request() -> None:
+    frames = [event(12, EventKind.BAD_CHECK) for _ in range(2)]
+    board = board_of(*frames, unanswered(10, unit=4))
+    assert {row.unit: row.times for row in trouble_rows(board)} == {None: 1, 4: 1}
+    board.add(KeptRecord(4, 4, unanswered(11, unit=5)))
+    assert {row.unit: row.times for row in trouble_rows(board)} == {4: 1, 5: 1}
+
+
+def test_of_many_damaged_frames_the_last_one_of_no_unit_is_known() -> None:
+    frames = [event(10 + at, EventKind.BAD_CHECK) for at in range(2 * MAX_FRAMES)]
+    asked = [unanswered(10 + MAX_FRAMES + at, unit=4) for at in range(MAX_FRAMES)]
+    others = [
+        WireEvent(ts_ns=START_NS, link="other", kind=EventKind.BAD_CHECK, message="x")
+        for _ in range(2 * MAX_FRAMES)
+    ]
+    rows = {(row.link, row.unit): row for row in trouble_rows(board_of(*frames, *others, *asked))}
+    nobodys, units = rows["line", None], rows["line", 4]
+    assert (nobodys.times, units.times) == (MAX_FRAMES, MAX_FRAMES)
+    assert nobodys.first_ns == START_NS + 10 * MS
+    assert nobodys.last_ns == START_NS + (9 + MAX_FRAMES) * MS
+    assert units.last_ns == START_NS + (9 + 2 * MAX_FRAMES) * MS
 
 
 def test_the_oldest_record_gives_way() -> None:
