@@ -42,9 +42,9 @@ def slave_trouble(row: WatchedSlaveRow, *, is_short: bool = False) -> str:
     elif row.missing_span is not None:
         word = "wrong CRC" if row.damaged * 2 > row.missing else "unanswered"
         parts.append(_share(row, row.missing_span, word, is_short=is_short))
-    if row.exceptions == row.asked:
+    if _refuses_all(row):
         parts.append("refuses every request")
-    elif 0 < row.refused_polls < row.polls and row.exceptions >= ENOUGH:
+    elif _refuses_again(row):
         parts.append(f"always refuses {row.refused_polls} of {row.polls} polls")
     elif row.refused_span is not None:
         parts.append(_share(row, row.refused_span, "refused", is_short=is_short))
@@ -89,12 +89,12 @@ def trouble_line(rows: Sequence[WatchedSlaveRow], width: int) -> str:
     slow = sum(row.usual_ns is not None for row in rows)
     told = not are_many(slow, len(rows))
     sick = sorted((row for row in rows if _fails(row) or (told and row.usual_ns)), key=_weight)
-    refusing = [row for row in sick if row.exceptions == row.asked]
+    refusing = [row for row in sick if _refuses_all(row)]
     joined = ""
     if len(refusing) >= MANY_REFUSING and 2 * len(refusing) >= len(rows):
         some = "all" if len(refusing) == len(rows) else f"{len(refusing)} of"
         joined = f"{some} {len(rows)} units refuse every request"
-        sick = [row for row in sick if row not in refusing]
+        sick = [row for row in sick if not _refuses_all(row)]
         width -= len(joined) + 2
     line = _line(sick, network if len(links) > 1 else None, width, is_short=False)
     if _MORE in line:
@@ -123,6 +123,19 @@ def _line(
             return f"{text}{more}"
         text += part
     return text
+
+
+def _refuses_all(row: WatchedSlaveRow) -> bool:
+    return 0 < row.exceptions == row.asked
+
+
+def _refuses_again(row: WatchedSlaveRow) -> bool:
+    """True if all refusals of a unit are of certain polls, which it refuses each time.
+
+    If each of these polls came only once, as in a scan, that tells nothing.
+    """
+    is_repeated = row.exceptions >= ENOUGH and row.exceptions > row.refused_polls
+    return 0 < row.refused_polls < row.polls and is_repeated
 
 
 def _failed(row: WatchedSlaveRow) -> int:

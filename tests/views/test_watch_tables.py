@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+import pytest
+
 from mbtool.core import EventKind, WireEvent
 from mbtool.devices import PointValue
 from mbtool.modbus import Outcome, Transport, Verdict, ascii_adu
@@ -263,6 +265,22 @@ def test_a_slave_that_always_refuses_some_polls_is_told_so() -> None:
     assert trouble_line(rows, 78) == "unit 1 always refuses 1 of 2 polls"
     rows = slave_rows(board_of(*well, *refused, request(20, 70)))
     assert trouble_line(rows, 78).startswith("unit 1: 23 % refused")
+
+
+def test_a_scan_in_which_each_request_came_once_tells_a_share() -> None:
+    refused = [request(at, at, outcome=Outcome.EXCEPTION, exception=2) for at in range(30)]
+    well = [read(30 + at, 1, address=100 + at) for at in range(20)]
+    rows = slave_rows(board_of(*refused, *well))
+    assert trouble_line(rows, 78) == "unit 1: 60 % refused"
+    rows = slave_rows(board_of(*refused, *well, refused[0]))
+    assert trouble_line(rows, 78) == "unit 1 always refuses 30 of 50 polls"
+
+
+@pytest.mark.parametrize("outcome", [Outcome.UNSOLICITED, Outcome.NOT_CAPTURED])
+def test_a_slave_that_was_not_asked_refuses_nothing(outcome: Outcome) -> None:
+    one = request(0, outcome=outcome, request_ns=None, request_raw=None)
+    (row,) = slave_rows(board_of(one))
+    assert text_of(slave_state(row, DrawContext())) == ""
 
 
 def test_few_failures_and_many_slow_units_are_no_trouble() -> None:
