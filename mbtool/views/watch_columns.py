@@ -25,8 +25,8 @@ _LONGEST_PART = 12
 """A text that is too long is cut between words, unless its last word is longer than this, in
 characters."""
 LEAST_REST = 22
-"""Columns of width 0 share the width that the others leave. If one of them would get fewer
-characters than this, or than its `least`, another column is left out."""
+"""Columns of width 0 share the width that the others leave. If they would get fewer characters
+than this each, another column is left out."""
 
 
 @dataclass(slots=True)
@@ -66,12 +66,17 @@ class WatchColumn:
     fit: Callable[[Any, DrawContext, int], Spans] | None = None
     """Makes the cell where it has so many characters; None if the cell is just cut."""
     least: int = 0
-    """If more than 0, the column is as wide as its widest cell, from this to `width` characters.
-
-    For a column of width 0: other columns are left out if this one would get fewer characters than
-    this, and fewer than its widest cell; 0 stands for LEAST_REST."""
+    """If more than 0, the column is as wide as its widest cell, from this to `width` characters."""
+    least_share: int = LEAST_REST
+    """For a column of width 0: other columns are left out if this one would get fewer characters
+    than this. It is at least LEAST_REST; if it is more, the widest cell is enough."""
     is_usual: bool = True
     """False for a column that is shown only if the user chooses it."""
+
+    @property
+    def is_measured(self) -> bool:
+        """True if the width depends on the widest cell."""
+        return self.least_share > LEAST_REST if not self.width else self.least > 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +100,7 @@ def fitted(
 
     If `chosen` names columns, exactly these are shown. With None, the usual columns are shown, as
     many as fit, and those in `places` (link and master) always, with the width given there.
-    `widest` has the number of characters in the widest cell of columns with `least`.
+    `widest` has the number of characters in the widest cell of columns that are measured.
     """
     places = places or {}
     if widest:
@@ -108,7 +113,7 @@ def fitted(
         rests = sum(not one.width for one in kept)
         room = width - sum(one.width for one in kept) - (len(kept) - 1)
         rank = max(one.rank for one in kept)
-        least = sum(one.least or LEAST_REST for one in kept if not one.width)
+        least = sum(one.least_share for one in kept if not one.width)
         if chosen is not None or not rank or room >= least:
             break
         kept.remove(next(one for one in reversed(kept) if one.rank == rank))
@@ -129,7 +134,7 @@ def _as_wide(column: WatchColumn, widest: int) -> WatchColumn:
     if not widest:
         return column
     if not column.width:
-        return replace(column, least=min(column.least, max(widest, LEAST_REST)))
+        return replace(column, least_share=min(column.least_share, max(widest, LEAST_REST)))
     return replace(column, width=min(column.width, max(widest, column.least)))
 
 
@@ -185,10 +190,10 @@ def row_text(row: Any, columns: Sequence[WatchColumn], context: DrawContext) -> 
 def widest_cells(
     rows: Sequence[Any], columns: Sequence[WatchColumn], context: DrawContext
 ) -> dict[str, int]:
-    """Return the number of characters in the widest cell in `rows` of each column with `least`."""
+    """Return the number of characters in the widest cell in `rows` of each measured column."""
     widths = {}
     for one in columns:
-        if one.least:
+        if one.is_measured:
             cells = (one.cell(row, context) for row in rows)
             texts = (
                 cell if isinstance(cell, str) else "".join(text for text, _ in cell)

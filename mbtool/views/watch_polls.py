@@ -60,7 +60,7 @@ def fitted_values(row: PollRow, context: DrawContext, width: int) -> Spans:
         and not row.is_damaged
     ):
         spans = [(short_result(one), spans[0][1]), *spans[1:]]
-    return with_short_names(spans, one.points, width)
+    return with_short_names(spans, one, width)
 
 
 def _separated(spans: Spans) -> Spans:
@@ -155,8 +155,8 @@ POLL_COLUMNS = (
         sort=lambda row: (row.poll.function, row.poll.address or 0),
     ),
     WatchColumn(
-        name="values", title="last values", width=0, least=_LEAST_VALUES, cell=poll_values,
-        fit=fitted_values,
+        name="values", title="last values", width=0, least_share=_LEAST_VALUES,
+        cell=poll_values, fit=fitted_values,
         sort=lambda row: transaction_text(row.kept.record),
     ),
     WatchColumn(

@@ -64,7 +64,7 @@ def fitted_record(row: RecordRow, context: DrawContext, width: int) -> Spans:
             result_text(record).removeprefix("exception "), short_result(record)
         )
         spans = [(text, spans[0][1]), *spans[1:]]
-    return with_short_names(spans, record.points, width)
+    return with_short_names(spans, record, width)
 
 
 def _text_of(name: str, row: RecordRow) -> str:
@@ -262,7 +262,7 @@ SLAVE_COLUMNS = (
         cell=lambda row, _: count(row.findings), sort=lambda row: row.findings,
     ),
     WatchColumn(
-        name="state", title="state", width=0, least=30, cell=slave_state,
+        name="state", title="state", width=0, least_share=30, cell=slave_state,
         sort=lambda row: slave_state(row, DrawContext())[0][0],
     ),
 )  # fmt: skip

@@ -2,49 +2,73 @@
 
 from __future__ import annotations
 
-from mbtool.devices import PointValue
+from typing import TYPE_CHECKING
+
+from mbtool.devices import PointValue, describe_points
 from mbtool.views.watch_names import short_name, with_short_names
+from tests.overview.requests import request
+
+if TYPE_CHECKING:
+    from mbtool.views.watch_columns import Spans
 
 
-def point(name: str, reference: str = "D1") -> PointValue:
-    return PointValue(name=name, reference=reference, value=1, text="1")
+def point(name: str, text: str, reference: str = "D1") -> PointValue:
+    return PointValue(name=name, reference=reference, value=None, text=text)
 
 
-def shortened(text: str, width: int, *names: str) -> str:
-    spans = with_short_names([(text, "")], [point(name) for name in names], width)
-    return "".join(part for part, _ in spans)
+def texts_of(spans: Spans, width: int, *points: PointValue) -> list[str]:
+    short = with_short_names(spans, request(points=list(points)), width)
+    return [text for text, _ in short]
 
 
-SERIES = "CH1 digital value", "CH2 digital value"
-TEXT = "digital value: CH1 12000, CH2 4000"
+def shortened(width: int, *points: PointValue, before: str = "") -> str:
+    (text,) = texts_of([(before + "; ".join(describe_points(points)), "")], width, *points)
+    return text
+
+
+SERIES = point("CH1 digital value", "12000"), point("CH2 digital value", "4000")
 
 
 def test_names_lose_letters_first_and_the_shared_one_is_left_out_then() -> None:
-    assert shortened(TEXT, 34, *SERIES) == TEXT
-    assert shortened(TEXT, 33, *SERIES) == "dig. value: CH1 12000, CH2 4000"
-    assert shortened(TEXT, 30, *SERIES) == "CH1 12000, CH2 4000"
-    assert shortened("CH2 digital value 7", 10, *SERIES) == "CH2 7"
+    assert shortened(34, *SERIES) == "digital value: CH1 12000, CH2 4000"
+    assert shortened(33, *SERIES) == "dig. value: CH1 12000, CH2 4000"
+    assert shortened(30, *SERIES) == "CH1 12000, CH2 4000"
+
+
+def test_values_that_have_just_changed_keep_their_labels() -> None:
+    lit: Spans = [("CH2 digital value 4000", "bold"), (" ", ""), ("CH1 digital value: 12000", "")]
+    assert texts_of(lit, 46, *SERIES) == ["CH2 dig. value 4000", " ", "CH1 dig. value: 12000"]
+    assert texts_of(lit, 20, *SERIES) == ["CH2 4000", " ", "CH1 12000"]
 
 
 def test_the_name_of_a_lone_point_is_left_out_whole() -> None:
-    name = "A/D conversion setting"
-    assert shortened(f"0102H {name}: CH1 enabled", 20, name) == "0102H CH1 enabled"
+    lone = point("A/D conversion setting", "CH1 enabled")
+    assert shortened(20, lone, before="0102H ") == "0102H CH1 enabled"
+    assert texts_of([("A/D conversion setting CH1 enabled", "bold")], 20, lone) == ["CH1 enabled"]
 
 
 def test_names_of_several_points_keep_their_beginnings() -> None:
-    names = "Initial data setting flag", "Error reset request flag"
-    text = f"{names[0]}: on; {names[1]}: off"
-    assert shortened(text, 40, *names) == "Ini. data..: on; Error reset..: off"
+    points = point("Initial data setting flag", "on"), point("Error reset request flag", "off")
+    assert shortened(40, *points) == "Ini. data..: on; Error reset..: off"
 
 
 def test_a_name_that_is_the_reference_stays() -> None:
-    assert shortened("X0 X1 on", 3, "D1") == "X0 X1 on"
+    named = point("RWr0", "initial 7", "RWr0"), point("RWr1", "initial 8", "RWr1")
+    assert shortened(3, *named) == "RWr0 initial 7, RWr1 initial 8"
+    lone = point("Initial data setting flag", "on")
+    assert shortened(3, lone, *named) == "on; RWr0 initial 7, RWr1 initial 8"
 
 
 def test_a_name_that_looks_like_a_pattern_is_only_a_name() -> None:
-    assert shortened(r"CH1 a\1 (x) 7; CH2 a\1 (x) 8", 20, r"CH1 a\1 (x)", r"CH2 a\1 (x)") == (
-        "CH1 7; CH2 8"
-    )
+    points = point(r"CH1 a\1 (x)", "7"), point(r"CH2 a\1 (x)", "8")
+    assert shortened(15, *points) == "CH1 7, CH2 8"
+
+
+def test_the_words_of_a_name_stay_in_values_and_in_other_names() -> None:
+    flags = point("CH1 error flag", "error flag cleared"), point("CH2 error flag", "no error")
+    assert shortened(20, *flags) == "CH1 error flag cleared, CH2 no error"
+    ends = point("CH1 condition", "good"), point("CH2 condition", "precondition: bad")
+    assert shortened(40, *ends) == "con.: CH1 good, CH2 precondition: bad"
 
 
 def test_a_name_alone_is_shortened_only_if_it_has_no_room() -> None:
