@@ -86,7 +86,8 @@ class DrawnApp(App[int]):
 
         `place` names the links or files; `recording` is the path of the log that is written, None
         for no log. `where` is the filter as text, "" for none. `saver` writes records to files.
-        `is_asked_to_end` is called before each drawing; it returns True after a signal.
+        `is_asked_to_end` is called before each drawing; it returns True after a signal and
+        once the terminal is gone.
         """
         # With NO_COLOR set, textual turns its own colours into greys. It does not do so with the
         # terminal's colours, which ansi_color selects.
@@ -107,8 +108,6 @@ class DrawnApp(App[int]):
         self._contexts = [DrawContext() for _ in VIEWS]
         self._widest: list[dict[str, int]] = [{} for _ in VIEWS]
         """By view, the width in characters of the widest cell so far of some columns."""
-        self._measured = [0] * len(VIEWS)
-        """By view, the number of rows that were there when the cells were measured last."""
         self._next_draw_s = 0.0
         self.drawings = 0
         """The number of times that the screen was drawn."""
@@ -192,31 +191,29 @@ class DrawnApp(App[int]):
         self.context.now_ns = now_ns
         self.context.is_over = self.feed.is_over or not self.feed.is_live
         self.context.marked = self.feed.watched.marked
-        self._measure(rows)
         name, descending = self._sorting
         column = next((one for one in self.view.columns if one.name == name), None)
         if column is not None:
             rows = sorted(rows, key=column.sort, reverse=descending)
         chosen = self.settings.columns.get(self.view.name)
         widest = self._widest[self.view_at]
-        columns = fitted(self.view.columns, width, chosen, self._places(width), widest)
         table = self.table
         table.can_follow = self.view.can_follow
-        sorting = (None if column is None else name, descending)
-        table.show(rows, columns, self.context, sorting, empty=self._why_empty())
+        table.take(rows, (None if column is None else name, descending))
+        self._measure(table.rows_on_screen)
+        columns = fitted(self.view.columns, width, chosen, self._places(width), widest)
+        table.show(columns, self.context, empty=self._why_empty())
         self._draw_lines(width)
         self._draw_detail()
         self.call_after_refresh(self._drawn, began_s)
 
     def _measure(self, rows: Sequence[Any]) -> None:
-        """Note the widest cells of the present view; rows that were measured before are left out.
+        """Note the widest cells of the present view, in `rows`.
 
         A column never becomes narrower, as the table would jump.
         """
         widest = self._widest[self.view_at]
-        new = rows[self._measured[self.view_at] :]
-        self._measured[self.view_at] = len(rows)
-        for name, width in widest_cells(new, self.view.columns, self.context).items():
+        for name, width in widest_cells(rows, self.view.columns, self.context).items():
             widest[name] = max(width, widest.get(name, 0))
 
     def _why_empty(self) -> str:

@@ -76,28 +76,28 @@ class LiveTable(Widget, can_focus=True):
         """The index of the row under the cursor."""
         return self._cursor
 
-    def show(
-        self,
-        rows: Sequence[Any],
-        columns: Sequence[FittedColumn],
-        context: DrawContext,
-        sorted_by: tuple[str | None, bool],
-        *,
-        empty: str = "",
-    ) -> None:
-        """Draw these rows, or the text `empty` if there are none; the cursor stays on its row.
+    def take(self, rows: Sequence[Any], sorted_by: tuple[str | None, bool]) -> None:
+        """Take the rows to draw; the cursor stays on its row. `show` draws them.
 
         `sorted_by` has the name of the column that the rows are sorted by (None: not sorted), and
         True if the greatest value comes first.
         """
-        self._empty = empty
-        self.rows, self._columns, self._drawing = rows, columns, context
-        self._sorted_by = sorted_by
+        self.rows, self._sorted_by = rows, sorted_by
         self._cursor = len(rows) - 1 if self.follows else self._place_of_cursor(rows)
         self._cursor = max(self._cursor, 0)
         self._key = self.rows[self._cursor].key if self.rows else self._key
         self._scroll()
+
+    def show(
+        self, columns: Sequence[FittedColumn], context: DrawContext, *, empty: str = ""
+    ) -> None:
+        """Draw the rows, or the text `empty` if there are none."""
+        self._columns, self._drawing, self._empty = columns, context, empty
         self.refresh()
+
+    @property
+    def rows_on_screen(self) -> Sequence[Any]:
+        return self.rows[self._top : self._top + self.page]
 
     def begin_view(self, *, follows: bool, key: Hashable = None) -> None:
         """Prepare for the rows of another view; `key` belongs to the row to put the cursor on.

@@ -416,6 +416,21 @@ def test_the_view_of_the_bus_names_no_option_that_watch_lacks() -> None:
     run(test)
 
 
+def test_at_80_columns_the_state_of_a_slave_has_room_when_it_changes() -> None:
+    feed = GivenFeed(read(at, 1) for at in range(0, 9000, 500))
+
+    async def test() -> None:
+        async with screen(feed) as seen:
+            await seen.press("5")
+            assert "answers" in seen.lines[3]
+            for at in range(9000, 12000, 500):
+                feed.give(unanswered(at), read(at + 100, 1))
+            await seen.redraw()
+            assert seen.lines[3].endswith(" 50 % unanswered since 00:00:09")
+
+    run(test)
+
+
 def test_at_80_columns_values_with_long_names_are_shown() -> None:
     names = [f"CH{number} digital operation value" for number in range(1, 9)]
     points = [
