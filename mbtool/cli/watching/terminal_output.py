@@ -78,7 +78,10 @@ class TerminalOutput:
         return not self._is_full
 
     def _has_room(self) -> bool:
-        return bool(select.select([], [self.fileno()], [], _LOOK_S)[1])
+        # `select.select` raises an error for descriptors from 1024 on.
+        poll = select.poll()
+        poll.register(self.fileno(), select.POLLOUT)
+        return bool(poll.poll(_LOOK_S * 1000))
 
     def _is_hung_up(self) -> bool:
         poll = select.poll()
