@@ -49,6 +49,9 @@ class StyledLine:
     without: tuple[str, ...] = ()
     """If this line has the titles of a table: the titles of columns that were left out for lack of
     room."""
+    hint: str = ""
+    """What to give the option that sets the number of rows, and what that does, such as `12 shows
+    all`; empty for lines that are about no rows left out."""
 
 
 def table_lines(
@@ -116,7 +119,8 @@ def more_line(number: int, top: int, what: str) -> list[StyledLine]:
     """
     if number <= top:
         return []
-    return [StyledLine(f"  ... {number - top:,} more {what}; --top {number} shows all", "dim")]
+    text = f"  ... {number - top:,} more {what}"
+    return [StyledLine(text, "dim", hint=f"{number} shows all")]
 
 
 def wrapped(line: StyledLine, width: int | None) -> list[StyledLine]:

@@ -80,7 +80,7 @@ def _untold_lists(number: int, shown: int) -> list[StyledLine]:
         return []
     lists = counted_words(number - shown, "more list", ",")
     top = number * _LISTS_WITH_STEPS
-    return [StyledLine(f"  ... the polls of {lists}; --top {top} shows them", "dim")]
+    return [StyledLine(f"  ... the polls of {lists}", "dim", hint=f"{top} shows them")]
 
 
 def _name(found: Found, links: Sequence[LinkReport]) -> str:

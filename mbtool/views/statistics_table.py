@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from mbtool.core.wording import plural
@@ -85,22 +86,24 @@ def statistics_lines(
     width: int | None,
     height: int | None = None,
     top: int | None = None,
+    option: str = "--top",
 ) -> list[StyledLine]:
     """Return all lines of the statistics, for a terminal or a pipe.
 
     `width` and `height` are the terminal's in characters, None on a pipe. Without `top`, a section
-    has as many rows as fit the height, FEWEST to USUAL.
+    has as many rows as fit the height, FEWEST to USUAL. `option` is what the user types to
+    set `top`.
     """
     if top is not None or height is None:
-        return _joined(_sections(links, width, top or USUAL), (), width)
+        return _joined(_sections(links, width, top or USUAL), (), width, option)
     for fewer in range(USUAL, FEWEST, -1):
-        lines = _joined(_sections(links, width, fewer), (), width)
+        lines = _joined(_sections(links, width, fewer), (), width, option)
         if len(lines) < height:
             return lines
     sections = _sections(links, width, FEWEST)
     left_out: list[str] = []
     while (
-        len(lines := _joined(sections, left_out, width)) >= height
+        len(lines := _joined(sections, left_out, width, option)) >= height
         and len(sections) > MOST_IMPORTANT
     ):
         left_out.insert(0, sections.pop()[0])
@@ -108,21 +111,33 @@ def statistics_lines(
 
 
 def _joined(
-    sections: Sequence[tuple[str, list[StyledLine]]], left_out: Sequence[str], width: int | None
+    sections: Sequence[tuple[str, list[StyledLine]]],
+    left_out: Sequence[str],
+    width: int | None,
+    option: str,
 ) -> list[StyledLine]:
     """Return the lines of all sections, then a line that names what had no room, if anything.
 
     `sections` are pairs of name and lines. `left_out` names the sections that had no room; the
     lines themselves name the columns that had none. `width` is the terminal's, None on a pipe.
+    `option` is the one that sets the number of rows.
     """
     lines: list[StyledLine] = []
     for _, section in sections:
+        section = [_hinted(line, option) for line in section]
         lines += [StyledLine(""), *section] if lines else section
-    told = [f"{', '.join(left_out)} (--top {USUAL})"] if left_out else []
+    told = [f"{', '.join(left_out)} ({option} {USUAL})"] if left_out else []
     if columns := dict.fromkeys(title for line in lines for title in line.without):
         told.append(f"{plural(len(columns), 'column')} {', '.join(columns)} (a wider terminal)")
     text = f"left out: {'; '.join(told)}"
     return [*lines, *(wrapped(StyledLine(text, "dim"), width) if told else ())]
+
+
+def _hinted(line: StyledLine, option: str) -> StyledLine:
+    """Return a line on rows that are left out with the `option` that shows them."""
+    if not line.hint:
+        return line
+    return replace(line, text=f"{line.text}; {option} {line.hint}", hint="")
 
 
 def _sections(

@@ -60,7 +60,8 @@ def test_control_characters_do_not_reach_the_terminal() -> None:
 
 def test_what_is_not_shown_is_counted() -> None:
     assert more_line(10, 10, "polls") == []
-    assert more_line(1300, 100, "polls")[0].text == "  ... 1,200 more polls; --top 1300 shows all"
+    (line,) = more_line(1300, 100, "polls")
+    assert (line.text, line.hint) == ("  ... 1,200 more polls", "1300 shows all")
 
 
 def test_a_sentence_goes_on_below_and_keeps_a_percent_sign_with_its_number() -> None:

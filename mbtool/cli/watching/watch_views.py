@@ -54,11 +54,10 @@ class WatchView:
 
 
 def _line_rows(board: Board, width: int) -> list[LineRow]:
-    lines = statistics_lines(report(board.statistics), width=width, top=10)
-    # Lines of `stats` name its option, which `watch` does not have.
-    texts = (line.text.replace("; --top ", "; mbtool stats --top ") for line in lines)
-    styles = (line.style for line in lines)
-    return [LineRow(at, *both) for at, both in enumerate(zip(texts, styles, strict=True))]
+    lines = statistics_lines(
+        report(board.statistics), width=width, top=10, option="mbtool stats --top"
+    )
+    return [LineRow(at, line.text, line.style) for at, line in enumerate(lines)]
 
 
 _LINES = (
