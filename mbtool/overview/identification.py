@@ -63,7 +63,7 @@ def identify(slave: ObservedSlave, profiles: Sequence[Profile]) -> ProfileFit:
     profile = next(one for one in profiles if one.name == best.profile)
     confirmation = _confirmation(slave, profile, best)
     score = _score(slave, profile, best)
-    doubt = _doubt(result, confirmation, score)
+    doubt, names_best = _doubt(result, confirmation, score)
     if doubt:
         score = min(score, UNCONFIRMED)
     has_ties = len(_ties(result)) > 1
@@ -72,6 +72,7 @@ def identify(slave: ObservedSlave, profiles: Sequence[Profile]) -> ProfileFit:
         nearest=best.profile if doubt and not has_ties else None,
         score=score,
         why=doubt or confirmation,
+        why_names_nearest=names_best and not has_ties,
         evidence=list(best.reasons),
         against=list(best.against),
     )
@@ -85,26 +86,30 @@ def _score(slave: ObservedSlave, profile: Profile, match: ProfileMatch) -> int:
     return 100 * explained // (explained + _CONTRADICTION * match.contradicted + _UNASKED)
 
 
-def _doubt(result: MatchResult, confirmation: str, score: int) -> str:
-    """The reason, as a text for the user, why the best profile of `result` may not fit the slave;
-    empty if it fits. `score` is that profile's score, and `confirmation` the text of
+def _doubt(result: MatchResult, confirmation: str, score: int) -> tuple[str, bool]:
+    """The reason, as a text for the user, why the best profile of `result` may not fit the slave,
+    and True if the text names this profile.
+
+    The text is empty if it fits. `score` is that profile's score, and `confirmation` the text of
     `_confirmation`.
     """
     best = result.matches[0]
     asked = _requests(best.explained + best.contradicted)
     ties = _ties(result)
     if best.is_other_model:
-        return "its model code is another's"
+        return "its model code is another's", False
     if best.contradicted and score <= FITS:
         example = f"for example {best.against[0]}"
-        return f"{best.profile} would answer {best.contradicted} of {asked} otherwise, {example}"
+        text = f"{best.profile} would answer {best.contradicted} of {asked} otherwise, {example}"
+        return text, True
     if len(ties) > 1 and not best.is_model:
-        return f"{asked} fit {len(ties)} profiles equally well"
+        return f"{asked} fit {len(ties)} profiles equally well", False
     if not confirmation:
-        return f"{asked} fit {best.profile}, but so would other devices: nothing shows its model"
+        text = f"{asked} fit {best.profile}, but so would other devices: nothing shows its model"
+        return text, True
     if best.explained < MIN_EXPLAINED or score <= FITS:
-        return _too_little(best.explained + best.contradicted)
-    return ""
+        return _too_little(best.explained + best.contradicted), False
+    return "", False
 
 
 def _too_little(requests: int) -> str:

@@ -82,6 +82,8 @@ class ProfileFit(msgspec.Struct, kw_only=True):
     """If no profile fits: the name of the profile that fits best, None if several fit equally
     well."""
     why: str = ""
+    why_names_nearest: bool = False
+    """True if `why` says the name of the profile that fits best."""
     evidence: list[str] = []
     against: list[str] = []
 

@@ -205,7 +205,7 @@ def _lines(row: SlaveRow, most: int) -> Iterator[str]:
 
 def _nearest(fit: ProfileFit) -> str:
     """Return which profile is the most alike, unless the reason why none fits names it."""
-    if fit.nearest is None or fit.nearest in fit.why:
+    if fit.nearest is None or fit.why_names_nearest:
         return ""
     return f"; the most alike is {fit.nearest}, score {fit.score} of 100"
 

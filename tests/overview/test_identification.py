@@ -60,6 +60,7 @@ def test_a_model_code_alone_names_nothing() -> None:
     code = on_tcp(0x42, response_raw=mbap_adu(0, 1, bytes.fromhex("42 0016")))
     fit = seen(code, on_tcp(3, 0x102), on_tcp(4, 2))
     assert (fit.profile, fit.why) == (None, "3 different requests tell too little")
+    assert not fit.why_names_nearest
 
 
 def test_a_model_code_that_the_answers_contradict_names_nothing() -> None:
@@ -67,6 +68,7 @@ def test_a_model_code_that_the_answers_contradict_names_nothing() -> None:
     fit = seen(code, *(on_tcp(3, 16 + at) for at in range(6)))
     assert fit.profile is None
     assert " would answer 6 of 7 different requests otherwise, for example 03 " in fit.why
+    assert fit.why_names_nearest
 
 
 def test_a_few_polls_that_many_devices_answer_fit_nothing() -> None:

@@ -101,6 +101,8 @@ def test_profiles_are_named_with_how_sure_that_is_or_none_fits() -> None:
             row(2, fit=ProfileFit(score=33, nearest="wago-750", why="3 contradict it")),
             row(3, device="pump"),
             row(4, device="pump", fit=ProfileFit(why="1 request tells too little")),
+            row(5, fit=ProfileFit(nearest="fa3-at1", why="fa3-at1m8x is another")),
+            row(6, fit=ProfileFit(nearest="pump", why="pump is not it", why_names_nearest=True)),
         ],
     )
     lines = printed(document)
@@ -111,9 +113,13 @@ def test_profiles_are_named_with_how_sure_that_is_or_none_fits() -> None:
         "      no profile fits: 3 contradict it; the most alike is wago-750, score 33 of 100"
         in lines
     )
-    assert lines[-5].split() == ["10.0.0.7", "3", "slave", "pump", "(named)"]
+    named = next(at for at, line in enumerate(lines) if "(named)" in line)
+    assert lines[named].split() == ["10.0.0.7", "3", "slave", "pump", "(named)"]
     alone = "from its traffic alone no profile is sure: 1 request tells too little"
-    assert lines[-1] == f"      {alone}"
+    assert f"      {alone}" in lines
+    other = "fa3-at1m8x is another; the most alike is fa3-at1, score 0 of 100"
+    assert f"      no profile fits: {other}" in lines
+    assert lines[-1] == "      no profile fits: pump is not it"
 
 
 def test_macs_stand_with_their_makers() -> None:
