@@ -124,6 +124,8 @@ def test_bars_have_all_durations_if_none_is_far_away() -> None:
     bars, beyond = of([*range(5_000_000, 9_000_000, 1000)]).bars()
     assert (bars[-1].high_ns >= 8_999_000, beyond) == (True, 0)
     assert of([]).bars() == ([], 0)
+    bars, beyond = of([5_000_000] * 200 + [3_000_000_000]).bars()
+    assert ([bar.number for bar in bars], beyond) == ([200], 1)
     ((low, high, number),), beyond = of([7_000_000, 7_000_000]).bars()
     assert (low <= 7_000_000 < high, number, beyond) == (True, 2, 0)
 

@@ -160,7 +160,7 @@ def _bars(links: Sequence[LinkReport]) -> list[dict[str, Any]]:
             (None, None, link.tally.latency)
         ]
         all_units += [(one.unit, one.function, one.tally.latency) for one in link.functions]
-        for unit, function, latency in all_units[:MAX_BARS]:
+        for unit, function, latency in all_units[: MAX_BARS - len(found)]:
             bars, beyond = latency.bars()
             found.append(
                 {
@@ -171,7 +171,7 @@ def _bars(links: Sequence[LinkReport]) -> list[dict[str, Any]]:
                     "beyond": beyond,
                 }
             )
-    return found[:MAX_BARS]
+    return found
 
 
 def _bins(contents: ReportContents) -> dict[str, Any]:

@@ -65,6 +65,8 @@ setTimeout(() => {
     details.open = true;
     setTimeout(() => {
       told.push(["table", details.querySelectorAll("tbody tr").length]);
+      const text = (what) => details.querySelector(what).textContent;
+      told.push(["paper", text("button"), text("p.printed")]);
       const pre = document.createElement("pre");
       pre.textContent = JSON.stringify(told);
       document.body.append(pre);
@@ -88,6 +90,7 @@ def test_links_searches_and_keys_lead_where_they_say(tmp_path: Path) -> None:
         ["here", "t7", "t7"],
         ["chart", "2023-11-14 22:13:20.000 UTC — unit 1: 8 ms, unit 2: 180 ms"],
         ["table", 12],
+        ["paper", "Show 61 more", "61 rows more on the screen."],
     ]
 
 
@@ -125,3 +128,16 @@ def test_a_capture_too_short_for_charts_says_all_in_tables(tmp_path: Path) -> No
     assert page.count("<canvas") == 0
     assert "All answers of all units took about 8.0 ms." in page
     assert "No request failed." in page
+
+
+def test_a_histogram_of_one_bar_tells_of_longer_answers(tmp_path: Path) -> None:
+    log = sick_line(tmp_path / "short.mcap", 1)
+    out = tmp_path / "r.html"
+    assert run(["report", str(log), "--end", "2023-11-14T22:13:20.1Z", "-o", str(out)]) == 0
+    text = out.read_text()
+    assert text.count('"beyond":0') >= 1
+    text = re.sub(r'"latency":\{"count":1,', '"latency":{"count":201,', text)
+    text = re.sub(r'"max_ms":[\d.]+', '"max_ms":3000', text)
+    out.write_text(text.replace('"beyond":0', '"beyond":1'))
+    page = shown(out, tmp_path / "profile")
+    assert "200 answers of all units took about 8.0 ms; 1 longer answer, up to 3000 ms." in page

@@ -106,7 +106,7 @@ function table(caption, allHeads, allRows, wanted = false, printed = PRINTED_ROW
     tools.remove();
   } } }, `Show ${count(hidden)} more`);
   const tools = el("div", { class: "tools" }, more);
-  const unprinted = rows.length - printed;
+  const unprinted = rows.length - Math.max(FEW_ROWS, printed);
   return el("div", {}, region, tools, unprinted > 0 ? el("p", { class: "soft printed" }, `${plural(unprinted, "row")} more on the screen.`) : null);
 }
 
@@ -308,7 +308,6 @@ function failures() {
   const make = (units, title) => {
     const series = FAILURES.map(([key, label, at]) => ({ key, label, color: at, column: added(units.map((one) => one[key])) }));
     const sums = series.map((one) => `${plural(total(one.column), one.label.replace(/s$/, ""))}`);
-    if (!hasTimeline) return null;
     if (!series.some((one) => total(one.column))) return soft(units.length === bins.units.length ? "No request failed." : `No request of ${title} failed.`);
     return chart({
       title: `Failures over time, ${title}`, note: BINNED, summary: `${sums.join(", ")}.`, sync: "time", dots: false,
@@ -371,8 +370,8 @@ function latency() {
 const barsOf = (link, unit, code) => data.bars.find((one) => one.link === link && one.unit === unit && one.function === code);
 function histogram(name, one, bars) {
   const steps = bars ? bars.steps.map(([from_ms, below_ms, n]) => ({ from_ms, below_ms, count: n })) : one.histogram;
-  const beyond = bars?.beyond ? `; ${plural(bars.beyond, "longer answer")}, up to ${digits(one.max_ms)} ms, not shown` : "";
-  if (steps.length < 2) return soft(`All answers of ${name} took about ${digits(one.p50_ms)} ms.`);
+  const longer = bars?.beyond ? `; ${plural(bars.beyond, "longer answer")}, up to ${digits(one.max_ms)} ms` : "", beyond = longer && `${longer}, not shown`;
+  if (steps.length < 2) return soft(`${longer ? count(one.count - bars.beyond) : "All"} answers of ${name} took about ${digits(one.p50_ms)} ms${longer}.`);
   const labels = steps.map((step) => `${number(step.from_ms)}–${number(step.below_ms)}`);
   return chart({
     title: `Latency of ${name}`, note: `number of answers by latency in ms${beyond}`, head: "ms", height: 200,
