@@ -54,6 +54,8 @@ def refused_polls(polls: Sequence[PollStatistics], tally: RequestTally) -> str:
 def codes_text(tally: RequestTally) -> str:
     """Return the exception code of most refusals in words, or the two most frequent codes."""
     total = sum(tally.exceptions.values())
+    if not total:
+        return "with unknown codes"  # Only a log that another program wrote lacks them.
     often = sorted(tally.exceptions, key=lambda one: -tally.exceptions[one])
     first, *others = (exception_text(code, tally.exception_names[code]) for code in often)
     if not others:

@@ -68,6 +68,13 @@ def test_the_polls_that_a_unit_refuses_are_named_only_if_all_are_known() -> None
     )
 
 
+def test_refusals_without_codes_are_told() -> None:
+    records = [asked(at, unit, Outcome.EXCEPTION) for unit in range(5) for at in range(4)]
+    assert judged(records).sentence == (
+        "All 5 units refuse all their requests (20), with unknown codes."
+    )
+
+
 def test_joining_refusals_compares_no_trouble_with_each_other_one(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
