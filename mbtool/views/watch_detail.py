@@ -100,12 +100,17 @@ def slave_detail(row: WatchedSlaveRow, width: int) -> list[Spans]:
     """Return the lines that show one slave in full, broken at `width` characters."""
     device = f" {row.device}" if row.device else ""
     lines: list[Spans] = [[(f"{row.link} unit {row.unit}{device}", "bold")]]
-    counts = (
-        f"asked {row.asked}, answered {row.answered}, exceptions {row.exceptions}, "
-        f"missing {row.missing}, malformed {row.malformed}, retries {row.retries}, "
-        f"findings {row.findings}"
-    )
-    lines += _wrapped(counts, width)
+    faulty = [
+        f"{word} {number}"
+        for word, number in (("refused", row.exceptions), ("malformed", row.malformed))
+        if number
+    ]
+    of_these = f" (of these {', '.join(faulty)})" if faulty else ""
+    counts = f"asked {row.asked}, answered {row.answered}{of_these}"
+    lines += _wrapped(f"{counts}, missing {row.missing}, retries {row.retries}", width)
+    if row.findings:
+        found = f"findings in single transactions {row.findings}; mbtool check FILE finds more"
+        lines += _wrapped(found, width)
     if row.median_ns:
         text = f"latency: median {in_ms(row.median_ns)} ms, most {in_ms(row.slowest_ns)} ms"
         lines.append([(text, "")])

@@ -104,8 +104,8 @@ def _named(row: PollRow, one: NamedTransaction, context: DrawContext) -> Spans:
             rest.append(point)
     spans: Spans = []
     for _, text, style in sorted(lit):
-        spans += [(text, style), (" ", "")]
-    return [*spans, ("; ".join(describe_points(rest)), "")]
+        spans += [(text, style), (", ", "")]
+    return [*spans, ("; ".join(describe_points(rest)), "")] if rest else spans[:-1]
 
 
 def _bits(row: PollRow, context: DrawContext) -> Spans:

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
         WatchedSlave,
     )
 
+_ANSWERS = (Outcome.OK, Outcome.EXCEPTION, Outcome.MALFORMED)
+"""Outcomes with a response, the same as in statistics."""
 _CONNECTION = (EventKind.OPENED, EventKind.CLOSED)
 
 
@@ -101,6 +103,7 @@ class WatchedSlaveRow(NamedTuple):
     device: str | None
     asked: int
     answered: int
+    """The number of responses; exceptions and malformed responses are among them."""
     exceptions: int
     missing: int
     damaged: int
@@ -279,7 +282,7 @@ def _slave_row(
         unit=slave.unit,
         device=slave.device,
         asked=tally.requests,
-        answered=tally.count(Outcome.OK),
+        answered=sum(map(tally.count, _ANSWERS)),
         exceptions=tally.count(Outcome.EXCEPTION),
         missing=tally.unanswered,
         damaged=tally.damaged,

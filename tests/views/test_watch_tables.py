@@ -113,7 +113,7 @@ def test_named_points_that_changed_come_first() -> None:
     )
     spans = poll_values(row, DrawContext(now_ns=START_NS + 100 * MS))
     assert spans[0] == ("CH2 value 3 V", "bold reverse")
-    assert text_of(spans).endswith("CH1 value: 1 V")
+    assert text_of(spans) == "CH2 value 3 V, CH1 value: 1 V"
 
 
 def test_an_age_is_lit_when_a_poll_is_overdue() -> None:
@@ -357,5 +357,14 @@ def test_no_line_of_a_detail_is_wider_than_the_screen() -> None:
 def test_the_detail_of_a_slave_has_its_counts() -> None:
     (row,) = slave_rows(board_of(read(0, 1), unanswered(5)))
     text = lines_of(slave_detail(row, 100))
-    assert "asked 2, answered 1, exceptions 0, missing 1" in text
+    assert "asked 2, answered 1, missing 1, retries 0" in text
     assert "no answer since 00:00:00.005 UTC" in text
+    assert "finding" not in text
+
+
+def test_an_exception_is_an_answer_and_findings_say_what_they_are_of() -> None:
+    refused = request(0, outcome=Outcome.EXCEPTION, exception=2, findings=["MB-101"])
+    (row,) = slave_rows(board_of(refused, request(9, outcome=Outcome.MALFORMED), read(20, 1)))
+    text = lines_of(slave_detail(row, 100))
+    assert "asked 3, answered 3 (of these refused 1, malformed 1), missing 0, retries 0" in text
+    assert "findings in single transactions 1; mbtool check FILE finds more" in text

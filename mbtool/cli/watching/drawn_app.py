@@ -238,12 +238,13 @@ class DrawnApp(App[int]):
     def _look_for_troubles(self, width: int) -> None:
         """Update the line on slaves in trouble, at most once a second.
 
-        The line fits `width` characters. The caller must hold the feed's lock.
+        It judges all records, also under a filter, which may let only failures pass. The line fits
+        `width` characters. The caller must hold the feed's lock.
         """
         began_s = time.perf_counter()
         if began_s < self._next_look_s:
             return
-        self._troubles = trouble_line(slave_rows(self.board), width - 2)
+        self._troubles = trouble_line(slave_rows(self.feed.watched.whole), width - 2)
         took_s = time.perf_counter() - began_s
         self._next_look_s = began_s + max(_LOOK_S, _LOOK_SHARE * took_s)
 

@@ -80,6 +80,20 @@ def test_slaves_in_trouble_and_whose_row_it_is_stand_in_each_view() -> None:
     run(test)
 
 
+def test_the_line_of_slaves_in_trouble_judges_all_records_under_a_filter() -> None:
+    feed = GivenFeed([*(read(at, 1) for at in range(6)), *(unanswered(at) for at in range(6, 9))])
+
+    async def test() -> None:
+        async with screen(feed) as seen:
+            seen.app.apply_filter('outcome != "ok"')
+            seen.app._next_look_s = 0
+            await seen.redraw()
+            assert "3 pass" in seen.lines[1]
+            assert seen.lines[2].startswith("! unit 1: 33 % unanswered")
+
+    run(test)
+
+
 def test_transactions_follow_the_newest_until_the_cursor_goes_up() -> None:
     async def test() -> None:
         feed = line()
