@@ -1,13 +1,14 @@
 """Keeps the records for live views on two boards: all records, and those that pass a filter."""
 
-# A filter that is set later is applied to the records that are still kept; from then on, records
-# are added to both boards as they come. So figures under a filter count from the oldest record that
-# was kept when the filter was set; `filtered_from` says which one.
+# A filter that is set later is applied to all records, if the caller still has them, else to those
+# that are kept here; from then on, records are added to both boards as they come. So figures under
+# a filter may lack the oldest transactions; `unfiltered` says how many.
 #
 # Memory: two boards (board.py), and MAX_MARKED marked records.
 
 from __future__ import annotations
 
+from itertools import islice
 from typing import TYPE_CHECKING
 
 from mbtool.core import WireEvent
@@ -15,7 +16,7 @@ from mbtool.watching.board import MAX_KEPT, Board
 from mbtool.watching.watched_rows import KeptRecord
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable, Iterator
 
     from mbtool.core import SerialFormat
     from mbtool.devices import NamedTransaction, Profile
@@ -44,6 +45,9 @@ class Watched:
         self.whole = self._board()
         self.filtered: Board | None = None
         """The board of the records that pass the filter; None without a filter."""
+        self.unfiltered = 0
+        """The number of oldest transactions that the filter has not seen, as they were no longer
+        kept."""
         self.marked: dict[int, KeptRecord] = {}
         """The records that the user marked, by their `order` (number among all records)."""
 
@@ -74,26 +78,29 @@ class Watched:
 
         The filter and the marks stay.
         """
-        self._order = self._numbers = 0
+        self._order = self._numbers = self.unfiltered = 0
         self.whole = self._board()
         if self.filtered is not None:
             self.filtered = self._board()
 
-    def set_filter(self, wanted: Wanted | None) -> None:
-        """Apply a filter to the kept records and to all later ones; None ends filtering."""
+    def set_filter(self, wanted: Wanted | None, past: Iterable[Record] | None = None) -> None:
+        """Apply a filter to the kept records and to all later ones; None ends filtering.
+
+        `past` begins with all records that were added so far; with it, the filter sees them all.
+        """
         self.wanted = wanted
         self.filtered = None
+        self.unfiltered = 0
         if wanted is None:
             return
         self.filtered = self._board()
-        for kept in self.whole.records:
+        records = self.whole.records if past is None else _numbered(islice(past, self._order))
+        for kept in records:
             self._add_filtered(self.filtered, kept)
+        if past is None:
+            numbers = (kept.number for kept in records if kept.number is not None)
+            self.unfiltered = next(numbers, self._numbers + 1) - 1
         self.filtered.advance(self._settled_ns)
-
-    @property
-    def filtered_from(self) -> int:
-        """The number of oldest records that are no longer kept; no new filter sees them."""
-        return self.whole.records[0].order - 1 if self.whole.records else 0
 
     def mark(self, kept: KeptRecord) -> bool:
         """Mark a record; if it is marked already, remove its mark.
@@ -119,3 +126,12 @@ class Watched:
             board.add(kept, listed=False)
         elif self.wanted is not None and self.wanted(kept.record):
             board.add(kept)
+
+
+def _numbered(records: Iterable[Record]) -> Iterator[KeptRecord]:
+    """Yield records, from the first one of the capture on, with their numbers."""
+    number = 0
+    for order, record in enumerate(records, 1):
+        is_event = isinstance(record, WireEvent)
+        number += not is_event
+        yield KeptRecord(order, None if is_event else number, record)

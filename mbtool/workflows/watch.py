@@ -34,9 +34,13 @@ if TYPE_CHECKING:
     from mbtool.workflows.sniff import Sniffer
 
     Note = Callable[[Record], str | None]
+    Wanted = Callable[[NamedTransaction], bool]
 
 BATCH = 64
 MAX_CACHED = 200_000
+MAX_REFILTERED = 50_000
+"""A new filter is applied to all records of the files, if they are at most this many: if all of
+them pass, that takes 2 s."""
 MAX_REMARKS = 100
 _SETTLE_NS = 200_000_000
 _PACE_S = 0.05
@@ -78,6 +82,17 @@ class WatchFeed(ABC):
         """The time (UTC ns) that the view shows: the present time, or the recorded time at the
         position in a file.
         """
+
+    def set_filter(self, wanted: Wanted | None) -> None:
+        """Apply a filter to the records so far, as far as they are still kept, and to later ones;
+        None ends filtering.
+        """
+        with self.lock:
+            self.watched.set_filter(wanted, self._past())
+
+    def _past(self) -> Sequence[Record] | None:
+        """Return a list that begins with all records so far; None if they are not kept."""
+        return None
 
     @abstractmethod
     def _run(self) -> None: ...
@@ -311,21 +326,22 @@ class FileFeed(WatchFeed):
             for record in self._open():
                 batch.append(record)
                 if len(batch) >= BATCH:
-                    self._add(batch)
                     self._note(batch)
+                    self._add(batch)
                     batch = []
                     if self._stopping.is_set():
                         return
         except MbtoolError as error:
             self.error = error  # The records before the error can be shown and played.
-        self._add(batch)
         self._note(batch)
+        self._add(batch)
         self._settle(None)
         self._clock = PlayClock(max(self.last_ns - self.first_ns, 0))
         self._clock.jump(self._clock.length_ns, now_ns())
         self._is_whole = self.is_read = True
 
     def _note(self, batch: list[Record]) -> None:
+        """Note the times of records, and the records, before they are added to the view."""
         for record in batch:
             at_ns = _time_of(record)
             self.first_ns = min(self.first_ns or at_ns, at_ns)
@@ -334,6 +350,10 @@ class FileFeed(WatchFeed):
             self._cache += batch
             if len(self._cache) > MAX_CACHED:
                 self._cache = None
+
+    def _past(self) -> Sequence[Record] | None:
+        cache = self._cache
+        return cache if cache is not None and len(cache) <= MAX_REFILTERED else None
 
     def _records(self) -> Iterator[Record]:
         return iter(self._cache) if self._cache is not None else self._open()

@@ -13,6 +13,8 @@ from tests.overview.requests import LINE, request
 if TYPE_CHECKING:
     import pytest
 
+    from mbtool.watching.watched_rows import Record
+
 EVENT = WireEvent(ts_ns=START_NS, link="line", kind=EventKind.SKIPPED, message="noise")
 
 
@@ -45,7 +47,30 @@ def test_a_filter_counts_from_the_oldest_record_that_is_kept() -> None:
         watched.add(request(at))
     watched.set_filter(lambda _: True)
     assert watched.filtered is not None
-    assert (watched.filtered.transactions, watched.filtered_from) == (2, 3)
+    assert (watched.filtered.transactions, watched.unfiltered) == (2, 3)
+    watched.add(request(5))
+    assert (watched.filtered.transactions, watched.unfiltered) == (3, 3)
+
+
+def test_a_filter_sees_all_records_where_they_are_given_again() -> None:
+    watched = Watched(kept=2)
+    past: list[Record] = [request(0), EVENT, *(request(at, unit=at) for at in range(1, 9))]
+    for record in past[:7]:
+        watched.add(record)
+    watched.set_filter(lambda one: one.unit == 1, past)
+    assert watched.filtered is not None
+    assert (watched.filtered.transactions, watched.filtered.events, watched.unfiltered) == (2, 1, 0)
+    assert [(kept.order, kept.number) for kept in watched.filtered.records] == [(1, 1), (3, 2)]
+
+
+def test_a_filter_that_finds_only_events_kept_has_seen_no_transaction() -> None:
+    watched = Watched(kept=1)
+    watched.set_filter(lambda _: True)
+    assert watched.unfiltered == 0
+    for record in (request(0), EVENT):
+        watched.add(record)
+    watched.set_filter(lambda _: True)
+    assert watched.unfiltered == 1
 
 
 def test_a_filter_that_comes_late_knows_the_periods() -> None:

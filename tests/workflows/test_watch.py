@@ -139,6 +139,23 @@ def test_a_long_file_is_read_again_for_a_jump(monkeypatch: pytest.MonkeyPatch) -
     assert file.opened == 2
 
 
+@pytest.mark.parametrize(("most", "passing"), [(12, 11), (11, 4)])
+def test_a_filter_is_applied_to_the_whole_file_unless_it_is_long(
+    most: int, passing: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(feeds, "MAX_REFILTERED", most)
+    feed = FileFeed(FileOfRecords(recorded()), Watched(kept=4))
+    feed.start()
+    until(lambda: feed.is_read)
+    feed.set_filter(lambda _: True)
+    assert feed.watched.filtered is not None
+    assert feed.watched.filtered.transactions == passing
+    feed.seek_to(0.5)
+    until(lambda: shown(feed) == 6)
+    assert feed.watched.filtered.transactions == 6
+    feed.stop()
+
+
 def test_a_file_that_ends_early_is_told_and_shown_as_far_as_it_goes() -> None:
     feed = FileFeed(FileOfRecords(recorded(), InputError("a.pcap: cut")), Watched())
     feed.start()

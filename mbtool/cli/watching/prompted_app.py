@@ -76,8 +76,7 @@ class PromptedApp(DrawnApp):
             return False
         self.tell("")
         if text.strip() != self.where or (wanted is None) != (self.feed.watched.filtered is None):
-            with self.feed.lock:
-                self.feed.watched.set_filter(wanted)
+            self.feed.set_filter(wanted)
             self.where = text.strip()
         self.filter_is_on = wanted is not None
         self._thaw()

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from mbtool.cli.watching.watch_views import WatchView
     from mbtool.views.watch_columns import Spans
+    from mbtool.watching.watched import Watched
     from mbtool.workflows.watch import WatchFeed
 
 _KEYS = (
@@ -68,8 +69,16 @@ def tabs_text(views: Sequence[WatchView], shown: int) -> Spans:
 def status_text(state: ScreenState, width: int) -> Spans:
     """Return the line above the table, cut to `width` characters.
 
-    It says what is watched, how many transactions and events were heard, and the filter.
+    It says what is watched, how many transactions and events were heard, and the filter. Under a
+    filter, where that has no room, the number of events is left out and the words are fewer.
     """
+    spans = _status_spans(state, is_short=False)
+    if state.where and sum(len(text) for text, _ in spans) > width:
+        spans = _status_spans(state, is_short=True)
+    return cut_spans([*spans, (f"  {printable(state.place)}", "")], width)
+
+
+def _status_spans(state: ScreenState, *, is_short: bool) -> Spans:
     board = state.feed.watched.whole
     spans: Spans = []
     if state.is_frozen:
@@ -79,21 +88,29 @@ def status_text(state: ScreenState, width: int) -> Spans:
         spans.append((f"rec {printable(PurePath(state.recording).name)}  ", "bold red"))
     if isinstance(state.feed, FileFeed):
         spans.append((f"{_position(state.feed)}  ", "bold"))
-    heard = (
-        f"{counted(board.transactions, 'transaction', ',')}, {counted(board.events, 'event', ',')}"
-    )
-    spans.append((heard, ""))
+    spans.append((counted(board.transactions, "transaction", ","), ""))
+    if not is_short:
+        spans.append((f", {counted(board.events, 'event', ',')}", ""))
     marked = len(state.feed.watched.marked)
     if marked:
         spans.append((f", {marked} marked", "green"))
     if state.where:
-        shown = state.feed.watched.filtered
-        if state.filter_is_on and shown is not None:
-            spans.append((f"  {shown.transactions:,} pass: {state.where}", "bold cyan"))
+        if state.filter_is_on and state.feed.watched.filtered is not None:
+            passing = _passing(state.feed.watched, is_short=is_short)
+            spans.append((f"  {passing}: {state.where}", "bold cyan"))
         else:
             spans.append((f"  filter off: {state.where}", "dim"))
-    spans.append((f"  {printable(state.place)}", ""))
-    return cut_spans(spans, width)
+    return spans
+
+
+def _passing(watched: Watched, *, is_short: bool) -> str:
+    """Return how many transactions pass the filter, and of how many if it has not seen all."""
+    passed = 0 if watched.filtered is None else watched.filtered.transactions
+    word = "passes" if passed == 1 else "pass"
+    if not watched.unfiltered:
+        return f"{passed:,} {word}"
+    seen = watched.whole.transactions - watched.unfiltered
+    return f"{passed:,} of {'' if is_short else 'the '}last {seen:,} {word}"
 
 
 def keys_line(width: int, *, is_of_files: bool) -> Spans:

@@ -7,6 +7,7 @@ from contextlib import asynccontextmanager
 from typing import TYPE_CHECKING, Any
 
 from mbtool.cli.watching.app import WatchApp
+from mbtool.watching.board import MAX_KEPT
 from mbtool.watching.watched import Watched
 from mbtool.workflows.watch import WatchFeed
 from tests.overview.masters import MS, START_NS
@@ -27,8 +28,8 @@ PATIENCE = 500
 class GivenFeed(WatchFeed):
     """Has no thread: a test gives the records, and the time."""
 
-    def __init__(self, records: Iterable[Record] = ()) -> None:
-        super().__init__(Watched())
+    def __init__(self, records: Iterable[Record] = (), *, kept: int = MAX_KEPT) -> None:
+        super().__init__(Watched(kept=kept))
         self.at_ns = START_NS + 1000 * MS
         self._add(records)
 

@@ -144,9 +144,24 @@ def test_a_filter_is_applied_as_one_types_and_kept_with_enter() -> None:
             await seen.type("unit == 2")
             await seen.until(lambda: len(seen.rows) == 1)
             await seen.press("enter")
-            assert "1 pass: unit == 2" in seen.lines[1]
+            assert "1 passes: unit == 2" in seen.lines[1]
             assert not seen.app.prompt.has_focus
             assert seen.app.settings.filters == ["unit == 2"]
+
+    run(test)
+
+
+def test_a_filter_that_comes_too_late_for_some_says_of_how_many_it_counts() -> None:
+    async def test() -> None:
+        feed = GivenFeed([read(at, 1, unit=at) for at in range(3)], kept=2)
+        async with screen(feed) as seen:
+            seen.app.apply_filter("unit == 2")
+            assert "3 transactions, 0 events  1 of the last 2 passes: unit == 2" in seen.lines[1]
+            feed.give(read(9, 1, unit=2))
+            seen.app.apply_filter("unit == 2 and latency_ms > 1 and address < 999")
+            feed.give(read(19, 1, unit=2))
+            await seen.redraw()
+            assert seen.lines[1].startswith("5 transactions  3 of last 3 pass: unit == 2 and ")
 
     run(test)
 

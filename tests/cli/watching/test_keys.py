@@ -117,7 +117,7 @@ async def test_what_is_typed_filters_and_finds(keys: KeyLog) -> None:
         for unit in (7, 8):
             await keys.press(seen, "slash", has(seen, "a filter, as of --where"))
             await seen.type(f"unit == {unit}")
-            await keys.press(seen, "enter", has(seen, f"1 pass: unit == {unit}"))
+            await keys.press(seen, "enter", has(seen, f"1 passes: unit == {unit}"))
             await keys.press(seen, "backslash", has(seen, f"filter off: unit == {unit}"))
             assert len(seen.rows) == UNITS
             seen.app.where = ""
