@@ -78,6 +78,11 @@ class WatchColumn:
         """True if the width depends on the widest cell."""
         return self.least_share > LEAST_REST if not self.width else self.least > 0
 
+    @property
+    def most(self) -> int:
+        """The number of characters in the widest cell from which on wider cells change nothing."""
+        return self.width or self.least_share
+
 
 @dataclass(frozen=True, slots=True)
 class FittedColumn:

@@ -88,3 +88,17 @@ def test_spans_are_cut_at_a_width() -> None:
 def test_all_cells_are_searched() -> None:
     row = {"unit": "1", "text": [("a", ""), ("b", "")], "ms": "2", "more": "3", "rare": "4"}
     assert row_text(row, COLUMNS, DrawContext()) == "1 ab 2 3 4"
+
+
+@pytest.mark.parametrize("columns", [POLL_COLUMNS, SLAVE_COLUMNS])
+def test_a_cell_wider_than_the_most_that_counts_changes_no_width(
+    columns: tuple[WatchColumn, ...],
+) -> None:
+    measured = [one for one in columns if one.is_measured]
+    assert measured
+    for width in range(40, 130, 10):
+        layouts = [
+            [(one.column.name, one.width) for one in fitted(columns, width, widest=widest)]
+            for widest in ({one.name: one.most + more for one in measured} for more in (0, 50))
+        ]
+        assert layouts[0] == layouts[1]

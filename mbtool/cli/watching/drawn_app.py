@@ -210,10 +210,12 @@ class DrawnApp(App[int]):
     def _measure(self, rows: Sequence[Any]) -> None:
         """Note the widest cells of the present view, in `rows`.
 
-        A column never becomes narrower, as the table would jump.
+        A column never becomes narrower, as the table would jump. One that is as wide as it can
+        become is not measured again.
         """
         widest = self._widest[self.view_at]
-        for name, width in widest_cells(rows, self.view.columns, self.context).items():
+        columns = [one for one in self.view.columns if widest.get(one.name, 0) < one.most]
+        for name, width in widest_cells(rows, columns, self.context).items():
             widest[name] = max(width, widest.get(name, 0))
 
     def _why_empty(self) -> str:
