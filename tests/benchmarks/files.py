@@ -116,8 +116,9 @@ def measure(
 
 def without_columns(folder: Path) -> dict[str, str]:
     """The environment of a process in which numpy and pyarrow cannot be imported."""
-    for module in ("numpy", "pyarrow"):
-        (folder / f"{module}.py").write_text(f"raise ModuleNotFoundError(name={module!r})\n")
+    # Python imports sitecustomize when it starts. A module that is None there cannot be found.
+    text = "import sys\nsys.modules.update(numpy=None, pyarrow=None)\n"
+    (folder / "sitecustomize.py").write_text(text, encoding="ascii")
     paths = [str(folder), *filter(None, [os.environ.get("PYTHONPATH")])]
     return {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
 

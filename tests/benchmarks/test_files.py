@@ -66,3 +66,5 @@ def test_plain_python_has_no_arrays(module: str, tmp_path: Path) -> None:
     run([sys.executable, "-c", "import rich"], without_columns(tmp_path))
     with pytest.raises(RuntimeError, match="exit code 1"):
         run([sys.executable, "-c", f"import {module}"], without_columns(tmp_path))
+    found = f"import importlib.util; assert importlib.util.find_spec({module!r}) is None"
+    run([sys.executable, "-c", found], without_columns(tmp_path))
