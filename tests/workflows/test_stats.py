@@ -163,20 +163,37 @@ def nearest_rank(ordered: list[int], percent: int) -> int:
 
 
 def periods_of(rows: list[Row]) -> dict[Any, list[int]]:
-    """The times between the requests of each poll; a repeated request is none of its own."""
+    """The times between the requests of each poll; a retry is none of its own.
+
+    A retry repeats a request without answer, but not about the usual period after the last poll or
+    after that request.
+    """
     periods: dict[Any, list[int]] = defaultdict(list)
     for asked in grouped([row for row in rows if "request_ns" in row], master_of).values():
         last: dict[Any, int] = {}
         before: Row | None = None
         for row in sorted(asked, key=lambda one: one["request_ns"]):
-            key = key_of_row(row)
+            key, at_ns = key_of_row(row), row["request_ns"]
             repeats = before is not None and before["outcome"] == "no-answer"
-            if not (repeats and before is not None and key_of_row(before) == key):
+            if repeats and before is not None and key_of_row(before) == key:
+                distances = [at_ns - last[key], at_ns - before["request_ns"]]
+                is_poll = any(is_usual(one, periods[key]) for one in distances)
+            else:
+                is_poll = True
+            if is_poll:
                 if key in last:
-                    periods[key].append(row["request_ns"] - last[key])
-                last[key] = row["request_ns"]
+                    periods[key].append(at_ns - last[key])
+                last[key] = at_ns
             before = row
     return periods
+
+
+def is_usual(distance_ns: int, periods: list[int]) -> bool:
+    """True if it differs from the median of at least five periods by a quarter at most."""
+    if len(periods) < 5:
+        return False
+    median = nearest_rank(sorted(periods), 50)
+    return abs(distance_ns - median) <= median / 4
 
 
 def grouped(rows: list[Row], key: Any) -> dict[Any, list[Row]]:
