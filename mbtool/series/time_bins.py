@@ -29,6 +29,11 @@ two items are the least and the greatest value noted in the span by note_value; 
 LEAST, GREATEST = -2, -1
 
 
+REQUESTS_IN_BIN = 5
+"""A bin of a chart is at least so many requests wide in the mean. Narrower ones would show single
+requests, as a comb; much wider ones would leave a capture of 100 requests only a few."""
+
+
 class TimeBins:
     """Sums for each row (such as a unit) and each span of time (bin)."""
 
@@ -90,6 +95,23 @@ class TimeBins:
         bins = self._rows.get(row, {})
         numbers = range(self._first, self._last + 1)
         return [bins[one][place] if one in bins else 0 for one in numbers]
+
+    def coarser(self, most: int) -> TimeBins:
+        """Return the same sums in at most `most` bins (at least 1), or this object if it has no
+        more.
+        """
+        made = TimeBins(len(self._empty) - 2, max(most, 1))
+        if self.count <= made._limit:
+            return self
+        made._step, made.width_ns = self._step, self.width_ns
+        made._first, made._last = self._first, self._last
+        made._rows = {
+            row: {number: one.copy() for number, one in bins.items()}
+            for row, bins in self._rows.items()
+        }
+        while made.count > made._limit and made._step + 1 < len(_WIDTHS_NS):
+            made._widen()
+        return made
 
     def _reach(self, number: int, at_ns: int) -> int:
         """Add bins up to the time `at_ns`, which is before the first bin or after the last.

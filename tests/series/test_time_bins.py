@@ -27,6 +27,20 @@ def test_no_count_is_lost_and_there_are_never_too_many_bins(times: list[int]) ->
     assert 1 <= bins.count <= MAX_BINS
 
 
+def test_fewer_bins_have_the_same_sums_and_bounds_at_multiples_of_their_width() -> None:
+    bins = TimeBins(1)
+    for place in range(40):
+        note_value(bins.bin("row", START + place * S // 10), place + 1)
+        bins.bin("row", START + place * S // 10)[0] += 1
+    fewer = bins.coarser(8)
+    assert (fewer.width_ns, fewer.begin_ns) == (S, START)
+    assert fewer.column("row", 0) == [10, 10, 10, 10]
+    assert fewer.column("row", GREATEST) == [10, 20, 30, 40]
+    assert bins.column("row", 0).count(1) == 40
+    assert bins.coarser(bins.count) is bins
+    assert bins.coarser(0).count == 1
+
+
 def test_times_before_the_first_one_have_bins_too() -> None:
     bins = TimeBins(1)
     for second in (50, 10, 30):
