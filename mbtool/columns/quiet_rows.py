@@ -9,7 +9,7 @@ object of each.
 
 from __future__ import annotations
 
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,7 +24,7 @@ from mbtool.devices import Namer
 from mbtool.devices.checking.connections import MAX_RECENT
 from mbtool.devices.checking.quiet_run import QuietConnection, QuietPoll, QuietRun
 from mbtool.modbus.functions import READ_BITS, READ_REGISTERS
-from mbtool.series.answered_reads import AnsweredReads
+from mbtool.series.answered_reads import AnsweredReads, SlowRead
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Iterator, Sequence
@@ -91,8 +91,9 @@ class _QuietBlock:
         self._ends = [*dict.fromkeys(ends)]
         self._connection = narrow(_numbers(ends)[rows.connection])
         link = _numbers([link for link, _, _ in ends])[rows.connection]
+        self._unit = link << 8 | rows.unit
         _, kind = np.unique(asked, return_inverse=True)
-        _, poll = np.unique(kind << 32 | link << 8 | rows.unit, return_inverse=True)
+        _, poll = np.unique(kind << 32 | self._unit, return_inverse=True)
         self._poll = narrow(poll)
 
     def transaction(self, index: int) -> NamedTransaction:
@@ -120,6 +121,24 @@ class _QuietBlock:
     def reads(self, begin: int, end: int) -> list[AnsweredReads]:
         groups = sorted(_alike(self._poll, begin, end), key=lambda places: int(places[0]))
         return [self._answered_reads(places) for places in groups]
+
+    def slow(self, begin: int, end: int, least_ns: int, most: int) -> Iterator[SlowRead]:
+        rows = self._rows
+        latency = rows.response_ns[begin:end] - rows.request_ns[begin:end]
+        places = np.flatnonzero(latency >= least_ns)
+        # Of equal latencies the first ones count as the longest.
+        order = places[np.lexsort((places, -latency[places]))]
+        groups = _alike(self._unit[begin:end][order], 0, len(order)) if len(order) else []
+        longest = [order[np.sort(group)[:most]] for group in groups]
+        for place in sorted(one for group in longest for one in group.tolist()):
+            index = begin + place
+            yield SlowRead(
+                place,
+                rows.connections[rows.connection[index]].link,
+                int(rows.unit[index]),
+                int(latency[place]),
+                partial(self.transaction, index),
+            )
 
     @cached_property
     def _kinds(self) -> KindsOfRows:
@@ -214,6 +233,12 @@ class BlockRows:
     def reads(self) -> list[AnsweredReads]:
         """The reads by poll, for charts over time. The polls are sorted by their first rows."""
         return self._block.reads(self._begin, self._end)
+
+    def slow(self, least_ns: int, most: int) -> Iterator[SlowRead]:
+        """Yield the reads that took `least_ns` or longer, in order: of each unit at most `most`,
+        the longest ones.
+        """
+        return self._block.slow(self._begin, self._end, least_ns, most)
 
 
 def _numbers(values: Sequence[Hashable]) -> Int64s:

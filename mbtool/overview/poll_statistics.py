@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from heapq import nsmallest
 from operator import sub
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -13,6 +14,10 @@ if TYPE_CHECKING:
 
     from mbtool.devices.named_transaction import NamedTransaction
 
+LONG_NS = 3_000_000_000
+"""The longest periods of a poll are kept with their begins if they are at least this long (ns)."""
+LONGEST = 5
+"""At most so many of them are kept."""
 _PERIOD_BUCKETS = 256
 _USUAL = 0.25
 """A request comes at the usual period of its poll if it differs from it by at most this share."""
@@ -72,6 +77,7 @@ class PollStatistics:
         "device",
         "function_name",
         "key",
+        "longest",
         "number",
         "period",
         "reference",
@@ -89,6 +95,8 @@ class PollStatistics:
         self.tally = RequestTally()
         self.period = Distribution(_PERIOD_BUCKETS)
         """The times (ns) from one request of the poll to the next; retries are no requests here."""
+        self.longest: tuple[tuple[int, int], ...] = ()
+        """The length (ns) and the begin (UTC ns) of the longest periods, the longest first."""
         self.repetitions = 0
         """The number of retries: requests that directly follow an equal request without a
         response, and do not come at the usual period of the poll."""
@@ -105,6 +113,7 @@ class PollStatistics:
         self._again_ns.clear()
         if self._last_ns is not None:
             self.period.add(at_ns - self._last_ns)
+            self._note_longest((at_ns - self._last_ns,), (self._last_ns,))
         self._last_ns = self._asked_ns = at_ns
 
     def begin_all(self, times_ns: Sequence[int]) -> None:
@@ -112,8 +121,19 @@ class PollStatistics:
         not empty.
         """
         self.begin(times_ns[0])
-        self.period.add_all(list(map(sub, times_ns[1:], times_ns)))
+        periods_ns = list(map(sub, times_ns[1:], times_ns))
+        self.period.add_all(periods_ns)
+        self._note_longest(periods_ns, times_ns)
         self._last_ns = self._asked_ns = times_ns[-1]
+
+    def _note_longest(self, periods_ns: Sequence[int], begins_ns: Sequence[int]) -> None:
+        """Keep those of the periods that are among the longest. Of equal ones the first is kept."""
+        full = len(self.longest) == LONGEST
+        if max(periods_ns, default=0) < (self.longest[-1][0] + 1 if full else LONG_NS):
+            return
+        some = [*self.longest, *zip(periods_ns, begins_ns, strict=False)]
+        longest = nsmallest(LONGEST, some, key=lambda one: (-one[0], one[1]))
+        self.longest = tuple(one for one in longest if one[0] >= LONG_NS)
 
     def begin_again(self, at_ns: int) -> RetryChange:
         """Note a request that directly follows an equal one without a response, at `at_ns` (UTC

@@ -8,7 +8,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
+
+    from mbtool.devices import NamedTransaction
 
 
 class ValueChanges(NamedTuple):
@@ -22,6 +24,18 @@ class ValueChanges(NamedTuple):
     at_ns: list[int]
     """The time (UTC ns) of the response that shows the change."""
     values: list[int]
+
+
+class SlowRead(NamedTuple):
+    """An answered read that took long."""
+
+    place: int
+    """Its index among the reads that were given together."""
+    link: str
+    unit: int
+    latency_ns: int
+    transaction: Callable[[], NamedTransaction]
+    """Makes the transaction."""
 
 
 class ReadValues(Protocol):

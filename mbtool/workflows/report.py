@@ -29,6 +29,8 @@ from mbtool.views.report.contents import (
     encoded,
     report_document,
 )
+from mbtool.views.report.late_answers import OF_UNIT
+from mbtool.views.report.odd_polling import LATE_NS
 from mbtool.views.report.page import page
 from mbtool.views.report.transaction_rows import TransactionRows
 from mbtool.workflows.check import CheckRun
@@ -162,7 +164,8 @@ class ReportRun:
         wanted = self._rows.first_of(len(rows))
         for named in rows.transactions(wanted):
             self._rows.add(named, ())
-        self._rows.pass_over(len(rows) - wanted)
+        others = rows.behind(wanted)
+        self._rows.pass_over(len(others), others.slow(LATE_NS, OF_UNIT))
 
     def _note_capture(self) -> None:
         if self.reading.captures != self._captures:

@@ -12,7 +12,7 @@ from mbtool.cli.main import run
 from mbtool.core import InputError
 from mbtool.workflows.report import ReportRun
 from mbtool.workflows.shared.reading import ReadingOptions
-from tests.golden.test_captures import CAPTURES
+from tests.golden.test_captures import CAPTURES, FOLDER
 from tests.views.report.pages import Page, demand_self_contained
 from tests.workflows.evidence import capture_file
 from tests.workflows.sick_line import sick_line
@@ -91,7 +91,7 @@ def test_the_findings_are_those_of_check(
     run(["check", str(sick), "--format", "json"])
     expected = json.loads(capsys.readouterr().out)["findings"]
     told = sick_page.document["findings"]
-    assert told["count"] == sum(one["count"] for one in expected)
+    assert told["broken"] == sum(one["count"] for one in expected)
     assert {one["code"] for one in told["rows"]} == {one["code"] for one in expected}
 
 
@@ -115,6 +115,14 @@ def test_values_changed_and_unchanged_are_told_apart(sick_page: Page) -> None:
     assert [row[1:3] + row[4:] for row in told["constant"]] == [
         [unit, "holding 0", "258"] for unit in (1, 2, 4)
     ]
+
+
+def test_notes_are_counted_apart_from_broken_rules() -> None:
+    told = report_of(FOLDER / "findings/MB-404.pcap", FOLDER / "findings/MB-103.pcap").document[
+        "findings"
+    ]
+    assert (told["broken"], told["notes"]) == (1, 1)
+    assert {one["code"] for one in told["rows"]} == {"MB-404", "MB-103"}
 
 
 def test_the_page_says_how_the_capture_was_made(sick_page: Page) -> None:

@@ -14,8 +14,8 @@ from mbtool.core import Direction
 from mbtool.devices.checking import checker
 from mbtool.modbus import encode_pdu, exception_pdu, mbap_adu
 from mbtool.series import history, values
-from mbtool.views.report import transaction_rows
-from mbtool.workflows import check
+from mbtool.views.report import late_answers, transaction_rows
+from mbtool.workflows import check, report
 from mbtool.workflows.report import ReportRun
 from mbtool.workflows.shared.reading import ReadingOptions
 from tests.benchmarks.file_workloads import clean, dirty, make_capture
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
 NEVER = 1 << 60
 START_NS = 1_700_000_000_000_000_000
+READ = encode_pdu(3, Direction.REQUEST, address=0, quantity=1)
 
 
 def page_of(path: Path, at_least: int, *, everything: bool = False) -> tuple[Any, list[str]]:
@@ -104,6 +105,41 @@ def test_the_page_of_mixed_polls_is_the_same_both_ways(seed: int, tmp_path: Path
     path.write_bytes(mixed_polls(seed))
     with patch.object(transaction_rows, "FIRST", 40 * seed):
         assert demand_equal(path, everything=seed == 3) > 100
+
+
+def steady_with_late_answers() -> bytes:
+    """Two masters poll a slave each; every 50th answer is late, some of them by the same time."""
+    packets = []
+    for host in (1, 2):
+        talk = Talk(ts_ns=START_NS)
+        talk.slave.host = f"10.0.0.{host}"
+        packets += talk.handshake()
+        for number in range(400):
+            talk.ts_ns = START_NS + (number + 1) * 1_000_000_000 + host * 1000
+            packets.append(talk.request(mbap_adu(number, host, READ)))
+            talk.ts_ns += number % 150 * 1_000_000 + 99_000_000 if number % 50 == 49 else 0
+            answer = encode_pdu(3, Direction.RESPONSE, values=(7,))
+            packets.append(talk.response(mbap_adu(number, host, answer)))
+    return pcap(sorted(packets, key=lambda one: one.ts_ns))
+
+
+def test_late_answers_are_rows_both_ways(tmp_path: Path) -> None:
+    path = tmp_path / "late.pcap"
+    path.write_bytes(steady_with_late_answers())
+    with (
+        patch.object(transaction_rows, "FIRST", 100),
+        patch.object(late_answers, "OF_UNIT", 3),
+        patch.object(report, "OF_UNIT", 3),
+    ):
+        assert demand_equal(path) > 100
+        told = page_of(path, 0)[0]["transactions"]
+    assert told["late"] == 6
+    late = [row[:1] + row[7:8] for row in told["rows"][100:]]
+    assert late == [
+        [number + host, latency_us]
+        for number, latency_us in ((199, 199_000), (299, 249_000), (599, 249_000))
+        for host in (0, 1)
+    ]
 
 
 @pytest.mark.parametrize(

@@ -19,12 +19,12 @@ import msgspec
 
 from mbtool.core import WireEvent
 from mbtool.devices import Difference
-from mbtool.devices.checking.rules import rule_of
+from mbtool.devices.checking.rules import Severity, rule_of
 from mbtool.overview.inventory_rows import InventoryDocument, Role, iso_time
 from mbtool.overview.statistics import Statistics
 from mbtool.overview.statistics_report import LinkReport
 from mbtool.series.history import History, LinkSum, UnitRow, UnitSum
-from mbtool.series.time_bins import GREATEST
+from mbtool.series.time_bins import GREATEST, REQUESTS_IN_BIN, TimeBins
 from mbtool.series.value_series import thinned
 from mbtool.series.values import Values
 from mbtool.views.differences import what_text
@@ -103,6 +103,7 @@ def report_document(contents: ReportContents) -> dict[str, Any]:
     Texts from the wire are not escaped here: the page shows them as text nodes only.
     """
     verdict = report_verdict(contents.links, contents.history, contents.findings)
+    bins = contents.history.bins.coarser(contents.statistics.transactions // REQUESTS_IN_BIN)
     return {
         "version": contents.version,
         "made": iso_time(contents.made_ns),
@@ -114,6 +115,7 @@ def report_document(contents: ReportContents) -> dict[str, Any]:
                     "text": one.text,
                     "who": one.who,
                     "search": one.search,
+                    "cases": [[at_ns // 1000, text] for at_ns, text in one.cases],
                     "rank": one.rank.name.lower(),
                     "is_rule": one.is_rule,
                     "told": place < verdict.told,
@@ -122,12 +124,12 @@ def report_document(contents: ReportContents) -> dict[str, Any]:
             ],
         },
         "stats": _statistics(contents),
-        "bins": _bins(contents),
+        "bins": _bins(contents, bins),
         "bars": _bars(contents.links),
-        "values": _values(contents.values, contents.history.bins.begin_ns),
+        "values": _values(contents.values, bins.begin_ns),
         "inventory": _inventory(contents.inventory),
         "findings": _findings(contents),
-        "transactions": contents.rows.document(),
+        "transactions": contents.rows.document(verdict.late_ns),
         "capture": _capture(contents),
         "against": None if contents.comparison is None else _comparison(contents.comparison),
     }
@@ -174,13 +176,12 @@ def _bars(links: Sequence[LinkReport]) -> list[dict[str, Any]]:
     return found
 
 
-def _bins(contents: ReportContents) -> dict[str, Any]:
+def _bins(contents: ReportContents, bins: TimeBins) -> dict[str, Any]:
     """Return counts over time: for each unit and link, lists with a number for each bin of time.
 
     `begin`, the beginning of the first bin, is in seconds since 1970; `width`, the width of each
     bin, is in seconds. `count` is the number of bins.
     """
-    bins = contents.history.bins
     timed = {link.name for link in contents.links if link.has_times}
     known = [row for row in bins.rows if isinstance(row, UnitRow) and row.link in timed]
     known.sort(key=lambda row: -sum(bins.column(row, UnitSum.TRANSACTIONS)))
@@ -189,16 +190,18 @@ def _bins(contents: ReportContents) -> dict[str, Any]:
         "width": bins.width_ns / 1e9,
         "count": bins.count,
         "units_left_out": max(len(known) - MAX_UNITS, 0),
-        "units": [_unit_columns(contents.history, row) for row in sorted(known[:MAX_UNITS])],
+        "units": [_unit_columns(bins, row) for row in sorted(known[:MAX_UNITS])],
         "links": [
-            _link_columns(contents, link) for link in contents.links[:MAX_UNITS] if link.has_times
+            _link_columns(contents, bins, link)
+            for link in contents.links[:MAX_UNITS]
+            if link.has_times
         ],
     }
 
 
-def _unit_columns(history: History, row: UnitRow) -> dict[str, Any]:
+def _unit_columns(bins: TimeBins, row: UnitRow) -> dict[str, Any]:
     def column(place: int) -> list[int]:
-        return history.bins.column(row, place)
+        return bins.column(row, place)
 
     sums, numbers = column(UnitSum.LATENCY_NS), column(UnitSum.LATENCIES)
     return {
@@ -225,8 +228,7 @@ def _in_ms(ns: float) -> float:
     return round(ns / 1e6, 3)
 
 
-def _link_columns(contents: ReportContents, link: LinkReport) -> dict[str, Any]:
-    bins = contents.history.bins
+def _link_columns(contents: ReportContents, bins: TimeBins, link: LinkReport) -> dict[str, Any]:
     settings = contents.statistics.links[link.name]
     sizes = bins.column(link.name, LinkSum.BYTES)
     load = None
@@ -329,9 +331,13 @@ def _inventory(document: InventoryDocument) -> dict[str, Any]:
 
 def _findings(contents: ReportContents) -> dict[str, Any]:
     rows = []
+    notes = 0
     for code, summary in contents.findings:
         rule = rule_of(code)
-        for place in summary.places():
+        places = summary.places()
+        if summary.severity is Severity.NOTE:
+            notes += sum(place.number for place in places) + summary.number_elsewhere
+        for place in places:
             rows.append(
                 {
                     "code": code,
@@ -345,7 +351,7 @@ def _findings(contents: ReportContents) -> dict[str, Any]:
                     "elsewhere": summary.number_elsewhere,
                 }
             )
-    return {"count": contents.number_of_findings, "rows": rows}
+    return {"broken": contents.number_of_findings - notes, "notes": notes, "rows": rows}
 
 
 def _case(finding: Finding) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from mbtool.core.wording import counted
+from mbtool.overview.poll_statistics import LONG_NS
 from mbtool.overview.request_tally import merged
 from mbtool.views.report.troubles import Rank, VerdictTrouble, link_word
 from mbtool.views.statistics_words import duration, in_ms
@@ -30,7 +31,8 @@ LATE_TIMES = 20
 """An answer is late if it takes at least LATE_NS (ns), and this many times the unit's median."""
 ENOUGH_ANSWERS = 50
 """Units with fewer answers than this have no late answers, as their usual latency is not known."""
-PAUSE_NS = 3_000_000_000
+_MS = 1_000_000
+PAUSE_NS = LONG_NS
 PAUSE_TIMES = 10
 """The polling paused if a poll with a regular period did not come for PAUSE_NS (ns) or longer, and
 for this many of its periods."""
@@ -52,7 +54,11 @@ def odd_polling(
     yield from _joined_of_links([list(_pauses(link)) for link in links])
     yield from _joined_of_links([list(_connections(link)) for link in links])
     yield from _joined(
-        [one for row, some in latencies.items() for one in _late_answers(row, names[row], some)],
+        [
+            one
+            for row, late_ns in late_limits(latencies).items()
+            for one in _late_answers(row, names[row], latencies[row], late_ns)
+        ],
         "unit",
     )
 
@@ -82,11 +88,26 @@ def _joined(troubles: list[VerdictTrouble], noun: str) -> list[VerdictTrouble]:
     ]
 
 
-def _late_answers(row: UnitRow, name: str, latency: Distribution) -> Iterator[VerdictTrouble]:
+def late_limits(latencies: Mapping[UnitRow, Distribution]) -> dict[UnitRow, int]:
+    """Return the latency (ns) from which an answer is late, for each unit that has late answers."""
+    limits = {row: _late_limit(some) for row, some in latencies.items()}
+    return {
+        row: late_ns
+        for row, late_ns in limits.items()
+        if latencies[row].count >= ENOUGH_ANSWERS and latencies[row].greatest >= late_ns
+    }
+
+
+def _late_limit(latency: Distribution) -> int:
+    """The limit is in whole ms (as ns), because the page searches for it."""
+    late_ns = max(LATE_NS, LATE_TIMES * latency.percentile(50))
+    return -(-late_ns // _MS) * _MS
+
+
+def _late_answers(
+    row: UnitRow, name: str, latency: Distribution, late_ns: int
+) -> Iterator[VerdictTrouble]:
     usual = latency.percentile(50)
-    late_ns = max(LATE_NS, LATE_TIMES * usual)
-    if latency.count < ENOUGH_ANSWERS or latency.greatest < late_ns:
-        return
     number = latency.number_from(late_ns)
     longest = duration(latency.greatest)
     after = f"after {longest}" if number == 1 else f"the longest after {longest}"
@@ -94,7 +115,8 @@ def _late_answers(row: UnitRow, name: str, latency: Distribution) -> Iterator[Ve
     text += f"(usually {in_ms(usual)} ms)"
     yield VerdictTrouble(
         rank=Rank.ODD, text=text, weight=number * latency.greatest / 1e9, who=name,
-        search=f"{link_word(row.link)}unit:{row.unit}", units=frozenset((row,)),
+        search=f"{link_word(row.link)}unit:{row.unit} ms>={late_ns // _MS}",
+        units=frozenset((row,)),
     )  # fmt: skip
 
 
@@ -121,6 +143,11 @@ def _pauses(link: LinkReport) -> Iterator[VerdictTrouble]:
         yield VerdictTrouble(
             rank=Rank.ODD, text=text, weight=number * poll.period.greatest / 1e9,
             who=master or link.name, search=link_word(link.name).strip(),
+            cases=tuple(
+                (begin_ns, f"for {duration(length_ns)}")
+                for length_ns, begin_ns in poll.longest
+                if length_ns >= pause_ns
+            ),
         )  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""Collects the rows of a report's table of transactions: the first ones, and those that failed."""
+"""Collects the rows of a report's table of transactions: the first, failed and late ones."""
 
 # A row is a list of integers, to keep the page small:
 #
@@ -9,7 +9,8 @@
 # occur often. New texts are cut shorter as the page grows (ROOM), so that it stays below 3 MB.
 #
 # Memory: the first FIRST rows, and of later ones at most MORE with a failure or a finding, at most
-# OF_KIND of each kind for one unit. With `everything` there is no limit.
+# OF_KIND of each kind for one unit; and the late answers that LateAnswers keeps. With `everything`
+# there is no limit.
 
 from __future__ import annotations
 
@@ -17,14 +18,17 @@ from collections import Counter
 from typing import TYPE_CHECKING, Any
 
 from mbtool.modbus import Outcome
+from mbtool.series.history import UnitRow
 from mbtool.views.cells import result_text, transaction_text
+from mbtool.views.report.late_answers import LateAnswers
 from mbtool.views.tables import printable
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Mapping
 
     from mbtool.devices import NamedTransaction
     from mbtool.devices.checking.finding import Finding
+    from mbtool.series.answered_reads import SlowRead
 
 FIRST = 5000
 MORE = 8000
@@ -49,6 +53,7 @@ class TransactionRows:
         self._size = 0
         self._kinds: Counter[tuple[str, int, str]] = Counter()
         self._more = 0
+        self._late = LateAnswers()
         self._by_time: dict[tuple[str, int | None, int], tuple[list[int], dict[str, None]]] = {}
         """Each kept row and the codes of its findings, by the transaction's link, unit and start
         in ns since 1970; `mark` looks up the row of a finding here."""
@@ -71,7 +76,12 @@ class TransactionRows:
         self.with_trouble += has_trouble
         if self._everything or self.transactions <= FIRST or self._is_wanted(one, codes):
             self.kept_with_trouble += has_trouble
-            self._keep(one, codes)
+            row = self._row(self.transactions, one, codes)
+            self.rows.append(row)
+            self._by_time[one.link, one.unit, one.start_ns] = row, codes
+        elif one.latency_ns is not None:
+            unit = UnitRow(one.link, one.unit)
+            self._late.offer(unit, one.latency_ns, self.transactions, lambda: one)
 
     def first_of(self, count: int) -> int:
         """Return the number of transactions, out of the next `count`, that need a row. None of the
@@ -79,8 +89,13 @@ class TransactionRows:
         """
         return count if self._everything else min(max(FIRST - self.transactions, 0), count)
 
-    def pass_over(self, count: int) -> None:
-        """Count transactions that need no row: none of them failed or has a finding."""
+    def pass_over(self, count: int, slow: Iterable[SlowRead]) -> None:
+        """Count transactions of which none failed or has a finding. `slow` has those that may be
+        late; the others need no row.
+        """
+        for one in slow:
+            number = self.transactions + 1 + one.place
+            self._late.offer(UnitRow(one.link, one.unit), one.latency_ns, number, one.transaction)
         self.transactions += count
 
     def mark(self, finding: Finding) -> None:
@@ -95,15 +110,21 @@ class TransactionRows:
         codes[finding.code] = None
         row[_CODES] = self._place(" ".join(codes))
 
-    def document(self) -> dict[str, Any]:
-        """Return rows, texts and counts as JSON data for the page."""
+    def document(self, late_ns: Mapping[UnitRow, int]) -> dict[str, Any]:
+        """Return rows, texts and counts as JSON data for the page.
+
+        `late_ns` has the latency (ns) from which an answer of a unit is late, for units that have
+        late answers. They become rows.
+        """
+        late = [self._row(number, one, one.findings) for number, one in self._late.late(late_ns)]
         return {
             "begin_us": 0 if self.begin_ns is None else self.begin_ns // 1000,
             "texts": self._texts,
-            "rows": self.rows,
+            "rows": sorted([*self.rows, *late], key=lambda row: row[0]),
             "transactions": self.transactions,
             "with_trouble": self.with_trouble,
             "kept_with_trouble": self.kept_with_trouble,
+            "late": len(late),
         }
 
     def _is_wanted(self, one: NamedTransaction, codes: dict[str, None]) -> bool:
@@ -116,14 +137,14 @@ class TransactionRows:
         self._more += 1
         return True
 
-    def _keep(self, one: NamedTransaction, codes: dict[str, None]) -> None:
+    def _row(self, number: int, one: NamedTransaction, codes: Iterable[str]) -> list[int]:
         if self.begin_ns is None:
             self.begin_ns = one.start_ns
         text, result = transaction_text(one), ""
         if _ARROW in text:
             text, _, result = text.partition(_ARROW)
-        row = [
-            self.transactions,
+        return [
+            number,
             (one.start_ns - self.begin_ns) // 1000,
             self._place(one.link),
             one.unit,
@@ -133,8 +154,6 @@ class TransactionRows:
             -1 if one.latency_ns is None else one.latency_ns // 1000,
             self._place(" ".join(codes)),
         ]
-        self.rows.append(row)
-        self._by_time[one.link, one.unit, one.start_ns] = row, codes
 
     def _place(self, text: str) -> int:
         """Return the index of a text in the list `texts`, to which a new text is appended.

@@ -43,6 +43,9 @@ class VerdictTrouble:
     """The name of the unit, link, host or rule that the trouble belongs to."""
     search: str = ""
     """The text that finds the trouble's transactions in the search field of the report's table."""
+    cases: tuple[tuple[int, str], ...] = ()
+    """The begin (UTC ns) of each of the worst cases, and a text about it such as `for 7.25 s`;
+    empty if `search` finds them."""
     units: frozenset[UnitRow] = frozenset()
     is_refusal: bool = False
     is_rule: bool = False

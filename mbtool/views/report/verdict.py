@@ -20,7 +20,7 @@ from mbtool.overview.slow_units import SLOW_NS, are_many, slow_units
 from mbtool.series.history import History, UnitRow, UnitSum
 from mbtool.views.cells import clock_time, day
 from mbtool.views.report.line_troubles import finding_troubles, line_troubles
-from mbtool.views.report.odd_polling import odd_polling
+from mbtool.views.report.odd_polling import late_limits, odd_polling
 from mbtool.views.report.refusals import codes_text, joined_refusals, refused_polls
 from mbtool.views.report.troubles import ENOUGH, FEW, Rank, VerdictTrouble, link_word, rank_of
 from mbtool.views.statistics_words import in_ms, percent
@@ -68,6 +68,8 @@ class ReportVerdict:
     troubles: list[VerdictTrouble] = field(default_factory=list)
     told: int = 0
     """The sentence names this many of the troubles, the first ones of the list."""
+    late_ns: dict[UnitRow, int] = field(default_factory=dict)
+    """The latency (ns) from which an answer is late, for the units that have late answers."""
 
     @property
     def level(self) -> str:
@@ -106,7 +108,8 @@ def report_verdict(
     troubles = _joined_slow(troubles, len(units))
     grave = sum(one.rank < Rank.RULE for one in troubles)
     told = min(grave or len(troubles), IN_SENTENCE)
-    return ReportVerdict(_sentence(troubles, units, total), troubles, told)
+    sentence = _sentence(troubles, units, total)
+    return ReportVerdict(sentence, troubles, told, late_limits(latencies))
 
 
 def _tallies(links: Sequence[LinkReport]) -> dict[UnitRow, RequestTally]:

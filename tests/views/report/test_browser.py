@@ -53,6 +53,10 @@ const use = (name, act) => { act(); told.push([name, rows().length, rows()[0]?.i
 setTimeout(() => {
   use("search", () => document.querySelector("#verdict button").click());
   use("finding", () => document.querySelector("#findings tbody button").click());
+  const field = document.querySelector("#transactions input");
+  const type = (text) => { field.value = text; field.dispatchEvent(new Event("input")); };
+  use("slow", () => type("unit:2 ms>=180"));
+  use("fast", () => type("ms<8.5 ms>0"));
   location.hash = "#t7";
   setTimeout(() => {
     use("link", () => {});
@@ -86,11 +90,13 @@ def test_links_searches_and_keys_lead_where_they_say(tmp_path: Path) -> None:
     assert told == [
         ["search", 40, "t3"],
         ["finding", 40, "t3"],
+        ["slow", 40, "t2"],
+        ["fast", 40, "t1"],
         ["link", 100, "t1"],
         ["here", "t7", "t7"],
-        ["chart", "2023-11-14 22:13:20.000 UTC — unit 1: 8 ms, unit 2: 180 ms"],
+        ["chart", "2023-11-14 22:13:20.000 UTC — unit 1: 8 ms, unit 2: 180 ms, unit 4: 9 ms"],
         ["table", 12],
-        ["paper", "Show 61 more", "61 rows more on the screen."],
+        ["paper", "Show 8 more", "8 rows more on the screen."],
     ]
 
 

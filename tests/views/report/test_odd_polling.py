@@ -63,6 +63,23 @@ def test_a_long_pause_of_polling_is_told_with_the_usual_period() -> None:
     assert "10.0.0.1 paused its polling of 10.0.0.9 2 times, for up to 9.25 s (" in told.sentence
 
 
+def test_the_longest_pauses_have_their_begins_and_lengths() -> None:
+    records = [asked(at / 4 + 4 * (at // 20) + (at > 139)) for at in range(200)]
+    (pauses,) = judged(records).troubles
+    assert "paused its polling 9 times" in pauses.text
+    begins = [139, 19, 39, 59, 79]
+    assert pauses.cases == tuple(
+        (records[at].start_ns, "for 5.25 s" if at == 139 else "for 4.25 s") for at in begins
+    )
+
+
+def test_the_search_of_late_answers_has_the_latency_from_which_they_are_late() -> None:
+    records = [asked(at, latency_ms=990 if at in (40, 90) else 7) for at in range(100)]
+    told = judged(records)
+    assert [one.search for one in told.troubles] == ["rs485 unit:1 ms>=140"]
+    assert list(told.late_ns.values()) == [140_000_000]
+
+
 def test_requests_without_a_period_do_not_pause() -> None:
     records = [asked(at * at / 3) for at in range(60)]
     assert judged(records).level == "well"

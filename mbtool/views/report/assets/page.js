@@ -13,6 +13,10 @@ const MANY_SAMPLES = 150;
 const VALUE_COLUMNS = 120;
 const OPEN_CYCLES = 6;
 const CHARTS_AT_ONCE = 12;
+const LONGEST = 5;
+const TICK_SPACE = 80;
+const FONT = "12px system-ui, sans-serif";
+const LANE_NAME = 140;
 const DASHES = [[], [6, 4], [2, 3]];
 
 /* ---- texts ---- */
@@ -116,11 +120,20 @@ const charts = [];
 const color = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 const palette = (at) => color(`--c${(at % 8) + 1}`);
 const utc = (s) => uPlot.tzDate(new Date(s * 1000), "Etc/UTC");
-const axisTimes = (u, splits, axis, space, step) => splits.map((s) => {
-  const text = iso(s * 1e6);
+const axisTimes = (u, splits) => splits.map((s) => {
+  const text = iso(s * 1e6), step = splits.length > 1 ? splits[1] - splits[0] : 1;
   return step >= 86400 ? text.slice(5, 10) : step >= 60 ? text.slice(11, 16)
     : step >= 1 ? text.slice(11, 19) : text.slice(14, 23);
 });
+/* Two ticks at least: where round times give fewer, they are at a tenth of the step. */
+const STEPS = [0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200, 21600, 43200, 86400];
+function timeSplits(u, axis, low, high) {
+  const least = ((high - low) * TICK_SPACE) / Math.max(u.bbox.width / devicePixelRatio, 1);
+  const step = STEPS.find((one) => one >= least) ?? Math.ceil(least / 86400) * 86400;
+  const from = (by) => Math.ceil(low / by - 1e-6) * by;
+  const begin = from(step) + step > high ? from(step / 10) : from(step);
+  return Array.from({ length: Math.floor((high - begin) / step + 1e-6) + 1 }, (_, at) => begin + at * step);
+}
 const atTime = (s) => `${moment(s * 1e6)} UTC`;
 const BINNED = `in bins of ${span(bins.width)}, UTC`;
 
@@ -143,13 +156,13 @@ function chart(spec) {
   function build(width) {
     if (mine.plot) mine.plot.destroy();
     const ink = color("--soft"), rule = { stroke: color("--grid"), width: 1 };
-    const axis = { stroke: ink, grid: rule, ticks: rule, font: "12px system-ui, sans-serif" };
+    const axis = { stroke: ink, grid: rule, ticks: rule, font: FONT };
     mine.plot = new uPlot({
       width: Math.max(width || plot.clientWidth, 200), height: spec.height || 200, tzDate: utc,
-      padding: [8, 28, 0, 0], legend: { show: false },
+      padding: [8, 34, 0, 0], legend: { show: false },
       cursor: { sync: spec.sync ? { key: spec.sync } : undefined, drag: { x: true, y: false }, points: { size: 6 } },
       scales: { x: { time: !spec.at, ...(spec.scaleX || {}) }, y: spec.scaleY || { range: (u, low, high) => [Math.min(0, low ?? 0), (high ?? 0) > 0 ? high * 1.08 : 1] } },
-      axes: [{ ...axis, space: 80, values: spec.at ? spec.axisX : axisTimes, ...(spec.axis0 || {}) }, { ...axis, size: 58, space: 20, ...(spec.axisY || {}) }],
+      axes: [{ ...axis, space: 80, values: spec.at ? spec.axisX : axisTimes, splits: spec.at ? undefined : timeSplits, ...(spec.axis0 || {}) }, { ...axis, size: 58, space: 20, ...(spec.axisY || {}) }],
       series: [{}, ...spec.series.map((one, place) => {
         const stroke = palette(one.color ?? place);
         return {
@@ -248,14 +261,19 @@ function verdict() {
   const facts = [
     ["transactions", count(stats.transactions)], ["links", count(stats.links.length)], ["units", count(units.size)],
     ["watched", watched ? span(watched) : "no times"], ["missing answers", count(all("no_answer"))],
-    ["exceptions", count(all("exception"))], ["retries", count(all("repetitions"))], ["broken rules", count(data.findings.count)],
+    ["exceptions", count(all("exception"))], ["retries", count(all("repetitions"))], ["broken rules", brokenText()],
   ];
   get("figures").append(...facts.map(([name, value]) => el("div", {}, el("dt", {}, name), el("dd", {}, value))));
   if (begins.length) get("what").append(` · from ${moment(Math.min(...begins)).slice(0, 19)} UTC`);
 }
 
+/* Notes are facts worth knowing; they break no rule. */
+function brokenText() {
+  const { broken, notes } = data.findings;
+  return !notes ? count(broken) : `${count(broken)} and ${plural(notes, "note")}`;
+}
 function findings() {
-  const { rows } = data.findings, counted = data.verdict.troubles.filter((one) => !one.is_rule).slice(0, 40);
+  const { rows, broken, notes } = data.findings, counted = data.verdict.troubles.filter((one) => !one.is_rule).slice(0, 40);
   const none = "No rule of Modbus, or of a device’s manual, is broken";
   if (!rows.length && !counted.length) { show("findings", soft(`${none}.`)); return; }
   const body = el("tbody", { role: "rowgroup" }), heads = ["code", "severity", ">times", "~where", "+what"];
@@ -275,7 +293,7 @@ function findings() {
   for (const one of counted.reverse()) {
     const find = one.search ? el("button", { type: "button", class: "link", "aria-label": `counts: the transactions of ${one.who}`, on: { click: () => search(one.search) } }, "counts") : "counts";
     const is = ["odd", "minor"].includes(one.rank) ? "note" : one.rank === "slow" ? "warning" : "error";
-    lines.unshift([`counts ${is} ${one.who} ${one.text}`.toLowerCase(), tableRow(heads, [find, el("span", { class: `tag ${is}` }, is), "", one.who, one.text], true)]);
+    lines.unshift([`counts ${is} ${one.who} ${one.text}`.toLowerCase(), tableRow(heads, [find, el("span", { class: `tag ${is}` }, is), "", one.who, el("div", {}, el("div", {}, one.text), casesOf(one))], true)]);
   }
   const told = el("span", { class: "soft", role: "status" });
   const fill = () => {
@@ -285,10 +303,25 @@ function findings() {
     told.textContent = words.length ? `${count(found.length)} of ${count(lines.length)}` : "";
   };
   const field = el("input", { type: "search", on: { input: fill } });
-  show("findings", soft(`${rows.length ? `Rules were broken ${plural(data.findings.count, "time")}. A time leads to the transaction, a code to all of them` : none}. ${counted.length ? "“counts” marks what missing answers, refusals, times and connections show when they are counted." : ""}`),
+  const total = `${broken ? `Rules were broken ${plural(broken, "time")}` : none}${notes ? `; ${plural(notes, "note")}` : ""}.`;
+  show("findings", el("p", { class: "soft" }, total, rows.length ? el("span", { class: "screen" }, " A time leads to the transaction, a code to all of them.") : null,
+    counted.length ? " “counts” marks what missing answers, refusals, times and connections show when they are counted." : null),
     el("div", { class: "tools" }, el("label", {}, "Search findings", field), told),
     frame("Findings", heads, body, true));
   fill();
+}
+
+/* When what the counts show happened: as the document says, else the first and the last of its
+   transactions, or its longest ones. Of more failures than the table holds, the last is not known. */
+function casesOf(one) {
+  const line = (at, text) => el("div", { class: "soft" }, at, ` ${text}`);
+  if (one.cases.length) return one.cases.map(([us, text]) => line(exactly(us), text));
+  const words = one.search.split(" ").filter((word) => word && !word.startsWith("unit:") && !stats.links.some((link) => link.link === word));
+  if (one.rank !== "dead" && !words.length) return null;
+  const all = matching(one.search), of = (at, text) => line(linkTo(at, moment(usOf(rows[at]))), text);
+  if (words.some((word) => word.startsWith("ms"))) return all.sort((a, b) => rows[b][LATENCY] - rows[a][LATENCY]).slice(0, LONGEST).map((at) => of(at, `after ${digits(rows[at][LATENCY] / 1000)} ms`));
+  const isAll = data.transactions.kept_with_trouble === data.transactions.with_trouble;
+  return all.length > 1 ? [of(all[0], "the first"), isAll ? of(all[all.length - 1], "the last") : null] : all.map((at) => of(at, ""));
 }
 
 function against() {
@@ -520,14 +553,15 @@ function valueChart(one, where, title, [x, y]) {
   const texts = new Map(one.texts);
   const words = one.kind === "state";
   const known = [...new Set(y)].sort((a, b) => a - b);
-  const shortened = (text) => (text.length > 17 ? `${text.slice(0, 16)}…` : text);
-  const y0 = words ? { splits: () => known, values: (u, splits) => splits.map((v) => shortened(clean(texts.get(v) ?? number(v)))), size: 140 } : {};
+  const named = new Map(known.map((v) => [v, laneName(clean(texts.get(v) ?? number(v)))]));
+  const wrapped = words && [...named.values()].some((name) => name.includes("\n"));
+  const y0 = words ? { splits: () => known, values: (u, splits) => splits.map((v) => named.get(v)), size: laneRoom([...named.values()]) } : {};
   if (!words && x.length > MANY_SAMPLES) return bandOfValues(one, where, title, [x, y]);
   return chart({
     title, note: `${where}${one.measure ? `, ${one.measure}` : ""}, ${plural(one.changes, "change")}`, sync: "time", height: 150, measure: words ? "" : one.measure,
     summary: y.length ? `From ${number(Math.min(...y))} to ${number(Math.max(...y))}.` : "", data: [x, y], axisY: y0,
     scaleX: { range: (u, low, high) => [bins.begin, bins.begin + bins.count * bins.width].map((edge, at) => (u.zoomed ? [low, high][at] : edge)) },
-    scaleY: { range: (u, low, high) => { const room = (high - low) * 0.08 || Math.abs(high) * 0.05 || 1; return [low - room, high + room]; } },
+    scaleY: { range: (u, low, high) => { const room = (high - low) * 0.08 || Math.abs(high) * 0.05 || 1; return [low - (wrapped ? 3 * room : room), high + room]; } },
     series: [{ label: one.name, paths: stepped, text: (v) => texts.get(v) ?? number(v) }],
   });
 }
@@ -549,16 +583,30 @@ function bandOfValues(one, where, title, [x, y]) {
     series: [{ label: "least", paths: stepped, color: 0, width: 1 }, { label: "greatest", paths: stepped, color: 0, width: 1 }],
   });
 }
+const measuring = document.createElement("canvas").getContext("2d");
+function textWidth(text) {
+  measuring.font = FONT;
+  return measuring.measureText(text).width;
+}
+/* A name beside its lane: too long for a line, it has two, and ends with dots if that is too short. */
+function laneName(text) {
+  if (textWidth(text) <= LANE_NAME) return text;
+  const fit = (part) => { let end = part.length; while (end > 1 && textWidth(part.slice(0, end)) > LANE_NAME) end--; return end; };
+  const end = fit(text), space = text.lastIndexOf(" ", end), cut = space > end / 2 ? space : end;
+  const rest = text.slice(cut).trim(), last = fit(rest);
+  return `${text.slice(0, cut)}\n${last < rest.length ? `${rest.slice(0, last - 2)}…` : rest}`;
+}
+const laneRoom = (names) => Math.ceil(Math.max(...names.flatMap((name) => name.split("\n")).map(textWidth))) + 24;
 function bandChart(group, where, lines, title) {
   const lane = (at) => group.length - 1 - at;
   const joined = uPlot.join(group.map((one, at) => { const [x, y] = lines(one); return [x, y.map((v) => lane(at) + (v ? 0.8 : 0.02))]; }));
-  const shortened = (text) => (text.length > 18 ? `${text.slice(0, 17)}…` : text);
+  const names = group.map((one) => laneName(clean(one.name)));
   const spelled = (one, at) => (v) => { const bit = v > lane(at) + 0.5 ? 1 : 0; return new Map(one.texts).get(bit) ?? String(bit); };
   return chart({
-    title: `Bits of ${where}`, note: "a bar where the bit is 1", sync: "time", height: 60 + 26 * group.length, legend: false, dots: false,
+    title: `Bits of ${where}`, note: "a bar where the bit is 1", sync: "time", height: 60 + 30 * group.length, legend: false, dots: false,
     summary: group.map((one) => `${title(one)}: ${plural(one.changes, "change")}`).join(", "), data: joined,
     scaleY: { range: () => [-0.1, group.length] },
-    axisY: { size: 150, splits: () => group.map((_, at) => lane(at) + 0.4), values: () => group.map((one) => shortened(clean(one.name))) },
+    axisY: { size: laneRoom(names), splits: () => names.map((name, at) => lane(at) + (name.includes("\n") ? 0.65 : 0.4)), values: () => names },
     series: group.map((one, at) => ({ label: one.name, color: at % 8, paths: stepped, fill: "88", fillTo: () => lane(at), text: spelled(one, at) })),
   });
 }
@@ -592,11 +640,19 @@ const told = el("span", { class: "soft", role: "status" });
 const field = el("input", { type: "search", on: { input: () => { filter(); first = 0; draw(); } } });
 const turn = (by) => el("button", { type: "button", on: { click: () => { first = Math.min(Math.max(first + by * PAGE_ROWS, 0), Math.max(found.length - 1, 0)); draw(); } } }, by < 0 ? "Earlier" : "Later");
 const earlier = turn(-1), later = turn(1);
-function filter() {
-  const words = field.value.toLowerCase().split(/\s+/).filter(Boolean).map((word) => (/^(unit:|#)/.test(word) ? ` ${word} ` : word));
-  found = [];
-  for (let at = 0; at < rows.length; at++) if (words.every((word) => haystack(at).includes(word))) found.push(at);
+/* One word of a search as a test of a row: ms>400 compares the latency, unit:5 and #12 are exact. */
+function testOf(word) {
+  const [, sign, ms] = /^ms([<>]=?)(\d+\.?\d*)$/.exec(word) || [];
+  if (!sign) { const part = /^(unit:|#)/.test(word) ? ` ${word} ` : word; return (at) => haystack(at).includes(part); }
+  const limit = Number(ms) * 1000;
+  return (at) => { const us = rows[at][LATENCY]; return us >= 0 && ((us === limit && sign.length > 1) || (sign[0] === ">" ? us > limit : us < limit)); };
 }
+function matching(text) {
+  const tests = text.toLowerCase().split(/\s+/).filter(Boolean).map(testOf), some = [];
+  for (let at = 0; at < rows.length; at++) if (tests.every((test) => test(at))) some.push(at);
+  return some;
+}
+const filter = () => { found = matching(field.value); };
 function draw() {
   const page = found.slice(first, first + PAGE_ROWS);
   const outcomeClass = (outcome) => (outcome === "ok" || outcome === "broadcast" ? "nowrap" : "nowrap bad-text");
@@ -641,8 +697,13 @@ function nearest(us, code) {
 }
 function jump(us, code) {
   if (!rows.length) return el("span", {}, moment(us));
-  const at = nearest(us, code);
-  return el("a", { href: `#t${Number(rows[at][NUMBER])}` }, moment(us));
+  return linkTo(nearest(us, code), moment(us));
+}
+const linkTo = (at, text) => el("a", { href: `#t${Number(rows[at][NUMBER])}` }, text);
+/* A time, as a link if the table has the transaction that began then. */
+function exactly(us) {
+  const at = rows.findIndex((row) => Math.abs(usOf(row) - us) <= 2);
+  return at < 0 ? el("span", {}, moment(us)) : linkTo(at, moment(us));
 }
 function byHash() {
   const match = /^#t(\d+)$/.exec(location.hash);
@@ -655,9 +716,9 @@ function transactions() {
   const all = data.transactions, out = all.transactions - rows.length;
   const lost = all.with_trouble - all.kept_with_trouble;
   show("transactions",
-    soft(out ? `${count(rows.length)} of ${count(all.transactions)} transactions: the first ones, and ${lost ? `${count(all.kept_with_trouble)} of the ${count(all.with_trouble)}` : "all"} that failed or have a finding. ${count(out)} are left out; mbtool report --all puts them all into the page.` : `All ${plural(all.transactions, "transaction")}.`),
+    soft(out ? `${count(rows.length)} of ${count(all.transactions)} transactions: the first ones${all.late ? ", late answers" : ""} and ${lost ? `${count(all.kept_with_trouble)} of the ${count(all.with_trouble)}` : "all"} that failed or have a finding. ${count(out)} are left out; mbtool report --all puts them all into the page.` : `All ${plural(all.transactions, "transaction")}.`),
     el("div", { class: "tools" }, el("label", {}, "Search transactions", field), earlier, later, told),
-    el("p", { class: "soft screen" }, "Words must all occur; unit:5 and #12 are exact. Also: no-answer, exception, a code such as MB-401, a time."),
+    el("p", { class: "soft screen" }, "Words must all occur; unit:5 and #12 are exact. Also: no-answer, exception, a code such as MB-401, a time, ms>400."),
     frame("Transactions", HEADS, body, true),
     el("p", { class: "soft printed" }, "On paper at most 40 rows of those on the screen."));
   draw();
