@@ -68,7 +68,30 @@ def cycle_lines(links: Sequence[LinkReport], width: int | None, top: int) -> lis
     for one in long[:shown]:
         title = "  in this order" if len(found) == 1 else f"  in order: {_name(one, links)}"
         lines += [*_step_lines(one[2], title, width, top), *_repeated_line(one[2], width)]
+    lines += _part_line(found)
     return [*lines, *_untold_lists(len(long), shown), *_between_lines(links, width, top)]
+
+
+def _part_line(found: Sequence[Found]) -> list[StyledLine]:
+    """Return a line that says of which requests the cycles are; no line if they are of all."""
+    masters = {(link.name, master.master): (link, master) for link, master, _ in found}
+    parts = [
+        (master.requests, asked)
+        for link, master in masters.values()
+        if (asked := _asked(link, master.master)) > master.requests
+    ]
+    if not parts:
+        return []
+    looked_at, asked = parts[0]
+    of = f" of {asked:,}" if len(parts) == 1 else ""
+    each = " of each master" if len(masters) > 1 else ""
+    return [StyledLine(f"  of the last {looked_at:,}{of} requests{each}")]
+
+
+def _asked(link: LinkReport, master: str) -> int:
+    """Return the number of requests that a master sent on a link, in the polls that are known."""
+    polls = (one.poll for one in link.polls)
+    return sum(poll.tally.requests for poll in polls if poll.key.master == master)
 
 
 def _untold_lists(number: int, shown: int) -> list[StyledLine]:

@@ -120,8 +120,14 @@ def _bits(row: PollRow, context: DrawContext) -> Spans:
 
 def _poll_age(row: PollRow, context: DrawContext) -> Spans:
     since_ns = context.now_ns - row.last_ns
-    overdue = row.period_ns and since_ns > OVERDUE * row.period_ns and not context.is_over
-    return [(f"{age(since_ns):>4}", "bold yellow" if overdue else "")]
+    is_late = row.has_regular_period and since_ns > OVERDUE * row.period_ns
+    return [(f"{age(since_ns):>4}", "bold yellow" if is_late and not context.is_over else "")]
+
+
+def _poll_period(row: PollRow, _: DrawContext) -> str:
+    if row.period_ns and not row.has_regular_period:
+        return "varies"
+    return period(row.period_ns)
 
 
 def _errors(row: PollRow, _: DrawContext) -> Spans:
@@ -164,8 +170,8 @@ POLL_COLUMNS = (
         sort=lambda row: -row.last_ns,
     ),
     WatchColumn(
-        name="every", title="every", width=5, is_right=True,
-        cell=lambda row, _: period(row.period_ns), sort=lambda row: row.period_ns,
+        name="every", title="every", width=6, is_right=True,
+        cell=_poll_period, sort=lambda row: (not row.has_regular_period, row.period_ns),
     ),
     WatchColumn(
         name="count", title="count", width=5, is_right=True,

@@ -129,6 +129,9 @@ class Board:
         that order. The caller says that no earlier request will come; None counts all that wait.
         """
         self.statistics.settle(before_ns)
+        if before_ns is None:
+            for poll in self.polls.values():
+                poll.forget_period()
 
     def _note_slave(self, one: NamedTransaction, *, is_damaged: bool) -> None:
         key = one.link, one.unit

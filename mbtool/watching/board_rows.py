@@ -49,6 +49,8 @@ class PollRow(NamedTuple):
     last_ns: int
     period_ns: int
     """The median time between two requests; 0 if it is not known."""
+    has_regular_period: bool
+    """False if the times between two requests differ so widely that the median tells nothing."""
     slowest_ns: int
     values: Sequence[int]
     changed_ns: Sequence[int]
@@ -226,6 +228,7 @@ def _poll_row(number: int, poll: WatchedPoll) -> PollRow:
         retries=tally.retries,
         last_ns=poll.last_ns,
         period_ns=poll.period_ns,
+        has_regular_period=poll.has_regular_period,
         slowest_ns=tally.latency.greatest,
         values=poll.values or (),
         changed_ns=tuple(poll.changed_ns),

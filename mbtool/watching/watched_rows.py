@@ -59,6 +59,8 @@ class WatchedPoll:
     """The last latencies in ns; None for a request without response."""
     period_ns: int = 0
     """The median time between two requests, in ns; 0 if only one was sent."""
+    has_regular_period: bool = False
+    """False if the times between two requests differ widely, by the rule of the statistics."""
     _period_at: int = 0
 
     def refresh_period(self) -> None:
@@ -70,6 +72,11 @@ class WatchedPoll:
         if count > self._period_at + self._period_at // 8:
             self._period_at = count
             self.period_ns = self.statistics.period.percentile(50)
+            self.has_regular_period = self.statistics.has_regular_period
+
+    def forget_period(self) -> None:
+        """Let the next `refresh_period` compute the period in any case."""
+        self._period_at = 0
 
 
 @dataclass(slots=True)

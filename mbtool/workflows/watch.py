@@ -197,6 +197,9 @@ class FileFeed(WatchFeed):
         self._woken = threading.Event()
         self._steps = 0
         self._is_whole = False
+        self._shown = (-1, False)
+        """The position (ns) up to which records were added to the view, and True if there are no
+        later ones."""
         self.first_ns = self.last_ns = 0
         """The times (UTC ns) of the earliest and the latest record; final when `is_read` is
         True."""
@@ -212,6 +215,15 @@ class FileFeed(WatchFeed):
     def position_ns(self) -> int:
         """The position of the playback: the recorded time since the first record, in ns."""
         return min(max(self._clock.position(now_ns()), 0), self._clock.length_ns)
+
+    @property
+    def is_behind(self) -> bool:
+        """True while records up to the position are still being added, after a jump."""
+        if self._is_whole or self._clock.is_running:
+            return False
+        shown_ns, is_all = self._shown
+        position_ns = self.position_ns
+        return position_ns < shown_ns or (position_ns > shown_ns and not is_all)
 
     @property
     def is_playing(self) -> bool:
@@ -282,10 +294,12 @@ class FileFeed(WatchFeed):
             if shown_ns is None or target_ns < shown_ns:
                 with self.lock:
                     self.watched.restart()
+                self._shown = (-1, False)
                 records = self._records()
                 waiting = next(records, None)
             target_ns, waiting = self._show_until(records, waiting, target_ns)
             shown_ns = target_ns
+            self._shown = (target_ns, waiting is None)
             if waiting is None and self._clock.is_running:
                 self._clock.pause(now_ns())
 

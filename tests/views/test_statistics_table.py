@@ -7,6 +7,7 @@ import pytest
 
 from mbtool.core import CONNECTION_OPENED, EventKind, WireEvent
 from mbtool.modbus import Outcome, Transport
+from mbtool.overview import master_tape
 from mbtool.overview.statistics import Statistics
 from mbtool.overview.statistics_report import LinkReport, report
 from mbtool.views.statistics_document import statistics_document
@@ -82,6 +83,15 @@ def test_lists_whose_polls_have_no_room_are_counted(plant: list[LinkReport]) -> 
     told = [line.text for line in statistics_lines(plant, width=120, top=5)]
     assert "  ... the polls of 1 more list; --top 10 shows them" in told
     assert not any("more list" in line.text for line in statistics_lines(plant, width=120, top=10))
+
+
+def test_cycles_of_the_last_requests_say_of_how_many(monkeypatch: pytest.MonkeyPatch) -> None:
+    records = [request(100 * at, at % 2) for at in range(40)]
+    assert not any("of the last" in line for line in lines_of(*records))
+    monkeypatch.setattr(master_tape, "MAX_ASKED", 30)
+    assert "  of the last 30 of 40 requests" in lines_of(*records)
+    others = [request(100 * at, at % 2, link="other") for at in range(40)]
+    assert "  of the last 30 requests of each master" in lines_of(*records, *others)
 
 
 def test_a_pipe_has_all_sections(plant: list[LinkReport]) -> None:

@@ -128,6 +128,17 @@ def test_an_age_is_lit_when_a_poll_is_overdue() -> None:
     assert age.cell(row, late) == [("0.6s", "")]
 
 
+def test_a_poll_in_bursts_has_no_period_and_is_never_overdue() -> None:
+    times = [burst * 60_000 + at for burst in range(5) for at in range(0, 1000, 100)]
+    board = board_of(*(read(at, 1, transport=Transport.TCP) for at in times))
+    board.advance(None)
+    (row,) = poll_rows(board)
+    context = DrawContext(now_ns=START_NS + 300_000 * MS)
+    assert cell(POLL_COLUMNS, "every", row, context) == "varies"
+    (age,) = (one for one in POLL_COLUMNS if one.name == "age")
+    assert age.cell(row, context) == [(" 59s", "")]
+
+
 def test_every_cell_of_every_view_can_be_made_and_sorted() -> None:
     board = board_of(
         read(0, 1, 2),

@@ -74,6 +74,15 @@ def test_the_period_is_known_once_requests_are_in_order() -> None:
     assert poll_rows(board)[0].period_ns == 100 * MS
 
 
+def test_at_the_end_of_a_file_the_period_is_that_of_all_requests() -> None:
+    times = [*range(0, 2000, 100), 60_000, 120_000]
+    board = board_of(*(read(at, 1) for at in times))
+    board.statistics.settle(START_NS + 50_000 * MS)
+    assert poll_rows(board)[0].has_regular_period
+    board.advance(None)
+    assert not poll_rows(board)[0].has_regular_period
+
+
 def test_registers_without_names_are_points_by_their_address() -> None:
     board = board_of(read(0, 5, 6, address=10), read(100, 5, 9, address=10))
     first, second = point_rows(board)

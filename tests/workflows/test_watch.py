@@ -89,6 +89,22 @@ def test_a_jump_back_shows_what_was_up_to_there(feed: FileFeed) -> None:
     until(lambda: shown(feed) == 11)
 
 
+def test_a_jump_is_behind_until_all_records_up_to_there_are_shown() -> None:
+    file = FileOfRecords(recorded())
+    feed = FileFeed(file, Watched())
+    feed.start()
+    until(lambda: feed.is_read and not feed.is_behind)
+    feed.seek_to(0)
+    until(lambda: not feed.is_behind)
+    assert shown(feed) == 1
+    with feed.lock:  # The thread adds nothing.
+        feed.seek_to(1)
+        assert feed.is_behind
+    until(lambda: not feed.is_behind)
+    assert shown(feed) == 11
+    feed.stop()
+
+
 def test_steps_show_one_transaction_each(feed: FileFeed) -> None:
     feed.seek_to(0)
     until(lambda: shown(feed) == 1)

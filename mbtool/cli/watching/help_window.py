@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from rich.console import Group
+from rich.table import Table
 from rich.text import Text
 from textual.binding import Binding
 from textual.containers import Vertical, VerticalScroll
@@ -50,26 +52,29 @@ def key_name(binding: Binding) -> str:
     return " ".join(_NAMES.get(key, key) for key in binding.key.split(","))
 
 
-def help_text(bindings: Sequence[Binding]) -> Text:
+def help_text(bindings: Sequence[Binding]) -> Group:
     """Return the lines of the window: all bindings by heading, then the signs."""
-    text = Text(no_wrap=False)
+    parts: list[Text | Table] = []
     for title, actions in _GROUPS:
-        text.append(f"{title}\n", "bold")
-        for action in actions:
-            for binding in bindings:
-                if binding.action.partition("(")[0] == action:
-                    _add(text, key_name(binding), binding.description)
-    _add(text, "Ctrl-P", "All commands, by name")
-    text.append("Signs\n", "bold")
-    for sign, meaning in _SIGNS:
-        _add(text, sign, meaning)
-    text.right_crop(1)
-    return text
+        rows = [
+            (key_name(binding), binding.description)
+            for action in actions
+            for binding in bindings
+            if binding.action.partition("(")[0] == action
+        ]
+        parts += [Text(title, "bold"), _table(rows)]
+    commands = [("Ctrl-P", "All commands, by name")]
+    return Group(*parts, _table(commands), Text("Signs", "bold"), _table(_SIGNS))
 
 
-def _add(text: Text, key: str, meaning: str) -> None:
-    text.append(f"{key:>{_KEY_WIDTH}} ", "bold")
-    text.append(f"{meaning}\n")
+def _table(rows: Sequence[tuple[str, str]]) -> Table:
+    """Return keys or signs with their meanings; a long meaning goes on below its beginning."""
+    table = Table.grid(padding=(0, 1, 0, 0))
+    table.add_column(justify="right", width=_KEY_WIDTH, style="bold")
+    table.add_column()
+    for key, meaning in rows:
+        table.add_row(Text(key), Text(meaning))
+    return table
 
 
 class HelpWindow(ModalScreen[None]):

@@ -40,6 +40,9 @@ _FILE_KEYS = (
     ("<>", "ends"),
     (".", "step"),
 )
+_CUT = 4
+"""The number of characters at the end of the line above the table that may be lost as the place,
+which is the last text of it, is cut."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -73,7 +76,7 @@ def status_text(state: ScreenState, width: int) -> Spans:
     filter, where that has no room, the number of events is left out and the words are fewer.
     """
     spans = _status_spans(state, is_short=False)
-    if state.where and sum(len(text) for text, _ in spans) > width:
+    if state.where and sum(len(text) for text, _ in spans) > width - _CUT:
         spans = _status_spans(state, is_short=True)
     return cut_spans([*spans, (f"  {printable(state.place)}", "")], width)
 
@@ -88,9 +91,10 @@ def _status_spans(state: ScreenState, *, is_short: bool) -> Spans:
         spans.append((f"rec {printable(PurePath(state.recording).name)}  ", "bold red"))
     if isinstance(state.feed, FileFeed):
         spans.append((f"{_position(state.feed)}  ", "bold"))
-    spans.append((counted(board.transactions, "transaction", ","), ""))
+    heard = counted(board.transactions, "transaction", ",")
     if not is_short:
-        spans.append((f", {counted(board.events, 'event', ',')}", ""))
+        heard = f"{heard}, {counted(board.events, 'event', ',')}"
+    spans.append((heard, ""))
     marked = len(state.feed.watched.marked)
     if marked:
         spans.append((f", {marked} marked", "green"))
@@ -132,6 +136,8 @@ def keys_line(width: int, *, is_of_files: bool) -> Spans:
 def _position(feed: FileFeed) -> str:
     if not feed.is_read:
         return "reading"
+    if feed.is_behind:
+        return f"reading to {_clock(feed.position_ns)}"
     length_ns = feed.last_ns - feed.first_ns
     place = f"{_clock(feed.position_ns)} of {_clock(length_ns)}"
     if feed.is_playing:
