@@ -137,6 +137,8 @@ function timeSplits(u, axis, low, high) {
 const atTime = (s) => `${moment(s * 1e6)} UTC`;
 const BINNED = `in bins of ${span(bins.width)}, UTC`;
 
+/* A step of a bin reaches to the begin of the next one, so the last bin needs its end. */
+const withEnd = ([x, ...columns]) => [[...x, x[x.length - 1] + bins.width], ...columns.map((column) => [...column, column[column.length - 1]])];
 /* One chart: `make` gives uPlot's series and data, and is asked again when the colours change. */
 function chart(spec) {
   const plot = el("div", { class: "plot" });
@@ -147,7 +149,8 @@ function chart(spec) {
   const shown = spec.series.map((one) => one.show !== false);
   const mine = { plot: null, host: plot, build, figure };
   const read = (at) => {
-    if (at === null || at === undefined) return "";
+    if (at === null || at === undefined || at > spec.data[0].length) return "";
+    if (at === spec.data[0].length) return read(at - 1);
     const parts = spec.series.map((one, place) => [one, spec.data[place + 1][at], place])
       .filter(([, value, place]) => shown[place] && value !== null && value !== undefined)
       .map(([one, value]) => `${one.label}: ${one.text ? one.text(value) : number(value)}${spec.measure ? ` ${spec.measure}` : ""}`);
@@ -168,12 +171,12 @@ function chart(spec) {
         return {
           label: clean(one.label), stroke, width: one.width ?? 1.5, show: shown[place], dash: DASHES[Math.floor((one.color ?? place) / 8) % 3],
           fill: one.fill ? `${stroke}${one.fill === true ? "33" : one.fill}` : undefined,
-          paths: one.paths, fillTo: one.fillTo, points: { show: spec.dots !== false && spec.data[place + 1].filter((v) => v !== null && v !== undefined).length < 40, size: 5 }, spanGaps: one.spanGaps ?? false,
+          paths: one.paths, fillTo: one.fillTo, points: { show: spec.dots !== false && !spec.steps && spec.data[place + 1].filter((v) => v !== null && v !== undefined).length < 40, size: 5 }, spanGaps: one.spanGaps ?? false,
         };
       })],
       bands: spec.bands ? [{ series: [2, 1], fill: `${palette(0)}44` }] : undefined,
       hooks: { setCursor: [(u) => { const text = read(u.cursor.idx); if (readout.textContent !== text) readout.textContent = clean(text); }] },
-    }, spec.data, plot);
+    }, spec.steps ? withEnd(spec.data) : spec.data, plot);
     legend.replaceChildren(...(spec.series.length > 1 && spec.legend !== false ? spec.series.map((one, place) => {
       const swatch = el("span", { class: `swatch${["", " dashed", " dotted"][Math.floor((one.color ?? place) / 8) % 3]}`, "aria-hidden": "true" });
       swatch.style.color = palette(one.color ?? place);
@@ -270,7 +273,7 @@ function verdict() {
 /* Notes are facts worth knowing; they break no rule. */
 function brokenText() {
   const { broken, notes } = data.findings;
-  return !notes ? count(broken) : `${count(broken)} and ${plural(notes, "note")}`;
+  return el("span", {}, count(broken), notes ? el("span", { class: "aside" }, ` + ${plural(notes, "note")}`) : null);
 }
 function findings() {
   const { rows, broken, notes } = data.findings, counted = data.verdict.troubles.filter((one) => !one.is_rule).slice(0, 40);
@@ -314,7 +317,7 @@ function findings() {
 /* When what the counts show happened: as the document says, else the first and the last of its
    transactions, or its longest ones. Of more failures than the table holds, the last is not known. */
 function casesOf(one) {
-  const line = (at, text) => el("div", { class: "soft" }, at, ` ${text}`);
+  const line = (at, text) => el("div", { class: "soft" }, at, " ", text ? el("span", { class: "nowrap" }, text) : null);
   if (one.cases.length) return one.cases.map(([us, text]) => line(exactly(us), text));
   const words = one.search.split(" ").filter((word) => word && !word.startsWith("unit:") && !stats.links.some((link) => link.link === word));
   if (one.rank !== "dead" && !words.length) return null;
@@ -343,7 +346,7 @@ function failures() {
     const sums = series.map((one) => `${plural(total(one.column), one.label.replace(/s$/, ""))}`);
     if (!series.some((one) => total(one.column))) return soft(units.length === bins.units.length ? "No request failed." : `No request of ${title} failed.`);
     return chart({
-      title: `Failures over time, ${title}`, note: BINNED, summary: `${sums.join(", ")}.`, sync: "time", dots: false,
+      title: `Failures over time, ${title}`, note: BINNED, summary: `${sums.join(", ")}.`, sync: "time", steps: true,
       data: [times, ...series.map((one) => one.column)],
       series: series.map((one) => ({ ...one, paths: stepped, fill: true, show: total(one.column) > 0 })),
     });
@@ -471,18 +474,18 @@ function load() {
   }
   const timed = bins.links.filter((one) => hasTimeline && one.load);
   if (timed.length) made.push(chart({
-    title: "Bus load over time", note: `share of the time in which there are characters on the line, ${BINNED}`, sync: "time", summary: "",
+    title: "Bus load over time", note: `share of the time in which there are characters on the line, ${BINNED}`, sync: "time", steps: true, summary: "",
     data: [times, ...timed.map((one) => one.load.map((part) => part * 100))], measure: "%",
     series: timed.map((one) => ({ label: one.link, paths: stepped, fill: true, text: (v) => v.toFixed(1) })),
   }));
   if (bins.links.length && hasTimeline) made.push(chart({
-    title: "Requests a second", note: BINNED, sync: "time", summary: "", height: 170,
+    title: "Requests a second", note: BINNED, sync: "time", steps: true, summary: "", height: 170,
     data: [times, ...bins.links.map((one) => one.requests.map((n) => n / bins.width))],
     series: bins.links.map((one, at) => ({ label: one.link, paths: stepped, show: at < 8, text: (v) => number(Number(v.toPrecision(3))) })),
   }));
   const bad = [["bad_check", "wrong CRC or LRC", 6], ["no_frame", "bytes in no frame", 4], ["lacking", "missing in the capture", 7]]
     .map(([key, label, at]) => ({ label, color: at, column: added(bins.links.map((one) => one[key])) })).filter((one) => total(one.column));
-  if (bad.length && hasTimeline) made.push(chart({ title: "Damage on the line and in the capture", note: `events ${BINNED}`, sync: "time", height: 170,
+  if (bad.length && hasTimeline) made.push(chart({ title: "Damage on the line and in the capture", note: `events ${BINNED}`, sync: "time", steps: true, height: 170,
     summary: bad.map((one) => `${one.label}: ${count(total(one.column))}`).join(", "), data: [times, ...bad.map((one) => one.column)],
     series: bad.map((one) => ({ ...one, paths: stepped, fill: true })) }));
   const rows = stats.links.flatMap((link) => link.connections.map((one) => [link.link, one.master || "", count(one.opened), some(one.joined), some(one.refused), some(one.resets), count(one.most_at_once)]));
