@@ -50,8 +50,8 @@ class StyledLine:
     """If this line has the titles of a table: the titles of columns that were left out for lack of
     room."""
     hint: str = ""
-    """What to give the option that sets the number of rows, and what that does, such as `12 shows
-    all`; empty for lines that are about no rows left out."""
+    """The value for the option that sets the number of rows, and its effect, such as `12 shows
+    all`; empty unless the line tells that rows were left out."""
 
 
 def table_lines(

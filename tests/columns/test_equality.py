@@ -126,6 +126,17 @@ def encoded(form: Form) -> tuple[bytes, bytes]:
     return request, encode_pdu(code, Direction.RESPONSE, **answered)
 
 
+def every_form() -> bytes:
+    """A capture with two answered and two refused requests of each form of PDU."""
+    talk = Talk()
+    packets = talk.handshake()
+    for form in FORMS:
+        request, response = encoded(form)
+        packets += poll(talk, 2, request, response)
+        packets += poll(talk, 2, request, exception_pdu(form[0], 2))
+    return pcap(packets)
+
+
 @pytest.mark.parametrize("form", FORMS, ids=str)
 @pytest.mark.parametrize("refused", [False, True])
 def test_each_form_of_pdu_gives_equal_columns(form: Form, refused: bool) -> None:

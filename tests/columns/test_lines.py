@@ -9,24 +9,17 @@ from unittest.mock import patch
 import pytest
 
 from mbtool.columns import plain_lines, portions
-from mbtool.modbus import exception_pdu
 from tests.columns import both_ways
 from tests.columns.both_ways import damaged, differing_texts, generated
 from tests.columns.disturbed_captures import disturbed
-from tests.columns.test_equality import FORMS, MOST_BYTES, encoded, poll
+from tests.columns.test_equality import MOST_BYTES, every_form, poll
 from tests.packets.building import Talk, pcap
 
 OWN = Path(__file__).resolve().parents[2] / "captures"
 
 
 def test_each_form_of_pdu_gives_equal_lines() -> None:
-    talk = Talk()
-    packets = talk.handshake()
-    for form in FORMS:
-        request, response = encoded(form)
-        packets += poll(talk, 2, request, response)
-        packets += poll(talk, 2, request, exception_pdu(form[0], 2))
-    assert differing_texts(pcap(packets)) == []
+    assert differing_texts(every_form()) == []
 
 
 @pytest.mark.parametrize("number", range(16))

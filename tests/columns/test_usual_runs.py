@@ -15,13 +15,12 @@ from mbtool.columns import portions, usual_runs
 from mbtool.columns.usual_runs import UsualRuns
 from mbtool.core import WireEvent
 from mbtool.decode.usual_run import UsualRun
-from mbtool.modbus import exception_pdu
 from mbtool.views.table_options import TableColumn, TableOptions, TimeStyle
 from mbtool.views.transaction_table import TransactionTable
 from tests.columns import both_ways
 from tests.columns.both_ways import blocks_of, damaged, generated, records_of
 from tests.columns.disturbed_captures import disturbed
-from tests.columns.test_equality import FORMS, encoded, poll
+from tests.columns.test_equality import encoded, every_form, poll
 from tests.packets.building import Talk, pcap
 
 if TYPE_CHECKING:
@@ -97,13 +96,7 @@ def assert_equal(capture: bytes, block_packets: int = 65_536) -> int:
 
 
 def test_each_form_of_pdu_gives_equal_rows() -> None:
-    talk = Talk()
-    packets = talk.handshake()
-    for form in FORMS:
-        request, response = encoded(form)
-        packets += poll(talk, 2, request, response)
-        packets += poll(talk, 2, request, exception_pdu(form[0], 2))
-    assert assert_equal(pcap(packets)) > 30
+    assert assert_equal(every_form()) > 30
 
 
 @pytest.mark.parametrize("number", range(6))

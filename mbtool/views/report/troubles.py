@@ -1,4 +1,4 @@
-"""What a trouble in a report is: its rank, its text, and the units that have it."""
+"""A trouble in a report: its rank, its text, and the units that have it."""
 
 from __future__ import annotations
 
@@ -25,8 +25,7 @@ class Rank(IntEnum):
     SLOW = 4
     RULE = 5
     ODD = 6
-    """Nothing fails, but the polling is not as one would have it: pauses, late answers, a TCP
-    connection for each poll."""
+    """Nothing fails, but polling pauses, answers come late, or each poll opens a TCP connection."""
     MINOR = 7
 
 
