@@ -2,49 +2,22 @@
 
 from __future__ import annotations
 
-import json
 import re
-import shutil
-import subprocess
 from html import unescape
 from typing import TYPE_CHECKING
 
 import pytest
 
 from mbtool.cli.main import run
+from tests.views.report.browser import asked, shown, text_of
 from tests.workflows.sick_line import sick_line
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-PATIENCE_S = 120
 HOSTILE = "</script><script>document.title='hacked'</script><b onclick=x>"
 
 pytestmark = pytest.mark.peers
-
-
-def shown(page: Path, folder: Path) -> str:
-    """The page's markup after its script has run."""
-    browser = shutil.which("chromium") or shutil.which("chromium-browser")
-    if browser is None:
-        pytest.skip("needs chromium: apt-get install chromium")
-    done = subprocess.run(
-        [
-            browser, "--headless=new", "--no-sandbox", "--disable-gpu", "--window-size=1400,20000",
-            f"--user-data-dir={folder}", "--virtual-time-budget=10000", "--enable-logging=stderr",
-            "--dump-dom", page.as_uri(),
-        ],
-        capture_output=True, text=True, timeout=PATIENCE_S, check=True,
-    )  # fmt: skip
-    assert "Uncaught" not in done.stderr
-    assert "Content Security Policy" not in done.stderr
-    return done.stdout
-
-
-def text_of(markup: str, element: str) -> str:
-    match = re.search(rf"<{element}[^>]*>(.*?)</{element.split()[0]}>", markup, re.DOTALL)
-    assert match is not None, element
-    return unescape(re.sub(r"<[^>]+>", "", match[1]))
 
 
 USE = """
@@ -71,9 +44,7 @@ setTimeout(() => {
       told.push(["table", details.querySelectorAll("tbody tr").length]);
       const text = (what) => details.querySelector(what).textContent;
       told.push(["paper", text("button"), text("p.printed")]);
-      const pre = document.createElement("pre");
-      pre.textContent = JSON.stringify(told);
-      document.body.append(pre);
+      tell(told);
     }, 200);
   }, 200);
 }, 3000);
@@ -84,10 +55,7 @@ def test_links_searches_and_keys_lead_where_they_say(tmp_path: Path) -> None:
     log = sick_line(tmp_path / "sick.mcap", 40)
     out = tmp_path / "r.html"
     assert run(["report", str(log), "-o", str(out)]) == 0
-    text = re.sub(r'<meta http-equiv="Content-Security-Policy"[^>]*>', "", out.read_text())
-    out.write_text(text.replace("</body>\n</html>", f"<script>{USE}</script></body>\n</html>"))
-    told = json.loads(text_of(shown(out, tmp_path / "profile"), "pre"))
-    assert told == [
+    assert asked(out, tmp_path / "profile", USE) == [
         ["search", 40, "t3"],
         ["finding", 40, "t3"],
         ["slow", 40, "t2"],

@@ -5,6 +5,9 @@
 
 const data = JSON.parse(document.getElementById("data").textContent);
 const { stats, bins } = data;
+const FEW_BINS = 24;
+const MOST_BARS = 100;
+const SHOWN_SERIES = 8;
 const PAGE_ROWS = 100;
 const FEW_ROWS = 12;
 const PRINTED_ROWS = 60;
@@ -136,9 +139,49 @@ function timeSplits(u, axis, low, high) {
 }
 const atTime = (s) => `${moment(s * 1e6)} UTC`;
 const BINNED = `in bins of ${span(bins.width)}, UTC`;
+const COUNT_STEPS = Array.from({ length: 12 }, (_, at) => [1, 2, 5].map((digit) => digit * 10 ** at)).flat();
+const counted = { incrs: COUNT_STEPS };
+const reachOf = (values, text) => { const [low, high] = [Math.min(...values), Math.max(...values)].map(text); return low === high ? `all ${low}` : `${low} to ${high}`; };
+const inUnit = (unit) => ({ values: (u, splits) => splits.map((v) => `${v.toLocaleString("en")}${unit}`) });
 
+/* All charts over time have the same time axis, until the reader zooms. */
+const WHOLE_TIME = [bins.begin, bins.begin + bins.count * bins.width];
+const timeRange = (x) => (u, low, high) => (low === null || (low <= x[0] && high >= x[x.length - 1]) ? WHOLE_TIME : [low, high]);
 /* A step of a bin reaches to the begin of the next one, so the last bin needs its end. */
 const withEnd = ([x, ...columns]) => [[...x, x[x.length - 1] + bins.width], ...columns.map((column) => [...column, column[column.length - 1]])];
+const inMiddle = ([x, ...columns]) => [x.map((begin) => begin + bins.width / 2), ...columns];
+/* Between few samples a line would show what nobody measured: counts are bars then, means points.
+   Those of several series stand side by side in their bin, so that none hides another. */
+const areFew = (series) => bins.count <= FEW_BINS && bins.count * Math.min(series, SHOWN_SERIES) <= MOST_BARS;
+const sideBySide = (width, place, of) => width * 0.8 * (place / of - 0.5);
+const barPaths = (width, place, of) => (u, series, from, to) => {
+  const path = new Path2D(), [x, y] = [u.data[0], u.data[series]], zero = u.valToPos(0, "y", true);
+  for (let at = from; at <= to; at++) {
+    if (!y[at]) continue;
+    const [left, right] = [place, place + 1].map((edge) => u.valToPos(x[at] + sideBySide(width, edge, of), "x", true));
+    const top = u.valToPos(y[at], "y", true);
+    path.rect(left, top, Math.max(right - left, 1), zero - top);
+  }
+  return { stroke: path, fill: path };
+};
+const dotPaths = (width, place, of) => (u, series, from, to) => {
+  const path = new Path2D(), [x, y] = [u.data[0], u.data[series]], radius = 3 * devicePixelRatio;
+  for (let at = from; at <= to; at++) {
+    if (y[at] === null || y[at] === undefined) continue;
+    const left = u.valToPos(x[at] + sideBySide(width, place + 0.5, of), "x", true), top = u.valToPos(y[at], "y", true);
+    path.moveTo(left + radius, top);
+    path.arc(left, top, radius, 0, 2 * Math.PI);
+  }
+  return { stroke: path, fill: path };
+};
+/* How a chart with a value for each bin is drawn: its data, and what its series add. `kind` is
+   "counts" or "means"; `shown` says which series are. */
+function drawnBins(kind, columns, shown) {
+  const seen = shown.map((is, at) => (is ? at : -1)).filter((at) => at >= 0);
+  if (!areFew(columns.length - 1)) return kind === "counts" ? [withEnd(columns), () => ({ paths: stepped })] : [inMiddle(columns), () => ({ spanGaps: true })];
+  const [make, fill] = kind === "counts" ? [barPaths, "99"] : [dotPaths, "ff"];
+  return [inMiddle(columns), (at) => ({ paths: make(bins.width, Math.max(seen.indexOf(at), 0), Math.max(seen.length, 1)), fill })];
+}
 /* One chart: `make` gives uPlot's series and data, and is asked again when the colours change. */
 function chart(spec) {
   const plot = el("div", { class: "plot" });
@@ -147,7 +190,13 @@ function chart(spec) {
   const figure = el("figure", { tabindex: "0", "aria-label": `Chart: ${spec.title}. ${spec.summary || ""} Left and right arrow keys read the values.` },
     el("figcaption", {}, el("b", {}, spec.title), spec.note ? ` ${spec.note}` : ""), spec.controls || null, plot, legend, readout);
   const shown = spec.series.map((one) => one.show !== false);
+  const isHeld = (spec.bins === "counts" && !areFew(spec.series.length)) || spec.held;
   const mine = { plot: null, host: plot, build, figure };
+  /* A step holds until the next one begins; of other charts the nearest value is read. */
+  const pointed = (u) => {
+    const { idx, left } = u.cursor;
+    return isHeld && idx > 0 && u.data[0][idx] > u.posToVal(left, "x") ? idx - 1 : idx;
+  };
   const read = (at) => {
     if (at === null || at === undefined || at > spec.data[0].length) return "";
     if (at === spec.data[0].length) return read(at - 1);
@@ -160,30 +209,33 @@ function chart(spec) {
     if (mine.plot) mine.plot.destroy();
     const ink = color("--soft"), rule = { stroke: color("--grid"), width: 1 };
     const axis = { stroke: ink, grid: rule, ticks: rule, font: FONT };
+    const [drawn, extra] = spec.bins ? drawnBins(spec.bins, spec.data, shown) : [spec.data, () => ({})];
     mine.plot = new uPlot({
       width: Math.max(width || plot.clientWidth, 200), height: spec.height || 200, tzDate: utc,
       padding: [8, 34, 0, 0], legend: { show: false },
       cursor: { sync: spec.sync ? { key: spec.sync } : undefined, drag: { x: true, y: false }, points: { size: 6 } },
-      scales: { x: { time: !spec.at, ...(spec.scaleX || {}) }, y: spec.scaleY || { range: (u, low, high) => [Math.min(0, low ?? 0), (high ?? 0) > 0 ? high * 1.08 : 1] } },
-      axes: [{ ...axis, space: 80, values: spec.at ? spec.axisX : axisTimes, splits: spec.at ? undefined : timeSplits, ...(spec.axis0 || {}) }, { ...axis, size: 58, space: 20, ...(spec.axisY || {}) }],
+      scales: { x: { time: !spec.at, range: spec.at ? undefined : timeRange(drawn[0]), ...(spec.scaleX || {}) }, y: spec.scaleY || { range: (u, low, high) => [Math.min(0, low ?? 0), (high ?? 0) > 0 ? high * 1.08 : 1] } },
+      axes: [{ ...axis, space: 80, values: spec.at ? spec.axisX : axisTimes, splits: spec.at ? undefined : timeSplits, size: 30, ...(spec.axis0 || {}) }, { ...axis, size: 64, space: 20, ...(spec.axisY || {}) }],
       series: [{}, ...spec.series.map((one, place) => {
-        const stroke = palette(one.color ?? place);
+        const stroke = palette(one.color ?? place), added = extra(place), fill = added.fill ?? one.fill;
+        const samples = spec.data[place + 1].filter((v) => v !== null && v !== undefined).length;
         return {
           label: clean(one.label), stroke, width: one.width ?? 1.5, show: shown[place], dash: DASHES[Math.floor((one.color ?? place) / 8) % 3],
-          fill: one.fill ? `${stroke}${one.fill === true ? "33" : one.fill}` : undefined,
-          paths: one.paths, fillTo: one.fillTo, points: { show: spec.dots !== false && !spec.steps && spec.data[place + 1].filter((v) => v !== null && v !== undefined).length < 40, size: 5 }, spanGaps: one.spanGaps ?? false,
+          paths: one.paths, fillTo: one.fillTo, spanGaps: false,
+          points: { show: spec.dots !== false && !spec.bins && samples < 40, size: 5, filter: one.measured && (() => [...Array(one.measured).keys()]) },
+          ...added, fill: fill ? `${stroke}${fill === true ? "33" : fill}` : undefined,
         };
       })],
       bands: spec.bands ? [{ series: [2, 1], fill: `${palette(0)}44` }] : undefined,
-      hooks: { setCursor: [(u) => { const text = read(u.cursor.idx); if (readout.textContent !== text) readout.textContent = clean(text); }] },
-    }, spec.steps ? withEnd(spec.data) : spec.data, plot);
+      hooks: { setCursor: [(u) => { const text = read(pointed(u)); if (readout.textContent !== text) readout.textContent = clean(text); }] },
+    }, drawn, plot);
     legend.replaceChildren(...(spec.series.length > 1 && spec.legend !== false ? spec.series.map((one, place) => {
       const swatch = el("span", { class: `swatch${["", " dashed", " dotted"][Math.floor((one.color ?? place) / 8) % 3]}`, "aria-hidden": "true" });
       swatch.style.color = palette(one.color ?? place);
       return el("li", {}, el("button", { type: "button", "aria-pressed": String(shown[place]), on: { click: (event) => {
         shown[place] = !shown[place];
         event.currentTarget.setAttribute("aria-pressed", String(shown[place]));
-        mine.plot.setSeries(place + 1, { show: shown[place] });
+        if (spec.bins) mine.build(); else mine.plot.setSeries(place + 1, { show: shown[place] });
       } } }, swatch, one.label));
     }) : []));
   }
@@ -193,8 +245,7 @@ function chart(spec) {
     event.preventDefault();
     const last = spec.data[0].length - 1;
     const at = Math.min(Math.max((mine.plot.cursor.idx ?? -1) + step, 0), last);
-    const x = spec.data[0][at];
-    mine.plot.setCursor({ left: mine.plot.valToPos(x, "x"), top: 10 });
+    mine.plot.setCursor({ left: mine.plot.valToPos(mine.plot.data[0][at], "x") + 1, top: 10 });
     readout.textContent = clean(read(at));
   });
   if (spec.asTable !== false) figure.append(asTable(spec));
@@ -342,13 +393,13 @@ const FAILURES = [["no_answer", "missing answers", 1], ["exceptions", "exception
 function failures() {
   if (!bins.units.length) return;
   const make = (units, title) => {
-    const series = FAILURES.map(([key, label, at]) => ({ key, label, color: at, column: added(units.map((one) => one[key])) }));
-    const sums = series.map((one) => `${plural(total(one.column), one.label.replace(/s$/, ""))}`);
-    if (!series.some((one) => total(one.column))) return soft(units.length === bins.units.length ? "No request failed." : `No request of ${title} failed.`);
+    const series = FAILURES.map(([key, label, at]) => ({ key, label, color: at, column: added(units.map((one) => one[key])) })).filter((one) => total(one.column));
+    if (!series.length) return soft(units.length === bins.units.length ? "No request failed." : `No request of ${title} failed.`);
+    const what = series.length > 1 ? "Failures" : `${series[0].label[0].toUpperCase()}${series[0].label.slice(1)}`;
     return chart({
-      title: `Failures over time, ${title}`, note: BINNED, summary: `${sums.join(", ")}.`, sync: "time", steps: true,
-      data: [times, ...series.map((one) => one.column)],
-      series: series.map((one) => ({ ...one, paths: stepped, fill: true, show: total(one.column) > 0 })),
+      title: `${what} over time, ${title}`, note: `number ${BINNED}`, summary: `${series.map((one) => `${one.label}: ${count(total(one.column))}`).join(", ")}.`,
+      sync: "time", bins: "counts", axisY: counted, data: [times, ...series.map((one) => one.column)],
+      series: series.map((one) => ({ ...one, fill: true })),
     });
   };
   const place = el("div");
@@ -382,24 +433,22 @@ function latency() {
     ...link.functions.filter((one) => one.latency && link.functions.length > 1)
       .map((one) => [`${unitName(link.link, one.unit)}, ${hex(one.function)} ${one.function_name}`, one.latency, barsOf(link.link, one.unit, one.function)])]);
   if (!sources.length) return;
-  const over = timed.length ? chart({
-    title: "Mean latency by unit over time", note: BINNED, measure: "ms", sync: "time", height: 240,
-    summary: `${plural(timed.length, "unit")}.`,
-    data: [times, ...timed.map((one) => one.mean_ms)],
-    series: timed.map((one, at) => ({ label: unitName(one.link, one.unit), show: at < 8, spanGaps: true })),
-    axisY: { label: "ms", labelSize: 18, size: 52, stroke: color("--soft") },
-  }) : null;
-  const most = timed.length ? chart({
-    title: "Longest latency by unit over time", note: BINNED, measure: "ms", sync: "time", height: 200, summary: "",
-    data: [times, ...timed.map((one) => one.most_ms)],
-    series: timed.map((one, at) => ({ label: unitName(one.link, one.unit), show: at < 8, spanGaps: true })),
-  }) : null;
+  const ms = (column) => column.filter((one) => one !== null);
+  const overTime = (title, key, height) => {
+    const reach = `${reachOf(timed.flatMap((one) => ms(one[key])), digits)} ms`;
+    return chart({
+      title, note: `${BINNED}; ${reach}`, measure: "ms", sync: "time", height, summary: `${plural(timed.length, "unit")}, ${reach}.`, bins: "means",
+      data: [times, ...timed.map((one) => one[key])], axisY: inUnit(" ms"),
+      series: timed.map((one, at) => ({ label: unitName(one.link, one.unit), show: at < SHOWN_SERIES })),
+    });
+  };
+  const over = timed.length ? [overTime("Mean latency by unit over time", "mean_ms", 200), overTime("Longest latency by unit over time", "most_ms", 200)] : null;
   const place = el("div");
   const draw = (at) => place.replaceChildren(histogram(...sources[at]));
   draw(0);
   const rows = sources.map(([name, one]) => [name, count(one.count), digits(one.mean_ms), digits(one.min_ms), digits(one.p50_ms), digits(one.p95_ms), digits(one.p99_ms), digits(one.max_ms)]);
-  show("latency", soft("From the end of a request to the start of its response, in ms."), over, most, chooser("Histogram of", sources.map(([name]) => name), draw), place,
-    table("Latency, ms", ["~of", ">answers", ">mean", ">least", ">p50", ">p95", ">p99", ">most"], rows));
+  show("latency", soft("From the end of a request to the start of its response, in ms."), over, chooser("Histogram of", sources.map(([name]) => name), draw), place,
+    table("Latency, ms", ["~unit and function", ">answers", ">mean", ">least", ">p50", ">p95", ">p99", ">most"], rows));
 }
 
 /* Bars of equal width up to p99: a single late answer would leave all others one bar. */
@@ -418,7 +467,7 @@ function histogram(name, one, bars) {
       return splits.map((x) => (steps[x] && x % every === 0 ? labels[x] : ""));
     },
     axis0: { grid: { show: false }, splits: () => steps.map((_, at) => at) }, scaleX: { range: () => [-0.6, steps.length - 0.4] },
-    dots: false, series: [{ label: "answers", paths: uPlot.paths.bars({ size: [0.8, 60] }), fill: "99" }],
+    axisY: counted, dots: false, series: [{ label: "answers", paths: barPaths(1, 0, 1), fill: "99" }],
   });
 }
 
@@ -459,6 +508,16 @@ function cycleTable(link, list, who, isOpen, part) {
     table(`One cycle in order${who ? `, ${who}` : ""}, every ${span(list.cycle_ms / 1000)}`, ["~poll", ">pause before, ms", ">took, ms", ">cycles with missing", "+timeline"], rows));
 }
 
+/* How long each bin of a link counts (s). Its first and last bin hold requests for a part of their
+   width only: over the whole width, a steady rate would seem to fall at both ends. They count from
+   the first request to one mean interval behind the last one, and one mean interval for each
+   request at least. */
+function watchedIn({ link: name, requests }) {
+  const link = stats.links.find((one) => one.link === name), begin = link.begin_ns / 1e9, end = link.end_ns / 1e9;
+  const every = (end - begin) / Math.max(link.transactions - 1, 1) || bins.width;
+  return times.map((from, at) => Math.min(Math.max(Math.min(from + bins.width, end + every) - Math.max(from, begin), requests[at] * every), bins.width) || bins.width);
+}
+
 const PARTS = [["characters_share", "characters"], ["other_bytes_share", "bytes in no frame"], ["slaves_share", "waiting for slaves"], ["missing_share", "waiting for missing answers"]];
 function load() {
   const made = [];
@@ -474,20 +533,20 @@ function load() {
   }
   const timed = bins.links.filter((one) => hasTimeline && one.load);
   if (timed.length) made.push(chart({
-    title: "Bus load over time", note: `share of the time in which there are characters on the line, ${BINNED}`, sync: "time", steps: true, summary: "",
-    data: [times, ...timed.map((one) => one.load.map((part) => part * 100))], measure: "%",
-    series: timed.map((one) => ({ label: one.link, paths: stepped, fill: true, text: (v) => v.toFixed(1) })),
+    title: "Bus load over time", note: `share of the time in which there are characters on the line, ${BINNED}`, sync: "time", bins: "counts", summary: "",
+    data: [times, ...timed.map((one) => { const watched = watchedIn(one); return one.load.map((part, at) => Math.min((part * 100 * bins.width) / watched[at], 100)); })],
+    measure: "%", axisY: inUnit(" %"), series: timed.map((one, at) => ({ label: one.link, fill: true, show: at < SHOWN_SERIES, text: (v) => v.toFixed(1) })),
   }));
   if (bins.links.length && hasTimeline) made.push(chart({
-    title: "Requests a second", note: BINNED, sync: "time", steps: true, summary: "", height: 170,
-    data: [times, ...bins.links.map((one) => one.requests.map((n) => n / bins.width))],
-    series: bins.links.map((one, at) => ({ label: one.link, paths: stepped, show: at < 8, text: (v) => number(Number(v.toPrecision(3))) })),
+    title: "Requests a second", note: BINNED, sync: "time", bins: "counts", summary: "", height: 170, axisY: inUnit(" /s"),
+    data: [times, ...bins.links.map((one) => { const watched = watchedIn(one); return one.requests.map((n, at) => n / watched[at]); })],
+    series: bins.links.map((one, at) => ({ label: one.link, show: at < SHOWN_SERIES, text: (v) => number(Number(v.toPrecision(3))) })),
   }));
   const bad = [["bad_check", "wrong CRC or LRC", 6], ["no_frame", "bytes in no frame", 4], ["lacking", "missing in the capture", 7]]
     .map(([key, label, at]) => ({ label, color: at, column: added(bins.links.map((one) => one[key])) })).filter((one) => total(one.column));
-  if (bad.length && hasTimeline) made.push(chart({ title: "Damage on the line and in the capture", note: `events ${BINNED}`, sync: "time", steps: true, height: 170,
-    summary: bad.map((one) => `${one.label}: ${count(total(one.column))}`).join(", "), data: [times, ...bad.map((one) => one.column)],
-    series: bad.map((one) => ({ ...one, paths: stepped, fill: true })) }));
+  if (bad.length && hasTimeline) made.push(chart({ title: `Damage on the line and in the capture${bad.length > 1 ? "" : `: ${bad[0].label}`}`, note: `events ${BINNED}`, sync: "time", bins: "counts", height: 170,
+    summary: bad.map((one) => `${one.label}: ${count(total(one.column))}`).join(", "), axisY: counted, data: [times, ...bad.map((one) => one.column)],
+    series: bad.map((one) => ({ ...one, fill: true })) }));
   const rows = stats.links.flatMap((link) => link.connections.map((one) => [link.link, one.master || "", count(one.opened), some(one.joined), some(one.refused), some(one.resets), count(one.most_at_once)]));
   if (rows.length) made.push(table("Connections", ["slave", "master", ">opened", ">open before", ">refused", ">reset", ">most at once"], rows));
   if (made.length) show("load", made);
@@ -512,9 +571,9 @@ function polls() {
 function values() {
   const { series, constant } = data.values;
   if (!series.length && !constant.length) return;
-  const end = times.length ? bins.begin + bins.count * bins.width : 0;
+  const ends = new Map(stats.links.map((link) => [link.link, (link.end_ns ?? 0) / 1e9]));
   const lines = (one) => {
-    const x = one.samples.map(([ms]) => bins.begin + ms / 1000), y = one.samples.map(([, value]) => value);
+    const x = one.samples.map(([ms]) => bins.begin + ms / 1000), y = one.samples.map(([, value]) => value), end = ends.get(one.link) ?? 0;
     if (x.length && x[x.length - 1] < end) { x.push(end); y.push(y[y.length - 1]); }
     return [x, y];
   };
@@ -553,23 +612,23 @@ function values() {
     data.values.left_out ? soft(`${plural(data.values.left_out, "more register")} or points were seen and are not followed.`) : null);
 }
 function valueChart(one, where, title, [x, y]) {
+  const reach = reachOf(y, number);
   const texts = new Map(one.texts);
   const words = one.kind === "state";
   const known = [...new Set(y)].sort((a, b) => a - b);
   const named = new Map(known.map((v) => [v, laneName(clean(texts.get(v) ?? number(v)))]));
   const wrapped = words && [...named.values()].some((name) => name.includes("\n"));
-  const y0 = words ? { splits: () => known, values: (u, splits) => splits.map((v) => named.get(v)), size: laneRoom([...named.values()]) } : {};
-  if (!words && x.length > MANY_SAMPLES) return bandOfValues(one, where, title, [x, y]);
+  const y0 = words ? { splits: () => known, values: (u, splits) => splits.map((v) => named.get(v)), size: laneRoom([...named.values()]) } : y.every(Number.isInteger) ? counted : {};
+  if (!words && x.length > MANY_SAMPLES) return bandOfValues(one, where, title, reach, [x, y]);
   return chart({
-    title, note: `${where}${one.measure ? `, ${one.measure}` : ""}, ${plural(one.changes, "change")}`, sync: "time", height: 150, measure: words ? "" : one.measure,
-    summary: y.length ? `From ${number(Math.min(...y))} to ${number(Math.max(...y))}.` : "", data: [x, y], axisY: y0,
-    scaleX: { range: (u, low, high) => [bins.begin, bins.begin + bins.count * bins.width].map((edge, at) => (u.zoomed ? [low, high][at] : edge)) },
+    title, note: `${where}, ${plural(one.changes, "change")}${words ? "" : `, ${reach}${one.measure ? ` ${one.measure}` : ""}`}`, sync: "time", height: 150, measure: words ? "" : one.measure,
+    summary: words ? "" : `${reach}.`, data: [x, y], axisY: y0, held: true,
     scaleY: { range: (u, low, high) => { const room = (high - low) * 0.08 || Math.abs(high) * 0.05 || 1; return [low - (wrapped ? 3 * room : room), high + room]; } },
-    series: [{ label: one.name, paths: stepped, text: (v) => texts.get(v) ?? number(v) }],
+    series: [{ label: one.name, paths: stepped, measured: one.samples.length, text: (v) => texts.get(v) ?? number(v) }],
   });
 }
 /* Of many values, the least and the greatest in each part of the time: lines would fill the chart. */
-function bandOfValues(one, where, title, [x, y]) {
+function bandOfValues(one, where, title, reach, [x, y]) {
   const width = (bins.count * bins.width) / VALUE_COLUMNS, at = Array.from({ length: VALUE_COLUMNS }, (_, place) => bins.begin + place * width);
   const low = Array(VALUE_COLUMNS).fill(null), high = Array(VALUE_COLUMNS).fill(null);
   const note = (place, value) => { low[place] = Math.min(low[place] ?? value, value); high[place] = Math.max(high[place] ?? value, value); };
@@ -579,9 +638,8 @@ function bandOfValues(one, where, title, [x, y]) {
     for (let column = begin; column <= Math.min(end, VALUE_COLUMNS - 1); column++) note(column, y[place]);
   });
   return chart({
-    title, note: `${where}${one.measure ? `, ${one.measure}` : ""}, ${plural(one.changes, "change")}; least and greatest in ${span(width)}`, sync: "time", height: 150, measure: one.measure, dots: false,
-    summary: `From ${number(Math.min(...y))} to ${number(Math.max(...y))}.`, data: [at, low, high], legend: false,
-    scaleX: { range: () => [bins.begin, bins.begin + bins.count * bins.width] }, bands: true,
+    title, note: `${where}, ${plural(one.changes, "change")}, ${reach}${one.measure ? ` ${one.measure}` : ""}; least and greatest in ${span(width)}`, sync: "time", height: 150, measure: one.measure, dots: false,
+    summary: `${reach}.`, data: [at, low, high], legend: false, held: true, bands: true,
     scaleY: { range: (u, least, most) => { const room = (most - least) * 0.08 || Math.abs(most) * 0.05 || 1; return [least - room, most + room]; } },
     series: [{ label: "least", paths: stepped, color: 0, width: 1 }, { label: "greatest", paths: stepped, color: 0, width: 1 }],
   });
@@ -606,7 +664,7 @@ function bandChart(group, where, lines, title) {
   const names = group.map((one) => laneName(clean(one.name)));
   const spelled = (one, at) => (v) => { const bit = v > lane(at) + 0.5 ? 1 : 0; return new Map(one.texts).get(bit) ?? String(bit); };
   return chart({
-    title: `Bits of ${where}`, note: "a bar where the bit is 1", sync: "time", height: 60 + 30 * group.length, legend: false, dots: false,
+    title: `Bits of ${where}`, note: "a bar where the bit is 1", sync: "time", height: 40 + 30 * group.length, legend: false, dots: false, held: true,
     summary: group.map((one) => `${title(one)}: ${plural(one.changes, "change")}`).join(", "), data: joined,
     scaleY: { range: () => [-0.1, group.length] },
     axisY: { size: laneRoom(names), splits: () => names.map((name, at) => lane(at) + (name.includes("\n") ? 0.65 : 0.4)), values: () => names },
