@@ -95,8 +95,15 @@ def short_result(transaction: NamedTransaction, *, in_hex: bool = False) -> str:
     code, name = transaction.exception, transaction.exception_name
     result = result_text(transaction, in_hex=in_hex)
     if code is not None and name == exception_name(code):
-        result = result.removesuffix(name) + _SHORT_EXCEPTIONS.get(code, name)
+        result = result.removesuffix(name) + short_exception(code)
     return result.removeprefix(_EXCEPTION)
+
+
+def short_exception(code: int) -> str:
+    """Return a short name of an exception code, for a narrow terminal; the standard's if it has
+    none.
+    """
+    return _SHORT_EXCEPTIONS.get(code, exception_name(code))
 
 
 def _fresh_text(points: PointsRead) -> str:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from msgspec.structs import replace
+
 from mbtool.core import Direction, WireEvent
 from mbtool.devices import finding_text
 from mbtool.modbus import Transport
@@ -69,7 +71,10 @@ def record_detail(kept: KeptRecord, profile: Profile | None, width: int) -> list
         return _event_detail(record, width)
     title = f"#{kept.number}  {day(record.start_ns)} {clock_time(record.start_ns)} UTC"
     lines: list[Spans] = [[(title, "bold"), (f"  {_place(record)}", "")]]
-    lines += _wrapped(transaction_text(record), width)
+    lines += _wrapped(transaction_text(replace(record, retries=0)), width)
+    if record.retries:
+        before = "equal request" if record.retries == 1 else f"{record.retries:,} equal requests"
+        lines += _wrapped(f"the {before} before it got no answer", width)
     if record.latency_ns is not None:
         lines.append([(f"answered after {in_ms(record.latency_ns)} ms", "")])
     lines += _adu_lines("request ", record.transport, record.request_raw, Direction.REQUEST, width)
@@ -108,16 +113,20 @@ def slave_detail(row: WatchedSlaveRow, width: int) -> list[Spans]:
     of_these = f" (of these {', '.join(faulty)})" if faulty else ""
     counts = f"asked {row.asked}, answered {row.answered}{of_these}"
     lines += _wrapped(f"{counts}, missing {row.missing}, retries {row.retries}", width)
+    whole = row.whole or row
+    if row.whole is not None:
+        of_all = f"asked {whole.asked}, answered {whole.answered}, missing {whole.missing}"
+        lines += _wrapped(f"without the filter: {of_all}", width)
     if row.findings:
         found = f"findings in single transactions {row.findings}; mbtool check FILE finds more"
         lines += _wrapped(found, width)
     if row.median_ns:
         text = f"latency: median {in_ms(row.median_ns)} ms, most {in_ms(row.slowest_ns)} ms"
         lines.append([(text, "")])
-    if row.answered_ns is not None:
-        lines.append([(f"last answer {clock_time(row.answered_ns)} UTC", "")])
-    if row.silent_since_ns is not None:
-        lines.append([(f"no answer since {clock_time(row.silent_since_ns)} UTC", "bold red")])
+    if whole.answered_ns is not None:
+        lines.append([(f"last answer {clock_time(whole.answered_ns)} UTC", "")])
+    if whole.silent_since_ns is not None:
+        lines.append([(f"no answer since {clock_time(whole.silent_since_ns)} UTC", "bold red")])
     return lines
 
 

@@ -7,11 +7,19 @@ from typing import TYPE_CHECKING
 from mbtool.core import WireEvent
 from mbtool.devices import describe_points
 from mbtool.modbus import FUNCTIONS, Outcome
-from mbtool.views.cells import GROUP, MANY_BITS, result_text, short_result, transaction_text
+from mbtool.views.cells import GROUP, MANY_BITS, result_text, transaction_text
 from mbtool.views.statistics_words import in_ms
 from mbtool.views.watch_columns import DrawContext, Spans, WatchColumn
 from mbtool.views.watch_names import short_name, with_short_names
-from mbtool.views.watch_words import OVERDUE, age, change_style, count, period, sparkline
+from mbtool.views.watch_words import (
+    OVERDUE,
+    age,
+    change_style,
+    count,
+    in_table_words,
+    period,
+    sparkline,
+)
 from mbtool.watching.value_formats import ValueFormat, float_text, register_text, register_texts
 
 if TYPE_CHECKING:
@@ -41,6 +49,7 @@ def poll_values(row: PollRow, context: DrawContext) -> Spans:
     one = row.kept.record
     if isinstance(one, WireEvent):
         return []
+    one = in_table_words(one)
     if one.outcome not in (Outcome.OK, Outcome.BROADCAST):
         # The word `exception` is left out to save room, as the code and its name are enough.
         result = result_text(one).removeprefix("exception ")
@@ -52,15 +61,7 @@ def poll_values(row: PollRow, context: DrawContext) -> Spans:
 def fitted_values(row: PollRow, context: DrawContext, width: int) -> Spans:
     """Return the cell with the last result of a poll for `width` characters, with shorter names."""
     spans, one = poll_values(row, context), row.kept.record
-    if isinstance(one, WireEvent):
-        return spans
-    if (
-        sum(len(text) for text, _ in spans) > width
-        and one.exception is not None
-        and not row.is_damaged
-    ):
-        spans = [(short_result(one), spans[0][1]), *spans[1:]]
-    return with_short_names(spans, one, width)
+    return spans if isinstance(one, WireEvent) else with_short_names(spans, one, width)
 
 
 def _separated(spans: Spans) -> Spans:

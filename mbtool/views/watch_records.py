@@ -7,19 +7,13 @@ from typing import TYPE_CHECKING
 from mbtool.core import EventKind, WireEvent
 from mbtool.devices import finding_text
 from mbtool.modbus import Outcome
-from mbtool.views.cells import (
-    clock_time,
-    event_text,
-    result_text,
-    short_result,
-    transaction_text,
-)
+from mbtool.views.cells import ARROW, clock_time, event_text, result_text, transaction_text
 from mbtool.views.place_columns import host_of
 from mbtool.views.statistics_words import in_ms, percent
 from mbtool.views.watch_columns import DrawContext, Spans, WatchColumn
 from mbtool.views.watch_names import with_short_names
 from mbtool.views.watch_troubles import slave_trouble
-from mbtool.views.watch_words import age, count
+from mbtool.views.watch_words import age, count, in_table_words
 from mbtool.watching.board_rows import time_of_row
 from mbtool.watching.value_formats import ValueFormat
 
@@ -47,9 +41,13 @@ def record_text(row: RecordRow, context: DrawContext) -> Spans:
     if isinstance(record, WireEvent):
         return [(event_text(record), "yellow")]
     in_hex = context.format_of(row.key) is ValueFormat.HEX
+    record = in_table_words(record)
     text = transaction_text(record, in_hex=in_hex)
     if row.is_damaged:
         text = f"{text.removesuffix(result_text(record))}wrong CRC"
+    if row.is_retry:
+        request, arrow, result = text.partition(ARROW)
+        text = f"{request} (retry){arrow}{result}"
     spans = [(text, _STYLES.get(record.outcome, ""))]
     return [*spans, (f" ! {' '.join(record.findings)}", "magenta")] if record.findings else spans
 
@@ -57,14 +55,7 @@ def record_text(row: RecordRow, context: DrawContext) -> Spans:
 def fitted_record(row: RecordRow, context: DrawContext, width: int) -> Spans:
     """Return the text of a transaction for `width` characters, with shorter names of points."""
     spans, record = record_text(row, context), row.kept.record
-    if isinstance(record, WireEvent) or sum(len(text) for text, _ in spans) <= width:
-        return spans
-    if record.exception is not None:
-        text = spans[0][0].replace(
-            result_text(record).removeprefix("exception "), short_result(record)
-        )
-        spans = [(text, spans[0][1]), *spans[1:]]
-    return with_short_names(spans, record, width)
+    return spans if isinstance(record, WireEvent) else with_short_names(spans, record, width)
 
 
 def _text_of(name: str, row: RecordRow) -> str:
@@ -198,7 +189,11 @@ TROUBLE_COLUMNS = (
 
 
 def slave_state(row: WatchedSlaveRow, _: DrawContext) -> Spans:
-    """Return in words how a slave answers, or what is wrong with it."""
+    """Return in words how a slave answers, or what is wrong with it.
+
+    Under a filter that tells of all records, as the line of troubles does.
+    """
+    row = row.whole or row
     trouble = slave_trouble(row)
     if not trouble:
         return [("answers", "green") if row.answered else ("", "")]

@@ -1,11 +1,18 @@
-"""Writes short texts for live tables: ages, counts, latencies, sparklines."""
+"""Writes short texts for live tables: ages, counts, latencies, sparklines, exceptions."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from msgspec.structs import replace
+
+from mbtool.modbus.functions import ExceptionCode
+from mbtool.views.cells import short_exception
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
+    from mbtool.devices import NamedTransaction
 
 FRESH_NS = 1_000_000_000
 """A value that changed less than this ago, in ns, is shown most clearly."""
@@ -14,6 +21,7 @@ RECENT_NS = 5_000_000_000
 OVERDUE = 3
 """A poll (repeated request) is overdue if it was not sent for this many of its periods."""
 _BARS = "▁▂▃▄▅▆▇█"
+_STANDARD_CODES = frozenset(ExceptionCode)
 MISSING = "x"
 """A sparkline shows this character for a request without a response."""
 
@@ -54,6 +62,21 @@ def count(number: int) -> str:
         return f"{number // 1000}k"
     millions = number / 1e6
     return f"{millions:.1f}M" if millions < 99.95 else f"{millions:.0f}M"
+
+
+def in_table_words(one: NamedTransaction) -> NamedTransaction:
+    """Return a transaction with the words that live tables use.
+
+    An exception code of the standard has the standard's short name, whatever the profile of the
+    slave calls it, so that a code has one name in all rows. The number of equal requests before it
+    is left out, as it also counts those of a slave that is polled at its usual period.
+    """
+    code = one.exception
+    if not one.retries and code is None:
+        return one
+    is_known = code is not None and code in _STANDARD_CODES
+    name = short_exception(code) if code is not None and is_known else one.exception_name
+    return replace(one, retries=0, exception_name=name)
 
 
 def sparkline(values: Sequence[float | None], width: int) -> str:

@@ -34,13 +34,17 @@ if TYPE_CHECKING:
     from mbtool.core import SerialFormat
     from mbtool.devices import NamedTransaction, PointValue, Profile
     from mbtool.modbus import Table
+    from mbtool.overview.poll_statistics import PollStatistics
 
 MAX_KEPT = 10_000
 MAX_POINTS = 20_000
 MAX_SLAVES = 4096
 MAX_TROUBLES = 1024
 _MAX_BLAMED = 2 * MAX_KEPT
+_MAX_RETRIES = 2 * MAX_KEPT
 
+RetryKey = tuple[str, int, int]
+"""The link and the unit of a request, and its time in UTC ns."""
 _MASK_WRITE, _READ_WRITE = 0x16, 0x17
 _BAD_CHECK = EventKind.BAD_CHECK.value
 
@@ -54,14 +58,21 @@ class Board:
         profile_for: Callable[[NamedTransaction], Profile | None] = lambda _: None,
         *,
         kept: int = MAX_KEPT,
+        whole: Board | None = None,
     ) -> None:
         """Make an empty board that keeps at most `kept` records.
 
         `format_of` returns the character format of a link by its name, None if the link is not
         serial. `profile_for` returns the profile of a transaction's slave, None if it has none.
+        `whole` is the board of all records if this board is for those that pass a filter.
         """
         self.profile_for = profile_for
-        self.statistics = Statistics(format_of)
+        self.whole = whole or self
+        """The board that tells how well slaves answer, and which requests are retries, as a filter
+        may let only failures pass."""
+        self.statistics = Statistics(format_of, self._note_retry)
+        self.retries: OrderedDict[RetryKey, None] = OrderedDict()
+        """The last requests that are retries by the rule of the statistics."""
         self._damaged = DamagedAnswers()
         self._bad_checks: dict[str, deque[tuple[int, KeptRecord]]] = {}
         """By link, times (UTC ns) and events of the last frames with a wrong CRC or LRC that
@@ -132,6 +143,22 @@ class Board:
         if before_ns is None:
             for poll in self.polls.values():
                 poll.forget_period()
+
+    def _note_retry(self, poll: PollStatistics, at_ns: int, by: int) -> None:
+        """Count a request of `poll` as a retry (`by` 1), or as none after all (-1).
+
+        `at_ns` (UTC ns) is its time.
+        """
+        link, unit = poll.key.link, poll.key.unit
+        slave = self.slaves.get((link, unit))
+        if slave is not None:
+            slave.retries += by
+        if by < 0:
+            self.retries.pop((link, unit, at_ns), None)
+            return
+        self.retries[link, unit, at_ns] = None
+        if len(self.retries) > _MAX_RETRIES:
+            self.retries.popitem(last=False)
 
     def _note_slave(self, one: NamedTransaction, *, is_damaged: bool) -> None:
         key = one.link, one.unit

@@ -10,12 +10,12 @@ from mbtool.overview.slow_units import slow_units
 from mbtool.watching.watched_rows import KeptRecord, errors_of
 
 if TYPE_CHECKING:
-    from collections.abc import Hashable, Mapping, Sequence
+    from collections.abc import Collection, Hashable, Mapping, Sequence
 
     from mbtool.modbus import Table
     from mbtool.overview.poll_statistics import PollKey
     from mbtool.overview.request_tally import RequestTally
-    from mbtool.watching.board import Board
+    from mbtool.watching.board import Board, RetryKey
     from mbtool.watching.watched_rows import (
         FailureSpan,
         Record,
@@ -93,6 +93,8 @@ class RecordRow(NamedTuple):
     """The unit; for an event, that of the damaged response which it tells of, or None."""
     is_damaged: bool
     """True if the response to the request came with a wrong CRC or LRC."""
+    is_retry: bool
+    """True if the request is a retry by the rule of the statistics."""
 
 
 class WatchedSlaveRow(NamedTuple):
@@ -127,6 +129,8 @@ class WatchedSlaveRow(NamedTuple):
     """The number of polls (repeated requests) that the unit refuses each time, if all its refusals
     are of these; else 0."""
     polls: int
+    whole: WatchedSlaveRow | None
+    """Under a filter, the row of the same unit for all records, by which it is judged."""
 
 
 class TroubleRow(NamedTuple):
@@ -162,8 +166,12 @@ def record_rows(board: Board) -> list[RecordRow]:
 
     Opened and closed connections are left out: of many short ones, nothing else would be seen.
     """
-    blamed = board.blamed
-    rows = [_record_row(kept, blamed) for kept in board.records if not _is_connection(kept.record)]
+    blamed, retries = board.blamed, board.whole.retries
+    rows = [
+        _record_row(kept, blamed, retries)
+        for kept in board.records
+        if not _is_connection(kept.record)
+    ]
     rows.sort(key=time_of_row)
     return rows
 
@@ -178,22 +186,27 @@ def _is_connection(record: Record) -> bool:
     return isinstance(record, WireEvent) and record.kind in _CONNECTION
 
 
-def _record_row(kept: KeptRecord, blamed: Mapping[int, int]) -> RecordRow:
+def _record_row(
+    kept: KeptRecord, blamed: Mapping[int, int], retries: Collection[RetryKey]
+) -> RecordRow:
     is_blamed = kept.order in blamed if blamed else False
-    if isinstance(kept.record, WireEvent):
-        return RecordRow(kept.order, kept, blamed.get(kept.order), is_damaged=False)
-    return RecordRow(kept.order, kept, kept.record.unit, is_blamed)
+    record = kept.record
+    if isinstance(record, WireEvent):
+        return RecordRow(kept.order, kept, blamed.get(kept.order), False, False)
+    is_retry = record.retries > 0 and (record.link, record.unit, record.request_ns) in retries
+    return RecordRow(kept.order, kept, record.unit, is_blamed, is_retry)
 
 
 def slave_rows(board: Board) -> list[WatchedSlaveRow]:
     """Return the slaves, sorted by link and unit."""
+    every = {} if board.whole is board else {row.key: row for row in slave_rows(board.whole)}
     slow = slow_units({key: slave.tally.latency for key, slave in board.slaves.items()})
     polls: dict[tuple[str, int], list[RequestTally]] = {}
     for poll in board.polls.values():
         key = poll.statistics.key
         polls.setdefault((key.link, key.unit), []).append(poll.statistics.tally)
     return [
-        _slave_row(slave, slow.get(key), polls.get(key, ()))
+        _slave_row(slave, slow.get(key), polls.get(key, ()), every.get(key))
         for key, slave in sorted(board.slaves.items())
     ]
 
@@ -225,7 +238,7 @@ def _poll_row(number: int, poll: WatchedPoll) -> PollRow:
         asked=tally.requests,
         errors=errors_of(tally),
         missing=tally.unanswered,
-        retries=tally.retries,
+        retries=statistics.repetitions,
         last_ns=poll.last_ns,
         period_ns=poll.period_ns,
         has_regular_period=poll.has_regular_period,
@@ -275,7 +288,10 @@ def _refused_polls(slave: WatchedSlave, polls: Sequence[RequestTally]) -> int:
 
 
 def _slave_row(
-    slave: WatchedSlave, usual_ns: float | None, polls: Sequence[RequestTally]
+    slave: WatchedSlave,
+    usual_ns: float | None,
+    polls: Sequence[RequestTally],
+    whole: WatchedSlaveRow | None,
 ) -> WatchedSlaveRow:
     tally = slave.tally
     return WatchedSlaveRow(
@@ -290,7 +306,7 @@ def _slave_row(
         missing=tally.unanswered,
         damaged=tally.damaged,
         malformed=tally.count(Outcome.MALFORMED),
-        retries=tally.retries,
+        retries=slave.retries,
         median_ns=tally.latency.percentile(50),
         usual_ns=usual_ns,
         slowest_ns=tally.latency.greatest,
@@ -303,4 +319,5 @@ def _slave_row(
         findings=slave.findings,
         refused_polls=_refused_polls(slave, polls),
         polls=len(polls),
+        whole=whole,
     )

@@ -81,7 +81,7 @@ class Watched:
         self._order = self._numbers = self.unfiltered = 0
         self.whole = self._board()
         if self.filtered is not None:
-            self.filtered = self._board()
+            self.filtered = self._board(self.whole)
 
     def set_filter(self, wanted: Wanted | None, past: Iterable[Record] | None = None) -> None:
         """Apply a filter to the kept records and to all later ones; None ends filtering.
@@ -93,7 +93,7 @@ class Watched:
         self.unfiltered = 0
         if wanted is None:
             return
-        self.filtered = self._board()
+        self.filtered = self._board(self.whole)
         records = self.whole.records if past is None else _numbered(islice(past, self._order))
         for kept in records:
             self._add_filtered(self.filtered, kept)
@@ -114,8 +114,8 @@ class Watched:
         self.marked[kept.order] = kept
         return True
 
-    def _board(self) -> Board:
-        return Board(self._format_of, self._profile_for, kept=self._kept)
+    def _board(self, whole: Board | None = None) -> Board:
+        return Board(self._format_of, self._profile_for, kept=self._kept, whole=whole)
 
     def _add_filtered(self, board: Board, kept: KeptRecord) -> None:
         """Add a record to the filter's board if it passes the filter.

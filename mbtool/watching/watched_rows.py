@@ -161,6 +161,9 @@ class WatchedSlave:
     """The time (ns since 1970) of the first unanswered request since the last response; None if
     there is none."""
     findings: int = 0
+    retries: int = 0
+    """The number of retries, by the rule of the statistics: requests that repeat an unanswered one
+    at once, not at the usual period of their poll."""
     missing: FailureSpan | None = None
     """The requests without an answer, or whose answer had a wrong CRC or LRC."""
     refused: FailureSpan | None = None

@@ -181,6 +181,57 @@ def test_a_transaction_has_its_findings_and_its_mark() -> None:
     assert cell(RECORD_COLUMNS, "sure", row, context) == "100 %"
 
 
+def test_only_a_retry_is_called_so() -> None:
+    def asked(at_ms: int, retries: int) -> Record:
+        return unanswered(at_ms, retries=retries, transport=Transport.TCP, reference="D1")
+
+    polls, again = [asked(1000 * at, at) for at in range(9)], asked(8100, 9)
+    board = board_of(*polls, again)
+    board.advance(None)
+    rows = record_rows(board)
+    texts = [cell(RECORD_COLUMNS, "text", row, DrawContext()) for row in rows]
+    assert texts == ["03 read D1 -> no answer"] * 9 + ["03 read D1 (retry) -> no answer"]
+    for row, told in ((rows[1], "the equal request"), (rows[8], "the 8 equal requests")):
+        lines = lines_of(record_detail(row.kept, None, 80))
+        assert f"{told} before it got no answer" in lines
+        assert "retry" not in lines
+
+
+def test_an_exception_code_has_one_name_in_all_rows() -> None:
+    """That of the standard, in few words; the words of the slave's manual are in the detail."""
+    standard, manual, unknown = (
+        request(at, unit=at, outcome=Outcome.EXCEPTION, exception=code, exception_name=name)
+        for at, (code, name) in enumerate(
+            [(2, "illegal data address"), (2, "device address error"), (0x11, "out of range")], 1
+        )
+    )
+    board = board_of(standard, manual, unknown)
+    told = ["02 illegal address", "02 illegal address", "11 out of range"]
+    assert [text_of(poll_values(row, DrawContext())) for row in poll_rows(board)] == told
+    rows = record_rows(board)
+    texts = [cell(RECORD_COLUMNS, "text", row, DrawContext()) for row in rows]
+    assert [text.partition(" -> ")[2] for text in texts] == told
+    assert "02 device address error" in lines_of(record_detail(rows[1].kept, None, 80))
+
+
+def test_under_a_filter_a_slave_is_judged_by_all_records() -> None:
+    whole = board_of()
+    failures = Board(whole=whole)
+    for at in range(30):
+        is_missing = at % 3 == 1
+        one = unanswered(at) if is_missing else read(at, 1)
+        whole.add(KeptRecord(at, at, one))
+        if is_missing:
+            failures.add(KeptRecord(at, at, one))
+    (row,) = slave_rows(failures)
+    assert text_of(slave_state(row, DrawContext())) == "33 % unanswered"
+    assert cell(SLAVE_COLUMNS, "asked", row, DrawContext()) == "10"
+    text = lines_of(slave_detail(row, 100))
+    assert "without the filter: asked 30, answered 20, missing 10" in text
+    assert "last answer" in text
+    assert "no answer since" not in text
+
+
 def test_the_state_of_a_slave_is_in_words() -> None:
     def state(*records: Record) -> str:
         return text_of(slave_state(slave_rows(board_of(*records))[0], DrawContext()))

@@ -67,6 +67,47 @@ def test_a_request_that_is_told_late_as_unanswered_replaces_nothing_newer() -> N
     assert slave.last_ns == START_NS + 200 * MS
 
 
+def test_the_polls_of_a_dead_unit_are_no_retries() -> None:
+    """The same rule as that of `stats`: a retry repeats a request at once, not at its period."""
+    dead = [unanswered(1000 * at, unit=3, retries=at) for at in range(20)]
+    board = board_of(*dead)
+    board.advance(None)
+    assert [row.is_retry for row in record_rows(board)] == [False] * 20
+    assert poll_rows(board)[0].retries == slave_rows(board)[0].retries == 0
+    again = unanswered(19_100, unit=3, retries=20)
+    board = board_of(*dead, again)
+    board.advance(None)
+    assert [row.kept.record for row in record_rows(board) if row.is_retry] == [again]
+    assert poll_rows(board)[0].retries == slave_rows(board)[0].retries == 1
+
+
+def test_a_filter_makes_no_retries_and_judges_no_slave() -> None:
+    whole = board_of()
+    failures = Board(lambda _: LINE, whole=whole)
+    for at in range(12):
+        one = read(1000 * at, 1) if at % 3 else unanswered(1000 * at, quantity=1, retries=1)
+        kept = KeptRecord(at + 1, at + 1, one)
+        whole.add(kept)
+        if not at % 3:
+            failures.add(kept)
+    for board in (whole, failures):
+        board.advance(None)
+    assert not any(row.is_retry for row in record_rows(failures))
+    (row,) = slave_rows(failures)
+    assert (row.asked, row.missing) == (4, 4)
+    assert row.whole is not None
+    assert (row.whole.asked, row.whole.missing, row.whole.silent_since_ns) == (12, 4, None)
+    assert slave_rows(whole)[0].whole is None
+
+
+def test_the_retries_that_are_kept_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(limits, "_MAX_RETRIES", 3)
+    board = board_of(*(unanswered(at * at * 1000, retries=at) for at in range(9)))
+    board.advance(None)
+    assert slave_rows(board)[0].retries == 8
+    assert [row.is_retry for row in record_rows(board)] == [False] * 6 + [True] * 3
+
+
 def test_the_period_is_known_once_requests_are_in_order() -> None:
     board = board_of(*(read(at, 1) for at in range(0, 1000, 100)))
     assert poll_rows(board)[0].period_ns == 0

@@ -34,6 +34,7 @@ _SIGNS = (
     ("w", "before a value: a master wrote it; behind a request: it writes"),
     ("x", "in bars: a request without an answer"),
     ("!", "before a code: a broken rule; key 4 says what it means"),
+    ("(retry)", "repeats an unanswered request at once, not at its usual period"),
     ("*", "marked"),
     ("?", "as unit: bytes of some unit that cannot be told"),
 )
