@@ -115,3 +115,44 @@ def test_a_histogram_of_one_bar_tells_of_longer_answers(tmp_path: Path) -> None:
     out.write_text(text.replace('"beyond":0', '"beyond":1'))
     page = shown(out, tmp_path / "profile")
     assert "200 answers of all units took about 8.0 ms; 1 longer answer, up to 3000 ms." in page
+
+
+PHONE = """
+setTimeout(() => {
+  const folds = () => [...document.querySelectorAll("section > details")].filter((one) => one.open);
+  const opened = () => folds().map((one) => one.parentElement.id);
+  const told = { narrow: innerWidth <= 640, first: opened() };
+  const cut = (one) => one.getBoundingClientRect().right > innerWidth;
+  told.menu = [...document.querySelectorAll("nav a")].filter(cut).length;
+  told.drawn = charts.length;
+  document.querySelector("nav a[href='#latency']").click();
+  document.querySelector("#verdict button").click();
+  setTimeout(() => {
+    told.then = opened();
+    told.drawnThen = charts.length > 0;
+    for (const fold of document.querySelectorAll("details")) fold.open = true;
+    setTimeout(() => {
+      const page = document.documentElement;
+      told.overflow = page.scrollWidth - page.clientWidth;
+      told.rows = document.querySelectorAll("#transactions tbody tr").length;
+      tell(told);
+    }, 500);
+  }, 500);
+}, 2000);
+"""
+
+
+def test_a_phone_folds_long_sections_and_nothing_is_wider_than_its_screen(tmp_path: Path) -> None:
+    log = sick_line(tmp_path / "sick.mcap", 40, name=HOSTILE * 3)
+    out = tmp_path / "r.html"
+    assert run(["report", str(log), "-o", str(out)]) == 0
+    assert asked(out, tmp_path / "profile", PHONE, width=400) == {
+        "narrow": True,
+        "first": ["findings"],
+        "menu": 0,
+        "drawn": 0,
+        "then": ["findings", "latency", "transactions"],
+        "drawnThen": True,
+        "overflow": 0,
+        "rows": 25,
+    }

@@ -8,8 +8,12 @@ const { stats, bins } = data;
 const FEW_BINS = 24;
 const MOST_BARS = 100;
 const SHOWN_SERIES = 8;
-const PAGE_ROWS = 100;
-const FEW_ROWS = 12;
+/* A phone has room for less at once, and most sections are folded there. */
+const narrow = matchMedia("(max-width: 640px)");
+const PAGE_ROWS = narrow.matches ? 25 : 100;
+const FEW_ROWS = narrow.matches ? 5 : 12;
+const FEW_FINDINGS = 6;
+const UNFOLDED = ["findings", "against"];
 const PRINTED_ROWS = 60;
 const MANY_COLUMNS = 3;
 const MANY_SAMPLES = 150;
@@ -24,6 +28,8 @@ const DASHES = [[], [6, 4], [2, 3]];
 
 /* ---- texts ---- */
 
+/* A number and its unit stay in one line. */
+const together = (text) => text.replace(/(\d) (?=%|(?:us|ms|s|min|h|d)\b)/g, "$1\u00a0");
 /* Characters that show nothing, or turn the direction of a line, could hide what a text says. */
 const clean = (text) => String(text ?? "").replace(/[\p{Cc}\p{Cf}\p{Cs}\p{Co}\p{Cn}]/gu, "?");
 const count = (n) => (n ?? 0).toLocaleString("en");
@@ -72,25 +78,32 @@ function el(tag, attributes, ...children) {
   }
   return made;
 }
-function show(id, ...children) {
-  const section = get(id);
-  section.append(...children.flat().filter(Boolean));
-  section.hidden = false;
-  return section;
+const foldOf = (id) => get(id).querySelector("details");
+/* `hint` says what a folded section holds. */
+function show(id, hint, ...children) {
+  const fold = foldOf(id);
+  fold.append(...children.flat().filter(Boolean));
+  fold.querySelector(".hint").textContent = clean(hint);
+  fold.open = !narrow.matches || UNFOLDED.includes(id);
+  fold.addEventListener("toggle", () => { if (fold.open) drawMissing(); });
+  get(id).hidden = false;
+}
+function unfold(id) {
+  foldOf(id).open = true;
 }
 const soft = (text) => el("p", { class: "soft" }, text);
 
-/* The heads of a table: one that begins with ">" is of numbers, "+" of long texts, "~" of names. */
-const KINDS = { ">": "right", "+": "wide", "~": "name" };
+/* The heads of a table: one that begins with ">" is of numbers, "+" of long texts, "~" of names. A
+   phone shows no head beside the cells of "#" (numbers), "=" (long texts) and "." */
+const KINDS = { ">": "right", "+": "wide", "~": "name", "#": "right bare", "=": "wide bare", ".": "bare" };
 const kindOf = (head) => KINDS[head[0]] ?? null;
-const nameOf = (head) => head.replace(/^[>+~]/, "");
-/* On a phone, a table of `cards` shows each row as lines of its own, and one that is "compact" shows
-   its numbers behind each other. Then the browser no longer knows that it is a table, unless the
-   roles say so. */
-function frame(caption, heads, body, cards) {
+const nameOf = (head) => head.replace(/^[>+~#=.]/, "");
+/* On a phone, a table of `cards` shows the cells of a row behind each other, with their heads. Then
+   the browser no longer knows that it is a table, unless the roles say so. */
+function frame(caption, heads, body, cards, isNamed = true) {
   const role = (name) => (cards ? name : null);
   return el("div", { class: "scroll", role: "region", tabindex: "0", "aria-label": caption },
-    el("table", { class: cards === true ? "cards" : cards || null, role: role("table") }, cards === true ? null : el("caption", {}, caption),
+    el("table", { class: cards ? "cards" : null, role: role("table") }, isNamed ? el("caption", {}, caption) : null,
       el("thead", { role: role("rowgroup") }, el("tr", { role: role("row") }, heads.map((head) => el("th", { scope: "col", role: role("columnheader"), class: kindOf(head) }, nameOf(head))))), body));
 }
 /* A reference such as HR400001..400004 may be broken behind its dots. */
@@ -99,13 +112,13 @@ const breakable = (cell) => (typeof cell !== "string" || !cell.includes("..") ? 
 function tableRow(heads, cells, cards, attributes) {
   return el("tr", { role: cards ? "row" : null, ...attributes }, cells.map((cell, at) => el("td", { class: kindOf(heads[at]), role: cards ? "cell" : null, "data-label": cards ? nameOf(heads[at]) : null }, breakable(cell))));
 }
-function table(caption, allHeads, allRows, wanted = false, printed = PRINTED_ROWS) {
-  const filled = allHeads.map((_, at) => allRows.some((cells) => cells[at] !== "" && cells[at] !== null));
+function table(caption, allHeads, allRows, isNamed = true, printed = PRINTED_ROWS) {
+  const filled = allHeads.map((_, at) => allRows.some((cells) => cells[at] !== "" && cells[at] !== "–" && cells[at] !== null));
   const heads = allHeads.filter((_, at) => filled[at]), rows = allRows.map((cells) => cells.filter((_, at) => filled[at]));
-  const cards = wanted || (heads.length > MANY_COLUMNS ? "compact" : false);
+  const cards = heads.length > MANY_COLUMNS;
   const row = (cells, at) => tableRow(heads, cells, cards, at >= FEW_ROWS ? { class: "on-paper" } : {});
   const body = el("tbody", { role: cards ? "rowgroup" : null }, rows.slice(0, Math.max(FEW_ROWS, printed)).map(row));
-  const region = frame(caption, heads, body, cards);
+  const region = frame(caption, heads, body, cards, isNamed);
   const hidden = rows.length - FEW_ROWS;
   if (hidden <= 0) return region;
   const more = el("button", { type: "button", on: { click: () => {
@@ -261,7 +274,7 @@ function asTable(spec) {
     const rows = spec.data[0].map((x, at) => [spec.at ? spec.at(x) : moment(x * 1e6),
       ...spec.series.map((one, place) => { const v = spec.data[place + 1][at]; return v === null || v === undefined ? "" : one.text ? one.text(v) : number(v); })])
       .filter((row) => row.slice(1).some((cell) => cell !== "" && cell !== "0"));
-    details.append(table(spec.title, [spec.head || "time (UTC)", ...spec.series.map((one) => `>${one.label}`)], rows, false, 0));
+    details.append(table(spec.title, [spec.head || "time (UTC)", ...spec.series.map((one) => `>${one.label}`)], rows, true, 0));
   }, { passive: true });
   return details;
 }
@@ -273,18 +286,34 @@ function drawLater(one) {
 }
 function drawNext() {
   const one = waiting[0];
-  if (one.host.isConnected && !one.plot) one.build();
+  if (isSeen(one) && !one.plot) one.build();
   waiting.shift();
   if (waiting.length) setTimeout(drawNext);
 }
+/* A chart in a folded section is drawn when the section is opened. */
+const isSeen = (one) => one.host.isConnected && !one.host.closest("details:not([open])");
+function drawMissing() {
+  for (const one of charts) if (isSeen(one) && !(one.plot && one.plot.root.clientWidth <= one.host.clientWidth)) one.build();
+}
 function redraw(width) {
-  for (const one of charts) if (one.host.isConnected) one.build(width ? width(one) : undefined);
+  for (const one of charts) if (isSeen(one)) one.build(width ? width(one) : undefined);
 }
 let lastWidth = innerWidth;
 addEventListener("resize", () => { if (innerWidth !== lastWidth) { lastWidth = innerWidth; redraw(); } });
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => redraw());
-/* On paper every chart is drawn, in the colours of paper (the style sheet) and in its width. */
-matchMedia("print").addEventListener("change", (event) => { if (event.matches) redraw((one) => (one.figure.parentElement.className === "grid" ? 330 : 690)); else redraw(); });
+/* On paper every section is open, and every chart is drawn in the colours of paper (the style sheet)
+   and in its width. */
+const folded = [];
+matchMedia("print").addEventListener("change", (event) => {
+  if (event.matches) {
+    folded.push(...document.querySelectorAll("section > details:not([open])"));
+    for (const fold of folded) fold.open = true;
+    redraw((one) => (one.figure.parentElement.className === "grid" ? 330 : 690));
+  } else {
+    for (const fold of folded.splice(0)) fold.open = false;
+    redraw();
+  }
+});
 
 const times = Array.from({ length: bins.count }, (_, at) => bins.begin + at * bins.width);
 const stepped = uPlot.paths.stepped({ align: 1 });
@@ -298,7 +327,7 @@ const total = (column) => column.reduce((sum, one) => sum + one, 0);
 function verdict() {
   const { level, sentence, troubles } = data.verdict;
   get("verdict").classList.add(level);
-  get("sentence").textContent = clean(sentence);
+  get("sentence").textContent = together(clean(sentence));
   const names = stats.sources.map(baseName), shownNames = names.length > 4 ? `${names.slice(0, 3).join(", ")} and ${count(names.length - 3)} more files` : names.join(", ");
   document.title = clean(`mbtool report: ${shownNames}`);
   get("what").append(clean(shownNames));
@@ -329,8 +358,8 @@ function brokenText() {
 function findings() {
   const { rows, broken, notes } = data.findings, counted = data.verdict.troubles.filter((one) => !one.is_rule).slice(0, 40);
   const none = "No rule of Modbus, or of a device’s manual, is broken";
-  if (!rows.length && !counted.length) { show("findings", soft(`${none}.`)); return; }
-  const body = el("tbody", { role: "rowgroup" }), heads = ["code", "severity", ">times", "~where", "+what"];
+  if (!rows.length && !counted.length) { show("findings", "", soft(`${none}.`)); return; }
+  const body = el("tbody", { role: "rowgroup" }), heads = [".code", ".severity", ">times", "~where", "=what"];
   const lines = rows.map((one) => {
     const cases = [one.first, one.last].filter(Boolean);
     const text = `${one.code} ${one.severity} ${one.meaning} ${one.place} ${cases.map((each) => each.message).join(" ")}`.toLowerCase();
@@ -358,10 +387,10 @@ function findings() {
   };
   const field = el("input", { type: "search", on: { input: fill } });
   const total = `${broken ? `Rules were broken ${plural(broken, "time")}` : none}${notes ? `; ${plural(notes, "note")}` : ""}.`;
-  show("findings", el("p", { class: "soft" }, total, rows.length ? el("span", { class: "screen" }, " A time leads to the transaction, a code to all of them.") : null,
+  show("findings", count(lines.length), el("p", { class: "soft" }, total, rows.length ? el("span", { class: "screen" }, " A time leads to the transaction, a code to all of them.") : null,
     counted.length ? " “counts” marks what missing answers, refusals, times and connections show when they are counted." : null),
-    el("div", { class: "tools" }, el("label", {}, "Search findings", field), told),
-    frame("Findings", heads, body, true));
+    lines.length > FEW_FINDINGS ? el("div", { class: "tools" }, el("label", {}, "Search findings", field), told) : null,
+    frame("Findings", heads, body, true, false));
   fill();
 }
 
@@ -382,7 +411,7 @@ function against() {
   const one = data.against;
   if (!one) return;
   const rows = one.rows.map(([slave, kind, what, where, here, other]) => [slave, kind, what, where, here || "–", other || "–"]);
-  show("against",
+  show("against", plural(one.count, "difference"),
     soft(`Compared by meaning with ${one.other}: ${plural(one.count, "difference")} between its ${plural(one.other_transactions, "transaction")} and the ${count(one.transactions)} here. Ids, order and times do not count.`),
     one.is_whole ? null : el("p", { class: "notice" }, "There is more than can be compared at once; some traffic is left out."),
     rows.length ? table("Differences", ["slave", "differs", "function", "+what", "+here", `+in the other`], rows) : soft("They do not differ."),
@@ -414,7 +443,8 @@ function failures() {
     .sort(([, a], [, b]) => b.no_answer + b.exception - a.no_answer - a.exception)
     .map(([link, one]) => [...(several ? [link.link] : []), String(one.unit), `${hex(one.function)} ${one.function_name}`, count(one.transactions), some(one.no_answer), some(one.wrong_crc), some(one.exception),
       one.exceptions.map((each) => `${hex(each.code)} ${each.name} ×${count(each.count)}`).join(", "), some(one.repetitions), some(one.malformed), some(one.unsolicited), some(one.not_captured)]);
-  show("failures", failing.length > 1 ? choice : null, place, hasTimeline || rows.length ? null : soft("No request failed."),
+  const sums = FAILURES.map(([key, label]) => [total(added(bins.units.map((one) => one[key]))), label]).filter(([sum]) => sum);
+  show("failures", sums.length ? sums.map(([sum, label]) => `${count(sum)} ${label}`).join(", ") : "none", failing.length > 1 ? choice : null, place, hasTimeline || rows.length ? null : soft("No request failed."),
     rows.length ? table("Failures by unit and function", [...(several ? ["link"] : []), ">unit", "~function", ">asked", ">no answer", ">wrong CRC", ">exceptions", "+which", ">retries", ">malformed", ">unasked", ">not captured"], rows) : null,
     rows.some((row) => row[row.length - 1]) ? soft("What was not captured is the capture’s loss, and no device’s fault.") : null,
     bins.units_left_out ? soft(`The chart has the ${count(bins.units.length)} units that were asked most; ${plural(bins.units_left_out, "unit")} left out.`) : null);
@@ -447,7 +477,7 @@ function latency() {
   const draw = (at) => place.replaceChildren(histogram(...sources[at]));
   draw(0);
   const rows = sources.map(([name, one]) => [name, count(one.count), digits(one.mean_ms), digits(one.min_ms), digits(one.p50_ms), digits(one.p95_ms), digits(one.p99_ms), digits(one.max_ms)]);
-  show("latency", soft("From the end of a request to the start of its response, in ms."), over, chooser("Histogram of", sources.map(([name]) => name), draw), place,
+  show("latency", `up to ${digits(Math.max(...sources.map(([, one]) => one.max_ms)))} ms`, soft("From the end of a request to the start of its response, in ms."), over, chooser("Histogram of", sources.map(([name]) => name), draw), place,
     table("Latency, ms", ["~unit and function", ">answers", ">mean", ">least", ">p50", ">p95", ">p99", ">most"], rows));
 }
 
@@ -485,7 +515,7 @@ function cycle() {
     if (master.response_timeout_ms) made.push(soft(`The master${who ? ` (${who})` : ""} waits ${digits(master.response_timeout_ms)} ms for an answer.`));
   }
   if (!made.length) return;
-  show("cycle", made.slice(0, 60));
+  show("cycle", plural(made.filter((one) => one.tagName === "DETAILS").length, "list"), made.slice(0, 60));
 }
 function cycleTable(link, list, who, isOpen, part) {
   const whole = list.steps.reduce((sum, step) => sum + step.pause_ms + step.took_ms, 0) || 1;
@@ -549,7 +579,8 @@ function load() {
     series: bad.map((one) => ({ ...one, fill: true })) }));
   const rows = stats.links.flatMap((link) => link.connections.map((one) => [link.link, one.master || "", count(one.opened), some(one.joined), some(one.refused), some(one.resets), count(one.most_at_once)]));
   if (rows.length) made.push(table("Connections", ["slave", "master", ">opened", ">open before", ">refused", ">reset", ">most at once"], rows));
-  if (made.length) show("load", made);
+  const busy = stats.links.filter((one) => one.load).map((one) => share(one.load.busy_share));
+  if (made.length) show("load", busy.length === 1 ? `line busy for ${busy[0]}` : "", made);
 }
 
 /* As in `stats`: where the times between requests vary more than their median, there is no period. */
@@ -564,8 +595,8 @@ function polls() {
   const ranked = all.sort(([, a], [, b]) => (b.latency?.p95_ms ?? 0) - (a.latency?.p95_ms ?? 0));
   const rows = ranked.map(([link, one]) => [...(several ? [link.link] : []), pollText(one), one.device || "", count(one.transactions), ...everyText(one.period), digits(one.latency?.p50_ms), digits(one.latency?.p95_ms), digits(one.latency?.max_ms), some(one.exception), some(one.no_answer), one.load ? share(one.load.total_share) : ""]);
   const listed = all.length < stats.polls_listed ? ` Of ${count(stats.polls_listed)} polls the ${count(all.length)} that were asked most.` : "";
-  show("polls", soft(`Equal requests, the slowest first; unit, function and address.${listed}`),
-    table("Polls", [...(several ? ["link"] : []), "~poll", "device", ">asked", ">every s", ">± ms", ">p50 ms", ">p95 ms", ">most ms", ">exceptions", ">no answer", ">line"], rows));
+  show("polls", count(all.length), soft(`Equal requests, the slowest first; unit, function and address.${listed}`),
+    table("Polls", [...(several ? ["link"] : []), "~poll", "device", ">asked", ">every s", ">± ms", ">p50 ms", ">p95 ms", ">most ms", ">exceptions", ">no answer", ">line"], rows, false));
 }
 
 function values() {
@@ -604,7 +635,7 @@ function values() {
   };
   more.addEventListener("click", draw);
   draw();
-  show("values", soft(`${plural(series.length, "value")} changed, ${count(constant.length)} did not. A value holds until the next one is read or written.`),
+  show("values", `${count(series.length)} changed`, soft(`${plural(series.length, "value")} changed, ${count(constant.length)} did not. A value holds until the next one is read or written.`),
     ...(hasTimeline ? [grid, tools, ...bands] : [series.length && table("Values that changed", [...(several ? ["link"] : []), ">unit", "~name", "+values"],
       series.map((one) => [...(several ? [one.link] : []), String(one.unit), title(one), one.samples.map(([, value]) => new Map(one.texts).get(value) ?? number(value)).slice(0, 8).join(", ")]))]),
     constant.length ? table("Values that never changed", [...(several ? ["link"] : []), ">unit", "~name", "address", "+value"],
@@ -677,7 +708,7 @@ function inventory() {
   if (!slaves.length && !masters.length) return;
   const rows = slaves.map((one) => [one.where, String(one.unit), one.role, one.profile, count(one.transactions), some(one.no_answer), some(one.unreached),
     el("ul", { class: "plain soft" }, one.details.map((line) => el("li", {}, line)))]);
-  show("inventory", table(`Units (${count(data.inventory.slaves_seen)})`, ["host or line", ">unit", "role", "profile", ">transactions", ">no answer", ">not reached", "+details"], rows, true),
+  show("inventory", plural(data.inventory.slaves_seen, "unit"), table(`Units (${count(data.inventory.slaves_seen)})`, ["~host or line", ">unit", ".role", "profile", ">transactions", ">no answer", ">not reached", "=details"], rows),
     masters.length ? table(`Masters (${count(data.inventory.masters_seen)})`, ["host", ">asks units", ">writes to", ">requests", "seen (UTC)", "+MAC"],
       masters.map(([host, asks, writes, requests, seen, mac]) => [host, count(asks), count(writes), count(requests), seen, mac])) : null);
 }
@@ -695,7 +726,7 @@ const haystack = (at) => {
   return (haystacks[at] ??= ` ${texts[row[LINK]]} unit:${row[UNIT]} #${row[NUMBER]} ${texts[row[WHAT]]} ${texts[row[RESULT]]} ${texts[row[OUTCOME]]} ${texts[row[CODES]]} ${clock(usOf(row))} `.toLowerCase());
 };
 let found = rows.map((_, at) => at), first = 0, here = -1;
-const HEADS = [">number", oneDay && rows.length ? `time (UTC, ${day(beginUs).replaceAll("-", "\u2011")})` : "time (UTC)", ...(several ? ["link"] : []), ">unit", "+request", "+result", "outcome", ">ms", "findings"];
+const HEADS = ["#number", ".time (UTC)", ...(several ? ["link"] : []), ">unit", "=request", "+result", ".outcome", ">ms", ".findings"];
 const body = el("tbody", { role: "rowgroup" });
 const told = el("span", { class: "soft", role: "status" });
 const field = el("input", { type: "search", on: { input: () => { filter(); first = 0; draw(); } } });
@@ -734,6 +765,7 @@ function search(text) {
   filter();
   first = 0; here = -1;
   draw();
+  unfold("transactions");
   get("transactions").scrollIntoView();
   field.focus({ preventScroll: true });
 }
@@ -743,6 +775,7 @@ function goTo(at) {
   here = at;
   first = Math.floor(at / PAGE_ROWS) * PAGE_ROWS;
   draw();
+  unfold("transactions");
   const row = get(`t${rows[at][NUMBER]}`);
   row.scrollIntoView({ block: "center" });
   row.focus({ preventScroll: true });
@@ -767,7 +800,8 @@ function exactly(us) {
   return at < 0 ? el("span", {}, moment(us)) : linkTo(at, moment(us));
 }
 function byHash() {
-  const match = /^#t(\d+)$/.exec(location.hash);
+  const match = /^#t(\d+)$/.exec(location.hash), section = sections.find((one) => `#${one.id}` === location.hash);
+  if (section) unfold(section.id);
   if (!match) return;
   const at = rows.findIndex((row) => row[NUMBER] === Number(match[1]));
   if (at >= 0) goTo(at);
@@ -776,14 +810,13 @@ function transactions() {
   if (!rows.length) return;
   const all = data.transactions, out = all.transactions - rows.length;
   const lost = all.with_trouble - all.kept_with_trouble;
-  show("transactions",
-    soft(out ? `${count(rows.length)} of ${count(all.transactions)} transactions: the first ones${all.late ? ", late answers" : ""} and ${lost ? `${count(all.kept_with_trouble)} of the ${count(all.with_trouble)}` : "all"} that failed or have a finding. ${count(out)} are left out; mbtool report --all puts them all into the page.` : `All ${plural(all.transactions, "transaction")}.`),
+  show("transactions", count(all.transactions),
+    soft(`${out ? `${count(rows.length)} of ${count(all.transactions)} transactions: the first ones${all.late ? ", late answers" : ""} and ${lost ? `${count(all.kept_with_trouble)} of the ${count(all.with_trouble)}` : "all"} that failed or have a finding. ${count(out)} are left out; mbtool report --all puts them all into the page.` : `All ${plural(all.transactions, "transaction")}.`} Times are UTC${oneDay ? `, on ${day(beginUs)}` : ""}.`),
     el("div", { class: "tools" }, el("label", {}, "Search transactions", field), earlier, later, told),
     el("p", { class: "soft screen" }, "Words must all occur; unit:5 and #12 are exact. Also: no-answer, exception, a code such as MB-401, a time, ms>400."),
-    frame("Transactions", HEADS, body, true),
+    frame("Transactions", HEADS, body, true, false),
     el("p", { class: "soft printed" }, "On paper at most 40 rows of those on the screen."));
   draw();
-  addEventListener("hashchange", byHash);
 }
 
 function capture() {
@@ -803,11 +836,13 @@ function capture() {
   if (lacking.length) made.push(table(`Gaps (${count(data.capture.lacking_seen)})`, ["time (UTC)", "link", "+what"], lacking.map(([us, link, message]) => [moment(us), link, message])));
   if (remarks.length) made.push(el("ul", {}, remarks.map((line) => el("li", {}, line))));
   if (!lost && !lacking.length && !remarks.length) made.push(soft("Nothing that it shows."));
-  show("capture", made);
+  show("capture", remarks.length ? plural(remarks.length, "remark") : "", made);
 }
 
 for (const part of [verdict, transactions, findings, against, failures, latency, cycle, load, polls, values, inventory, capture]) part();
-get("contents").append(...[...document.querySelectorAll("section[data-name]:not([hidden])")].map((section) => el("li", {}, el("a", { href: `#${section.id}` }, section.dataset.name))));
+const sections = [...document.querySelectorAll("section[data-name]:not([hidden])")];
+get("contents").append(...sections.map(({ id, dataset }) => el("li", {}, el("a", { href: `#${id}`, on: { click: () => unfold(id) } }, dataset.name))));
+addEventListener("hashchange", byHash);
 get("foot").append(`Made by mbtool ${clean(data.version)} on ${clean(data.made).slice(0, 19).replace("T", " ")} UTC. All times are UTC. docs/report.md and docs/findings.md explain the figures and the codes. Charts: uPlot, MIT licence.`);
 byHash();
 })();
