@@ -1,8 +1,9 @@
 """Lays out the tables of live views: which columns fit a width, and the cells of a row."""
 
 # A cell is a list of spans: texts with styles in the notation of the library rich. Columns of width
-# 0 share the width that the others leave. Where there is little room, columns of the highest rank
-# are left out first; a column that the user chose is kept.
+# 0 share the width that the others leave: one that is measured takes no more than its widest cell,
+# so that the others have the rest. Where there is little room, columns of the highest rank are left
+# out first; a column that the user chose is kept.
 
 from __future__ import annotations
 
@@ -24,6 +25,8 @@ Spans = list[Span]
 _LONGEST_PART = 12
 """A text that is too long is cut between words, unless its last word is longer than this, in
 characters."""
+CUT = "…"
+"""Ends a text that is cut."""
 LEAST_REST = 22
 """Columns of width 0 share the width that the others leave. If they would get fewer characters
 than this each, another column is left out."""
@@ -66,17 +69,19 @@ class WatchColumn:
     fit: Callable[[Any, DrawContext, int], Spans] | None = None
     """Makes the cell where it has so many characters; None if the cell is just cut."""
     least: int = 0
-    """If more than 0, the column is as wide as its widest cell, from this to `width` characters."""
+    """If more than 0, the column is measured: its width is that of its widest cell, from this to
+    `width` characters. One of width 0 needs no more than its widest cell then, and at least this.
+    """
     least_share: int = LEAST_REST
     """For a column of width 0: other columns are left out if this one would get fewer characters
-    than this. It is at least LEAST_REST; if it is more, the widest cell is enough."""
+    than this. If it is measured, its widest cell is enough."""
     is_usual: bool = True
     """False for a column that is shown only if the user chooses it."""
 
     @property
     def is_measured(self) -> bool:
         """True if the width depends on the widest cell."""
-        return self.least_share > LEAST_REST if not self.width else self.least > 0
+        return self.least > 0
 
     @property
     def most(self) -> int:
@@ -108,39 +113,69 @@ def fitted(
     `widest` has the number of characters in the widest cell of columns that are measured.
     """
     places = places or {}
-    if widest:
-        columns = [_as_wide(one, widest.get(one.name, 0)) for one in columns]
+    needed = _needed(columns, widest or {})
+    columns = [_as_wide(one, needed) for one in columns]
     if chosen is None:
         columns = [_placed(one, places) for one in columns]
     kept = [one for one in columns if (one.is_usual if chosen is None else one.name in chosen)]
     kept = kept or list(columns[:1])
     while True:
-        rests = sum(not one.width for one in kept)
         room = width - sum(one.width for one in kept) - (len(kept) - 1)
         rank = max(one.rank for one in kept)
         least = sum(one.least_share for one in kept if not one.width)
         if chosen is not None or not rank or room >= least:
             break
         kept.remove(next(one for one in reversed(kept) if one.rank == rank))
-    share, more = divmod(max(room, 0), rests) if rests else (0, 0)
+    shares = _shares([one for one in kept if not one.width], max(room, 0), needed)
     result = []
     for one in kept:
-        size = one.width
-        if not size:
-            size = share + (1 if more > 0 else 0)
-            more -= 1
         place = places.get(one.name) if chosen is None else None
-        result.append(FittedColumn(one, max(size, 1), "" if place is None else place.prefix))
+        size = one.width or max(shares[one.name], 1)
+        result.append(FittedColumn(one, size, "" if place is None else place.prefix))
     return result
 
 
-def _as_wide(column: WatchColumn, widest: int) -> WatchColumn:
+def _needed(columns: Sequence[WatchColumn], widest: Mapping[str, int]) -> Mapping[str, int]:
+    """Return the width that a column's widest cell needs, by name, where it is known."""
+    return {
+        one.name: max(widest[one.name], one.least)
+        for one in columns
+        if one.is_measured and widest.get(one.name, one.most) < one.most
+    }
+
+
+def _as_wide(column: WatchColumn, needed: Mapping[str, int]) -> WatchColumn:
     """Return a column that is only as wide as its widest cell, or needs no more than that."""
-    if not widest:
+    width = needed.get(column.name)
+    if width is None:
         return column
-    if not column.width:
-        return replace(column, least_share=min(column.least_share, max(widest, LEAST_REST)))
-    return replace(column, width=min(column.width, max(widest, column.least)))
+    return replace(column, width=width) if column.width else replace(column, least_share=width)
+
+
+def _shares(
+    columns: Sequence[WatchColumn], room: int, needed: Mapping[str, int]
+) -> Mapping[str, int]:
+    """Return the widths of columns of width 0, by name: `room` characters in all.
+
+    Each gets the same, but one whose widest cell is known no more than that, as long as others need
+    more. What nobody needs goes to the last column.
+    """
+    wanted = {one.name: needed.get(one.name, room) for one in columns}
+    left, shares = list(wanted), {}
+    while len(left) > 1:
+        if sum(map(wanted.__getitem__, left)) <= room:
+            small = left[:-1]
+        else:
+            small = [name for name in left if wanted[name] <= room // len(left)]
+        if not small:
+            break
+        for name in small:
+            shares[name] = wanted[name]
+            room -= wanted[name]
+            left.remove(name)
+    for at, name in enumerate(left):
+        shares[name] = room // len(left) + (at < room % len(left))
+    return shares
 
 
 def _placed(column: WatchColumn, places: Mapping[str, PlaceColumn]) -> WatchColumn:
@@ -195,21 +230,23 @@ def row_text(row: Any, columns: Sequence[WatchColumn], context: DrawContext) -> 
 def widest_cells(
     rows: Sequence[Any], columns: Sequence[WatchColumn], context: DrawContext
 ) -> dict[str, int]:
-    """Return the number of characters in the widest cell in `rows` of each measured column."""
+    """Return the number of characters in the widest cell in `rows` of each measured column.
+
+    Without rows nothing is known.
+    """
     widths = {}
-    for one in columns:
+    for one in columns if rows else ():
         if one.is_measured:
             cells = (one.cell(row, context) for row in rows)
-            texts = (
-                cell if isinstance(cell, str) else "".join(text for text, _ in cell)
+            widths[one.name] = max(
+                len(cell) if isinstance(cell, str) else sum(len(text) for text, _ in cell)
                 for cell in cells
             )
-            widths[one.name] = max(map(len, texts), default=0)
     return widths
 
 
 def cut_spans(spans: Spans, width: int) -> Spans:
-    """Return spans of exactly `width` characters: cut, with `..` at the end, or padded."""
+    """Return spans of exactly `width` characters: cut, with CUT at the end, or padded."""
     spans = [(printable(text), style) for text, style in spans]
     length = sum(len(text) for text, _ in spans)
     if length <= width:
@@ -222,21 +259,22 @@ def cut_spans(spans: Spans, width: int) -> Spans:
             break
         result.append((text, style))
         left -= len(text)
-    return [*result, ("..".ljust(width - kept)[: width - kept], "dim")]
+    return [*result, (CUT.ljust(width - kept)[: width - kept], "dim")]
 
 
 def _cut_at(text: str, width: int) -> int:
-    """Return the number of characters of a text to keep when it is cut to `width` and `..` is
-    added.
+    """Return the number of characters of a text to keep when it is cut to `width` and CUT is added.
 
     The cut is behind a space, so that no number looks like a shorter one, and no word is halved.
     """
-    end = max(width - 2, 0)
+    end = max(width - len(CUT), 0)
+    if text[end : end + 1] == " ":
+        return end
     space = text.rfind(" ", max(end - _LONGEST_PART, 0), end)
     return space + 1 or end
 
 
 def _aligned(text: str, width: int, *, is_right: bool) -> str:
     if len(text) > width:
-        text = text[:width] if width < 4 else f"{text[: _cut_at(text, width)]}.."
+        text = f"{text[: _cut_at(text, width)]}{CUT}"[:width]
     return f"{text:>{width}}" if is_right else f"{text:<{width}}"

@@ -2,16 +2,17 @@
 
 # A cell with points reads `digital operation value: CH1 12000, CH2 4000`, or, where they have just
 # changed, `CH1 digital operation value 12000`. CH1 is called the label here, the rest the subject.
-# Labels are kept, as they tell the values of one row apart. Subjects lose letters, then words, and
-# the subject that all values of a row share is left out: the detail of the row shows the full name.
+# Labels are kept, as they tell the values of one row apart. Subjects lose their ends, the longest
+# ones first. Where LEAST characters of each are still too many, the subject that all values of a
+# row share is left out: the detail of the row shows the full name.
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from typing import TYPE_CHECKING
 
 from mbtool.devices import describe_points, subject_of
+from mbtool.views.watch_columns import CUT
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -19,16 +20,13 @@ if TYPE_CHECKING:
     from mbtool.devices import NamedTransaction, PointValue
     from mbtool.views.watch_columns import Spans
 
-_LONGEST_WORD = 5
-"""Words with more letters than this are shortened to their first three and a full stop."""
-_WORDS = 2
-"""The number of words that are kept of a subject if there is no room for more."""
-_LONG = re.compile(rf"[^\W\d_]{{{_LONGEST_WORD + 1},}}")
+LEAST = 10
+"""A name is cut to no fewer characters than this."""
 
 
-def short_name(name: str, width: int) -> str:
-    """Return a name of at most `width` characters if shorter words suffice; else a longer one."""
-    return name if len(name) <= width else _abbreviated(name)
+def cut_name(name: str, width: int) -> str:
+    """Return a name of at most `width` characters; a longer one loses its end."""
+    return name if len(name) <= width else f"{name[: width - len(CUT)].rstrip()}{CUT}"
 
 
 def with_short_names(spans: Spans, one: NamedTransaction, width: int) -> Spans:
@@ -36,81 +34,101 @@ def with_short_names(spans: Spans, one: NamedTransaction, width: int) -> Spans:
 
     A span is `name value` of one point, or has the text of `describe_points` in it.
     """
+    excess = sum(len(text) for text, _ in spans) - width
+    if excess <= 0:
+        return spans
     subjects = Counter(subject_of(point) for point in one.points)
     del subjects[""]  # A name that is the reference stays.
-    shorten: Callable[[str], str]
-    shorter = spans
-    for shorten in (_abbreviated, _left_out if len(subjects) == 1 else _beginning):
-        if sum(len(text) for text, _ in shorter) <= width:
-            break
-        short = {point.name: _short(point, subjects, shorten) for point in one.points}
-        shorter = _replaced(spans, one, short, shorten)
-    return shorter
+    if not subjects:
+        return spans
+    shown = _Shown(spans, one, subjects)
+    longest = _longest(shown.names(), excess)
+    if longest < LEAST and len(subjects) == 1:
+        return shown.shortened(lambda _: "")
+    return shown.shortened(lambda name: cut_name(name, max(longest, LEAST)))
 
 
-def _short(point: PointValue, subjects: Mapping[str, int], shorten: Callable[[str], str]) -> str:
-    """Return the short name of a point; `subjects` says how many points share a subject."""
-    subject = subject_of(point)
-    if not subject:
-        return point.name
-    if subjects[subject] == 1:
-        return shorten(point.name)
-    return f"{point.name.partition(' ')[0]} {shorten(subject)}".rstrip()
+def _longest(names: Sequence[str], excess: int) -> int:
+    """Return the number of characters to which all longer names are cut, to save `excess` in all.
+
+    Return 0 if even that is not enough.
+    """
+    lengths = sorted(map(len, names))
+    limit = lengths[-1] if lengths else 0
+    while limit and excess > 0:
+        limit -= 1
+        excess -= sum(length > limit for length in lengths)
+    return limit
 
 
-def _replaced(
-    spans: Spans, one: NamedTransaction, short: Mapping[str, str], shorten: Callable[[str], str]
-) -> Spans:
-    """Return spans with short names: those of single points in `short`, by name, and of series."""
-    lone = {
-        f"{point.name} {point.text}": f"{short[point.name]} {point.text}".lstrip()
-        for point in one.points
-    }
-    texts = {text for text, _ in spans}
-    others = [point for point in one.points if f"{point.name} {point.text}" not in texts]
-    described = {
-        "; ".join(describe_points(points)): "; ".join(_phrases(points, short, shorten))
-        for points in (others, one.read_points, one.written_points)
-        if points
-    }
-    result = []
-    for text, style in spans:
-        new = lone.get(text, text)
-        for whole, shorter in described.items() if new == text else ():
-            new = new.replace(whole, shorter)
-        result.append((new, style))
-    return result
+class _Shown:
+    """The points of a transaction as the spans of a cell show them."""
 
+    def __init__(self, spans: Spans, one: NamedTransaction, subjects: Mapping[str, int]) -> None:
+        """`subjects` says how many points share a subject."""
+        self._spans, self._subjects = spans, subjects
+        texts = {text for text, _ in spans}
+        self._alone = [point for point in one.points if f"{point.name} {point.text}" in texts]
+        others = [point for point in one.points if f"{point.name} {point.text}" not in texts]
+        self._described: dict[str, Sequence[PointValue]] = {}
+        """The points of each text of `describe_points` that the spans have."""
+        for points in (others, one.read_points, one.written_points):
+            whole = "; ".join(describe_points(points))
+            if whole and any(whole in text for text in texts):
+                self._described.setdefault(whole, points)
 
-def _phrases(
-    points: Sequence[PointValue], short: Mapping[str, str], shorten: Callable[[str], str]
-) -> list[str]:
-    """Return the phrases of `describe_points` with short names; the values stay as they are."""
-    series: dict[str, list[str]] = {}
-    for point in points:
-        series.setdefault(subject_of(point), []).append(point.name)
-    series.pop("", None)
-    phrases = describe_points(points)
-    for at, (subject, names) in enumerate(series.items()):
-        is_lone = len(names) == 1
-        values = phrases[at].removeprefix(f"{names[0] if is_lone else subject}: ")
-        name = short[names[0]] if is_lone else shorten(subject)
-        # Nothing stands between label and value where the subject is left out.
-        colon = ":" if shorten(subject) else ""
-        phrases[at] = f"{name}{colon} {values}".lstrip()
-    return phrases
+    def names(self) -> list[str]:
+        """Return the names that can be shortened, each as often as it is shown."""
+        names = [self._name(point) for point in self._alone]
+        for points in self._described.values():
+            names += {subject_of(point): self._name(point) for point in points}.values()
+        return names
 
+    def shortened(self, shorten: Callable[[str], str]) -> Spans:
+        """Return the spans with shorter names."""
+        alone = {
+            f"{point.name} {point.text}": f"{self._short(point, shorten)} {point.text}".lstrip()
+            for point in self._alone
+        }
+        described = {
+            whole: "; ".join(self._phrases(points, shorten))
+            for whole, points in self._described.items()
+        }
+        result = []
+        for text, style in self._spans:
+            new = alone.get(text, text)
+            for whole, shorter in described.items() if new == text else ():
+                new = new.replace(whole, shorter)
+            result.append((new, style))
+        return result
 
-def _abbreviated(name: str) -> str:
-    """Shorten the long words: `dig. ope. value`."""
-    return _LONG.sub(lambda word: f"{word[0][:3]}.", name)
+    def _name(self, point: PointValue) -> str:
+        """Return the part of a point's name that can be shortened: the subject, or a name that has
+        no label.
+        """
+        subject = subject_of(point)
+        return point.name if self._subjects.get(subject) == 1 else subject
 
+    def _short(self, point: PointValue, shorten: Callable[[str], str]) -> str:
+        subject = subject_of(point)
+        if not subject:
+            return point.name
+        if self._subjects[subject] == 1:
+            return shorten(point.name)
+        return f"{point.name.partition(' ')[0]} {shorten(subject)}".rstrip()
 
-def _beginning(name: str) -> str:
-    name = _abbreviated(name)
-    words = name.split(" ")
-    return name if len(words) <= _WORDS else f"{' '.join(words[:_WORDS])}.."
-
-
-def _left_out(_: str) -> str:
-    return ""
+    def _phrases(self, points: Sequence[PointValue], shorten: Callable[[str], str]) -> list[str]:
+        """Return the phrases of `describe_points` with short names; the values stay as they are."""
+        series: dict[str, list[PointValue]] = {}
+        for point in points:
+            series.setdefault(subject_of(point), []).append(point)
+        series.pop("", None)
+        phrases = describe_points(points)
+        for at, (subject, members) in enumerate(series.items()):
+            is_alone = len(members) == 1
+            values = phrases[at].removeprefix(f"{members[0].name if is_alone else subject}: ")
+            name = self._short(members[0], shorten) if is_alone else shorten(subject)
+            # Nothing stands between label and value where the subject is left out.
+            colon = ":" if shorten(subject) else ""
+            phrases[at] = f"{name}{colon} {values}".lstrip()
+        return phrases

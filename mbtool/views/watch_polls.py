@@ -9,8 +9,8 @@ from mbtool.devices import describe_points
 from mbtool.modbus import FUNCTIONS, Outcome
 from mbtool.views.cells import GROUP, MANY_BITS, result_text, transaction_text
 from mbtool.views.statistics_words import in_ms
-from mbtool.views.watch_columns import DrawContext, Spans, WatchColumn
-from mbtool.views.watch_names import short_name, with_short_names
+from mbtool.views.watch_columns import LEAST_REST, DrawContext, Spans, WatchColumn
+from mbtool.views.watch_names import cut_name, with_short_names
 from mbtool.views.watch_words import (
     OVERDUE,
     age,
@@ -27,6 +27,9 @@ if TYPE_CHECKING:
     from mbtool.watching.board_rows import PollRow, WatchedPointRow
 
 _MAX_VALUES = 125
+_LEAST_NAME, _LEAST_POINT = 44, 32
+"""If the name or the value of a point would get fewer characters than this, and has more, other
+columns are left out."""
 _LEAST_VALUES = 30
 """If the last values of a poll would get fewer characters than this, its latencies are left out."""
 
@@ -162,7 +165,7 @@ POLL_COLUMNS = (
         sort=lambda row: (row.poll.function, row.poll.address or 0),
     ),
     WatchColumn(
-        name="values", title="last values", width=0, least_share=_LEAST_VALUES,
+        name="values", title="last values", width=0, least=LEAST_REST, least_share=_LEAST_VALUES,
         cell=poll_values, fit=fitted_values,
         sort=lambda row: transaction_text(row.kept.record),
     ),
@@ -232,12 +235,13 @@ POINT_COLUMNS = (
                           len(row.reference), row.reference),
     ),
     WatchColumn(
-        name="name", title="name", width=0,
+        name="name", title="name", width=0, least=4, least_share=_LEAST_NAME,
         cell=lambda row, _: row.name, sort=lambda row: row.name,
-        fit=lambda row, _, width: [(short_name(row.name, width), "")],
+        fit=lambda row, _, width: [(cut_name(row.name, width), "")],
     ),
     WatchColumn(
-        name="value", title="value", width=0, cell=_point_value,
+        name="value", title="value", width=0, least=8, least_share=_LEAST_POINT,
+        cell=_point_value,
         sort=lambda row: (row.value is None, row.value or 0, row.text),
     ),
     WatchColumn(

@@ -10,7 +10,7 @@ from mbtool.modbus import Outcome
 from mbtool.views.cells import ARROW, clock_time, event_text, result_text, transaction_text
 from mbtool.views.place_columns import host_of
 from mbtool.views.statistics_words import in_ms, percent
-from mbtool.views.watch_columns import DrawContext, Spans, WatchColumn
+from mbtool.views.watch_columns import LEAST_REST, DrawContext, Spans, WatchColumn
 from mbtool.views.watch_names import with_short_names
 from mbtool.views.watch_troubles import slave_trouble
 from mbtool.views.watch_words import age, count, in_table_words
@@ -29,6 +29,9 @@ _STYLES = {
 }
 
 
+_LEAST_MEANING, _LEAST_STATE = 60, 38
+"""If the meaning of a finding, or the state of a slave, would get fewer characters than this, and
+has more, other columns are left out."""
 _OF_SOME_UNIT = (EventKind.BAD_CHECK, EventKind.SKIPPED, EventKind.LINE_ERROR, EventKind.GAP)
 
 
@@ -146,7 +149,7 @@ RECORD_COLUMNS = (
 
 
 def _trouble_code(row: TroubleRow, _: DrawContext) -> Spans:
-    return [(row.code[:14].ljust(14), "magenta" if row.is_finding else "yellow")]
+    return [(row.code, "magenta" if row.is_finding else "yellow")]
 
 
 def trouble_text(row: TroubleRow, _: DrawContext) -> str:
@@ -159,7 +162,7 @@ def trouble_text(row: TroubleRow, _: DrawContext) -> str:
 
 TROUBLE_COLUMNS = (
     WatchColumn(
-        name="code", title="what", width=14, cell=_trouble_code, sort=lambda row: row.code,
+        name="code", title="what", width=14, least=6, cell=_trouble_code, sort=lambda row: row.code,
     ),
     WatchColumn(
         name="count", title="count", width=5, is_right=True,
@@ -170,19 +173,20 @@ TROUBLE_COLUMNS = (
         cell=lambda row, _: _unit(row), sort=lambda row: -1 if row.unit is None else row.unit,
     ),
     WatchColumn(
-        name="first", title="first (UTC)", width=12, rank=1,
-        cell=lambda row, _: clock_time(row.first_ns), sort=lambda row: row.first_ns,
+        name="first", title="first UTC", width=9, rank=1,
+        cell=lambda row, _: clock_time(row.first_ns)[:8], sort=lambda row: row.first_ns,
     ),
     WatchColumn(
-        name="last", title="last (UTC)", width=12,
-        cell=lambda row, _: clock_time(row.last_ns), sort=lambda row: row.last_ns,
+        name="last", title="last UTC", width=8,
+        cell=lambda row, _: clock_time(row.last_ns)[:8], sort=lambda row: row.last_ns,
     ),
     WatchColumn(
-        name="link", title="link", width=15, rank=2,
+        name="link", title="link", width=15, is_usual=False,
         cell=lambda row, _: row.link, sort=lambda row: row.link,
     ),
     WatchColumn(
-        name="text", title="meaning, or last event", width=0, cell=trouble_text,
+        name="text", title="meaning, or last event", width=0, least=LEAST_REST,
+        least_share=_LEAST_MEANING, cell=trouble_text,
         sort=lambda row: trouble_text(row, DrawContext()),
     ),
 )  # fmt: skip
@@ -216,7 +220,7 @@ def _failures(name: str, title: str) -> WatchColumn:
 
 SLAVE_COLUMNS = (
     WatchColumn(
-        name="link", title="link", width=15,
+        name="link", title="link", width=15, is_usual=False,
         cell=lambda row, _: row.link, sort=lambda row: row.link,
     ),
     WatchColumn(
@@ -224,7 +228,7 @@ SLAVE_COLUMNS = (
         cell=lambda row, _: str(row.unit), sort=lambda row: row.unit,
     ),
     WatchColumn(
-        name="device", title="device", width=16, rank=4,
+        name="device", title="device", width=16, least=6, rank=4,
         cell=lambda row, _: row.device or "", sort=lambda row: row.device or "",
     ),
     WatchColumn(
@@ -257,7 +261,8 @@ SLAVE_COLUMNS = (
         cell=lambda row, _: count(row.findings), sort=lambda row: row.findings,
     ),
     WatchColumn(
-        name="state", title="state", width=0, least_share=30, cell=slave_state,
+        name="state", title="state", width=0, least=LEAST_REST, least_share=_LEAST_STATE,
+        cell=slave_state,
         sort=lambda row: slave_state(row, DrawContext())[0][0],
     ),
 )  # fmt: skip

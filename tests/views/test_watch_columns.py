@@ -12,6 +12,7 @@ from mbtool.views.watch_columns import (
     row_spans,
     row_text,
     title_spans,
+    widest_cells,
 )
 from mbtool.views.watch_polls import POINT_COLUMNS, POLL_COLUMNS
 from mbtool.views.watch_records import RECORD_COLUMNS, SLAVE_COLUMNS, TROUBLE_COLUMNS
@@ -71,7 +72,7 @@ def test_a_row_is_as_wide_as_its_columns_and_has_no_control_characters() -> None
     shown = fitted(COLUMNS, 33)
     spans = row_spans({"unit": "123456", "text": [("a\x1b", "red")]}, shown, DrawContext())
     text = "".join(part for part, _ in spans)
-    assert text == "12.. a?" + " " * 26
+    assert text == "123… a?" + " " * 26
     assert (spans[2], len(text)) == (("a?", "red"), 33)
 
 
@@ -81,8 +82,11 @@ def test_the_title_has_an_arrow_at_the_column_of_the_sorting() -> None:
 
 
 def test_spans_are_cut_at_a_width() -> None:
-    assert cut_spans([("abc", "red"), ("def", "")], 5) == [("abc", "red"), ("..", "dim")]
+    assert cut_spans([("abc", "red"), ("def", "")], 5) == [("abc", "red"), ("d", ""), ("…", "dim")]
     assert cut_spans([("abc", "red")], 5) == [("abc", "red"), ("  ", "")]
+    for width, text in ((13, "would be …"), (9, "would be…"), (8, "would …")):
+        spans = cut_spans([("would be wrong", "")], width)
+        assert "".join(part for part, _ in spans) == text.ljust(width)
 
 
 def test_all_cells_are_searched() -> None:
@@ -90,7 +94,31 @@ def test_all_cells_are_searched() -> None:
     assert row_text(row, COLUMNS, DrawContext()) == "1 ab 2 3 4"
 
 
-@pytest.mark.parametrize("columns", [POLL_COLUMNS, SLAVE_COLUMNS])
+def test_a_name_has_the_room_that_values_do_not_need() -> None:
+    def widths(width: int, **widest: int) -> dict[str, int]:
+        shown = fitted(POINT_COLUMNS, width, widest={"reference": 9, **widest})
+        assert sum(one.width for one in shown) + len(shown) - 1 == width
+        return {one.column.name: one.width for one in shown}
+
+    shown = widths(80, name=34, value=12)
+    assert (shown["name"], shown["value"]) == (34, 15)
+    assert "changes" in shown
+    assert "before" not in shown
+    shown = widths(80, name=37, value=21)  # Both have not enough, without `changes`, too.
+    assert (shown["name"], shown["value"]) == (34, 21)
+    assert "changes" not in shown
+    shown = widths(80, name=0, value=5)
+    assert (shown["name"], shown["value"]) == (4, 23)
+    assert {"before", "trend"} <= shown.keys()
+    shown = widths(120, name=60, value=60)
+    assert abs(shown["name"] - shown["value"]) <= 1
+
+
+def test_without_rows_nothing_is_known_of_cells() -> None:
+    assert widest_cells([], POINT_COLUMNS, DrawContext()) == {}
+
+
+@pytest.mark.parametrize("columns", [POLL_COLUMNS, POINT_COLUMNS, SLAVE_COLUMNS, TROUBLE_COLUMNS])
 def test_a_cell_wider_than_the_most_that_counts_changes_no_width(
     columns: tuple[WatchColumn, ...],
 ) -> None:

@@ -473,8 +473,8 @@ def test_at_80_columns_values_with_long_names_are_shown() -> None:
             assert "RWr0..RWr7 CH1 4000, CH2 4001" in seen.text
             await seen.press("2")
             assert [line.split()[2:6] for line in seen.lines[3:5]] == [
-                ["CH1", "dig.", "ope.", "value"],
-                ["CH2", "dig.", "ope.", "value"],
+                ["CH1", "digital", "operation", "value"],
+                ["CH2", "digital", "operation", "value"],
             ]
             await seen.press("3")
             assert "read RWr0..RWr7 -> CH1 4000, CH2 4001, " in seen.text
