@@ -116,6 +116,11 @@ class RequestTally:
         return self.outcomes.get(outcome, 0)
 
     @property
+    def is_of_broadcasts(self) -> bool:
+        """True if there are only broadcasts, which no unit answers."""
+        return self.count(Outcome.BROADCAST) == self.transactions
+
+    @property
     def unanswered(self) -> int:
         """The number of requests that got no response, or none with a right checksum."""
         return self.count(Outcome.NO_ANSWER)

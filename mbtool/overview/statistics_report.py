@@ -9,12 +9,22 @@ from typing import TYPE_CHECKING
 from mbtool.modbus import function_name
 from mbtool.overview.bus_load import BusLoad, LineTime, bus_load, line_time
 from mbtool.overview.link_statistics import HourCount
+from mbtool.overview.odd_polling import (
+    LateUnit,
+    PollingPause,
+    ShortConnections,
+    late_units,
+    pauses,
+    short_connections,
+)
 from mbtool.overview.poll_cycle import PollLists
 from mbtool.overview.poll_statistics import PollStatistics
 from mbtool.overview.request_tally import RequestTally, merged
 from mbtool.overview.statistics_connections import ConnectionTally
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
     from mbtool.overview.statistics import Statistics
 
 
@@ -99,6 +109,42 @@ def report(statistics: Statistics) -> list[LinkReport]:
         )
         for name in statistics.links
     ]
+
+
+def unit_tallies(links: Sequence[LinkReport]) -> dict[tuple[str, int], RequestTally]:
+    """Return the counts of each unit; the key is link and unit.
+
+    Units that only got broadcasts are left out, as no unit answers these.
+    """
+    tallies: dict[tuple[str, int], list[RequestTally]] = {}
+    for link in links:
+        for one in link.functions:
+            if not one.tally.is_of_broadcasts:
+                tallies.setdefault((link.name, one.unit), []).append(one.tally)
+    return {unit: merged(some) for unit, some in tallies.items()}
+
+
+def unit_polls(links: Sequence[LinkReport]) -> dict[tuple[str, int], list[PollStatistics]]:
+    """Return the polls of each unit that are still known; the key is link and unit."""
+    polls: dict[tuple[str, int], list[PollStatistics]] = {}
+    for link in links:
+        for one in link.polls:
+            polls.setdefault((link.name, one.poll.key.unit), []).append(one.poll)
+    return polls
+
+
+def odd_polling(
+    links: Sequence[LinkReport], tallies: Mapping[tuple[str, int], RequestTally]
+) -> tuple[list[PollingPause], list[ShortConnections], list[LateUnit[tuple[str, int]]]]:
+    """Return what is odd in the polling, by kind. `tallies` has the counts of each unit."""
+    polls = [one.poll for link in links for one in link.polls]
+    connections = {(link.name, master): one for link in links for master, one in link.connections}
+    requests = {link.name: link.tally.requests for link in links}
+    return (
+        pauses(polls),
+        short_connections(connections, polls, lambda link: requests[link]),
+        late_units({unit: one.latency for unit, one in tallies.items()}),
+    )
 
 
 def _link_report(

@@ -3,34 +3,44 @@
 from __future__ import annotations
 
 from collections import Counter
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.core.wording import counted, plural
 from mbtool.modbus import Outcome
+from mbtool.overview.failure_limits import are_damaged, is_grave, never_answers
+from mbtool.overview.refusals import joint_refusals
 from mbtool.overview.request_tally import RequestTally, merged
+from mbtool.overview.slow_units import slow_units
+from mbtool.overview.statistics_report import odd_polling, unit_polls, unit_tallies
 from mbtool.views.statistics_columns import StyledLine
-from mbtool.views.statistics_words import duration, in_ms, per_second, percent
+from mbtool.views.statistics_words import duration, per_second, percent
+from mbtool.views.trouble_words import (
+    JOINED,
+    Unit,
+    exception_text,
+    joined_oddities,
+    joint_refusals_text,
+    many_slow_text,
+    oddities_text,
+    slow_text,
+    unit_name,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from mbtool.overview.statistics_report import LinkReport
 
 _BAD, _DOUBT = "red", "yellow"
 _MOST_UNITS = 3
-_SLOW = 3
-"""A unit is called slow if its median latency is at least this many times the median of all
-units."""
-_FEWEST_LATENCIES = 5
-"""A unit with fewer responses than this is never called slow: one late response would decide its
-median."""
+_MOST_ODDITIES = 3
 
 
 def verdict(links: Sequence[LinkReport]) -> list[StyledLine]:
-    """Return a line that sums up, then a line for each kind of failure.
+    """Return a line that sums up, then lines for each kind of trouble.
 
-    Failures are missing responses, exceptions, malformed and unsolicited responses, TCP resets, and
-    a slow unit.
+    Troubles are missing responses, exceptions, malformed and unsolicited responses, TCP resets,
+    slow units, and what is odd in the polling. `report` and `watch` judge by the same limits.
     """
     total = merged([link.tally for link in links])
     if not total.transactions:
@@ -39,12 +49,51 @@ def verdict(links: Sequence[LinkReport]) -> list[StyledLine]:
     if not all(link.has_times for link in links):
         text = "! no times: the bytes of the file have none, so there are no rates and periods"
         lines.append(StyledLine(text, _DOUBT))
-    lines += _missing(links, total)
-    lines += _exceptions(total)
-    lines += _odd(total)
+    units = _Units(links)
+    lines += _missing(links, units, total)
+    lines += _exceptions(links, units, total)
+    lines += _malformed(units)
+    lines += _unasked(total)
     lines += _resets(links)
-    lines += _slow(links, total)
-    return lines
+    lines += _slow(units)
+    return [*lines, *_odd_polling(links, units)]
+
+
+class _Units:
+    """The counts of all units, and their names."""
+
+    def __init__(self, links: Sequence[LinkReport]) -> None:
+        self.tallies = unit_tallies(links)
+        self._several = len(links) > 1
+
+    def name(self, unit: Unit) -> str:
+        return unit_name(unit, several=self._several)
+
+    def failing(self, count: Callable[[RequestTally], int]) -> _Failing:
+        """Return the units with failures of a kind, which `count` counts."""
+        counts = Counter({unit: count(tally) for unit, tally in self.tallies.items()})
+        grave = [
+            unit
+            for unit, tally in self.tallies.items()
+            if is_grave(counts[unit], tally.requests) or (counts[unit] and never_answers(tally))
+        ]
+        return _Failing(+counts, grave)
+
+
+class _Failing(NamedTuple):
+    """The number of failures of one kind by unit, and the units that fail gravely."""
+
+    counts: Counter[Unit]
+    grave: list[Unit]
+
+    @property
+    def style(self) -> str:
+        return _BAD if self.grave else _DOUBT
+
+    def worst(self, text_of: Callable[[Unit], str]) -> str:
+        """Return the units with most failures as text: `40 of unit 3, 2 of unit 4 and 3 more`."""
+        worst = [f"{count:,} of {text_of(unit)}" for unit, count in self.counts.most_common()]
+        return _listed(worst)
 
 
 def _sum(links: Sequence[LinkReport], total: RequestTally) -> str:
@@ -74,36 +123,27 @@ def _answered(total: RequestTally) -> str:
     return f"{percent(answers / asked)} answered" if asked else "no request to be answered"
 
 
-def _missing(links: Sequence[LinkReport], total: RequestTally) -> list[StyledLine]:
+def _missing(links: Sequence[LinkReport], units: _Units, total: RequestTally) -> list[StyledLine]:
     if not total.unanswered:
         return []
-    dead: list[str] = []
-    some: Counter[str] = Counter()
-    damaged: set[str] = set()
-    for link in links:
-        for unit in dict.fromkeys(one.unit for one in link.functions):
-            tally = merged([one.tally for one in link.functions if one.unit == unit])
-            if tally.unanswered:
-                name = f"unit {unit}" if len(links) == 1 else f"{link.name} unit {unit}"
-                some[name] += tally.unanswered
-                if is_damaged := tally.damaged * 2 > tally.unanswered:
-                    damaged.add(name)
-                if tally.unanswered == tally.transactions and not is_damaged:
-                    dead.append(name)
+    failing = units.failing(lambda tally: tally.unanswered)
+    damaged = {unit for unit, tally in units.tallies.items() if are_damaged(tally)}
+    dead = [
+        units.name(unit)
+        for unit, tally in units.tallies.items()
+        if never_answers(tally) and unit not in damaged
+    ]
     lines = [StyledLine(f"! {_listed(dead)} never answered", _BAD)] if dead else []
     share = sum(link.load.spent.missing_ns for link in links if link.load is not None)
     watched = sum(link.watched_ns for link in links if link.load is not None)
     cost = f"; waiting took {percent(share / watched)} of the time" if share and watched else ""
-    worst = ", ".join(
-        f"{count:,} of {name}{' with a wrong CRC' if name in damaged else ''}"
-        for name, count in some.most_common(_MOST_UNITS)
+    worst = failing.worst(
+        lambda unit: units.name(unit) + (" with a wrong CRC" if unit in damaged else "")
     )
-    more = f" and {len(some) - _MOST_UNITS} more" if len(some) > _MOST_UNITS else ""
     repeated = sum(one.poll.repetitions for link in links for one in link.polls)
     again = f"; {repeated:,} asked again at once" if repeated else ""
-    number = total.unanswered
-    text = f"! {counted(number, 'answer', ',')} missing: {worst}{more}{again}{cost}"
-    return [*lines, StyledLine(text, _BAD)]
+    text = f"! {counted(total.unanswered, 'answer', ',')} missing: {worst}{again}{cost}"
+    return [*lines, StyledLine(text, failing.style)]
 
 
 def _listed(names: Sequence[str]) -> str:
@@ -111,10 +151,13 @@ def _listed(names: Sequence[str]) -> str:
     return ", ".join(names[:_MOST_UNITS]) + more
 
 
-def _exceptions(total: RequestTally) -> list[StyledLine]:
+def _exceptions(
+    links: Sequence[LinkReport], units: _Units, total: RequestTally
+) -> list[StyledLine]:
     number = sum(total.exceptions.values())
     if not number:
         return []
+    failing = units.failing(lambda tally: tally.count(Outcome.EXCEPTION))
     by_count = sorted(total.exceptions.items(), key=lambda one: -one[1])
     codes = ", ".join(
         f"{count:,} x {exception_text(code, total.exception_names[code])}"
@@ -122,23 +165,26 @@ def _exceptions(total: RequestTally) -> list[StyledLine]:
     )
     rest = len(by_count) - _MOST_UNITS
     more = f" and {counted(rest, 'more code')}" if rest > 0 else ""
-    return [StyledLine(f"! {counted(number, 'exception', ',')}: {codes}{more}", _BAD)]
+    text = f"! {counted(number, 'exception', ',')}: {failing.worst(units.name)}; {codes}{more}"
+    lines = [StyledLine(text, failing.style)]
+    joint = joint_refusals(failing.grave, units.tallies, unit_polls(links))
+    if joint is not None:
+        lines.append(StyledLine(f"! {joint_refusals_text(joint)}", _BAD))
+    return lines
 
 
-def exception_text(code: int, name: str) -> str:
-    """Return code and name, such as `02 illegal data address`.
+def _malformed(units: _Units) -> list[StyledLine]:
+    failing = units.failing(lambda tally: tally.count(Outcome.MALFORMED))
+    number = failing.counts.total()
+    if not number:
+        return []
+    text = f"! {counted(number, 'answer', ',')} malformed: {failing.worst(units.name)}"
+    return [StyledLine(text, failing.style)]
 
-    The name of an unknown code has the number in it, so the name alone is returned.
-    """
-    return name if name.startswith("exception") else f"{code:02X} {name}".rstrip()
 
-
-def _odd(total: RequestTally) -> list[StyledLine]:
+def _unasked(total: RequestTally) -> list[StyledLine]:
     lines = []
-    malformed, unsolicited = total.count(Outcome.MALFORMED), total.count(Outcome.UNSOLICITED)
-    lacking = total.count(Outcome.NOT_CAPTURED)
-    if malformed:
-        lines.append(StyledLine(f"! {counted(malformed, 'answer', ',')} malformed", _BAD))
+    unsolicited, lacking = total.count(Outcome.UNSOLICITED), total.count(Outcome.NOT_CAPTURED)
     if unsolicited:
         text = f"! {counted(unsolicited, 'answer', ',')} that nobody asked for"
         if total.unsolicited_exceptions:
@@ -161,21 +207,21 @@ def _resets(links: Sequence[LinkReport]) -> list[StyledLine]:
     return [StyledLine(f"! {word}: {', '.join(parts)}", _DOUBT)]
 
 
-def _slow(links: Sequence[LinkReport], total: RequestTally) -> list[StyledLine]:
-    """Return a line on the unit with the greatest median latency if it is far above the others.
+def _slow(units: _Units) -> list[StyledLine]:
+    """Return a line on each slow unit; if they are many (JOINED), one on the slowest."""
+    slow = slow_units({unit: tally.latency for unit, tally in units.tallies.items()})
+    medians = {unit: units.tallies[unit].latency.percentile(50) for unit in slow}
+    texts = [
+        slow_text(units.name(unit), medians[unit], slow[unit])
+        for unit in sorted(slow, key=lambda unit: slow[unit] / medians[unit])
+    ]
+    if len(texts) >= JOINED:
+        texts = [many_slow_text(len(texts), len(units.tallies), texts[0])]
+    return [StyledLine(f"! {text}", _DOUBT) for text in texts]
 
-    That means at least _SLOW times the median of all units.
-    """
-    usual = total.latency.percentile(50)
-    slowest: tuple[int, str] = (0, "")
-    for link in links:
-        for unit in dict.fromkeys(one.unit for one in link.functions):
-            latency = merged([one.tally for one in link.functions if one.unit == unit]).latency
-            if latency.count < _FEWEST_LATENCIES:
-                continue
-            name = f"unit {unit}" if len(links) == 1 else f"{link.name} unit {unit}"
-            slowest = max(slowest, (latency.percentile(50), name))
-    if not usual or slowest[0] < _SLOW * usual:
-        return []
-    text = f"! {slowest[1]} is slow: p50 {in_ms(slowest[0])} ms, of all {in_ms(usual)} ms"
-    return [StyledLine(text, _DOUBT)]
+
+def _odd_polling(links: Sequence[LinkReport], units: _Units) -> list[StyledLine]:
+    told = joined_oddities(odd_polling(links, units.tallies))
+    return [
+        StyledLine(f"! {oddities_text(some, units.name)}", _DOUBT) for some in told[:_MOST_ODDITIES]
+    ]

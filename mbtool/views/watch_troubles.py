@@ -2,27 +2,26 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
-from mbtool.overview.failure_limits import ENDED, MANY_REFUSING, THROUGHOUT
+from mbtool.overview.failure_limits import ENOUGH
 from mbtool.overview.slow_units import are_many
 from mbtool.views.cells import clock_time
 from mbtool.views.place_columns import common_network
 from mbtool.views.statistics_words import in_ms, percent
+from mbtool.views.trouble_words import (
+    joined_oddities,
+    joint_refusals_text,
+    oddities_text,
+    unit_name,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from mbtool.watching.board_rows import WatchedSlaveRow
-    from mbtool.watching.watched_rows import FailureSpan
+    from mbtool.watching.board_judgement import BoardJudgement
+    from mbtool.watching.board_rows import FailedShare, WatchedSlaveRow
 
-FEW = 0.01
-"""Failures are not shown if they are fewer than ENOUGH, or a smaller share of the requests than
-this (0.01 is 1 %)."""
-ENOUGH = 3
-_SHORTEST_NS = 2_000_000_000
-"""No time of failures is told of a slave that was heard for less than this (ns), as times have
-whole seconds."""
 _MORE = " more: key 5"
 """Ends the line on slaves with troubles, after the number of those that had no room in it. The key
 5 opens the table of slaves."""
@@ -33,21 +32,20 @@ def slave_trouble(row: WatchedSlaveRow, *, is_short: bool = False) -> str:
 
     With `is_short`, the text for a slow slave leaves out the median latency of the other slaves.
     """
-    if row.answered_ns is None and row.missing:
-        is_damaged = row.damaged * 2 > row.missing
-        return "every answer has a wrong CRC" if is_damaged else "never answers"
+    if row.never_answers:
+        return "every answer has a wrong CRC" if row.is_damaged else "never answers"
     parts = []
-    if row.silent_since_ns is not None and row.damaged * 2 <= row.missing:
+    if row.silent_since_ns is not None and not row.is_damaged:
         parts.append(f"no answer since {clock_time(row.silent_since_ns)[:8]}")
-    elif row.missing_span is not None:
-        word = "wrong CRC" if row.damaged * 2 > row.missing else "unanswered"
-        parts.append(_share(row, row.missing_span, word, is_short=is_short))
+    elif row.missing_share is not None:
+        word = "wrong CRC" if row.is_damaged else "unanswered"
+        parts.append(_share_text(row.missing_share, word, is_short=is_short))
     if _refuses_all(row):
         parts.append("refuses every request")
     elif _refuses_again(row):
         parts.append(f"always refuses {row.refused_polls} of {row.polls} polls")
-    elif row.refused_span is not None:
-        parts.append(_share(row, row.refused_span, "refused", is_short=is_short))
+    elif row.refused_share is not None:
+        parts.append(_share_text(row.refused_share, "refused", is_short=is_short))
     if row.malformed:
         parts.append(f"{percent(row.malformed / row.asked)} malformed")
     if row.usual_ns is not None:
@@ -56,50 +54,67 @@ def slave_trouble(row: WatchedSlaveRow, *, is_short: bool = False) -> str:
     return ", ".join(parts)
 
 
-def _share(row: WatchedSlaveRow, span: FailureSpan, word: str, *, is_short: bool) -> str:
-    """Return which share of the requests failed, and since when, as the verdict of `report` does.
-
-    If the failures came late or have ended, the share is of the requests from the first one that
-    failed to the last one or the present, and the text tells the time. Else it is of all requests.
-    """
-    whole_ns = row.last_ns - row.first_ns
-    is_late = span.first_ns - row.first_ns > THROUGHOUT * whole_ns
-    is_over = row.last_ns - span.last_ns > ENDED * whole_ns
-    is_short_time = whole_ns < _SHORTEST_NS or span.failed < ENOUGH
-    if is_short_time or not (is_late or is_over):
-        return f"{percent(span.failed / row.asked)} {word}"
-    before = span.asked_before if is_late else 0
-    end = span.asked_before + span.asked if is_over else row.asked
+def _share_text(share: FailedShare, word: str, *, is_short: bool) -> str:
+    """Return which share of the requests failed, and since when: `33 % refused since 10:43`."""
+    text = f"{percent(share.failed / share.asked)} {word}"
     digits = 5 if is_short else 8
-    since, until = clock_time(span.first_ns)[:digits], clock_time(span.last_ns)[:digits]
-    when = f"since {since}"
-    if is_over:
-        when = f"{since} to {until}" if is_late else f"until {until}"
-    return f"{percent(span.failed / (end - before))} {word} {when}"
+    since, until = (
+        None if ns is None else clock_time(ns)[:digits] for ns in (share.since_ns, share.until_ns)
+    )
+    if until is None:
+        return text if since is None else f"{text} since {since}"
+    return f"{text} until {until}" if since is None else f"{text} {since} to {until}"
 
 
-def trouble_line(rows: Sequence[WatchedSlaveRow], width: int) -> str:
-    """Return one line on the slaves with troubles; empty if all are well.
+class TroubleLine(NamedTuple):
+    """The line on what is wrong."""
+
+    text: str
+    """Empty if all is well."""
+    is_grave: bool
+    """False if all requests are answered, but something in the polling is odd."""
+
+
+def trouble_line(judgement: BoardJudgement, width: int) -> TroubleLine:
+    """Return one line on the slaves with troubles, or, if there are none, on odd polling.
 
     Slaves that never answer come first. The line names as many as fit `width` characters, and
     always the worst one.
     """
+    rows, refusing = judgement.slaves, judgement.refusing
     links = {row.link for row in rows}
-    network = common_network(links) or ""
+    network = (common_network(links) or "") if len(links) > 1 else None
     slow = sum(row.usual_ns is not None for row in rows)
     told = not are_many(slow, len(rows))
-    sick = sorted((row for row in rows if _fails(row) or (told and row.usual_ns)), key=_weight)
-    refusing = [row for row in sick if _refuses_all(row)]
+    sick = sorted((row for row in rows if row.is_failing or (told and row.usual_ns)), key=_weight)
     joined = ""
-    if len(refusing) >= MANY_REFUSING and 2 * len(refusing) >= len(rows):
-        some = "all" if len(refusing) == len(rows) else f"{len(refusing)} of"
-        joined = f"{some} {len(rows)} units refuse every request"
-        sick = [row for row in sick if not _refuses_all(row)]
+    if refusing is not None:
+        joined = joint_refusals_text(refusing)
+        sick = [row for row in sick if row.fails_otherwise or row.usual_ns]
         width -= len(joined) + 2
-    line = _line(sick, network if len(links) > 1 else None, width, is_short=False)
+    line = _line(sick, network, width, is_short=False)
     if _MORE in line:
-        line = _line(sick, network if len(links) > 1 else None, width, is_short=True)
-    return "; ".join(filter(None, (line, joined)))
+        line = _line(sick, network, width, is_short=True)
+    text = "; ".join(filter(None, (line, joined)))
+    return TroubleLine(text or _odd_line(judgement, width), is_grave=bool(text))
+
+
+def _odd_line(judgement: BoardJudgement, width: int) -> str:
+    """Return what is odd in the polling, the worst first; as much as fits `width` characters, and
+    the worst in any case.
+    """
+    several = len({row.link for row in judgement.slaves}) > 1
+    told = joined_oddities(judgement.odd)
+
+    def line(number: int, *, is_short: bool) -> str:
+        return "; ".join(
+            oddities_text(some, lambda unit: unit_name(unit, several=several), is_short=is_short)
+            for some in told[:number]
+        )
+
+    lines = [line(len(told), is_short=False)]
+    lines += [line(number, is_short=True) for number in range(len(told), 0, -1)]
+    return next((text for text in lines if len(text) <= width), lines[-1])
 
 
 def _line(
@@ -138,13 +153,6 @@ def _refuses_again(row: WatchedSlaveRow) -> bool:
     return 0 < row.refused_polls < row.polls and is_repeated
 
 
-def _failed(row: WatchedSlaveRow) -> int:
-    return row.missing + row.exceptions + row.malformed
-
-
-def _fails(row: WatchedSlaveRow) -> bool:
-    return _failed(row) >= ENOUGH and _failed(row) >= FEW * row.asked
-
-
 def _weight(row: WatchedSlaveRow) -> tuple[bool, float]:
-    return row.answered_ns is not None, -_failed(row) / (row.asked or 1)
+    failed = row.missing + row.exceptions + row.malformed
+    return not row.never_answers, -failed / (row.asked or 1)

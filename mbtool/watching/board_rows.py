@@ -6,6 +6,14 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.core import EventKind, WireEvent
 from mbtool.modbus import Outcome
+from mbtool.overview.failure_limits import (
+    ENOUGH,
+    are_damaged,
+    is_grave,
+    never_answers,
+    time_of_failures,
+)
+from mbtool.overview.refusals import always_refused
 from mbtool.overview.slow_units import slow_units
 from mbtool.watching.watched_rows import KeptRecord, errors_of
 
@@ -13,8 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Hashable, Mapping, Sequence
 
     from mbtool.modbus import Table
-    from mbtool.overview.poll_statistics import PollKey
-    from mbtool.overview.request_tally import RequestTally
+    from mbtool.overview.poll_statistics import PollKey, PollStatistics
     from mbtool.watching.board import Board, RetryKey
     from mbtool.watching.watched_rows import (
         FailureSpan,
@@ -27,6 +34,9 @@ if TYPE_CHECKING:
 _ANSWERS = (Outcome.OK, Outcome.EXCEPTION, Outcome.MALFORMED)
 """Outcomes with a response, the same as in statistics."""
 _CONNECTION = (EventKind.OPENED, EventKind.CLOSED)
+_SHORTEST_NS = 2_000_000_000
+"""No time of failures is told of a slave that was heard for less than this (ns), as times have
+whole seconds."""
 
 
 class PollRow(NamedTuple):
@@ -97,6 +107,22 @@ class RecordRow(NamedTuple):
     """True if the request is a retry by the rule of the statistics."""
 
 
+class FailedShare(NamedTuple):
+    """How many requests to a unit failed in one way, of how many, and in which time."""
+
+    failed: int
+    asked: int
+    """The number of requests in the time from `since_ns` to `until_ns`."""
+    since_ns: int | None = None
+    """The time (ns since 1970) of the first failure; None if it was there from the beginning."""
+    until_ns: int | None = None
+    """The time (ns since 1970) of the last failure; None if the failures have not ended."""
+
+    @property
+    def is_grave(self) -> bool:
+        return is_grave(self.failed, self.asked)
+
+
 class WatchedSlaveRow(NamedTuple):
     """A row for one unit of a link. Times are in ns since 1970, durations in ns."""
 
@@ -110,8 +136,8 @@ class WatchedSlaveRow(NamedTuple):
     """The number of responses; exceptions and malformed responses are among them."""
     exceptions: int
     missing: int
-    damaged: int
-    """The number of missing responses that came, but with a wrong CRC or LRC."""
+    is_damaged: bool
+    """True if most of the missing responses came, but with a wrong CRC or LRC."""
     malformed: int
     retries: int
     median_ns: int
@@ -120,8 +146,9 @@ class WatchedSlaveRow(NamedTuple):
     slowest_ns: int
     first_ns: int
     last_ns: int
-    missing_span: FailureSpan | None
-    refused_span: FailureSpan | None
+    never_answers: bool
+    missing_share: FailedShare | None
+    refused_share: FailedShare | None
     answered_ns: int | None
     silent_since_ns: int | None
     findings: int
@@ -131,6 +158,19 @@ class WatchedSlaveRow(NamedTuple):
     polls: int
     whole: WatchedSlaveRow | None
     """Under a filter, the row of the same unit for all records, by which it is judged."""
+
+    @property
+    def is_failing(self) -> bool:
+        """True if requests to the unit fail, and that is more than a small thing."""
+        return self.fails_otherwise or (
+            self.refused_share is not None and self.refused_share.is_grave
+        )
+
+    @property
+    def fails_otherwise(self) -> bool:
+        """True if requests to the unit fail other than by refusals."""
+        is_missing = self.missing_share is not None and self.missing_share.is_grave
+        return self.never_answers or is_missing or is_grave(self.malformed, self.asked)
 
 
 class TroubleRow(NamedTuple):
@@ -201,14 +241,20 @@ def slave_rows(board: Board) -> list[WatchedSlaveRow]:
     """Return the slaves, sorted by link and unit."""
     every = {} if board.whole is board else {row.key: row for row in slave_rows(board.whole)}
     slow = slow_units({key: slave.tally.latency for key, slave in board.slaves.items()})
-    polls: dict[tuple[str, int], list[RequestTally]] = {}
-    for poll in board.polls.values():
-        key = poll.statistics.key
-        polls.setdefault((key.link, key.unit), []).append(poll.statistics.tally)
+    polls = polls_of_slaves(board)
     return [
         _slave_row(slave, slow.get(key), polls.get(key, ()), every.get(key))
         for key, slave in sorted(board.slaves.items())
     ]
+
+
+def polls_of_slaves(board: Board) -> dict[tuple[str, int], list[PollStatistics]]:
+    """Return the polls (repeated requests) of each slave; the key is link and unit."""
+    polls: dict[tuple[str, int], list[PollStatistics]] = {}
+    for poll in board.polls.values():
+        key = poll.statistics.key
+        polls.setdefault((key.link, key.unit), []).append(poll.statistics)
+    return polls
 
 
 def trouble_rows(board: Board) -> list[TroubleRow]:
@@ -281,16 +327,33 @@ def _pair(point: WatchedPoint) -> tuple[int, int] | None:
     return (values[at], values[at + 1]) if 0 <= at < len(values) - 1 else None
 
 
-def _refused_polls(slave: WatchedSlave, polls: Sequence[RequestTally]) -> int:
-    refused = [one for one in polls if one.count(Outcome.EXCEPTION)]
-    every = sum(one.transactions for one in refused)
-    return len(refused) if every == slave.tally.count(Outcome.EXCEPTION) else 0
+def _failed_share(slave: WatchedSlave, span: FailureSpan | None) -> FailedShare | None:
+    """Return which share of the requests failed.
+
+    If the failures came late or have ended, the share is of the requests from the first one that
+    failed to the last one or the present, as in the verdict of `report`. Else it is of all.
+    """
+    if span is None:
+        return None
+    asked = slave.tally.requests
+    is_late, is_over = time_of_failures(slave.first_ns, span.first_ns, span.last_ns, slave.last_ns)
+    is_short = slave.last_ns - slave.first_ns < _SHORTEST_NS or span.failed < ENOUGH
+    if is_short or not (is_late or is_over):
+        return FailedShare(span.failed, asked)
+    before = span.asked_before if is_late else 0
+    end = span.asked_before + span.asked if is_over else asked
+    return FailedShare(
+        span.failed,
+        end - before,
+        span.first_ns if is_late else None,
+        span.last_ns if is_over else None,
+    )
 
 
 def _slave_row(
     slave: WatchedSlave,
     usual_ns: float | None,
-    polls: Sequence[RequestTally],
+    polls: Sequence[PollStatistics],
     whole: WatchedSlaveRow | None,
 ) -> WatchedSlaveRow:
     tally = slave.tally
@@ -304,7 +367,7 @@ def _slave_row(
         answered=sum(map(tally.count, _ANSWERS)),
         exceptions=tally.count(Outcome.EXCEPTION),
         missing=tally.unanswered,
-        damaged=tally.damaged,
+        is_damaged=are_damaged(tally),
         malformed=tally.count(Outcome.MALFORMED),
         retries=slave.retries,
         median_ns=tally.latency.percentile(50),
@@ -312,12 +375,13 @@ def _slave_row(
         slowest_ns=tally.latency.greatest,
         first_ns=slave.first_ns,
         last_ns=slave.last_ns,
-        missing_span=slave.missing,
-        refused_span=slave.refused,
+        never_answers=never_answers(tally),
+        missing_share=_failed_share(slave, slave.missing),
+        refused_share=_failed_share(slave, slave.refused),
         answered_ns=slave.answered_ns,
         silent_since_ns=slave.silent_since_ns,
         findings=slave.findings,
-        refused_polls=_refused_polls(slave, polls),
+        refused_polls=len(always_refused(polls, tally)),
         polls=len(polls),
         whole=whole,
     )

@@ -13,6 +13,7 @@ from mbtool.core import EventKind, InputError, WireEvent
 from mbtool.devices import builtin_profiles, load_profile
 from mbtool.overview.identification import identify
 from mbtool.overview.inventory import Inventory
+from mbtool.overview.odd_polling import LATE_NS
 from mbtool.overview.statistics import Statistics
 from mbtool.overview.statistics_report import report
 from mbtool.ports.clock import now_ns
@@ -30,7 +31,6 @@ from mbtool.views.report.contents import (
     report_document,
 )
 from mbtool.views.report.late_answers import OF_UNIT
-from mbtool.views.report.odd_polling import LATE_NS
 from mbtool.views.report.page import page
 from mbtool.views.report.transaction_rows import TransactionRows
 from mbtool.workflows.check import CheckRun

@@ -24,6 +24,7 @@ from mbtool.views.watch_polls import POINT_COLUMNS, POLL_COLUMNS, poll_values
 from mbtool.views.watch_records import RECORD_COLUMNS, SLAVE_COLUMNS, TROUBLE_COLUMNS, slave_state
 from mbtool.views.watch_troubles import trouble_line
 from mbtool.watching.board import Board
+from mbtool.watching.board_judgement import judge
 from mbtool.watching.board_rows import point_rows, poll_rows, record_rows, slave_rows, trouble_rows
 from mbtool.watching.value_formats import ValueFormat
 from mbtool.watching.watched_rows import KeptRecord
@@ -269,7 +270,7 @@ def test_a_share_of_failures_that_came_late_or_ended_is_of_the_requests_since() 
     assert state(*sick) == "33 % unanswered"
     assert state(*well, *sick, *later) == f"38 % unanswered {since} to {until}"
     assert state(*sick, *later) == f"38 % unanswered until {until}"
-    line = trouble_line(slave_rows(board_of(*well, *sick)), 78)
+    line = told(board_of(*well, *sick))
     assert line == f"unit 1: 33 % unanswered since {since}"
 
 
@@ -285,6 +286,10 @@ def test_a_request_with_a_damaged_answer_says_so_and_comes_before_its_event() ->
     assert texts == ["03 read D1 -> wrong CRC", "bad-check"]
 
 
+def told(board: Board, width: int = 78) -> str:
+    return trouble_line(judge(board), width).text
+
+
 SICK = (
     *(read(at, 1) for at in range(0, 90, 10)),
     *(unanswered(at, unit=2) for at in range(1, 90, 10)),
@@ -293,11 +298,11 @@ SICK = (
 
 
 def test_the_line_of_troubles_has_the_worst_first_and_what_fits() -> None:
-    rows = slave_rows(board_of(*SICK))
-    assert trouble_line(rows, 78) == "unit 2 never answers; unit 3 slow, 90.0 ms (others 5.0)"
-    assert trouble_line(rows, 45) == "unit 2 never answers; unit 3 slow, 90.0 ms"
-    assert trouble_line(rows, 40) == "unit 2 never answers; 1 more: key 5"
-    assert trouble_line(rows, 10) == "unit 2 never answers; 1 more: key 5"
+    board = board_of(*SICK)
+    assert told(board) == "unit 2 never answers; unit 3 slow, 90.0 ms (others 5.0)"
+    assert told(board, 45) == "unit 2 never answers; unit 3 slow, 90.0 ms"
+    assert told(board, 40) == "unit 2 never answers; 1 more: key 5"
+    assert told(board, 10) == "unit 2 never answers; 1 more: key 5"
 
 
 def test_the_line_of_troubles_names_hosts_where_there_are_several() -> None:
@@ -305,7 +310,7 @@ def test_the_line_of_troubles_names_hosts_where_there_are_several() -> None:
         *(read(at, 1, link="10.0.0.2") for at in range(3)),
         *(unanswered(at, link="10.0.0.3") for at in range(3)),
     )
-    assert trouble_line(slave_rows(board), 78) == "unit 1 at .3 never answers"
+    assert told(board) == "unit 1 at .3 never answers"
 
 
 def test_many_slaves_that_refuse_everything_are_named_together() -> None:
@@ -314,28 +319,24 @@ def test_many_slaves_that_refuse_everything_are_named_together() -> None:
         for at in range(3)
         for unit in range(1, 6)
     ]
-    assert trouble_line(slave_rows(board_of(*refusals)), 78) == "all 5 units refuse every request"
+    assert told(board_of(*refusals)) == "all 5 units refuse all their requests (15)"
     others = [unanswered(at, unit=9) for at in range(3)]
-    line = trouble_line(slave_rows(board_of(*refusals, *others)), 78)
-    assert line == "unit 9 never answers; 5 of 6 units refuse every request"
+    line = told(board_of(*refusals, *others))
+    assert line == "unit 9 never answers; 5 of 6 units refuse all their requests (15)"
 
 
 def test_a_slave_that_always_refuses_some_polls_is_told_so() -> None:
     well = [read(at, 1) for at in range(9)]
     refused = [request(10 + at, 70, outcome=Outcome.EXCEPTION, exception=2) for at in range(3)]
-    rows = slave_rows(board_of(*well, *refused))
-    assert trouble_line(rows, 78) == "unit 1 always refuses 1 of 2 polls"
-    rows = slave_rows(board_of(*well, *refused, request(20, 70)))
-    assert trouble_line(rows, 78).startswith("unit 1: 23 % refused")
+    assert told(board_of(*well, *refused)) == "unit 1 always refuses 1 of 2 polls"
+    assert told(board_of(*well, *refused, request(20, 70))).startswith("unit 1: 23 % refused")
 
 
 def test_a_scan_in_which_each_request_came_once_tells_a_share() -> None:
     refused = [request(at, at, outcome=Outcome.EXCEPTION, exception=2) for at in range(30)]
     well = [read(30 + at, 1, address=100 + at) for at in range(20)]
-    rows = slave_rows(board_of(*refused, *well))
-    assert trouble_line(rows, 78) == "unit 1: 60 % refused"
-    rows = slave_rows(board_of(*refused, *well, refused[0]))
-    assert trouble_line(rows, 78) == "unit 1 always refuses 30 of 50 polls"
+    assert told(board_of(*refused, *well)) == "unit 1: 60 % refused"
+    assert told(board_of(*refused, *well, refused[0])) == "unit 1 always refuses 30 of 50 polls"
 
 
 @pytest.mark.parametrize("outcome", [Outcome.UNSOLICITED, Outcome.NOT_CAPTURED])
@@ -347,14 +348,14 @@ def test_a_slave_that_was_not_asked_refuses_nothing(outcome: Outcome) -> None:
 
 def test_few_failures_and_many_slow_units_are_no_trouble() -> None:
     few = [*(read(at, 1) for at in range(300)), unanswered(300)]
-    assert trouble_line(slave_rows(board_of(*few)), 78) == ""
+    assert told(board_of(*few)) == ""
     latencies = [5, 5, 5, 5, 50, 50, 50]
     slow = [
         read(at, 1, unit=unit, latency_ns=ms * MS)
         for at in range(5)
         for unit, ms in enumerate(latencies)
     ]
-    assert trouble_line(slave_rows(board_of(*slow)), 78) == ""
+    assert told(board_of(*slow)) == ""
 
 
 def test_links_and_masters_are_shown_where_there_are_several() -> None:

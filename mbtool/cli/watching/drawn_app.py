@@ -26,8 +26,9 @@ from mbtool.core import MbtoolError
 from mbtool.views.watch_columns import DrawContext, fitted, widest_cells
 from mbtool.views.watch_detail import record_detail, slave_detail
 from mbtool.views.watch_places import place_columns
-from mbtool.views.watch_troubles import trouble_line
-from mbtool.watching.board_rows import WatchedSlaveRow, slave_rows
+from mbtool.views.watch_troubles import TroubleLine, trouble_line
+from mbtool.watching.board_judgement import judge
+from mbtool.watching.board_rows import WatchedSlaveRow
 from mbtool.workflows.watch import FileFeed
 
 if TYPE_CHECKING:
@@ -111,7 +112,7 @@ class DrawnApp(App[int]):
         self._next_draw_s = 0.0
         self.drawings = 0
         """The number of times that the screen was drawn."""
-        self._troubles = ""
+        self._troubles = TroubleLine("", is_grave=False)
         self._next_look_s = 0.0
         self._frozen_ns = 0
         self._told_remarks = 0
@@ -246,7 +247,7 @@ class DrawnApp(App[int]):
         began_s = time.perf_counter()
         if began_s < self._next_look_s:
             return
-        self._troubles = trouble_line(slave_rows(self.feed.watched.whole), width - 2)
+        self._troubles = trouble_line(judge(self.feed.watched.whole), width - 2)
         took_s = time.perf_counter() - began_s
         self._next_look_s = began_s + max(_LOOK_S, _LOOK_SHARE * took_s)
 
@@ -272,8 +273,9 @@ class DrawnApp(App[int]):
         base.query_one("#tabs", OneLine).show(tabs_text(VIEWS, self.view_at))
         base.query_one("#status", OneLine).show(status_text(state, width))
         troubles = base.query_one("#troubles", OneLine)
-        troubles.show([(f"! {self._troubles}", "bold red")])
-        troubles.set_class(bool(self._troubles), "told")
+        style = "bold red" if self._troubles.is_grave else "yellow"
+        troubles.show([(f"! {self._troubles.text}", style)])
+        troubles.set_class(bool(self._troubles.text), "told")
         keys = keys_line(width, is_of_files=not self.feed.is_live)
         base.query_one("#keys", OneLine).show(keys)
 

@@ -26,11 +26,7 @@ def line_troubles(links: Sequence[LinkReport], history: History) -> list[Verdict
         if frames > known:
             troubles.append(
                 VerdictTrouble(
-                    rank=rank_of(
-                        Rank.FAILING,
-                        (frames - known) / (link.tally.transactions or 1),
-                        frames - known,
-                    ),
+                    rank=rank_of(Rank.FAILING, frames - known, link.tally.transactions),
                     text=f"{link.name} has {counted(frames - known, 'frame', ',')} with a wrong "
                     "CRC that no unit can be blamed for",
                     weight=frames - known,

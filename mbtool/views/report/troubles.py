@@ -5,14 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import IntEnum
 
+from mbtool.overview.failure_limits import is_grave
 from mbtool.series.history import UnitRow
-
-FEW = 0.01
-"""If less than this share of a unit's requests failed (0.01 is 1 %), the trouble is minor, and its
-text gives the number of failures and not the share."""
-ENOUGH = 3
-"""A trouble with fewer failures than this is minor. If the failures lie in fewer bins of time than
-this, the text does not say since when or until when they came."""
 
 
 class Rank(IntEnum):
@@ -56,6 +50,6 @@ def link_word(link: str) -> str:
     return "" if " " in link else f"{link} "
 
 
-def rank_of(grave: Rank, share: float, count: int) -> Rank:
-    """Return `grave` if share and count of the failures reach FEW and ENOUGH, else MINOR."""
-    return grave if share >= FEW and count >= ENOUGH else Rank.MINOR
+def rank_of(grave: Rank, failed: int, asked: int) -> Rank:
+    """Return `grave` if enough of the requests failed (overview/failure_limits.py), else MINOR."""
+    return grave if is_grave(failed, asked) else Rank.MINOR

@@ -13,17 +13,32 @@ from typing import TYPE_CHECKING
 
 from mbtool.core.wording import counted
 from mbtool.modbus import Outcome
-from mbtool.overview.failure_limits import ENDED, THROUGHOUT
+from mbtool.overview.failure_limits import (
+    ENOUGH,
+    FEW,
+    are_damaged,
+    never_answers,
+    time_of_failures,
+)
+from mbtool.overview.odd_polling import LateUnit
 from mbtool.overview.poll_statistics import PollStatistics
 from mbtool.overview.request_tally import RequestTally, merged
 from mbtool.overview.slow_units import SLOW_NS, are_many, slow_units
+from mbtool.overview.statistics_report import odd_polling, unit_polls, unit_tallies
 from mbtool.series.history import History, UnitRow, UnitSum
 from mbtool.views.cells import clock_time, day
 from mbtool.views.report.line_troubles import finding_troubles, line_troubles
-from mbtool.views.report.odd_polling import late_limits, odd_polling
-from mbtool.views.report.refusals import codes_text, joined_refusals, refused_polls
-from mbtool.views.report.troubles import ENOUGH, FEW, Rank, VerdictTrouble, link_word, rank_of
+from mbtool.views.report.odd_polling import odd_troubles
+from mbtool.views.report.refusals import joined_refusals, refused_polls
+from mbtool.views.report.troubles import Rank, VerdictTrouble, link_word, rank_of
 from mbtool.views.statistics_words import in_ms, percent
+from mbtool.views.trouble_words import (
+    JOINED,
+    codes_text,
+    many_slow_text,
+    slow_text,
+    unit_name,
+)
 
 if TYPE_CHECKING:
     from mbtool.overview.statistics_report import LinkReport
@@ -36,8 +51,6 @@ SLOWER = 2
 this many times that in the first half, and at least SLOW_NS more."""
 _ENOUGH_BINS = 8
 """A unit with fewer bins of time than this is never reported as having become slower."""
-JOINED_SLOW = 3
-"""If at least this many units are slow, they are reported as one trouble."""
 _DAY_NS = 86_400_000_000_000
 
 
@@ -84,20 +97,20 @@ def report_verdict(
     links: Sequence[LinkReport], history: History, findings: Summaries
 ) -> ReportVerdict:
     """Judge a capture by its statistics, its history over time and its findings (broken rules)."""
-    units = _tallies(links)
+    tallies = unit_tallies(links)
+    units = {UnitRow(*unit): tally for unit, tally in tallies.items()}
     total = merged(list(units.values()))
     if not total.transactions and not findings:
         return ReportVerdict("There is no transaction in the capture.")
-    several = len(links) > 1
-    names = {row: _name(row, several=several) for row in units}
+    names = {row: unit_name(row, several=len(links) > 1) for row in units}
     timed = {link.name for link in links if link.has_times}
-    latencies = {row: one.latency for row, one in units.items()}
-    slow = slow_units(latencies)
-    polls = _polls(links)
+    slow = slow_units({row: one.latency for row, one in units.items()})
+    polls = {UnitRow(*unit): some for unit, some in unit_polls(links).items()}
+    odd = odd_polling(links, tallies)
     troubles = [
         *line_troubles(links, history),
         *finding_troubles(findings),
-        *odd_polling(links, names, latencies),
+        *odd_troubles(odd, lambda unit: names[UnitRow(*unit)]),
     ]
     for row, tally in units.items():
         of_time = history if row.link in timed else None
@@ -109,29 +122,10 @@ def report_verdict(
     grave = sum(one.rank < Rank.RULE for one in troubles)
     told = min(grave or len(troubles), IN_SENTENCE)
     sentence = _sentence(troubles, units, total)
-    return ReportVerdict(sentence, troubles, told, late_limits(latencies))
-
-
-def _tallies(links: Sequence[LinkReport]) -> dict[UnitRow, RequestTally]:
-    """Return the counts of each unit; serial broadcasts are left out, as no unit answers them."""
-    tallies: dict[UnitRow, list[RequestTally]] = {}
-    for link in links:
-        for one in link.functions:
-            if one.tally.count(Outcome.BROADCAST) < one.tally.transactions:
-                tallies.setdefault(UnitRow(link.name, one.unit), []).append(one.tally)
-    return {row: merged(some) for row, some in tallies.items()}
-
-
-def _polls(links: Sequence[LinkReport]) -> dict[UnitRow, list[PollStatistics]]:
-    polls: dict[UnitRow, list[PollStatistics]] = {}
-    for link in links:
-        for one in link.polls:
-            polls.setdefault(UnitRow(link.name, one.poll.key.unit), []).append(one.poll)
-    return polls
-
-
-def _name(row: UnitRow, *, several: bool) -> str:
-    return f"unit {row.unit} at {row.link}" if several else f"unit {row.unit}"
+    late_ns = {
+        UnitRow(*one.unit): one.late_ns for kind in odd for one in kind if isinstance(one, LateUnit)
+    }
+    return ReportVerdict(sentence, troubles, told, late_ns)
 
 
 def _sentence(
@@ -140,7 +134,7 @@ def _sentence(
     grave = [one for one in troubles if one.rank < Rank.RULE]
     minor = [one for one in troubles if one.rank >= Rank.RULE]
     if not troubles:
-        return f"Everything is well: {_all_well(units, total)}."
+        return _all_well(units, total)
     told = grave or minor
     parts = [one.text for one in told[:IN_SENTENCE]]
     more = len(told) - len(parts)
@@ -159,23 +153,32 @@ def _sentence(
 
 
 def _all_well(units: dict[UnitRow, RequestTally], total: RequestTally) -> str:
+    """Return a sentence without troubles: which units answer how many requests.
+
+    What the capture lacks is no trouble of a unit, but is not said to be well, either.
+    """
+    lacking = total.count(Outcome.NOT_CAPTURED)
+    answered = sum(map(total.count, (Outcome.OK, Outcome.EXCEPTION, Outcome.MALFORMED)))
+    lacks = f"the capture lacks parts of {counted(lacking, 'transaction', ',')}"
+    if not answered and lacking:
+        return f"No trouble shows, but {lacks}."
     who = "the unit answers" if len(units) == 1 else f"{len(units):,} units answer"
-    requests = counted(total.transactions, "request", ",")
     usual = total.latency.percentile(50)
     half = f", half of them within {in_ms(usual)} ms" if usual else ""
-    return f"{who} {requests}{half}"
+    text = f"Everything is well: {who} {counted(answered, 'request', ',')}{half}"
+    return f"{text}; {lacks}." if lacking else f"{text}."
 
 
 def _joined_slow(troubles: list[VerdictTrouble], units: int) -> list[VerdictTrouble]:
     """Join the slowness of many of the `units` into one trouble: their kind may just be slow."""
     slow = [one for one in troubles if one.rank is Rank.SLOW]
-    if len(slow) < JOINED_SLOW:
+    if len(slow) < JOINED:
         return troubles
     worst = slow[0]
     joined = replace(
         worst,
         rank=Rank.MINOR if are_many(len(slow), units) else Rank.SLOW,
-        text=f"{len(slow)} of {units} units are slow; {worst.text}",
+        text=many_slow_text(len(slow), units, worst.text),
         units=_units_of(slow),
     )
     others = [one for one in troubles if one.rank is not Rank.SLOW]
@@ -192,12 +195,11 @@ def _unit_troubles(unit: _Unit, usual: float | None) -> list[VerdictTrouble]:
     `usual` is the median latency of the other units in ns if this one is slow, else None.
     """
     name, tally = unit.name, unit.tally
-    asked = tally.transactions - tally.count(Outcome.UNSOLICITED)
+    asked = tally.requests
     found = []
-    if tally.unanswered and tally.unanswered == asked:
-        never = f"{name} never answers ({counted(asked, 'request', ',')})"
-        if tally.damaged * 2 > asked:
-            never = f"{name} gives no answer with a right CRC ({counted(asked, 'request', ',')})"
+    if never_answers(tally):
+        what = "gives no answer with a right CRC" if are_damaged(tally) else "never answers"
+        never = f"{name} {what} ({counted(asked, 'request', ',')})"
         return [unit.trouble(Rank.DEAD, never, asked)]
     if tally.unanswered:
         found.append(_unanswered(unit))
@@ -207,14 +209,11 @@ def _unit_troubles(unit: _Unit, usual: float | None) -> list[VerdictTrouble]:
     if malformed:
         share = malformed / asked
         text = f"{name} gives {counted(malformed, 'malformed answer', ',')} ({percent(share)})"
-        found.append(
-            unit.trouble(rank_of(Rank.FAILING, share, malformed), text, share, "malformed")
-        )
+        rank = rank_of(Rank.FAILING, malformed, asked)
+        found.append(unit.trouble(rank, text, share, "malformed"))
     own = tally.latency.percentile(50)
     if usual is not None:
-        text = f"{name} is slow: half of its answers take {in_ms(own)} ms or more, "
-        text += f"those of the others {in_ms(usual)} ms"
-        found.append(unit.trouble(Rank.SLOW, text, own / usual))
+        found.append(unit.trouble(Rank.SLOW, slow_text(name, own, usual), own / usual))
     elif (slower := _slower(unit)) is not None:
         found.append(slower)
     return found
@@ -252,29 +251,29 @@ def _slower(unit: _Unit) -> VerdictTrouble | None:
 def _unanswered(unit: _Unit) -> VerdictTrouble:
     when, lost, of = _period(unit, UnitSum.NO_ANSWER)
     if not of:
-        lost, of = unit.tally.unanswered, unit.tally.transactions
+        lost, of = unit.tally.unanswered, unit.tally.requests
     share = lost / of
     requests = _requests(share, lost)
-    if unit.tally.damaged * 2 > unit.tally.unanswered:
+    if are_damaged(unit.tally):
         is_all = unit.tally.damaged == unit.tally.unanswered
         how = "with a wrong CRC" if is_all else "with a wrong CRC or not at all"
         text = f"{unit.name} answers {requests} {how}{when}"
     else:
         text = f"{unit.name} leaves {requests} without an answer{when}"
-    return unit.trouble(rank_of(Rank.FAILING, share, lost), text, share, "no-answer")
+    return unit.trouble(rank_of(Rank.FAILING, lost, of), text, share, "no-answer")
 
 
 def _refusals(unit: _Unit) -> VerdictTrouble:
     tally = unit.tally
     when, refused, of = _period(unit, UnitSum.EXCEPTION)
     if not of:
-        refused, of = tally.count(Outcome.EXCEPTION), tally.transactions
+        refused, of = tally.count(Outcome.EXCEPTION), tally.requests
     share = refused / of
     text = f"{unit.name} refuses {_requests(share, refused)}{when}, {codes_text(tally)}"
     named = refused_polls(unit.polls, tally)
     if named:
         text = f"{unit.name} {named} {codes_text(tally)}"
-    return unit.trouble(rank_of(Rank.FAILING, share, refused), text, share, "exception")
+    return unit.trouble(rank_of(Rank.FAILING, refused, of), text, share, "exception")
 
 
 def _requests(share: float, count: int) -> str:
@@ -299,10 +298,8 @@ def _period(unit: _Unit, what: UnitSum) -> tuple[str, int, int]:
     active = [place for place, count in enumerate(asked) if count]
     if not places:
         return "", 0, 0
-    whole = active[-1] - active[0] + 1
     begin, end = places[0], places[-1]
-    is_late = begin - active[0] > THROUGHOUT * whole
-    is_over = active[-1] - end > ENDED * whole
+    is_late, is_over = time_of_failures(active[0], begin, end + 1, active[-1] + 1)
     if len(places) < ENOUGH or not (is_late or is_over):
         return "", sum(hits), sum(asked)
     begin = begin if is_late else active[0]

@@ -49,11 +49,11 @@ def test_the_polls_are_shown_first_with_what_changed_lit() -> None:
         async with screen(line()) as seen:
             assert "1 polls" in seen.lines[0]
             assert "4 transactions, 1 event" in seen.lines[1]
-            assert seen.lines[3].split()[:5] == ["1", "03", "holding", "0..1", "10"]
+            assert seen.lines[4].split()[:5] == ["1", "03", "holding", "0..1", "10"]
             (strip,) = [one for one in seen.app.table.render_line(1)._segments if one.text == "21"]
             assert strip.style is not None
             assert strip.style.reverse
-            assert "no answer" in seen.lines[4]
+            assert "no answer" in seen.lines[5]
 
     run(test)
 
@@ -245,7 +245,7 @@ def test_o_sorts_by_a_column_and_turns_the_order() -> None:
             await seen.pilot.pause()
             assert seen.app.settings.sorted_by == {"polls": ("unit", False)}
             assert [row.poll.unit for row in seen.rows] == [1, 1, 2]
-            assert "un^" in seen.lines[2]
+            assert "un^" in seen.lines[3]
             await seen.press("o", "enter")
             await seen.pilot.pause()
             assert [row.poll.unit for row in seen.rows] == [2, 1, 1]
@@ -260,17 +260,17 @@ def test_c_chooses_columns_and_they_are_remembered(config_folder: Path) -> None:
         async with screen(line()) as seen:
             await seen.press("c", "space", "enter")
             await seen.pilot.pause()
-            assert "link" in seen.lines[2]
+            assert "link" in seen.lines[3]
             await seen.press("c")
             assert "[x] link" in "\n".join(
                 str(one.prompt) for one in seen.app.screen.query_one(OptionList).options
             )
             await seen.press("escape")
         async with screen(line()) as seen:
-            assert "link" in seen.lines[2]
+            assert "link" in seen.lines[3]
             await seen.press("c", "u")
             await seen.pilot.pause()
-            assert "link" not in seen.lines[2]
+            assert "link" not in seen.lines[3]
 
     run(test)
     assert (config_folder / "mbtool" / "watch.json").exists()
@@ -282,9 +282,9 @@ def test_x_shows_the_row_in_the_next_format() -> None:
             for form in (ValueFormat.DECIMAL, ValueFormat.HEX):
                 await seen.press("x")
                 assert form.value in seen.note
-            assert "000AH 0015H" in seen.lines[3]
+            assert "000AH 0015H" in seen.lines[4]
             await seen.press("2", "down", "x", "x")
-            assert "0015H" in seen.lines[4]
+            assert "0015H" in seen.lines[5]
             await seen.press("5", "x")
 
     run(test)
@@ -370,9 +370,9 @@ def test_without_colours_the_row_of_the_cursor_and_what_changed_are_reversed(
                 for strip in seen.app.screen._compositor.render_strips()
             ]
             assert reversed_at[0] == ["1 polls"]
-            assert "21" not in reversed_at[3]
-            assert "holding 0..1" in reversed_at[3]
-            assert not reversed_at[5]
+            assert "21" not in reversed_at[4]
+            assert "holding 0..1" in reversed_at[4]
+            assert not reversed_at[6]
             await seen.press("down")
             assert "21" in [
                 one.text for one in seen.app.table.render_line(1) if one.style and one.style.reverse

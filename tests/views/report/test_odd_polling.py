@@ -10,8 +10,6 @@ from mbtool.core import CONNECTION_OPENED, EventKind, WireEvent
 from mbtool.modbus import Outcome
 from mbtool.modbus.adu import Transport
 from mbtool.overview import statistics
-from mbtool.overview.request_tally import merged
-from mbtool.views.report import odd_polling
 from tests.series.test_history import START, asked
 from tests.views.report.test_verdict import judged, polled
 
@@ -19,7 +17,6 @@ if TYPE_CHECKING:
     import pytest
 
     from mbtool.devices import NamedTransaction
-    from mbtool.overview.request_tally import RequestTally
 
 SLAVE, MASTER = "10.0.0.9", "10.0.0.1:50000"
 
@@ -172,7 +169,7 @@ def test_pauses_of_many_links_or_masters_are_told_as_one() -> None:
     assert told((1, 1), (1, 2), (2, 1)).endswith(" 250 ms), and 2 more cases.")
 
 
-def test_connections_are_not_compared_with_requests_if_some_polls_are_no_longer_known(
+def test_connections_are_judged_together_if_some_polls_are_no_longer_known(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(statistics, "MAX_POLLS", 20)
@@ -181,19 +178,7 @@ def test_connections_are_not_compared_with_requests_if_some_polls_are_no_longer_
         for at in range(400)
     ]
     assert judged([*map(opened, range(25)), *polls]).level == "well"
-
-
-def test_requests_of_masters_are_added_up_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    merging: list[int] = []
-
-    def count(tallies: list[RequestTally]) -> RequestTally:
-        merging.append(len(tallies))
-        return merged(tallies)
-
-    monkeypatch.setattr(odd_polling, "merged", count)
-    masters = [f"10.0.1.{at}:50000" for at in range(50)]
-    polls = [msgspec.structs.replace(on_network(at), source=one) for at, one in enumerate(masters)]
-    judged([*polls, *[opened(at, one) for at, one in enumerate(masters)]])
-    assert merging == []
-    judged([*polls, *[opened(at, masters[7]) for at in range(20)]])
-    assert merging == [1]
+    told = "opened 200 TCP connections to 10.0.0.9 for 400 requests (one could stay open)."
+    assert judged([*map(opened, range(200)), *polls]).sentence.endswith(f": 10.0.0.1 {told}")
+    others = [opened(at, f"10.0.0.{at % 2}:50000") for at in range(200)]
+    assert judged([*others, *polls]).sentence.endswith(f": masters {told}")

@@ -6,10 +6,10 @@ from msgspec.structs import replace
 
 from mbtool.devices.checking.finding import Finding
 from mbtool.modbus import Outcome
+from mbtool.overview.odd_polling import LATE_NS
 from mbtool.series.history import UnitRow
 from mbtool.views.report import transaction_rows
 from mbtool.views.report.late_answers import MAX_UNITS, OF_UNIT, LateAnswers
-from mbtool.views.report.odd_polling import LATE_NS
 from mbtool.views.report.transaction_rows import FIRST, MORE, OF_KIND, TransactionRows
 from tests.series.test_history import asked
 

@@ -1,0 +1,61 @@
+"""Judges what a board (the figures of live views) shows, by the rules of `stats` and `report`."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+from mbtool.overview.odd_polling import Oddity, late_units, pauses, short_connections
+from mbtool.overview.refusals import JointRefusals, joint_refusals
+from mbtool.watching.board_rows import WatchedSlaveRow, polls_of_slaves, slave_rows
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from mbtool.watching.board import Board
+
+Unit = tuple[str, int]
+"""Link and unit."""
+
+
+class BoardJudgement(NamedTuple):
+    """What is wrong with slaves and polling."""
+
+    slaves: Sequence[WatchedSlaveRow]
+    """All slaves, in trouble or not."""
+    refusing: JointRefusals | None
+    """The slaves that refuse requests, if they are many."""
+    odd: Sequence[Sequence[Oddity[Unit]]]
+    """What is odd in the polling, by kind; empty if a slave fails, as that is worse."""
+
+
+def judge(board: Board) -> BoardJudgement:
+    """Judge all records of a board."""
+    slaves = slave_rows(board)
+    failing = [row for row in slaves if row.is_failing]
+    refusing = None
+    if failing:
+        tallies = {
+            key: slave.tally
+            for key, slave in board.slaves.items()
+            if not slave.tally.is_of_broadcasts
+        }
+        units = [
+            (row.link, row.unit)
+            for row in failing
+            if row.refused_share is not None and row.refused_share.is_grave
+        ]
+        refusing = joint_refusals(units, tallies, polls_of_slaves(board))
+    return BoardJudgement(slaves, refusing, () if failing else _odd(board))
+
+
+def _odd(board: Board) -> Sequence[Sequence[Oddity[Unit]]]:
+    polls = [poll.statistics for poll in board.polls.values()]
+
+    def requests_of(link: str) -> int:
+        return sum(one.tally.requests for one in board.slaves.values() if one.link == link)
+
+    return (
+        pauses(polls),
+        short_connections(board.statistics.connections, polls, requests_of),
+        late_units({key: slave.tally.latency for key, slave in board.slaves.items()}),
+    )

@@ -1,0 +1,233 @@
+"""What `stats`, `report` and `watch` say of the same capture: the same units are in trouble."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import pytest
+
+from mbtool.core import EventKind, SerialFormat, WireEvent
+from mbtool.modbus import Outcome
+from mbtool.overview.statistics_report import report
+from mbtool.series.history import History, UnitRow
+from mbtool.views import statistics_verdict, trouble_words
+from mbtool.views.findings_table import Summaries
+from mbtool.views.report import verdict
+from mbtool.views.report.troubles import Rank
+from mbtool.views.watch_troubles import trouble_line
+from mbtool.watching.board import Board
+from mbtool.watching.board_judgement import judge
+from mbtool.watching.watched_rows import KeptRecord
+from mbtool.workflows.shared.reading import Reading, ReadingOptions
+from tests.captures import public_folder
+from tests.overview.masters import MS, START_NS
+from tests.overview.requests import request, unanswered
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from mbtool.watching.watched_rows import Record
+
+
+def bad_check(at_ms: float) -> WireEvent:
+    return WireEvent(
+        ts_ns=START_NS + round(at_ms * MS), link="line", kind=EventKind.BAD_CHECK, message="",
+        raw=bytes(9),
+    )  # fmt: skip
+
+
+REFUSED: dict[str, Any] = {"outcome": Outcome.EXCEPTION, "exception": 2}
+SICK_LINE: list[Record] = [
+    record
+    for at in range(60)
+    for record in (
+        request(1000 * at, unit=1),
+        request(1000 * at + 100, unit=2),
+        unanswered(1000 * at + 200, unit=3),
+        *(
+            [bad_check(1000 * at + 310), unanswered(1000 * at + 300, unit=4)]
+            if at % 4 == 0
+            else [request(1000 * at + 300, unit=4)]
+        ),
+        request(1000 * at + 400, unit=5, **(REFUSED if at % 2 else {})),
+        request(1000 * at + 500, unit=6, latency_ns=90 * MS),
+        request(1000 * at + 700, unit=7, outcome=Outcome.OK if at % 6 else Outcome.MALFORMED),
+    )
+]
+
+OWN = Path(__file__).resolve().parents[2] / "captures"
+OWN_CAPTURES = sorted(path for kind in ("*.mcap", "*.pcap", "*.pcapng") for path in OWN.rglob(kind))
+PUBLIC_CAPTURES = [
+    "ITI__ICS-Security-Tools/mb2.pcap",
+    "ITI__ICS-Security-Tools/Modbus__modbus_test.pcap",
+    "digitalbond__Quickdraw-Snort/modbus_test_data_part2.pcap",
+    "nopnoplabs__nopnoplabs.github.io/hist_50fa3d41__pcap__modbus.pcap",
+    "antoine-lemay__Modbus_dataset/CnC_uploading_exe_modbus_6RTU_with_operate.pcap",
+    "kb221svs__modbus-anomaly-detection/modbus.pcap",
+    "camp0__aiengine/pcapfiles__modbus_five_flows.pcap",
+    "zeek__zeek/modbusSmall.pcap",
+]
+_WORDS = {
+    "missing": ("never answer", "missing", "without an answer", "right CRC", "wrong CRC"),
+    "refused": ("refuse", "exception"),
+    "malformed": ("malformed",),
+    "slow": ("slow:",),
+    "late": (" late, ",),
+}
+_UNIT = re.compile(r"unit (\d+)(?: at ([^\s,;]+))?")
+
+
+class Told(NamedTuple):
+    """The units that each command names, by kind of trouble."""
+
+    stats: set[tuple[str, UnitRow]]
+    grave_of_report: set[tuple[str, UnitRow]]
+    all_of_report: set[tuple[str, UnitRow]]
+    watch: set[tuple[str, UnitRow]]
+    lines: list[str]
+    styles: list[str]
+    sentence: str
+    watch_line: str
+
+
+def told_of(records: Iterable[Record], monkeypatch: pytest.MonkeyPatch) -> Told:
+    for limit in ("_MOST_UNITS", "_MOST_ODDITIES", "JOINED"):
+        monkeypatch.setattr(statistics_verdict, limit, 100_000)
+    for module in (verdict, trouble_words):
+        monkeypatch.setattr(module, "JOINED", 100_000)
+    board, history = board_of(records := list(records)), History()
+    for record in records:
+        history.add(record)
+    links = report(board.statistics)
+    styled = statistics_verdict.verdict(links)[1:]
+    lines = [line.text for line in styled]
+    told = verdict.report_verdict(links, history, Summaries())
+    judgement = judge(board)
+    grave, every = set[tuple[str, UnitRow]](), set[tuple[str, UnitRow]]()
+    for trouble in told.troubles:
+        some = {(kind, unit) for kind in kinds_of(trouble.text) for unit in trouble.units}
+        every |= some
+        if trouble.rank in (Rank.DEAD, Rank.FAILING, Rank.SLOW):
+            grave |= some
+    watch = set()
+    for row in judgement.slaves:
+        unit = UnitRow(row.link, row.unit)
+        is_missing = row.missing_share is not None and row.missing_share.is_grave
+        watch |= {("missing", unit)} if row.never_answers or is_missing else set()
+        is_refusing = row.refused_share is not None and row.refused_share.is_grave
+        watch |= {("refused", unit)} if is_refusing else set()
+        watch |= {("slow", unit)} if row.usual_ns is not None else set()
+    return Told(
+        named_in(lines, links[0].name if len(links) == 1 else ""),
+        grave,
+        every,
+        watch,
+        lines,
+        [line.style for line in styled],
+        told.sentence,
+        trouble_line(judgement, 10_000).text,
+    )
+
+
+def board_of(records: Iterable[Record]) -> Board:
+    board = Board(lambda _: SerialFormat())
+    for order, record in enumerate(records, 1):
+        board.add(KeptRecord(order, order, record))
+    board.advance(None)
+    return board
+
+
+def kinds_of(text: str) -> set[str]:
+    return {kind for kind, words in _WORDS.items() if any(word in text for word in words)}
+
+
+def named_in(lines: Iterable[str], only_link: str) -> set[tuple[str, UnitRow]]:
+    return {
+        (kind, UnitRow(only_link or at, int(unit)))
+        for line in lines
+        for kind in kinds_of(line.split("; ")[0])
+        for unit, at in _UNIT.findall(line)
+    }
+
+
+def compare(told: Told) -> None:
+    judged = ("missing", "refused", "slow")
+    # Slow units are a small thing if they are many: the report tells them, but not as grave.
+    grave = told.grave_of_report | {one for one in told.all_of_report if one[0] == "slow"}
+    assert told.watch == {one for one in grave if one[0] in judged}
+    assert told.stats == told.all_of_report
+
+
+@pytest.mark.parametrize("path", OWN_CAPTURES, ids=lambda path: path.name)
+def test_the_same_units_are_in_trouble(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    compare(told_of(Reading([str(path)], ReadingOptions()).records(), monkeypatch))
+
+
+@pytest.mark.public_captures
+@pytest.mark.parametrize("name", PUBLIC_CAPTURES)
+def test_the_same_units_are_in_trouble_in_captures_of_others(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = public_folder() / name
+    if not path.exists():
+        pytest.skip("no captures of others")
+    compare(told_of(Reading([str(path)], ReadingOptions()).records(), monkeypatch))
+
+
+def test_the_same_units_of_a_line_with_all_troubles(monkeypatch: pytest.MonkeyPatch) -> None:
+    told = told_of(SICK_LINE, monkeypatch)
+    compare(told)
+    assert {(kind, unit.unit) for kind, unit in told.stats} == {
+        ("missing", 3), ("missing", 4), ("refused", 5), ("slow", 6), ("malformed", 7),
+    }  # fmt: skip
+    assert told.watch_line == (
+        "unit 3 never answers; unit 5: 50 % refused; unit 4: 25 % wrong CRC; "
+        "unit 7: 17 % malformed; unit 6 slow, 90.0 ms (others 5.0)"
+    )
+    assert told.sentence.startswith("Unit 3 never answers (60 requests); unit 5 refuses 50 % of ")
+
+
+def test_a_scan_is_told_by_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    scan = [
+        request(20 * at + unit, at, unit=unit, outcome=Outcome.EXCEPTION, exception=2)
+        for at in range(10)
+        for unit in range(1, 7)
+    ]
+    told = told_of(scan, monkeypatch)
+    text = "all 6 units refuse all their requests (60): 60 different ones, as in a scan"
+    assert f"! {text}" in told.lines
+    assert told.watch_line == text
+    assert told.sentence.endswith(": 60 different ones, as in a scan.")
+
+
+def test_what_is_odd_in_the_polling_is_told_by_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    times = [250 * at + (7000 if at > 60 else 0) for at in range(100)]
+    polls = [request(at, latency_ns=990 * MS if at == 10_000 else 2 * MS) for at in times]
+    told = told_of(polls, monkeypatch)
+    pause = "line paused its polling for 7.25 s (usually a request every 250 ms)"
+    late = "unit 1 gives 1 answer late, after 990 ms (usually 2.0 ms)"
+    assert told.lines[-2:] == [f"! {pause}", f"! {late}"]
+    assert told.sentence == f"Nothing grave, but worth a look: {pause}; {late}."
+    assert told.watch_line == f"{pause}; {late}"
+
+
+def test_the_line_of_watch_shortens_what_is_odd() -> None:
+    times = [250 * at + (7000 if at > 60 else 0) for at in range(100)]
+    board = board_of([request(at, latency_ns=990 * MS if at == 10_000 else MS) for at in times])
+    pause = "line paused its polling for 7.25 s"
+    text, is_grave = trouble_line(judge(board), 78)
+    assert text == f"{pause}; unit 1 gives 1 answer late, after 990 ms"
+    assert not is_grave
+    assert trouble_line(judge(board), 20).text == pause
+
+
+def test_few_failures_are_a_small_thing_to_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    polls = [request(100 * at) if at % 500 else unanswered(100 * at) for at in range(1, 1100)]
+    told = told_of(polls, monkeypatch)
+    compare(told)
+    assert told.stats == {("missing", UnitRow("line", 1))}
+    assert not told.grave_of_report
+    assert told.watch_line == ""
+    assert told.styles[:1] == ["yellow"]
