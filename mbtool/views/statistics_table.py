@@ -92,7 +92,7 @@ def statistics_lines(
 
     `width` and `height` are the terminal's in characters, None on a pipe. Without `top`, a section
     has as many rows as fit the height, FEWEST to USUAL. `option` is what the user types to
-    set `top`.
+    set `top`; empty if that is not possible.
     """
     if top is not None or height is None:
         return _joined(_sections(links, width, top or USUAL), (), width, option)
@@ -135,7 +135,7 @@ def _joined(
 
 def _hinted(line: StyledLine, option: str) -> StyledLine:
     """Return a line on rows that are left out with the `option` that shows them."""
-    if not line.hint:
+    if not line.hint or not option:
         return line
     return replace(line, text=f"{line.text}; {option} {line.hint}", hint="")
 

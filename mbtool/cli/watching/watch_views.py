@@ -53,11 +53,17 @@ class WatchView:
     """The least time between two drawings in seconds; more than 0 if its rows take long to make."""
 
 
+_MOST_ROWS = 50
+"""A section of the view `bus` has at most so many rows."""
+_MORE_POLLS, _ALL_POLLS = " more polls", ": key 1 lists all"
+
+
 def _line_rows(board: Board, width: int) -> list[LineRow]:
-    lines = statistics_lines(
-        report(board.statistics), width=width, top=10, option="mbtool stats --top"
-    )
-    return [LineRow(at, line.text, line.style) for at, line in enumerate(lines)]
+    lines = statistics_lines(report(board.statistics), width=width, top=_MOST_ROWS, option="")
+    return [
+        LineRow(at, f"{line.text}{_ALL_POLLS * line.text.endswith(_MORE_POLLS)}", line.style)
+        for at, line in enumerate(lines)
+    ]
 
 
 _LINES = (

@@ -434,13 +434,14 @@ def test_the_help_begins_with_the_views_and_all_of_it_can_be_reached() -> None:
 
 
 def test_the_view_of_the_bus_names_no_option_that_watch_lacks() -> None:
-    feed = GivenFeed(read(at, 1, address=at, reference=f"holding {at}") for at in range(12))
+    feed = GivenFeed(read(at, 1, address=at, reference=f"holding {at}") for at in range(52))
 
     async def test() -> None:
         async with screen(feed) as seen:
             await seen.press("6")
             (more,) = (row.text for row in seen.rows if "more polls" in row.text)
-            assert more == "  ... 2 more polls; mbtool stats --top 12 shows all"
+            assert more == "  ... 2 more polls: key 1 lists all"
+            assert not any("--top" in row.text for row in seen.rows)
 
     run(test)
 
