@@ -129,6 +129,13 @@ setTimeout(() => {
   document.querySelector("#verdict button").click();
   setTimeout(() => {
     told.then = opened();
+    dispatchEvent(new Event("beforeprint"));
+    const folds = [...document.querySelectorAll("section:not([hidden]) > details")];
+    told.foldedOnPaper = folds.filter((one) => !one.open).length;
+    const shown = charts.filter((one) => one.root.isConnected);
+    told.onPaper = [...new Set(shown.map((one) => one.width))].sort();
+    dispatchEvent(new Event("afterprint"));
+    told.after = opened();
     told.drawnThen = charts.length > 0;
     for (const fold of document.querySelectorAll("details")) fold.open = true;
     setTimeout(() => {
@@ -152,6 +159,9 @@ def test_a_phone_folds_long_sections_and_nothing_is_wider_than_its_screen(tmp_pa
         "menu": 0,
         "drawn": 0,
         "then": ["findings", "latency", "transactions"],
+        "foldedOnPaper": 0,
+        "onPaper": [330, 690],
+        "after": ["findings", "latency", "transactions"],
         "drawnThen": True,
         "overflow": 0,
         "rows": 25,

@@ -15,6 +15,8 @@ const FEW_ROWS = narrow.matches ? 5 : 12;
 const FEW_FINDINGS = 6;
 const UNFOLDED = ["findings", "against"];
 const PRINTED_ROWS = 60;
+/* As the style sheet says. */
+const PRINTED_TRANSACTIONS = 40;
 const MANY_COLUMNS = 3;
 const MANY_SAMPLES = 150;
 const VALUE_COLUMNS = 120;
@@ -23,6 +25,7 @@ const CHARTS_AT_ONCE = 12;
 const LONGEST = 5;
 const TICK_SPACE = 80;
 const FONT = "12px system-ui, sans-serif";
+const LOWER = 0.65;
 const LANE_NAME = 140;
 const DASHES = [[], [6, 4], [2, 3]];
 
@@ -201,7 +204,7 @@ function chart(spec) {
   const readout = el("output", { class: "readout", "aria-live": "polite" }, "");
   const legend = el("ul", { class: "legend" });
   const figure = el("figure", { tabindex: "0", "aria-label": `Chart: ${spec.title}. ${spec.summary || ""} Left and right arrow keys read the values.` },
-    el("figcaption", {}, el("b", {}, spec.title), spec.note ? ` ${spec.note}` : ""), spec.controls || null, plot, legend, readout);
+    el("figcaption", {}, el("b", {}, spec.title), spec.note ? ` ${together(clean(spec.note))}` : ""), spec.controls || null, plot, legend, readout);
   const shown = spec.series.map((one) => one.show !== false);
   const isHeld = (spec.bins === "counts" && !areFew(spec.series.length)) || spec.held;
   const mine = { plot: null, host: plot, build, figure };
@@ -218,24 +221,24 @@ function chart(spec) {
       .map(([one, value]) => `${one.label}: ${one.text ? one.text(value) : number(value)}${spec.measure ? ` ${spec.measure}` : ""}`);
     return `${spec.at ? spec.at(spec.data[0][at]) : atTime(spec.data[0][at])} — ${parts.join(", ") || "nothing"}`;
   };
-  function build(width) {
+  function build(width, isPaper) {
     if (mine.plot) mine.plot.destroy();
     const ink = color("--soft"), rule = { stroke: color("--grid"), width: 1 };
     const axis = { stroke: ink, grid: rule, ticks: rule, font: FONT };
     const [drawn, extra] = spec.bins ? drawnBins(spec.bins, spec.data, shown) : [spec.data, () => ({})];
     mine.plot = new uPlot({
-      width: Math.max(width || plot.clientWidth, 200), height: spec.height || 200, tzDate: utc,
+      width: Math.max(width || plot.clientWidth, 200), height: Math.round((spec.height || 200) * (isPaper && !spec.isWhole ? LOWER : 1)), tzDate: utc,
       padding: [8, 34, 0, 0], legend: { show: false },
       cursor: { sync: spec.sync ? { key: spec.sync } : undefined, drag: { x: true, y: false }, points: { size: 6 } },
       scales: { x: { time: !spec.at, range: spec.at ? undefined : timeRange(drawn[0]), ...(spec.scaleX || {}) }, y: spec.scaleY || { range: (u, low, high) => [Math.min(0, low ?? 0), (high ?? 0) > 0 ? high * 1.08 : 1] } },
-      axes: [{ ...axis, space: 80, values: spec.at ? spec.axisX : axisTimes, splits: spec.at ? undefined : timeSplits, size: 30, ...(spec.axis0 || {}) }, { ...axis, size: 64, space: 20, ...(spec.axisY || {}) }],
+      axes: [{ ...axis, space: 80, values: spec.at ? spec.axisX : axisTimes, splits: spec.at ? undefined : timeSplits, size: 30, ...(spec.axis0 || {}) }, { ...axis, size: (u, texts) => Math.max(64, texts ? laneRoom(texts.filter(Boolean)) : 0), space: 20, ...(spec.axisY || {}) }],
       series: [{}, ...spec.series.map((one, place) => {
         const stroke = palette(one.color ?? place), added = extra(place), fill = added.fill ?? one.fill;
         const samples = spec.data[place + 1].filter((v) => v !== null && v !== undefined).length;
         return {
           label: clean(one.label), stroke, width: one.width ?? 1.5, show: shown[place], dash: DASHES[Math.floor((one.color ?? place) / 8) % 3],
           paths: one.paths, fillTo: one.fillTo, spanGaps: false,
-          points: { show: spec.dots !== false && !spec.bins && samples < 40, size: 5, filter: one.measured && (() => [...Array(one.measured).keys()]) },
+          points: { show: spec.dots !== false && !spec.bins && samples < 40, size: 5, filter: (u, at, isShown) => (isShown ? [...Array(one.measured ?? samples).keys()] : null) },
           ...added, fill: fill ? `${stroke}${fill === true ? "33" : fill}` : undefined,
         };
       })],
@@ -296,24 +299,26 @@ function drawMissing() {
   for (const one of charts) if (isSeen(one) && !(one.plot && one.plot.root.clientWidth <= one.host.clientWidth)) one.build();
 }
 function redraw(width) {
-  for (const one of charts) if (isSeen(one)) one.build(width ? width(one) : undefined);
+  for (const one of charts) if (isSeen(one)) one.build(width ? width(one) : undefined, width !== undefined);
 }
 let lastWidth = innerWidth;
 addEventListener("resize", () => { if (innerWidth !== lastWidth) { lastWidth = innerWidth; redraw(); } });
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => redraw());
-/* On paper every section is open, and every chart is drawn in the colours of paper (the style sheet)
-   and in its width. */
+/* On paper every section is open, and every chart is drawn in the width of the paper, once before the
+   pages are counted, and again when the style sheet has the colours of paper. */
 const folded = [];
-matchMedia("print").addEventListener("change", (event) => {
-  if (event.matches) {
-    folded.push(...document.querySelectorAll("section > details:not([open])"));
-    for (const fold of folded) fold.open = true;
-    redraw((one) => (one.figure.parentElement.className === "grid" ? 330 : 690));
-  } else {
-    for (const fold of folded.splice(0)) fold.open = false;
-    redraw();
-  }
-});
+function toPaper() {
+  folded.push(...document.querySelectorAll("section > details:not([open])"));
+  for (const fold of folded) fold.open = true;
+  redraw((one) => (one.figure.closest(".grid, .pair") ? 330 : 690));
+}
+function toScreen() {
+  for (const fold of folded.splice(0)) fold.open = false;
+  redraw();
+}
+addEventListener("beforeprint", toPaper);
+addEventListener("afterprint", toScreen);
+matchMedia("print").addEventListener("change", (event) => (event.matches ? toPaper() : toScreen()));
 
 const times = Array.from({ length: bins.count }, (_, at) => bins.begin + at * bins.width);
 const stepped = uPlot.paths.stepped({ align: 1 });
@@ -472,7 +477,7 @@ function latency() {
       series: timed.map((one, at) => ({ label: unitName(one.link, one.unit), show: at < SHOWN_SERIES })),
     });
   };
-  const over = timed.length ? [overTime("Mean latency by unit over time", "mean_ms", 200), overTime("Longest latency by unit over time", "most_ms", 200)] : null;
+  const over = timed.length ? el("div", { class: "pair" }, overTime("Mean latency by unit over time", "mean_ms", 200), overTime("Longest latency by unit over time", "most_ms", 200)) : null;
   const place = el("div");
   const draw = (at) => place.replaceChildren(histogram(...sources[at]));
   draw(0);
@@ -695,7 +700,7 @@ function bandChart(group, where, lines, title) {
   const names = group.map((one) => laneName(clean(one.name)));
   const spelled = (one, at) => (v) => { const bit = v > lane(at) + 0.5 ? 1 : 0; return new Map(one.texts).get(bit) ?? String(bit); };
   return chart({
-    title: `Bits of ${where}`, note: "a bar where the bit is 1", sync: "time", height: 40 + 30 * group.length, legend: false, dots: false, held: true,
+    title: `Bits of ${where}`, note: "a bar where the bit is 1", sync: "time", height: 40 + 30 * group.length, isWhole: true, legend: false, dots: false, held: true,
     summary: group.map((one) => `${title(one)}: ${plural(one.changes, "change")}`).join(", "), data: joined,
     scaleY: { range: () => [-0.1, group.length] },
     axisY: { size: laneRoom(names), splits: () => names.map((name, at) => lane(at) + (name.includes("\n") ? 0.65 : 0.4)), values: () => names },
@@ -815,7 +820,7 @@ function transactions() {
     el("div", { class: "tools" }, el("label", {}, "Search transactions", field), earlier, later, told),
     el("p", { class: "soft screen" }, "Words must all occur; unit:5 and #12 are exact. Also: no-answer, exception, a code such as MB-401, a time, ms>400."),
     frame("Transactions", HEADS, body, true, false),
-    el("p", { class: "soft printed" }, "On paper at most 40 rows of those on the screen."));
+    rows.length > PRINTED_TRANSACTIONS ? el("p", { class: "soft printed" }, `On paper at most ${PRINTED_TRANSACTIONS} rows of those on the screen.`) : null);
   draw();
 }
 
@@ -843,6 +848,8 @@ for (const part of [verdict, transactions, findings, against, failures, latency,
 const sections = [...document.querySelectorAll("section[data-name]:not([hidden])")];
 get("contents").append(...sections.map(({ id, dataset }) => el("li", {}, el("a", { href: `#${id}`, on: { click: () => unfold(id) } }, dataset.name))));
 addEventListener("hashchange", byHash);
-get("foot").append(`Made by mbtool ${clean(data.version)} on ${clean(data.made).slice(0, 19).replace("T", " ")} UTC. All times are UTC. docs/report.md and docs/findings.md explain the figures and the codes. Charts: uPlot, MIT licence.`);
+const made = `Made by mbtool ${clean(data.version)} on ${clean(data.made).slice(0, 19).replace("T", " ")} UTC. All times are UTC.`;
+get("foot").append(`${made} docs/report.md and docs/findings.md explain the figures and the codes. Charts: uPlot, MIT licence.`);
+get("made").append(made);
 byHash();
 })();
