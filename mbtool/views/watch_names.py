@@ -35,7 +35,7 @@ def with_short_names(spans: Spans, one: NamedTransaction, width: int) -> Spans:
     A span is `name value` of one point, or has the text of `describe_points` in it.
     """
     excess = sum(len(text) for text, _ in spans) - width
-    if excess <= 0:
+    if excess <= 0 or not one.points:
         return spans
     subjects = Counter(subject_of(point) for point in one.points)
     del subjects[""]  # A name that is the reference stays.

@@ -14,7 +14,6 @@ from mbtool.views.watch_columns import LEAST_REST, DrawContext, Spans, WatchColu
 from mbtool.views.watch_names import with_short_names
 from mbtool.views.watch_troubles import slave_trouble
 from mbtool.views.watch_words import age, count, in_table_words
-from mbtool.watching.board_rows import time_of_row
 from mbtool.watching.value_formats import ValueFormat
 
 if TYPE_CHECKING:
@@ -115,7 +114,7 @@ RECORD_COLUMNS = (
     ),
     WatchColumn(
         name="time", title="time (UTC)", width=12,
-        cell=lambda row, _: clock_time(time_of_row(row)), sort=time_of_row,
+        cell=lambda row, _: clock_time(row.kept.at_ns), sort=lambda row: row.kept.at_ns,
     ),
     WatchColumn(
         name="ms", title="ms", width=5, is_right=True, cell=_in_ms,

@@ -249,6 +249,8 @@ class Board:
                     self.left_out += 1
                     return
                 row = self.points[key] = self._raw_point(poll, one, table, address)
+            elif row.value == value and row.poll is poll and row.is_written is written:
+                continue
             row.poll = poll
             row.set(value, str(value), at_ns, written=written)
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Sequence
+from operator import attrgetter
+from typing import TYPE_CHECKING, NamedTuple, overload
 
 from mbtool.core import EventKind, WireEvent
 from mbtool.modbus import Outcome
@@ -18,14 +20,13 @@ from mbtool.overview.slow_units import slow_units
 from mbtool.watching.watched_rows import KeptRecord, errors_of
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Hashable, Mapping, Sequence
+    from collections.abc import Collection, Hashable, Mapping
 
     from mbtool.modbus import Table
     from mbtool.overview.poll_statistics import PollKey, PollStatistics
     from mbtool.watching.board import Board, RetryKey
     from mbtool.watching.watched_rows import (
         FailureSpan,
-        Record,
         WatchedPoint,
         WatchedPoll,
         WatchedSlave,
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
 _ANSWERS = (Outcome.OK, Outcome.EXCEPTION, Outcome.MALFORMED)
 """Outcomes with a response, the same as in statistics."""
 _CONNECTION = (EventKind.OPENED, EventKind.CLOSED)
+_AT_NS = attrgetter("at_ns")
 _SHORTEST_NS = 2_000_000_000
 """No time of failures is told of a slave that was heard for less than this (ns), as times have
 whole seconds."""
@@ -201,40 +203,53 @@ def point_rows(board: Board) -> list[WatchedPointRow]:
     return [_point_row(key, point) for key, point in board.points.items()]
 
 
-def record_rows(board: Board) -> list[RecordRow]:
+class RecordRows(Sequence[RecordRow]):
+    """The rows of many records. A row is made when it is read: a screen shows few of them."""
+
+    def __init__(
+        self,
+        kept: list[KeptRecord],
+        blamed: Mapping[int, int],
+        retries: Collection[RetryKey],
+    ) -> None:
+        """Take the records in the order of the rows, and the board's `blamed` and `retries`."""
+        self._kept, self._blamed, self._retries = kept, blamed, retries
+
+    def __len__(self) -> int:
+        return len(self._kept)
+
+    @overload
+    def __getitem__(self, at: int) -> RecordRow: ...
+    @overload
+    def __getitem__(self, at: slice) -> RecordRows: ...
+    def __getitem__(self, at: int | slice) -> RecordRow | RecordRows:
+        if isinstance(at, slice):
+            return RecordRows(self._kept[at], self._blamed, self._retries)
+        return _record_row(self._kept[at], self._blamed, self._retries)
+
+
+def record_rows(board: Board) -> RecordRows:
     """Return the transactions and events that are kept, in the order of their times.
 
     Opened and closed connections are left out: of many short ones, nothing else would be seen.
     """
-    blamed, retries = board.blamed, board.whole.retries
-    rows = [
-        _record_row(kept, blamed, retries)
-        for kept in board.records
-        if not _is_connection(kept.record)
+    kept = [
+        one
+        for one in board.records
+        if not (isinstance(one.record, WireEvent) and one.record.kind in _CONNECTION)
     ]
-    rows.sort(key=time_of_row)
-    return rows
-
-
-def time_of_row(row: RecordRow) -> int:
-    """Return the start of a row's transaction or the time of its event, in ns since 1970."""
-    record = row.kept.record
-    return record.ts_ns if isinstance(record, WireEvent) else record.start_ns
-
-
-def _is_connection(record: Record) -> bool:
-    return isinstance(record, WireEvent) and record.kind in _CONNECTION
+    kept.sort(key=_AT_NS)
+    return RecordRows(kept, dict(board.blamed), frozenset(board.whole.retries))
 
 
 def _record_row(
     kept: KeptRecord, blamed: Mapping[int, int], retries: Collection[RetryKey]
 ) -> RecordRow:
-    is_blamed = kept.order in blamed if blamed else False
     record = kept.record
     if isinstance(record, WireEvent):
         return RecordRow(kept.order, kept, blamed.get(kept.order), False, False)
     is_retry = record.retries > 0 and (record.link, record.unit, record.request_ns) in retries
-    return RecordRow(kept.order, kept, record.unit, is_blamed, is_retry)
+    return RecordRow(kept.order, kept, record.unit, kept.order in blamed, is_retry)
 
 
 def slave_rows(board: Board) -> list[WatchedSlaveRow]:

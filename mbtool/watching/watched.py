@@ -13,14 +13,14 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import WireEvent
 from mbtool.watching.board import MAX_KEPT, Board
-from mbtool.watching.watched_rows import KeptRecord
+from mbtool.watching.watched_rows import kept_record
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
     from mbtool.core import SerialFormat
     from mbtool.devices import NamedTransaction, Profile
-    from mbtool.watching.watched_rows import Record
+    from mbtool.watching.watched_rows import KeptRecord, Record
 
     Wanted = Callable[[NamedTransaction], bool]
 
@@ -57,7 +57,7 @@ class Watched:
         is_event = isinstance(record, WireEvent)
         if not is_event:
             self._numbers += 1
-        kept = KeptRecord(self._order, None if is_event else self._numbers, record)
+        kept = kept_record(self._order, None if is_event else self._numbers, record)
         self.whole.add(kept)
         if self.filtered is not None:
             self._add_filtered(self.filtered, kept)
@@ -134,4 +134,4 @@ def _numbered(records: Iterable[Record]) -> Iterator[KeptRecord]:
     for order, record in enumerate(records, 1):
         is_event = isinstance(record, WireEvent)
         number += not is_event
-        yield KeptRecord(order, None if is_event else number, record)
+        yield kept_record(order, None if is_event else number, record)

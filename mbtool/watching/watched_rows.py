@@ -34,7 +34,15 @@ class KeptRecord(NamedTuple):
     """The number of the record among all records, from 1."""
     number: int | None
     """The number of the transaction among all transactions, from 1; None for an event."""
+    at_ns: int
+    """The start of the transaction, or the time of the event, in ns since 1970."""
     record: Record
+
+
+def kept_record(order: int, number: int | None, record: Record) -> KeptRecord:
+    """Return a record with its numbers (see KeptRecord) and its time."""
+    at_ns = record.ts_ns if isinstance(record, WireEvent) else record.start_ns
+    return KeptRecord(order, number, at_ns, record)
 
 
 @dataclass(slots=True)

@@ -19,7 +19,7 @@ from mbtool.views.report.troubles import Rank
 from mbtool.views.watch_troubles import trouble_line
 from mbtool.watching.board import Board
 from mbtool.watching.board_judgement import judge
-from mbtool.watching.watched_rows import KeptRecord
+from mbtool.watching.watched_rows import kept_record
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
 from tests.captures import public_folder
 from tests.overview.masters import MS, START_NS
@@ -134,7 +134,7 @@ def told_of(records: Iterable[Record], monkeypatch: pytest.MonkeyPatch) -> Told:
 def board_of(records: Iterable[Record]) -> Board:
     board = Board(lambda _: SerialFormat())
     for order, record in enumerate(records, 1):
-        board.add(KeptRecord(order, order, record))
+        board.add(kept_record(order, order, record))
     board.advance(None)
     return board
 

@@ -27,7 +27,7 @@ from mbtool.watching.board import Board
 from mbtool.watching.board_judgement import judge
 from mbtool.watching.board_rows import point_rows, poll_rows, record_rows, slave_rows, trouble_rows
 from mbtool.watching.value_formats import ValueFormat
-from mbtool.watching.watched_rows import KeptRecord
+from mbtool.watching.watched_rows import kept_record
 from tests.overview.masters import MS, START_NS
 from tests.overview.requests import request, unanswered
 
@@ -51,7 +51,7 @@ NOISE = WireEvent(
 def board_of(*records: Record) -> Board:
     board = Board()
     for order, record in enumerate(records, 1):
-        board.add(KeptRecord(order, order, record))
+        board.add(kept_record(order, order, record))
     return board
 
 
@@ -221,9 +221,9 @@ def test_under_a_filter_a_slave_is_judged_by_all_records() -> None:
     for at in range(30):
         is_missing = at % 3 == 1
         one = unanswered(at) if is_missing else read(at, 1)
-        whole.add(KeptRecord(at, at, one))
+        whole.add(kept_record(at, at, one))
         if is_missing:
-            failures.add(KeptRecord(at, at, one))
+            failures.add(kept_record(at, at, one))
     (row,) = slave_rows(failures)
     assert text_of(slave_state(row, DrawContext())) == "33 % unanswered"
     assert cell(SLAVE_COLUMNS, "asked", row, DrawContext()) == "10"
@@ -381,7 +381,7 @@ def test_a_place_takes_its_width_before_other_columns_and_is_shown_short() -> No
 def test_the_detail_names_fields_and_says_why_and_how_sure() -> None:
     record = read(0, 1, confidence=0.75, verdicts=[Verdict.AMBIGUOUS], findings=["MB-101"],
                   points=[PointValue(name="CH1", reference="D1", value=1, text="1 V")])  # fmt: skip
-    text = lines_of(record_detail(KeptRecord(1, 1, record), None, 80))
+    text = lines_of(record_detail(kept_record(1, 1, record), None, 80))
     assert "request  01 03 00 00 00 0a c5 cd" in text
     assert "unit 1 function 03H address 0 quantity 10 CRC" in text
     assert "direction by form: only one direction can have this form; sure to 75 %" in text
@@ -399,21 +399,21 @@ def test_the_detail_of_an_ascii_frame_has_its_characters() -> None:
         request_raw=ascii_adu(1, b"\x03\0\0\0\1"),
         response_raw=None,
     )
-    text = lines_of(record_detail(KeptRecord(1, 1, record), None, 80))
+    text = lines_of(record_detail(kept_record(1, 1, record), None, 80))
     assert ": 01 03 0000 0001 FB CRLF" in text
     assert "address 0 quantity 1 LRC" in text
     assert "response none" in text
 
 
 def test_the_detail_of_an_event_has_its_bytes() -> None:
-    text = lines_of(record_detail(KeptRecord(1, None, NOISE), None, 80))
+    text = lines_of(record_detail(kept_record(1, None, NOISE), None, 80))
     assert "skipped" in text
     assert "fe fd" in text
 
 
 def test_no_line_of_a_detail_is_wider_than_the_screen() -> None:
     record = read(0, *range(100), response_raw=bytes(range(200)), reference="x" * 30)
-    for line in record_detail(KeptRecord(1, 1, record), None, 78)[1:]:
+    for line in record_detail(kept_record(1, 1, record), None, 78)[1:]:
         assert len(text_of(line).rstrip()) <= 78
 
 

@@ -12,7 +12,7 @@ from mbtool.serial_line.damaged_answers import MAX_FRAMES
 from mbtool.watching import board as limits
 from mbtool.watching.board import Board
 from mbtool.watching.board_rows import point_rows, poll_rows, record_rows, slave_rows, trouble_rows
-from mbtool.watching.watched_rows import KeptRecord
+from mbtool.watching.watched_rows import kept_record
 from tests.overview.masters import MS, START_NS
 from tests.overview.requests import LINE, request, unanswered
 
@@ -28,7 +28,7 @@ CALLS_PER_TRANSACTION = 35
 def board_of(*records: Record) -> Board:
     board = Board(lambda _: LINE)
     for order, record in enumerate(records, 1):
-        board.add(KeptRecord(order, order, record))
+        board.add(kept_record(order, order, record))
     return board
 
 
@@ -86,7 +86,7 @@ def test_a_filter_makes_no_retries_and_judges_no_slave() -> None:
     failures = Board(lambda _: LINE, whole=whole)
     for at in range(12):
         one = read(1000 * at, 1) if at % 3 else unanswered(1000 * at, quantity=1, retries=1)
-        kept = KeptRecord(at + 1, at + 1, one)
+        kept = kept_record(at + 1, at + 1, one)
         whole.add(kept)
         if not at % 3:
             failures.add(kept)
@@ -175,7 +175,7 @@ def test_a_slave_is_silent_since_the_first_request_without_answer() -> None:
     (row,) = slave_rows(board)
     assert (row.asked, row.answered, row.missing) == (3, 1, 2)
     assert row.silent_since_ns == START_NS + 100 * MS
-    board.add(KeptRecord(4, 4, read(300, 1)))
+    board.add(kept_record(4, 4, read(300, 1)))
     assert slave_rows(board)[0].silent_since_ns is None
 
 
@@ -233,7 +233,7 @@ def test_of_damaged_frames_with_equal_times_only_one_belongs_to_a_request() -> N
     frames = [event(12, EventKind.BAD_CHECK) for _ in range(2)]
     board = board_of(*frames, unanswered(10, unit=4))
     assert {row.unit: row.times for row in trouble_rows(board)} == {None: 1, 4: 1}
-    board.add(KeptRecord(4, 4, unanswered(11, unit=5)))
+    board.add(kept_record(4, 4, unanswered(11, unit=5)))
     assert {row.unit: row.times for row in trouble_rows(board)} == {4: 1, 5: 1}
 
 
@@ -255,7 +255,7 @@ def test_of_many_damaged_frames_the_last_one_of_no_unit_is_known() -> None:
 def test_the_oldest_record_gives_way() -> None:
     board = Board(kept=3)
     for order in range(1, 6):
-        board.add(KeptRecord(order, order, read(order, 1)))
+        board.add(kept_record(order, order, read(order, 1)))
     assert [row.key for row in record_rows(board)] == [3, 4, 5]
     assert board.transactions == 5
 
@@ -280,7 +280,7 @@ def test_a_poll_that_was_not_asked_for_longest_gives_way(monkeypatch: pytest.Mon
 
 def test_a_steady_poll_costs_few_calls() -> None:
     board = Board(lambda _: LINE)
-    records = [KeptRecord(n, n, read(n, *range(10), address=n % 20)) for n in range(1, 1101)]
+    records = [kept_record(n, n, read(n, *range(10), address=n % 20)) for n in range(1, 1101)]
     for kept in records[:100]:
         board.add(kept)
     calls = 0

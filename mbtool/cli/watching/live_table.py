@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Hashable, Sequence
 
     from textual.events import Click, MouseScrollDown, MouseScrollUp
+    from textual.geometry import Region
 
     from mbtool.views.watch_columns import FittedColumn
 
@@ -60,6 +61,8 @@ class LiveTable(Widget, can_focus=True):
         self._drawing = DrawContext()
         self._sorted_by: tuple[str | None, bool] = (None, False)
         self._empty = ""
+        self._base = Style.null()
+        """The style of the widget, from its CSS; computed once for all lines of a drawing."""
         self._top = 0
         self._cursor = 0
         self._key: Hashable = None
@@ -136,19 +139,23 @@ class LiveTable(Widget, can_focus=True):
         """The number of rows that the table has room for on the screen, without the titles."""
         return max(self.size.height - 1, 1)
 
+    def render_lines(self, crop: Region) -> list[Strip]:
+        self._base = self.rich_style
+        return super().render_lines(crop)
+
     def render_line(self, y: int) -> Strip:
         width = self.size.width
         if y == 0:
             name, descending = self._sorted_by
             strip = strip_of(title_spans(self._columns, name, descending=descending), width)
-            return strip.apply_style(self.rich_style)
+            return strip.apply_style(self._base)
         index = self._top + y - 1
         if not self.rows and y == 2:
-            return strip_of([(f"  {self._empty}", "dim")], width).apply_style(self.rich_style)
+            return strip_of([(f"  {self._empty}", "dim")], width).apply_style(self._base)
         if index >= len(self.rows):
-            return Strip.blank(width, self.rich_style)
+            return Strip.blank(width, self._base)
         strip = strip_of(row_spans(self.rows[index], self._columns, self._drawing), width)
-        strip = strip.apply_style(self.rich_style)
+        strip = strip.apply_style(self._base)
         if index == self._cursor and self.has_focus:
             return _under_cursor(strip, width)
         return strip

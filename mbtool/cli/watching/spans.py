@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 from functools import lru_cache
+from itertools import groupby
+from operator import itemgetter
 from typing import TYPE_CHECKING
 
 from rich.segment import Segment
@@ -16,9 +18,15 @@ if TYPE_CHECKING:
 
 
 def strip_of(spans: Spans, width: int) -> Strip:
-    """Return one line of spans, cut or padded to exactly `width` characters."""
+    """Return one line of spans, cut or padded to exactly `width` characters.
+
+    Spans of the same style become one segment, as drawing costs time for each segment.
+    """
     plain = is_plain()
-    segments = [Segment(text, style_of(style, plain=plain)) for text, style in spans]
+    segments = [
+        Segment("".join(text for text, _ in alike), style_of(style, plain=plain))
+        for style, alike in groupby(spans, itemgetter(1))
+    ]
     return Strip(segments).adjust_cell_length(width)
 
 
