@@ -10,6 +10,7 @@ import pytest
 
 from mbtool.cli.main import run
 from mbtool.core import InputError
+from mbtool.views.report import contents
 from mbtool.workflows.report import ReportRun
 from mbtool.workflows.shared.reading import ReadingOptions
 from tests.golden.test_captures import CAPTURES, FOLDER
@@ -48,6 +49,17 @@ def test_the_verdict_names_the_dead_the_damaged_and_the_slow_unit(sick_page: Pag
     assert [one["search"] for one in told["troubles"]] == [
         "rs485 unit:3", "rs485 unit:4 no-answer", "rs485 unit:2",
     ]  # fmt: skip
+
+
+def test_the_chart_of_all_units_counts_also_those_without_a_chart_of_their_own(
+    sick: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(contents, "MAX_UNITS", 1)
+    document = report_of(sick).document
+    bins, (link,) = document["bins"], document["stats"]["links"]
+    assert [one["unit"] for one in bins["units"]] == [3], "asked as often as others, fails most"
+    assert (bins["counted"], bins["units_left_out"]) == (4, 3)
+    assert sum(bins["all"]["no_answer"]) == link["no_answer"] > sum(bins["units"][0]["no_answer"])
 
 
 def test_a_healthy_capture_is_well(tmp_path: Path) -> None:

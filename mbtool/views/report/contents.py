@@ -47,6 +47,12 @@ MAX_POLLS = 300
 MAX_ROWS = 1000
 MAX_BARS = 200
 """Histograms beyond this have the coarse steps of `stats --json`."""
+_FAILURES = {
+    "no_answer": UnitSum.NO_ANSWER,
+    "exceptions": UnitSum.EXCEPTION,
+    "retries": UnitSum.RETRIES,
+    "bad_check": UnitSum.BAD_CHECK,
+}
 _NUMBER_BEGINS = "+-.0123456789"
 
 
@@ -180,16 +186,19 @@ def _bins(contents: ReportContents, bins: TimeBins) -> dict[str, Any]:
     """Return counts over time: for each unit and link, lists with a number for each bin of time.
 
     `begin`, the beginning of the first bin, is in seconds since 1970; `width`, the width of each
-    bin, is in seconds. `count` is the number of bins.
+    bin, is in seconds. `count` is the number of bins. `all` has the failures of all units that
+    were counted, `counted` the number of these units.
     """
     timed = {link.name for link in contents.links if link.has_times}
     known = [row for row in bins.rows if isinstance(row, UnitRow) and row.link in timed]
-    known.sort(key=lambda row: -sum(bins.column(row, UnitSum.TRANSACTIONS)))
+    known.sort(key=lambda row: _rank(bins, row), reverse=True)
     return {
         "begin": bins.begin_ns / 1e9,
         "width": bins.width_ns / 1e9,
         "count": bins.count,
         "units_left_out": max(len(known) - MAX_UNITS, 0),
+        "counted": len(known),
+        "all": {name: _added(bins, known, place) for name, place in _FAILURES.items()},
         "units": [_unit_columns(bins, row) for row in sorted(known[:MAX_UNITS])],
         "links": [
             _link_columns(contents, bins, link)
@@ -197,6 +206,18 @@ def _bins(contents: ReportContents, bins: TimeBins) -> dict[str, Any]:
             if link.has_times
         ],
     }
+
+
+def _rank(bins: TimeBins, row: UnitRow) -> tuple[int, int]:
+    """Return the requests of a unit and its failures; charts have the units with the most."""
+    failures = (sum(bins.column(row, place)) for place in _FAILURES.values())
+    return sum(bins.column(row, UnitSum.TRANSACTIONS)), sum(failures)
+
+
+def _added(bins: TimeBins, rows: Sequence[UnitRow], place: int) -> list[int]:
+    """Return one sum of all these units for each bin."""
+    columns = [bins.column(row, place) for row in rows]
+    return [sum(numbers) for numbers in zip(*columns, strict=True)]
 
 
 def _unit_columns(bins: TimeBins, row: UnitRow) -> dict[str, Any]:
@@ -208,10 +229,7 @@ def _unit_columns(bins: TimeBins, row: UnitRow) -> dict[str, Any]:
         "link": row.link,
         "unit": row.unit,
         "requests": column(UnitSum.TRANSACTIONS),
-        "no_answer": column(UnitSum.NO_ANSWER),
-        "exceptions": column(UnitSum.EXCEPTION),
-        "retries": column(UnitSum.RETRIES),
-        "bad_check": column(UnitSum.BAD_CHECK),
+        **{name: column(place) for name, place in _FAILURES.items()},
         "mean_ms": [
             _in_ms(total / number) if number else None
             for total, number in zip(sums, numbers, strict=True)

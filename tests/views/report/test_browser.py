@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from mbtool.cli.main import run
+from mbtool.modbus import rtu_adu
 from tests.views.report.browser import asked, shown, text_of
 from tests.workflows.sick_line import sick_line
 
@@ -102,6 +103,21 @@ def test_a_capture_too_short_for_charts_says_all_in_tables(tmp_path: Path) -> No
     assert page.count("<canvas") == 0
     assert "All answers of all units took about 8.0 ms." in page
     assert "No request failed." in page
+
+
+def test_a_capture_without_times_has_none_in_its_table_and_tells_its_failures(
+    tmp_path: Path,
+) -> None:
+    refused = rtu_adu(1, bytes.fromhex("03 0000 0002")) + rtu_adu(1, bytes.fromhex("83 02"))
+    (tmp_path / "line.bin").write_bytes(refused * 20)
+    out = tmp_path / "r.html"
+    line = ["--link", "rtu@19200-8E1"]
+    assert run(["report", str(tmp_path / "line.bin"), *line, "-o", str(out)]) == 0
+    page = shown(out, tmp_path / "profile")
+    table = text_of(page, 'section id="transactions"')
+    assert "The capture has no times." in table
+    assert "1970" not in table
+    assert "02 illegal data address ×20" in text_of(page, 'section id="failures"')
 
 
 def test_a_histogram_of_one_bar_tells_of_longer_answers(tmp_path: Path) -> None:

@@ -13,6 +13,8 @@ const narrow = matchMedia("(max-width: 640px)");
 const PAGE_ROWS = narrow.matches ? 25 : 100;
 const FEW_ROWS = narrow.matches ? 5 : 12;
 const FEW_FINDINGS = 6;
+const MOST_FINDINGS = narrow.matches ? 8 : 30;
+const MOST_TROUBLES = narrow.matches ? 5 : 40;
 const UNFOLDED = ["findings", "against"];
 const PRINTED_ROWS = 60;
 /* As the style sheet says. */
@@ -62,8 +64,11 @@ const span = (s) => {
     : whole < 86400 ? two(Math.floor(whole / 3600), "h", Math.floor((whole % 3600) / 60), "min")
     : two(Math.floor(whole / 86400), "d", Math.floor((whole % 86400) / 3600), "h");
 };
+const milli = (ms) => (ms < 10000 ? `${digits(ms)} ms` : span(ms / 1000));
 const baseName = (path) => path.split(/[\\/]/).pop() || path;
 const several = stats.links.length > 1;
+const isTimed = stats.links.some((link) => link.has_times);
+const unitsSeen = () => new Set(stats.links.flatMap((link) => link.functions.map((one) => `${link.link} ${one.unit}`))).size;
 const unitName = (link, unit) => (several ? `unit ${unit} at ${link}` : `unit ${unit}`);
 
 /* ---- elements ---- */
@@ -158,7 +163,7 @@ const BINNED = `in bins of ${span(bins.width)}, UTC`;
 const COUNT_STEPS = Array.from({ length: 12 }, (_, at) => [1, 2, 5].map((digit) => digit * 10 ** at)).flat();
 const counted = { incrs: COUNT_STEPS };
 const reachOf = (values, text) => { const [low, high] = [Math.min(...values), Math.max(...values)].map(text); return low === high ? `all ${low}` : `${low} to ${high}`; };
-const inUnit = (unit) => ({ values: (u, splits) => splits.map((v) => `${v.toLocaleString("en")}${unit}`) });
+const inUnit = (unit) => ({ values: (u, splits) => splits.map((v) => `${v.toLocaleString("en", { maximumSignificantDigits: 6 })}${unit}`) });
 
 /* All charts over time have the same time axis, until the reader zooms. */
 const WHOLE_TIME = [bins.begin, bins.begin + bins.count * bins.width];
@@ -169,6 +174,7 @@ const inMiddle = ([x, ...columns]) => [x.map((begin) => begin + bins.width / 2),
 /* Between few samples a line would show what nobody measured: counts are bars then, means points.
    Those of several series stand side by side in their bin, so that none hides another. */
 const areFew = (series) => bins.count <= FEW_BINS && bins.count * Math.min(series, SHOWN_SERIES) <= MOST_BARS;
+const isSparse = (column) => column.filter((one) => one !== null).length < column.length / 2;
 const sideBySide = (width, place, of) => width * 0.8 * (place / of - 0.5);
 const barPaths = (width, place, of) => (u, series, from, to) => {
   const path = new Path2D(), [x, y] = [u.data[0], u.data[series]], zero = u.valToPos(0, "y", true);
@@ -194,7 +200,7 @@ const dotPaths = (width, place, of) => (u, series, from, to) => {
    "counts" or "means"; `shown` says which series are. */
 function drawnBins(kind, columns, shown) {
   const seen = shown.map((is, at) => (is ? at : -1)).filter((at) => at >= 0);
-  if (!areFew(columns.length - 1)) return kind === "counts" ? [withEnd(columns), () => ({ paths: stepped })] : [inMiddle(columns), () => ({ spanGaps: true })];
+  if (!areFew(columns.length - 1)) return kind === "counts" ? [withEnd(columns), () => ({ paths: stepped })] : [inMiddle(columns), (at) => (isSparse(columns[at + 1]) ? { paths: dotPaths(bins.width, 0, 1), fill: "ff" } : { spanGaps: true })];
   const [make, fill] = kind === "counts" ? [barPaths, "99"] : [dotPaths, "ff"];
   return [inMiddle(columns), (at) => ({ paths: make(bins.width, Math.max(seen.indexOf(at), 0), Math.max(seen.length, 1)), fill })];
 }
@@ -331,7 +337,7 @@ const total = (column) => column.reduce((sum, one) => sum + one, 0);
 
 function verdict() {
   const { level, sentence, troubles } = data.verdict;
-  get("verdict").classList.add(level);
+  get("verdict").classList.add(stats.transactions ? level : "doubt");
   get("sentence").textContent = together(clean(sentence));
   const names = stats.sources.map(baseName), shownNames = names.length > 4 ? `${names.slice(0, 3).join(", ")} and ${count(names.length - 3)} more files` : names.join(", ");
   document.title = clean(`mbtool report: ${shownNames}`);
@@ -339,15 +345,14 @@ function verdict() {
   const lead = (one, text) => el("button", { type: "button", class: "link screen", "aria-label": `${text}: the transactions of ${one.text}`, on: { click: () => search(one.search) } }, text);
   const told = troubles.filter((one, at) => one.told && one.search && troubles.findIndex((other) => other.search === one.search) === at), others = troubles.filter((one) => !one.told);
   if (told.length) get("troubles").before(el("p", { class: "screen" }, "Transactions of ", told.flatMap((one, at) => [at ? ", " : "", lead(one, one.who)])));
-  get("troubles").append(...others.slice(0, 40).map((one) => el("li", {}, one.text, " ", one.search ? lead(one, "show") : null)));
-  if (others.length > 40) get("troubles").append(el("li", {}, `and ${count(others.length - 40)} more`));
+  get("troubles").append(...others.slice(0, MOST_TROUBLES).map((one) => el("li", {}, one.text, " ", one.search ? lead(one, "show") : null)));
+  if (others.length > MOST_TROUBLES) get("troubles").append(el("li", {}, "and ", el("a", { href: "#findings" }, `${count(others.length - MOST_TROUBLES)} more`)));
   get("troubles").hidden = !others.length;
   const all = (key) => stats.links.reduce((sum, link) => sum + link[key], 0);
   const watched = Math.max(0, ...stats.links.map((link) => link.watched_s));
-  const units = new Set(stats.links.flatMap((link) => link.functions.map((one) => `${link.link} ${one.unit}`)));
   const begins = stats.links.filter((link) => link.begin_ns !== null).map((link) => link.begin_ns / 1000);
   const facts = [
-    ["transactions", count(stats.transactions)], ["links", count(stats.links.length)], ["units", count(units.size)],
+    ["transactions", count(stats.transactions)], ["links", count(stats.links.length)], ["units", count(unitsSeen())],
     ["watched", watched ? span(watched) : "no times"], ["missing answers", count(all("no_answer"))],
     ["exceptions", count(all("exception"))], ["retries", count(all("repetitions"))], ["broken rules", brokenText()],
   ];
@@ -363,6 +368,7 @@ function brokenText() {
 function findings() {
   const { rows, broken, notes } = data.findings, counted = data.verdict.troubles.filter((one) => !one.is_rule).slice(0, 40);
   const none = "No rule of Modbus, or of a device’s manual, is broken";
+  if (!rows.length && !counted.length && !stats.transactions) return;
   if (!rows.length && !counted.length) { show("findings", "", soft(`${none}.`)); return; }
   const body = el("tbody", { role: "rowgroup" }), heads = [".code", ".severity", ">times", "~where", "=what"];
   const lines = rows.map((one) => {
@@ -387,15 +393,21 @@ function findings() {
   const fill = () => {
     const words = field.value.toLowerCase().split(/\s+/).filter(Boolean);
     const found = lines.filter(([text]) => words.every((word) => text.includes(word)));
+    const hidden = isWhole || words.length ? 0 : Math.max(found.length - MOST_FINDINGS, 0);
+    found.forEach(([, row], at) => row.classList.toggle("on-paper", at >= found.length - hidden));
     body.replaceChildren(...found.map(([, row]) => row));
     told.textContent = words.length ? `${count(found.length)} of ${count(lines.length)}` : "";
+    more.hidden = !hidden;
+    more.textContent = `Show ${count(hidden)} more`;
   };
+  let isWhole = false;
+  const more = el("button", { type: "button", on: { click: () => { isWhole = true; fill(); } } });
   const field = el("input", { type: "search", on: { input: fill } });
   const total = `${broken ? `Rules were broken ${plural(broken, "time")}` : none}${notes ? `; ${plural(notes, "note")}` : ""}.`;
   show("findings", count(lines.length), el("p", { class: "soft" }, total, rows.length ? el("span", { class: "screen" }, " A time leads to the transaction, a code to all of them.") : null,
     counted.length ? " “counts” marks what missing answers, refusals, times and connections show when they are counted." : null),
     lines.length > FEW_FINDINGS ? el("div", { class: "tools" }, el("label", {}, "Search findings", field), told) : null,
-    frame("Findings", heads, body, true, false));
+    frame("Findings", heads, body, true, false), el("div", { class: "tools" }, more));
   fill();
 }
 
@@ -423,12 +435,12 @@ function against() {
     one.count > rows.length ? soft(`The first ${count(rows.length)} are listed.`) : null);
 }
 
-const FAILURES = [["no_answer", "missing answers", 1], ["exceptions", "exceptions", 4], ["bad_check", "wrong CRC", 6], ["retries", "retries", 0]];
+const FAILURES = [["no_answer", "missing answers", 1, "no_answer"], ["exceptions", "exceptions", 4, "exception"], ["bad_check", "wrong CRC", 6, "wrong_crc"], ["retries", "retries", 0, "repetitions"]];
 function failures() {
-  if (!bins.units.length) return;
-  const make = (units, title) => {
-    const series = FAILURES.map(([key, label, at]) => ({ key, label, color: at, column: added(units.map((one) => one[key])) })).filter((one) => total(one.column));
-    if (!series.length) return soft(units.length === bins.units.length ? "No request failed." : `No request of ${title} failed.`);
+  if (!stats.transactions) return;
+  const make = (columns, title) => {
+    const series = FAILURES.map(([key, label, at]) => ({ key, label, color: at, column: columns[key] })).filter((one) => total(one.column));
+    if (!series.length) return null;
     const what = series.length > 1 ? "Failures" : `${series[0].label[0].toUpperCase()}${series[0].label.slice(1)}`;
     return chart({
       title: `${what} over time, ${title}`, note: `number ${BINNED}`, summary: `${series.map((one) => `${one.label}: ${count(total(one.column))}`).join(", ")}.`,
@@ -437,22 +449,23 @@ function failures() {
     });
   };
   const place = el("div");
-  const all = several ? "all links" : "all units";
+  const seen = unitsSeen(), all = bins.counted < seen ? `${count(bins.counted)} of ${count(seen)} units` : several ? "all links" : "all units";
   const failing = bins.units.filter((one) => FAILURES.some(([key]) => total(one[key])));
   const choice = hasTimeline && chooser("Unit", [all, ...failing.map((one) => unitName(one.link, one.unit))], (at) => {
-    place.replaceChildren(make(at ? [failing[at - 1]] : bins.units, at ? unitName(failing[at - 1].link, failing[at - 1].unit) : all));
+    place.replaceChildren(make(at ? failing[at - 1] : bins.all, at ? unitName(failing[at - 1].link, failing[at - 1].unit) : all));
   });
-  if (hasTimeline) place.append(make(bins.units, all));
+  const whole = hasTimeline && make(bins.all, all);
+  if (whole) place.append(whole);
   const rows = stats.links.flatMap((link) => link.functions.map((one) => [link, one]))
     .filter(([, one]) => one.no_answer || one.exception || one.malformed || one.unsolicited || one.not_captured || one.repetitions)
     .sort(([, a], [, b]) => b.no_answer + b.exception - a.no_answer - a.exception)
     .map(([link, one]) => [...(several ? [link.link] : []), String(one.unit), `${hex(one.function)} ${one.function_name}`, count(one.transactions), some(one.no_answer), some(one.wrong_crc), some(one.exception),
       one.exceptions.map((each) => `${hex(each.code)} ${each.name} ×${count(each.count)}`).join(", "), some(one.repetitions), some(one.malformed), some(one.unsolicited), some(one.not_captured)]);
-  const sums = FAILURES.map(([key, label]) => [total(added(bins.units.map((one) => one[key]))), label]).filter(([sum]) => sum);
-  show("failures", sums.length ? sums.map(([sum, label]) => `${count(sum)} ${label}`).join(", ") : "none", failing.length > 1 ? choice : null, place, hasTimeline || rows.length ? null : soft("No request failed."),
+  const sums = FAILURES.map(([, label, , name]) => [total(stats.links.flatMap((link) => link.functions.map((one) => one[name] ?? 0))), label]).filter(([sum]) => sum);
+  show("failures", sums.length ? sums.map(([sum, label]) => `${count(sum)} ${label}`).join(", ") : "none", failing.length > 1 ? choice : null, place, whole || rows.length ? null : soft("No request failed."),
     rows.length ? table("Failures by unit and function", [...(several ? ["link"] : []), ">unit", "~function", ">asked", ">no answer", ">wrong CRC", ">exceptions", "+which", ">retries", ">malformed", ">unasked", ">not captured"], rows) : null,
     rows.some((row) => row[row.length - 1]) ? soft("What was not captured is the capture’s loss, and no device’s fault.") : null,
-    bins.units_left_out ? soft(`The chart has the ${count(bins.units.length)} units that were asked most; ${plural(bins.units_left_out, "unit")} left out.`) : null);
+    bins.units_left_out ? soft(`Of single units there are charts of the ${count(bins.units.length)} that were asked most; ${plural(bins.units_left_out, "unit")} left out.`) : null);
 }
 
 function chooser(label, names, choose) {
@@ -517,7 +530,7 @@ function cycle() {
     for (const list of master.lists) made.push(cycleTable(link, list, who, made.length < OPEN_CYCLES, part));
     const between = master.between.map((one) => `${pollText(pollOf(link, one.poll))} ×${count(one.count)}`);
     if (between.length && master.lists.length) made.push(soft(`In no cycle${who ? ` of ${who}` : ""}: ${between.slice(0, 20).join("; ")}${between.length > 20 ? ` and ${between.length - 20} more` : ""}.`));
-    if (master.response_timeout_ms) made.push(soft(`The master${who ? ` (${who})` : ""} waits ${digits(master.response_timeout_ms)} ms for an answer.`));
+    if (master.response_timeout_ms) made.push(soft(`The master${who ? ` (${who})` : ""} waits ${milli(master.response_timeout_ms)} for an answer.`));
   }
   if (!made.length) return;
   show("cycle", plural(made.filter((one) => one.tagName === "DETAILS").length, "list"), made.slice(0, 60));
@@ -535,8 +548,8 @@ function cycleTable(link, list, who, isOpen, part) {
     return [pollText(pollOf(link, step.poll)), digits(step.pause_ms), digits(step.took_ms), some(step.cycles_with_missing), track];
   });
   const missing = list.with_missing_ms !== null && list.without_missing_ms !== null
-    ? ` A cycle with a missing answer takes ${digits(list.with_missing_ms)} ms, one without ${digits(list.without_missing_ms)} ms.` : "";
-  const [least, most] = [digits(list.min_ms), digits(list.max_ms)], took = least === most ? `${least} ms each` : `${least} to ${most} ms`;
+    ? ` A cycle with a missing answer takes ${milli(list.with_missing_ms)}, one without ${milli(list.without_missing_ms)}.` : "";
+  const [least, most] = [milli(list.min_ms), milli(list.max_ms)], took = least === most ? `${least} each` : `${least} to ${most}`;
   const other = list.other_cycles ? ` ${plural(list.other_cycles, "cycle")} had a poll more or less, or another order.` : "";
   return el("details", { open: isOpen }, el("summary", {}, el("h3", {}, `${who ? `${who}: ` : ""}${plural(list.steps.length, "poll")} every ${span(list.cycle_ms / 1000)}`)),
     soft(`${part}${plural(list.cycles, "cycle")} went in this order and took ${took}.${other}${missing}`),
@@ -553,6 +566,7 @@ function watchedIn({ link: name, requests }) {
   return times.map((from, at) => Math.min(Math.max(Math.min(from + bins.width, end + every) - Math.max(from, begin), requests[at] * every), bins.width) || bins.width);
 }
 
+const RATES = [[1, "a second", " /s"], [60, "a minute", " /min"], [3600, "an hour", " /h"]];
 const PARTS = [["characters_share", "characters"], ["other_bytes_share", "bytes in no frame"], ["slaves_share", "waiting for slaves"], ["missing_share", "waiting for missing answers"]];
 function load() {
   const made = [];
@@ -570,11 +584,13 @@ function load() {
   if (timed.length) made.push(chart({
     title: "Bus load over time", note: `share of the time in which there are characters on the line, ${BINNED}`, sync: "time", bins: "counts", summary: "",
     data: [times, ...timed.map((one) => { const watched = watchedIn(one); return one.load.map((part, at) => Math.min((part * 100 * bins.width) / watched[at], 100)); })],
-    measure: "%", axisY: inUnit(" %"), series: timed.map((one, at) => ({ label: one.link, fill: true, show: at < SHOWN_SERIES, text: (v) => v.toFixed(1) })),
+    measure: "%", axisY: inUnit(" %"), series: timed.map((one, at) => ({ label: one.link, fill: true, show: at < SHOWN_SERIES, text: (v) => number(Number(v.toPrecision(3))) })),
   }));
-  if (bins.links.length && hasTimeline) made.push(chart({
-    title: "Requests a second", note: BINNED, sync: "time", bins: "counts", summary: "", height: 170, axisY: inUnit(" /s"),
-    data: [times, ...bins.links.map((one) => { const watched = watchedIn(one); return one.requests.map((n, at) => n / watched[at]); })],
+  const rates = hasTimeline ? bins.links.map((one) => { const watched = watchedIn(one); return one.requests.map((n, at) => n / watched[at]); }) : [];
+  const [factor, noun, unit] = RATES.find(([one]) => one * Math.max(...rates.flat()) >= 0.5) ?? RATES[RATES.length - 1];
+  if (rates.length) made.push(chart({
+    title: `Requests ${noun}`, note: BINNED, sync: "time", bins: "counts", summary: "", height: 170, axisY: inUnit(unit),
+    data: [times, ...rates.map((one) => one.map((rate) => rate * factor))],
     series: bins.links.map((one, at) => ({ label: one.link, show: at < SHOWN_SERIES, text: (v) => number(Number(v.toPrecision(3))) })),
   }));
   const bad = [["bad_check", "wrong CRC or LRC", 6], ["no_frame", "bytes in no frame", 4], ["lacking", "missing in the capture", 7]]
@@ -731,7 +747,7 @@ const haystack = (at) => {
   return (haystacks[at] ??= ` ${texts[row[LINK]]} unit:${row[UNIT]} #${row[NUMBER]} ${texts[row[WHAT]]} ${texts[row[RESULT]]} ${texts[row[OUTCOME]]} ${texts[row[CODES]]} ${clock(usOf(row))} `.toLowerCase());
 };
 let found = rows.map((_, at) => at), first = 0, here = -1;
-const HEADS = ["#number", ".time (UTC)", ...(several ? ["link"] : []), ">unit", "=request", "+result", ".outcome", ">ms", ".findings"];
+const HEADS = ["#number", ...(isTimed ? [".time (UTC)"] : []), ...(several ? ["link"] : []), ">unit", "=request", "+result", ".outcome", ">ms", ".findings"];
 const body = el("tbody", { role: "rowgroup" });
 const told = el("span", { class: "soft", role: "status" });
 const field = el("input", { type: "search", on: { input: () => { filter(); first = 0; draw(); } } });
@@ -756,7 +772,7 @@ function draw() {
   body.replaceChildren(...page.map((at) => {
     const row = rows[at], outcome = texts[row[OUTCOME]];
     const cells = [el("a", { href: `#t${Number(row[NUMBER])}`, "aria-label": `${count(row[NUMBER])}: transaction` }, count(row[NUMBER])),
-      el("span", { class: "mono" }, rowTime(row)), ...(several ? [texts[row[LINK]]] : []), String(row[UNIT]), texts[row[WHAT]], texts[row[RESULT]],
+      ...(isTimed ? [el("span", { class: "mono" }, rowTime(row))] : []), ...(several ? [texts[row[LINK]]] : []), String(row[UNIT]), texts[row[WHAT]], texts[row[RESULT]],
       el("span", { class: outcomeClass(outcome) }, outcome), row[LATENCY] < 0 ? "" : digits(row[LATENCY] / 1000), texts[row[CODES]]];
     return tableRow(HEADS, cells, true, { id: `t${row[NUMBER]}`, class: at === here ? "here" : null, tabindex: "-1" });
   }));
@@ -816,7 +832,7 @@ function transactions() {
   const all = data.transactions, out = all.transactions - rows.length;
   const lost = all.with_trouble - all.kept_with_trouble;
   show("transactions", count(all.transactions),
-    soft(`${out ? `${count(rows.length)} of ${count(all.transactions)} transactions: the first ones${all.late ? ", late answers" : ""} and ${lost ? `${count(all.kept_with_trouble)} of the ${count(all.with_trouble)}` : "all"} that failed or have a finding. ${count(out)} are left out; mbtool report --all puts them all into the page.` : `All ${plural(all.transactions, "transaction")}.`} Times are UTC${oneDay ? `, on ${day(beginUs)}` : ""}.`),
+    soft(`${out ? `${count(rows.length)} of ${count(all.transactions)} transactions: the first ones${all.late ? ", late answers" : ""} and ${lost ? `${count(all.kept_with_trouble)} of the ${count(all.with_trouble)}` : "all"} that failed or have a finding. ${count(out)} are left out; mbtool report --all puts them all into the page.` : `All ${plural(all.transactions, "transaction")}.`} ${isTimed ? `Times are UTC${oneDay ? `, on ${day(beginUs)}` : ""}.` : "The capture has no times."}`),
     el("div", { class: "tools" }, el("label", {}, "Search transactions", field), earlier, later, told),
     el("p", { class: "soft screen" }, "Words must all occur; unit:5 and #12 are exact. Also: no-answer, exception, a code such as MB-401, a time, ms>400."),
     frame("Transactions", HEADS, body, true, false),
