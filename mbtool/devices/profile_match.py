@@ -25,27 +25,16 @@ import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from mbtool.devices.block_reads import can_be_read
-from mbtool.devices.model import READ_AND_WRITE
 from mbtool.devices.observed_slave import ObservedSlave
-from mbtool.devices.references import write_reference
+from mbtool.devices.request_match import compare_with_profile
 from mbtool.modbus.adu import Transport
-from mbtool.modbus.functions import FUNCTIONS, WRITE_LIMIT_17H, ExceptionCode, function_name
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from mbtool.devices.model import Profile
-    from mbtool.devices.observed_slave import ObservedRequest, Replies
     from mbtool.modbus.tables import Table
 
-_REFUSALS = frozenset(
-    (
-        ExceptionCode.ILLEGAL_FUNCTION,
-        ExceptionCode.ILLEGAL_DATA_ADDRESS,
-        ExceptionCode.ILLEGAL_DATA_VALUE,
-    )
-)
 _MIN_SHARE = 0.9
 """A profile is plausible only if it explains at least this share of the requests, 0 to 1."""
 _MAX_REASONS = 6
@@ -217,99 +206,14 @@ def _compare_requests(
     """
     explained, before = 0, len(against)
     refusals: list[str] = []
-    for request, replies in slave.requests.items():
-        rule, is_predicted = _predict(profile, request)
-        is_accepted = _observed(profile, request, replies, is_predicted=is_predicted)
-        if is_accepted is None:
-            continue
-        if is_accepted and is_predicted:
-            explained += 1
-            continue
-        text = _request_text(profile, request)
-        other = _other_refusal(profile, request, replies)
-        if is_accepted or is_predicted:
-            against.append(f"{text} {'answered' if is_accepted else 'refused'}, though {rule}")
-        elif other:
-            against.append(f"{text} refused with exception {other}, though {rule}")
-        else:
-            explained += 1
-            refusals.append(f"{text} refused, as {rule}")
+    for one in compare_with_profile(slave, profile):
+        explained += not one.is_against
+        if one.is_against:
+            against.append(f"{one.reference} {one.end}, though {one.rule}")
+        elif not one.is_accepted:
+            refusals.append(f"{one.reference} refused, as {one.rule}")
     contradicted = len(against) - before
     return explained, contradicted, refusals
-
-
-def _observed(
-    profile: Profile, request: ObservedRequest, replies: Replies, *, is_predicted: bool
-) -> bool | None:
-    """Return True if the slave accepts a request, False if it refuses it, None if its replies show
-    neither for certain.
-
-    `is_predicted` is True if the profile predicts that the slave accepts it.
-    """
-    if replies.ok:
-        return True
-    codes = profile.exceptions
-    refusals = _REFUSALS | {codes.function, codes.address, codes.value}
-    refused = refusals.intersection(replies.exceptions)
-    if request.function == READ_AND_WRITE:
-        refused &= {codes.function}
-    elif request.writes and is_predicted and codes.value not in (codes.function, codes.address):
-        refused -= {codes.value}
-    return False if refused else None
-
-
-def _other_refusal(profile: Profile, request: ObservedRequest, replies: Replies) -> str:
-    """Return the exception codes in `replies` as text, such as `01 and 02`, if they contradict the
-    profile's reason for a refusal; otherwise an empty text.
-
-    The profile's reason is either the function, or the addresses and the quantity.
-    """
-    no_function = profile.exceptions.function
-    others = {profile.exceptions.address, profile.exceptions.value} - {no_function}
-    given = set(replies.exceptions)
-    if profile.rule(request.function) is None:
-        is_other = no_function not in given
-    else:
-        is_other = no_function in given and not given & others
-    return " and ".join(f"{code:02X}" for code in sorted(given)) if is_other and others else ""
-
-
-def _predict(profile: Profile, request: ObservedRequest) -> tuple[str, bool]:
-    """Predict what a device with the profile does with a request.
-
-    Returns the reason in words (`its limit is 100`), and True if the device accepts the request,
-    False if it refuses it.
-    """
-    function, table, span = request.function, request.table, request.span
-    rule = profile.rule(function)
-    if rule is None:
-        return f"it has no function {function:02X}", False
-    if table is None or request.address is None:
-        return f"it has function {function:02X}", True
-    known = FUNCTIONS.get(function)
-    if function == READ_AND_WRITE and request.writes:
-        limit: int | None = rule.write_limit or WRITE_LIMIT_17H
-    else:
-        limit = rule.limit or (known.limit if known is not None else None)
-    if limit is not None and not 1 <= request.quantity <= limit:
-        return f"its limit is {limit}", False
-    if request.writes:
-        verb, is_allowed = "write", profile.allows(table, span, writing=True)
-    else:
-        verb, is_allowed = "read", can_be_read(profile, table, span)
-    if is_allowed:
-        return "its manual has that", True
-    if profile.allows(table, span):
-        return f"one cannot {verb} there", False
-    return "it is outside its areas", False
-
-
-def _request_text(profile: Profile, request: ObservedRequest) -> str:
-    function, table, address = request.function, request.table, request.address
-    if table is None or address is None:
-        return f"{function:02X} {function_name(function)}"
-    where = write_reference(profile, table, address, request.quantity, writing=request.writes)
-    return f"{function:02X} {where}"
 
 
 def _compare_models(

@@ -25,6 +25,8 @@ from typing import TYPE_CHECKING
 from mbtool.core.wording import counted
 from mbtool.devices.block_reads import can_be_read
 from mbtool.devices.profile_match import match_profiles
+from mbtool.devices.request_match import compare_with_profile
+from mbtool.overview.inventory_ranges import listed
 from mbtool.overview.inventory_rows import ProfileFit
 
 if TYPE_CHECKING:
@@ -42,6 +44,7 @@ NAME_WEIGHT = 5
 BOUNDARIES = 2
 _CONTRADICTION = 5
 _UNASKED = 2
+_FEW_TIES = 3
 _MODEL_WORD = re.compile(r"(?=[a-z0-9]*\d)(?=[a-z0-9]*[a-z])[a-z0-9]{4,}")
 """A word of at least 4 letters and digits with both in it, such as lt830. Such a word names a
 model; a word of letters alone may be a vendor's name."""
@@ -55,15 +58,15 @@ def identify(slave: ObservedSlave, profiles: Sequence[Profile]) -> ProfileFit:
     If none fits, the result has the reason.
     """
     if len(slave.requests) < MIN_EXPLAINED:
-        return ProfileFit(why=_too_little(len(slave.requests)))
+        return ProfileFit(why=_too_few(len(slave.requests)))
     result = match_profiles(slave, profiles)
     if not result.matches or not result.matches[0].explained:
-        return ProfileFit(why="nothing that it answers is like any profile")
+        return ProfileFit(why="no request ended as any profile's manual says")
     best = result.matches[0]
     profile = next(one for one in profiles if one.name == best.profile)
     confirmation = _confirmation(slave, profile, best)
     score = _score(slave, profile, best)
-    doubt, names_best = _doubt(result, confirmation, score)
+    doubt, names_best = _doubt(result, profile, confirmation, score)
     if doubt:
         score = min(score, UNCONFIRMED)
     has_ties = len(_ties(result)) > 1
@@ -86,34 +89,52 @@ def _score(slave: ObservedSlave, profile: Profile, match: ProfileMatch) -> int:
     return 100 * explained // (explained + _CONTRADICTION * match.contradicted + _UNASKED)
 
 
-def _doubt(result: MatchResult, confirmation: str, score: int) -> tuple[str, bool]:
-    """The reason, as a text for the user, why the best profile of `result` may not fit the slave,
-    and True if the text names this profile.
+def _doubt(
+    result: MatchResult, profile: Profile, confirmation: str, score: int
+) -> tuple[str, bool]:
+    """The reason, as a text for the user, why `profile`, the best one of `result`, may not fit the
+    slave, and True if the text names this profile.
 
     The text is empty if it fits. `score` is that profile's score, and `confirmation` the text of
     `_confirmation`.
     """
     best = result.matches[0]
-    asked = _requests(best.explained + best.contradicted)
     ties = _ties(result)
     if best.is_other_model:
-        return "its model code is another's", False
+        return "it says a model code that no profile has", False
     if best.contradicted and score <= FITS:
-        example = f"for example {best.against[0]}"
-        text = f"{best.profile} would answer {best.contradicted} of {asked} otherwise, {example}"
-        return text, True
+        example = _contradiction(result, profile)
+        text = f"{best.profile} comes nearest, but {_share(best)} ended as its manual says"
+        return f"{text}; for example, {example}", True
     if len(ties) > 1 and not best.is_model:
-        return f"{asked} fit {len(ties)} profiles equally well", False
+        names = listed(sorted(ties), _FEW_TIES)
+        return f"{_share(best)} ended as the manuals of {len(ties)} profiles say: {names}", False
     if not confirmation:
-        text = f"{asked} fit {best.profile}, but so would other devices: nothing shows its model"
-        return text, True
+        text = f"{_share(best)} ended as the manual of {best.profile} says, but they would at other"
+        return f"{text} devices, too: nothing shows the model", True
     if best.explained < MIN_EXPLAINED or score <= FITS:
-        return _too_little(best.explained + best.contradicted), False
+        return _too_few(best.explained), False
     return "", False
 
 
-def _too_little(requests: int) -> str:
-    return f"{_requests(requests)} {'tells' if requests == 1 else 'tell'} too little"
+def _contradiction(result: MatchResult, profile: Profile) -> str:
+    """Return a sentence on the first thing that speaks against the best profile."""
+    compared = compare_with_profile(result.slave, profile)
+    against = (one.contradiction for one in compared if one.is_against)
+    return next(against, result.matches[0].against[0])
+
+
+def _too_few(requests: int) -> str:
+    is_too_few = "is too few" if requests == 1 else "are too few"
+    return f"{_requests(requests)} {is_too_few} to tell a device"
+
+
+def _share(match: ProfileMatch) -> str:
+    """Return which share of the requests ended as a profile's manual says."""
+    asked = match.explained + match.contradicted
+    if not match.contradicted:
+        return f"all {_requests(asked)}"
+    return f"only {match.explained} of {_requests(asked)}"
 
 
 def _ties(result: MatchResult) -> list[str]:

@@ -18,10 +18,11 @@ from typing import TYPE_CHECKING
 from mbtool.devices.identity import answer_word
 from mbtool.devices.model import READ_AND_WRITE
 from mbtool.devices.observed_slave import ObservedSlave
+from mbtool.devices.references import write_reference
 from mbtool.modbus.functions import FUNCTIONS, ExceptionCode
 from mbtool.modbus.identification import identities
 from mbtool.modbus.transaction import Outcome
-from mbtool.overview.inventory_ranges import without
+from mbtool.overview.inventory_ranges import AddressRange, without
 from mbtool.overview.inventory_rows import (
     INVENTORY_FORMAT,
     FunctionUse,
@@ -34,9 +35,9 @@ from mbtool.overview.inventory_rows import (
 from mbtool.overview.inventory_seen import UNANSWERED, Seen, SeenMaster, SeenSlave, SeenUse
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
-    from mbtool.devices import NamedTransaction
+    from mbtool.devices import NamedTransaction, Profile
     from mbtool.overview.answered_run import AnsweredRun
     from mbtool.overview.inventory_rows import ProfileFit
 
@@ -131,17 +132,19 @@ class Inventory:
         files: Sequence[str] = (),
         identify: Callable[[ObservedSlave], ProfileFit] | None = None,
         maker: Callable[[str], str | None] = lambda _: None,
+        profiles: Mapping[str, Profile] | None = None,
     ) -> InventoryDocument:
         """Return the inventory as a document whose rows are sorted by host and unit.
 
         `files` are the names of the captures. `identify` compares a slave with profiles; if it is
         None, no slave is compared. `maker` returns the name of the manufacturer for a MAC address,
-        None if unknown.
+        None if unknown. `profiles` has the profiles by name, for the addresses of units that the
+        user or a log has named.
         """
         gateways = self._gateways()
         rows = []
         for slave in self._slaves.values():
-            row = _slave_row(slave, (slave.host, slave.port) in gateways, maker)
+            row = _slave_row(slave, (slave.host, slave.port) in gateways, maker, profiles or {})
             observed = slave.observed
             if identify is not None and observed is not None:
                 row.fit = identify(observed)
@@ -333,7 +336,13 @@ def _note_identity(slave: SeenSlave, transaction: NamedTransaction) -> None:
             known.append(text)
 
 
-def _slave_row(slave: SeenSlave, is_gateway: bool, maker: Callable[[str], str | None]) -> SlaveRow:
+def _slave_row(
+    slave: SeenSlave,
+    is_gateway: bool,
+    maker: Callable[[str], str | None],
+    profiles: Mapping[str, Profile],
+) -> SlaveRow:
+    profile = None if slave.device is None else profiles.get(slave.device)
     return SlaveRow(
         host=slave.host,
         port=slave.port,
@@ -348,7 +357,7 @@ def _slave_row(slave: SeenSlave, is_gateway: bool, maker: Callable[[str], str | 
             for (function, name), texts in slave.identity.items()
             for text in texts
         ],
-        uses=[_use_row(use) for _, use in sorted(slave.uses.items(), key=_use_order)],
+        uses=[_use_row(use, profile) for _, use in sorted(slave.uses.items(), key=_use_order)],
         transactions=slave.outcomes.total(),
         answered=slave.answered,
         unanswered=slave.outcomes[Outcome.NO_ANSWER] + slave.unreached,
@@ -375,8 +384,9 @@ def _use_order(item: tuple[tuple[int, str | None, bool], SeenUse]) -> tuple[bool
     return writes, function, master or ""
 
 
-def _use_row(use: SeenUse) -> FunctionUse:
+def _use_row(use: SeenUse, profile: Profile | None) -> FunctionUse:
     asked = use.asked.pairs
+    refused = without(use.refused.pairs, asked)
     return FunctionUse(
         function=use.function,
         name=use.name,
@@ -385,9 +395,24 @@ def _use_row(use: SeenUse) -> FunctionUse:
         requests=use.requests,
         unsupported=use.unsupported,
         ranges=asked,
-        refused=without(use.refused.pairs, asked),
+        refused=refused,
+        references=_references(use, asked, profile),
+        refused_references=_references(use, refused, profile),
         left_out=use.asked.left_out + use.refused.left_out,
     )
+
+
+def _references(use: SeenUse, ranges: Sequence[AddressRange], profile: Profile | None) -> list[str]:
+    """Write the addresses of a function in the notation of a profile, "" where it has none."""
+    known = FUNCTIONS.get(use.function)
+    if profile is None or known is None or known.table is None:
+        return []
+    texts = []
+    for first, last in ranges:
+        span = known.table, first, last - first + 1
+        text = write_reference(profile, *span, writing=use.writes)
+        texts.append("" if text == write_reference(None, *span) else text)
+    return texts
 
 
 def _master_row(host: str, master: SeenMaster, maker: Callable[[str], str | None]) -> MasterRow:

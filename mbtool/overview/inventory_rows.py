@@ -49,6 +49,11 @@ class FunctionUse(msgspec.Struct, kw_only=True):
     may also have got no response at all."""
     refused: list[AddressRange] = []
     """The addresses in requests that were answered with an exception, without those in `ranges`."""
+    references: list[str] = []
+    """Each of `ranges` in the notation of the unit's profile; "" for one that it has no notation
+    for. The list is empty if nobody named the unit's profile."""
+    refused_references: list[str] = []
+    """The same for `refused`."""
     unsupported: int = 0
     """The number of requests that were answered with exception code 01, illegal function."""
     left_out: int = 0

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from mbtool.overview.inventory_ranges import MAX_RANGES, ranges_text
 from mbtool.overview.inventory_rows import Role, iso_time
-from mbtool.views.inventory_table import function_label
+from mbtool.views.inventory_table import UNKNOWN, function_label
 from mbtool.views.tables import printable
 
 if TYPE_CHECKING:
@@ -91,7 +91,7 @@ def _unit(where: str, row: SlaveRow) -> dict[str, Any]:
     if row.device is not None:
         pairs.append(("profile named", row.device))
     if row.fit is not None:
-        pairs.append(("profile", row.fit.profile or "none fits"))
+        pairs.append(("profile", row.fit.profile or UNKNOWN))
         pairs.append(("profile score", str(row.fit.score)))
     return _component(
         f"slave:{where}/{row.unit}",

@@ -18,7 +18,7 @@ import msgspec
 
 from mbtool.overview.inventory_ranges import MAX_RANGES, ranges_text
 from mbtool.overview.inventory_rows import Role, iso_time
-from mbtool.views.inventory_table import function_label, identity_text
+from mbtool.views.inventory_table import UNKNOWN, function_label, identity_text
 from mbtool.views.tables import printable_json
 
 if TYPE_CHECKING:
@@ -113,7 +113,7 @@ def _slave_cells(row: SlaveRow) -> dict[str, object]:
         "makers": "; ".join(row.makers),
         "identity": identity_text(row),
         "device": row.device,
-        "profile": "" if fit is None else fit.profile or "none fits",
+        "profile": "" if fit is None else fit.profile or UNKNOWN,
         "score": None if fit is None else fit.score,
         "why": "" if fit is None else fit.why,
         "reads": _uses(row, writes=False),

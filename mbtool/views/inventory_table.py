@@ -21,7 +21,13 @@ from rich.text import Text
 from mbtool.core.wording import counted
 from mbtool.devices.model import READ_AND_WRITE
 from mbtool.modbus import FUNCTIONS, Transport, exception_name
-from mbtool.overview.inventory_ranges import MAX_RANGES, AddressRanges, listed, ranges_text
+from mbtool.overview.inventory_ranges import (
+    MAX_RANGES,
+    AddressRange,
+    AddressRanges,
+    listed,
+    ranges_text,
+)
 from mbtool.overview.inventory_rows import Role, iso_time
 from mbtool.views.tables import printable
 
@@ -38,6 +44,8 @@ if TYPE_CHECKING:
         SlaveRow,
     )
 
+UNKNOWN = "unknown"
+"""Stands for the profile of a unit whose traffic tells none."""
 _INDENT = " " * 6
 _NARROWEST = 40
 _FEW_RANGES = 12
@@ -78,14 +86,14 @@ def print_inventory(
 def profile_text(row: SlaveRow) -> str:
     """Return the profile that fits a slave best, with its score of 0 to 100: `wago-750 91`.
 
-    It is `NAME (named)` if the user named the profile, `none fits` if none does, and empty if the
+    It is `NAME (named)` if the user named the profile, UNKNOWN if none is sure, and empty if the
     traffic was compared with no profile.
     """
     if row.device is not None:
         return f"{row.device} (named)"
     if row.fit is None:
         return ""
-    return "none fits" if row.fit.profile is None else f"{row.fit.profile} {row.fit.score}"
+    return UNKNOWN if row.fit.profile is None else f"{row.fit.profile} {row.fit.score}"
 
 
 def mac_text(macs: Sequence[str], makers: Sequence[str]) -> str:
@@ -192,8 +200,8 @@ def _lines(row: SlaveRow, most: int) -> Iterator[str]:
         if fit.profile is not None:
             yield f"fits {fit.profile}, by {fit.why}"
         else:
-            alone = "from its traffic alone no profile is sure" if row.device else "no profile fits"
-            yield f"{alone}: {fit.why}{_nearest(fit)}"
+            alone = "by its traffic alone its " if row.device else ""
+            yield f"{alone}profile is not known: {fit.why}{_nearest(fit)}"
     yield from _use_lines(row.uses, most)
     if row.exceptions:
         texts = (
@@ -240,14 +248,21 @@ def _use_line(several: Sequence[FunctionUse], most: int) -> str:
     label = function_label(first.function, first.name)
     if first.function == READ_AND_WRITE:
         label += " (writes)" if first.writes else " (reads)"
-    parts = [f"{label} {ranges_text(first.ranges, most)}".rstrip()]
+    parts = [f"{label} {_addresses(first.ranges, first.references, most)}".rstrip()]
     if first.refused:
-        parts.append(f"refused {ranges_text(first.refused, most)}")
+        parts.append(f"refused {_addresses(first.refused, first.refused_references, most)}")
     if any(one.left_out for one in several):
         parts.append("more ranges than are kept")
     count = sum(one.requests for one in several)
     parts.append((_times(count) if count else "answers only") + _masters(" by", several))
     return "; ".join(parts)
+
+
+def _addresses(ranges: Sequence[AddressRange], references: Sequence[str], most: int) -> str:
+    """Return ranges of addresses, and behind them what the unit's profile calls them."""
+    known = [one for one in references if one]
+    names = f" ({listed(known, most)})" if known else ""
+    return f"{ranges_text(ranges, most)}{names}"
 
 
 def _masters(word: str, uses: Iterable[FunctionUse]) -> str:

@@ -41,7 +41,7 @@ def with_short_names(spans: Spans, one: NamedTransaction, width: int) -> Spans:
     del subjects[""]  # A name that is the reference stays.
     if not subjects:
         return spans
-    shown = _Shown(spans, one, subjects)
+    shown = _NamesInCell(spans, one, subjects)
     longest = _longest(shown.names(), excess)
     if longest < LEAST and len(subjects) == 1:
         return shown.shortened(lambda _: "")
@@ -61,7 +61,7 @@ def _longest(names: Sequence[str], excess: int) -> int:
     return limit
 
 
-class _Shown:
+class _NamesInCell:
     """The points of a transaction as the spans of a cell show them."""
 
     def __init__(self, spans: Spans, one: NamedTransaction, subjects: Mapping[str, int]) -> None:

@@ -86,6 +86,7 @@ class InventoryRun:
             [*map(shown_name, self._files)],
             partial(identify, profiles=list(profiles.values())),
             maker,
+            profiles,
         )
 
 

@@ -189,7 +189,7 @@ class ReportRun:
             statistics=self.statistics,
             links=report(self.statistics),
             inventory=self._inventory.document(
-                names, partial(identify, profiles=list(profiles.values())), maker
+                names, partial(identify, profiles=list(profiles.values())), maker, profiles
             ),
             findings=self._findings,
             number_of_findings=self._number_of_findings,

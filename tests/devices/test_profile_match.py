@@ -127,7 +127,9 @@ def test_a_refusal_for_another_reason_counts_against_a_profile() -> None:
     lacking = transaction(15, 0, quantity=1, exception=2, outcome=Outcome.EXCEPTION)
     touch = of(verdict(lacking), "idec-ft1a-touch")
     assert (touch.explained, touch.contradicted) == (0, 1)
-    assert touch.against == ("0F C1 refused with exception 02, though it has no function 0F",)
+    assert touch.against == (
+        "0F C1 refused with exception 02, though its manual has no function 0F",
+    )
 
 
 def test_a_refused_value_is_no_evidence_about_its_address() -> None:
@@ -143,8 +145,8 @@ def test_a_refused_17h_is_no_evidence() -> None:
     assert (wago.explained, wago.contradicted) == (0, 0)
     lacking = on_tcp(0x17, 0, **fields, request_values=[1], exception=1)
     assert of(verdict(lacking), "wago-750").against == (
-        "17 %IW0 refused, though its manual has that",
-        "17 %QW3 refused, though its manual has that",
+        "17 %IW0 refused, though its manual has that address",
+        "17 %QW3 refused, though its manual has that address",
     )
 
 
@@ -179,14 +181,14 @@ def test_a_predicted_refusal_counts_for_a_profile() -> None:
         transaction(15, 0, quantity=1, exception=1, outcome=Outcome.EXCEPTION),
     )
     assert best(found) == ["idec-ft1a-touch"]
-    assert "0F C1 refused, as it has no function 0F" in of(found, "idec-ft1a-touch").reasons
+    assert "0F C1 refused, as its manual has no function 0F" in of(found, "idec-ft1a-touch").reasons
 
 
 def test_an_accepted_request_outside_the_areas_counts_against_a_profile() -> None:
     found = verdict(transaction(3, 60_000, quantity=1, response_values=[1]))
     touch = of(found, "idec-ft1a-touch")
     assert (touch.explained, touch.contradicted) == (0, 1)
-    assert touch.against == ("03 HR460001 answered, though it is outside its areas",)
+    assert touch.against == ("03 HR460001 answered, though its manual has no such address",)
 
 
 def test_an_undocumented_exception_counts_against_a_profile() -> None:

@@ -59,7 +59,7 @@ def test_a_model_code_and_answers_that_agree_with_it_are_sure(profile: Profile) 
 def test_a_model_code_alone_names_nothing() -> None:
     code = on_tcp(0x42, response_raw=mbap_adu(0, 1, bytes.fromhex("42 0016")))
     fit = seen(code, on_tcp(3, 0x102), on_tcp(4, 2))
-    assert (fit.profile, fit.why) == (None, "3 different requests tell too little")
+    assert (fit.profile, fit.why) == (None, "3 different requests are too few to tell a device")
     assert not fit.why_names_nearest
 
 
@@ -67,8 +67,39 @@ def test_a_model_code_that_the_answers_contradict_names_nothing() -> None:
     code = on_tcp(0x42, response_raw=mbap_adu(0, 1, bytes.fromhex("42 0016")))
     fit = seen(code, *(on_tcp(3, 16 + at) for at in range(6)))
     assert fit.profile is None
-    assert " would answer 6 of 7 different requests otherwise, for example 03 " in fit.why
+    assert fit.why == (
+        "fa3-at1m8x comes nearest, but only 1 of 7 different requests ended as its manual says; "
+        "for example, 03 read holding 16 (RWw10) was answered, but its manual has no such address"
+    )
     assert fit.why_names_nearest
+
+
+def test_what_contradicts_a_profile_is_told_with_both_addresses_and_exceptions() -> None:
+    def example(*probes: Transaction) -> str:
+        code = on_tcp(0x42, response_raw=mbap_adu(0, 1, bytes.fromhex("42 0016")))
+        return seen(code, on_tcp(4, 2), on_tcp(4, 3), *probes).why.partition("for example, ")[2]
+
+    def refused(function: int, address: int, exception: int) -> Transaction:
+        return on_tcp(function, address, exception=exception, outcome=Outcome.EXCEPTION)
+
+    assert example(*(refused(2, at, 1) for at in (200, 201))) == (
+        "02 read discrete 200 (XC8) was refused with exception 01, but its manual has no such "
+        "address, which is exception 02 or 03"
+    )
+    assert example(*(refused(4, at, 2) for at in (4, 5))) == (
+        "04 read input 4 (RWr4) was refused with exception 02, but its manual has that address"
+    )
+    assert example(*(refused(0x16, at, 2) for at in (200, 201))) == (
+        "16 write holding 200 (00C8H) was refused with exception 02, but its manual has no "
+        "function 16, which is exception 01"
+    )
+
+
+def test_answers_that_other_devices_would_give_too_are_told_as_such() -> None:
+    fit = identify(polled(PROFILES[0], 1), PROFILES)
+    assert fit.profile is None
+    text = "but they would at other devices, too: nothing shows the model"
+    assert text in fit.why or " profiles say: " in fit.why
 
 
 def test_a_few_polls_that_many_devices_answer_fit_nothing() -> None:

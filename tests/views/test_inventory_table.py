@@ -6,9 +6,12 @@ import io
 from typing import Any
 
 import pytest
+from msgspec.structs import replace
 from rich.console import Console
 
+from mbtool.devices import load_profile
 from mbtool.modbus import Outcome
+from mbtool.overview.inventory import Inventory
 from mbtool.overview.inventory_rows import InventoryDocument, MasterRow, ProfileFit, SlaveRow
 from mbtool.views.inventory_table import print_inventory, seen_text, slave_lines
 from tests.overview.plant import GATEWAY, START_NS, asked, inventory_of, named, plant
@@ -90,7 +93,7 @@ def test_a_long_list_of_ranges_is_whole_only_if_everything_is_wanted() -> None:
     assert any("380, 390;" in line for line in printed(document, everything=True))
 
 
-def test_profiles_are_named_with_how_sure_that_is_or_none_fits() -> None:
+def test_profiles_are_named_with_how_sure_that_is_or_are_unknown() -> None:
     def row(unit: int, **fields: Any) -> SlaveRow:
         return SlaveRow(host="10.0.0.7", port=502, unit=unit, **fields)
 
@@ -100,7 +103,7 @@ def test_profiles_are_named_with_how_sure_that_is_or_none_fits() -> None:
             row(1, fit=ProfileFit(profile="wago-750", score=91, why="its answers")),
             row(2, fit=ProfileFit(score=33, nearest="wago-750", why="3 contradict it")),
             row(3, device="pump"),
-            row(4, device="pump", fit=ProfileFit(why="1 request tells too little")),
+            row(4, device="pump", fit=ProfileFit(why="1 request is too few")),
             row(5, fit=ProfileFit(nearest="fa3-at1", why="fa3-at1m8x is another")),
             row(6, fit=ProfileFit(nearest="pump", why="pump is not it", why_names_nearest=True)),
         ],
@@ -108,18 +111,36 @@ def test_profiles_are_named_with_how_sure_that_is_or_none_fits() -> None:
     lines = printed(document)
     assert lines[1].split() == ["10.0.0.7", "1", "slave", "wago-750", "91"]
     assert "      fits wago-750, by its answers" in lines
-    assert lines[4].split() == ["10.0.0.7", "2", "slave", "none", "fits"]
-    assert (
-        "      no profile fits: 3 contradict it; the most alike is wago-750, score 33 of 100"
-        in lines
-    )
+    assert lines[4].split() == ["10.0.0.7", "2", "slave", "unknown"]
+    why = "3 contradict it; the most alike is wago-750, score 33 of 100"
+    assert f"      profile is not known: {why}" in lines
     named = next(at for at, line in enumerate(lines) if "(named)" in line)
     assert lines[named].split() == ["10.0.0.7", "3", "slave", "pump", "(named)"]
-    alone = "from its traffic alone no profile is sure: 1 request tells too little"
+    alone = "by its traffic alone its profile is not known: 1 request is too few"
     assert f"      {alone}" in lines
     other = "fa3-at1m8x is another; the most alike is fa3-at1, score 0 of 100"
-    assert f"      no profile fits: {other}" in lines
-    assert lines[-1] == "      no profile fits: pump is not it"
+    assert f"      profile is not known: {other}" in lines
+    assert lines[-1] == "      profile is not known: pump is not it"
+
+
+def test_addresses_stand_beside_what_the_profile_of_a_named_unit_calls_them() -> None:
+    profile = load_profile("fa3-at1m8x")
+    inventory = Inventory()
+    for one in (
+        asked(2, 16, 8),
+        asked(3, 16, 2, exception=2, outcome=Outcome.EXCEPTION),
+        asked(4, 2, 8),
+        asked(4, 5000, 1),
+        asked(0x42),
+    ):
+        inventory.add(replace(one, device=profile.name))
+    named_unit = inventory.document(profiles={profile.name: profile})
+    lines = [line.partition(";")[0].strip() for line in printed(named_unit)]
+    assert "02 read discrete 16..23 (X10..X17)" in lines
+    assert "04 read input 2..9, 5000 (RWr2..RWr9, RWr1388)" in lines
+    assert "      03 read holding; refused 16..17; once by 10.0.0.1" not in printed(named_unit)
+    assert any("refused 16..17 (RWw10..RWw11)" in line for line in printed(named_unit))
+    assert not any("(" in line for line in printed(inventory.document())[2:])
 
 
 def test_macs_stand_with_their_makers() -> None:

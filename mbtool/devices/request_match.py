@@ -1,0 +1,183 @@
+"""Compares how requests to a slave ended with what a profile predicts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from mbtool.devices.block_reads import can_be_read
+from mbtool.devices.model import READ_AND_WRITE, Profile
+from mbtool.devices.observed_slave import ObservedRequest
+from mbtool.devices.references import write_reference
+from mbtool.modbus.functions import FUNCTIONS, WRITE_LIMIT_17H, ExceptionCode, function_name
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    from mbtool.devices.observed_slave import ObservedSlave, Replies
+
+_REFUSALS = frozenset(
+    (
+        ExceptionCode.ILLEGAL_FUNCTION,
+        ExceptionCode.ILLEGAL_DATA_ADDRESS,
+        ExceptionCode.ILLEGAL_DATA_VALUE,
+    )
+)
+
+
+@dataclass(frozen=True, slots=True)
+class PredictedRequest:
+    """A request that a slave accepted or refused, and what the profile predicts for it."""
+
+    profile: Profile
+    request: ObservedRequest
+    exceptions: frozenset[int]
+    """The exception codes with which the slave answered it."""
+    is_accepted: bool
+    is_predicted: bool
+    """True if the profile predicts that the slave accepts it."""
+    rule: str
+    """The reason of the prediction in words, such as `its manual has no such address`."""
+    other: str
+    """The exception codes as text if the slave refused the request as predicted, but for another
+    reason; else empty."""
+
+    @property
+    def is_against(self) -> bool:
+        """True if the request ended otherwise than the profile predicts."""
+        return self.is_accepted is not self.is_predicted or bool(self.other)
+
+    @property
+    def reference(self) -> str:
+        """The function and the addresses of the request in the profile's notation."""
+        return _request_text(self.profile, self.request)
+
+    @property
+    def end(self) -> str:
+        if self.is_accepted:
+            return "answered"
+        return f"refused with exception {self.other}" if self.other else "refused"
+
+    @property
+    def contradiction(self) -> str:
+        """A sentence on a request that is against the profile: what was asked, with the addresses
+        on the wire and in the profile's notation, what came, and what the profile says.
+        """
+        text = f"{_wire_text(self.profile, self.request)} was {self.end}"
+        if self.is_accepted:
+            return f"{text}, but {self.rule}"
+        if not self.other:
+            return f"{text} with exception {_codes(self.exceptions)}, but {self.rule}"
+        codes = self.profile.exceptions
+        has_function = self.profile.rule(self.request.function) is not None
+        right = {codes.address, codes.value} if has_function else {codes.function}
+        return f"{text}, but {self.rule}, which is exception {_codes(right)}"
+
+
+def compare_with_profile(slave: ObservedSlave, profile: Profile) -> Iterator[PredictedRequest]:
+    """Compare each different request to a slave with a profile; one that tells nothing is left
+    out.
+    """
+    for request, replies in slave.requests.items():
+        rule, is_predicted = _predict(profile, request)
+        is_accepted = _observed(profile, request, replies, is_predicted=is_predicted)
+        if is_accepted is not None:
+            is_refusal = not is_accepted and not is_predicted
+            yield PredictedRequest(
+                profile,
+                request,
+                frozenset(replies.exceptions),
+                is_accepted,
+                is_predicted,
+                rule,
+                _other_refusal(profile, request, replies) if is_refusal else "",
+            )
+
+
+def _observed(
+    profile: Profile, request: ObservedRequest, replies: Replies, *, is_predicted: bool
+) -> bool | None:
+    """Return True if the slave accepts a request, False if it refuses it, None if its replies show
+    neither for certain.
+
+    `is_predicted` is True if the profile predicts that the slave accepts it.
+    """
+    if replies.ok:
+        return True
+    codes = profile.exceptions
+    refusals = _REFUSALS | {codes.function, codes.address, codes.value}
+    refused = refusals.intersection(replies.exceptions)
+    if request.function == READ_AND_WRITE:
+        refused &= {codes.function}
+    elif request.writes and is_predicted and codes.value not in (codes.function, codes.address):
+        refused -= {codes.value}
+    return False if refused else None
+
+
+def _other_refusal(profile: Profile, request: ObservedRequest, replies: Replies) -> str:
+    """Return the exception codes in `replies` as text, such as `01 and 02`, if they contradict the
+    profile's reason for a refusal; otherwise an empty text.
+
+    The profile's reason is either the function, or the addresses and the quantity.
+    """
+    no_function = profile.exceptions.function
+    others = {profile.exceptions.address, profile.exceptions.value} - {no_function}
+    given = set(replies.exceptions)
+    if profile.rule(request.function) is None:
+        is_other = no_function not in given
+    else:
+        is_other = no_function in given and not given & others
+    return " and ".join(f"{code:02X}" for code in sorted(given)) if is_other and others else ""
+
+
+def _predict(profile: Profile, request: ObservedRequest) -> tuple[str, bool]:
+    """Predict what a device with the profile does with a request.
+
+    Returns the reason in words (`its manual's limit is 100`), and True if the device accepts the
+    request, False if it refuses it.
+    """
+    function, table, span = request.function, request.table, request.span
+    rule = profile.rule(function)
+    if rule is None:
+        return f"its manual has no function {function:02X}", False
+    if table is None or request.address is None:
+        return f"its manual has function {function:02X}", True
+    known = FUNCTIONS.get(function)
+    if function == READ_AND_WRITE and request.writes:
+        limit: int | None = rule.write_limit or WRITE_LIMIT_17H
+    else:
+        limit = rule.limit or (known.limit if known is not None else None)
+    if limit is not None and not 1 <= request.quantity <= limit:
+        return f"its manual's limit is {limit}", False
+    if request.writes:
+        verb, is_allowed = "write", profile.allows(table, span, writing=True)
+    else:
+        verb, is_allowed = "read", can_be_read(profile, table, span)
+    if is_allowed:
+        return "its manual has that address", True
+    if profile.allows(table, span):
+        return f"by its manual one cannot {verb} there", False
+    return "its manual has no such address", False
+
+
+def _request_text(profile: Profile, request: ObservedRequest) -> str:
+    function, table, address = request.function, request.table, request.address
+    if table is None or address is None:
+        return f"{function:02X} {function_name(function)}"
+    where = write_reference(profile, table, address, request.quantity, writing=request.writes)
+    return f"{function:02X} {where}"
+
+
+def _wire_text(profile: Profile, request: ObservedRequest) -> str:
+    """Return a request with its addresses on the wire: `02 read discrete 200 (XC8)`."""
+    function, table, address = request.function, request.table, request.address
+    if table is None or address is None:
+        return _request_text(profile, request)
+    verb = "write" if request.writes else "read"
+    wire = write_reference(None, table, address, request.quantity)
+    own = write_reference(profile, table, address, request.quantity, writing=request.writes)
+    return f"{function:02X} {verb} {wire}{'' if own == wire else f' ({own})'}"
+
+
+def _codes(codes: Iterable[int]) -> str:
+    return " or ".join(f"{code:02X}" for code in sorted(codes))
