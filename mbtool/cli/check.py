@@ -138,6 +138,7 @@ def check(
             _printer(chosen, file, each=each, names_files=len(files) > 1),
             run,
             path,
+            files,
             stays=stays,
         ) as printer,
     ):
@@ -158,11 +159,18 @@ def check(
 
 @contextmanager
 def _finished(
-    file: TextIO, printer: _Printer, run: CheckRun, path: str | None, *, stays: bool
+    file: TextIO,
+    printer: _Printer,
+    run: CheckRun,
+    path: str | None,
+    files: list[str],
+    *,
+    stays: bool,
 ) -> Iterator[_Printer]:
     """Yield the printer, and complete the output when the context ends, even by an error.
 
-    Then print the remarks, and one sentence with the number of findings if anything was checked.
+    Then print the remarks, and, if anything was checked, a sentence with the number of findings and
+    one with the number of requests without a good answer.
     `path` is the output file, None for standard output. With `stays`, an error leaves an older
     file at `path` as it was.
     """
@@ -188,6 +196,8 @@ def _finished(
             say(f"{path} stays as it was")
         if run.transactions or run.counts or not (has_failed or run.is_outside):
             say(_sentence(run) + ("" if path is None or keeps_old else f" -> {path}"))
+            if failed := _failed(run, files):
+                say(failed)
 
 
 class _Printer(ABC):
@@ -249,7 +259,7 @@ class _DocumentPrinter(_Printer):
         self._file.write(self._document.add(found.finding, found.file))
 
     def end(self, run: CheckRun) -> None:
-        self._file.write(self._document.end(run.transactions))
+        self._file.write(self._document.end(run.transactions, run.failed.counts()))
 
 
 def _sentence(run: CheckRun) -> str:
@@ -263,3 +273,20 @@ def _sentence(run: CheckRun) -> str:
     of_codes = "" if number == 1 else f" of {codes} {plural(codes, 'code')}"
     findings = f"{number} {plural(number, 'finding')}{of_codes}"
     return f"{findings} in {transactions}; docs/findings.md explains each code"
+
+
+def _failed(run: CheckRun, files: list[str]) -> str:
+    """Return what no rule may forbid: `but 4 requests got an exception: ... tells more`.
+
+    The text is empty if all requests got a good answer.
+    """
+    from shlex import quote
+
+    from mbtool.views.findings_table import failed_text
+
+    text = failed_text(run.failed)
+    if not text:
+        return ""
+    but = "" if run.counts else "but "
+    file = quote(files[0]) if len(files) == 1 else "FILE..."
+    return f"{but}{text}: `mbtool stats {file}` tells more"

@@ -18,12 +18,12 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind, WireEvent
 from mbtool.modbus import Outcome
+from mbtool.modbus.damaged_answers import DamagedAnswers
 from mbtool.overview.link_statistics import LinkStatistics
 from mbtool.overview.poll_statistics import PollKey, PollStatistics, poll_key
 from mbtool.overview.request_order import RequestOrder
 from mbtool.overview.request_tally import RequestTally
 from mbtool.overview.statistics_connections import ConnectionTally
-from mbtool.serial_line.damaged_answers import DamagedAnswers
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

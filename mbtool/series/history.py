@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.core import EventKind, WireEvent
 from mbtool.modbus import Outcome
-from mbtool.serial_line.damaged_answers import DamagedAnswers
+from mbtool.modbus.damaged_answers import DamagedAnswers
 from mbtool.series.time_bins import TimeBins, note_value
 
 if TYPE_CHECKING:

@@ -20,6 +20,8 @@ from mbtool.devices.checking.rules import rule_of
 from mbtool.views.tables import printable_json
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from mbtool.devices.checking.finding import Finding
 
 DOCUMENTATION = "docs/findings.md"
@@ -35,11 +37,13 @@ class Document(Protocol):
 
     def add(self, finding: Finding, file: str) -> str: ...
 
-    def end(self, transactions: int) -> str: ...
+    def end(self, transactions: int, failed: Mapping[str, int]) -> str:
+        """Return the last piece. `failed` has the numbers of requests without a good answer."""
+        ...
 
 
 class JsonDocument:
-    """Writes mbtool's format: `{"version", "findings": [...], "rules": {...}, "transactions"}`."""
+    """Writes mbtool's format: an object with `version`, `findings`, `rules` and counts."""
 
     def __init__(self, version: str) -> None:
         self._version = version
@@ -56,8 +60,9 @@ class JsonDocument:
         joint, self._joint = self._joint, ",\n"
         return joint + _json({**_fields(finding), "file": file})
 
-    def end(self, transactions: int) -> str:
-        return f'\n],"rules":{_json(self._rules)},"transactions":{transactions}}}\n'
+    def end(self, transactions: int, failed: Mapping[str, int]) -> str:
+        rest = {"rules": self._rules, "transactions": transactions, "failed_requests": failed}
+        return f"\n],{_json(rest)[1:]}\n"
 
 
 class SarifDocument:
@@ -79,7 +84,7 @@ class SarifDocument:
         joint, self._joint = self._joint, ",\n"
         return joint + _json(_result(finding, file, self._indices[finding.code]))
 
-    def end(self, transactions: int) -> str:
+    def end(self, transactions: int, failed: Mapping[str, int]) -> str:
         driver = {
             "name": "mbtool",
             "version": self._version,
@@ -88,7 +93,7 @@ class SarifDocument:
         rest = {
             "tool": {"driver": driver},
             "columnKind": "unicodeCodePoints",
-            "properties": {"transactions": transactions},
+            "properties": {"transactions": transactions, "failed_requests": failed},
         }
         return f"\n],{_json(rest)[1:-1]}}}]}}\n"
 

@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING
 from mbtool.core import EventKind, WireEvent
 from mbtool.devices.references import write_reference
 from mbtool.modbus import FUNCTIONS, Outcome
+from mbtool.modbus.damaged_answers import MAX_FRAMES, DamagedAnswers
 from mbtool.overview.statistics import MAX_POLLS, Statistics
-from mbtool.serial_line.damaged_answers import MAX_FRAMES, DamagedAnswers
 from mbtool.watching.watched_rows import (
     NEVER_NS,
     KeptRecord,

@@ -23,6 +23,7 @@ from mbtool.devices.checking.finding import Finding, event_finding
 from mbtool.devices.checking.rules import RULES
 from mbtool.devices.checking.security_limits import SecurityLimits
 from mbtool.devices.profile_checks import finding_prefix
+from mbtool.overview.failed_requests import FailedRequests
 from mbtool.sources.files import STANDARD_INPUT
 from mbtool.workflows.shared.log_records import profiles_of_logs
 from mbtool.workflows.shared.model_hints import ModelHints
@@ -168,6 +169,8 @@ class CheckRun:
         self._remarks: list[str] = []
         self._hints = ModelHints(self.reading.profile_for)
         self.transactions = 0
+        self.failed = FailedRequests()
+        """The requests without a good answer, whether they break a rule or not."""
         self.counts: Counter[str] = Counter()
         """By code, the number of findings that the filter has chosen."""
 
@@ -296,6 +299,7 @@ class CheckRun:
                     pass
             return NOTHING
         self._lines.note(record)
+        self.failed.note(record)
         named = record
         if not isinstance(record, WireEvent):
             self.transactions += 1

@@ -21,13 +21,34 @@ def test_findings_are_an_answer_of_no(capsys: pytest.CaptureFixture[str]) -> Non
         "MB-103  error  1 time  10.0.0.2 unit 1\n"
         "    2026-01-01 00:00:00.056: write coil 0: value 0001H for a coil\n"
     )
-    assert captured.err == "1 finding in 3 transactions; docs/findings.md explains each code\n"
+    assert captured.err == (
+        "1 finding in 3 transactions; docs/findings.md explains each code\n"
+        f"1 request got an exception: `mbtool stats {SHOWS}` tells more\n"
+    )
 
 
 def test_no_findings_are_an_answer_of_yes(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["check", NEARLY]) == exit_codes.DONE
     captured = capsys.readouterr()
     assert (captured.out, captured.err) == ("", "no findings in 3 transactions\n")
+
+
+def test_requests_without_a_good_answer_are_told_though_they_break_no_rule(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    refused = str(FOLDER / "polling-with-exceptions.mcap")
+    assert run(["check", refused, "--select", "SEC"]) == exit_codes.DONE
+    no_findings, failed = capsys.readouterr().err.splitlines()
+    assert no_findings.startswith("no findings in ")
+    assert failed == f"but 4 requests got an exception: `mbtool stats {refused}` tells more"
+    silent = str(FOLDER / "plant.pcap")
+    told = tmp_path / "told.json"
+    assert run(["check", silent, refused, "-o", str(told)]) == exit_codes.NO
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last == "1 request got no answer, 5 an exception: `mbtool stats FILE...` tells more"
+    assert json.loads(told.read_text())["failed_requests"] == {
+        "no_answer": 1, "wrong_crc": 0, "exception": 5, "malformed": 0,
+    }  # fmt: skip
 
 
 def test_each_finding_can_be_shown(capsys: pytest.CaptureFixture[str]) -> None:
@@ -85,7 +106,7 @@ def test_the_name_of_the_output_says_the_format(
     assert key in json.loads(out.read_text())
     captured = capsys.readouterr()
     assert captured.out == ""
-    assert captured.err.endswith(f"explains each code -> {out}\n")
+    assert f"explains each code -> {out}\n" in captured.err
 
 
 def test_a_document_goes_to_standard_output_too(capsys: pytest.CaptureFixture[str]) -> None:
@@ -109,7 +130,7 @@ def test_a_cut_capture_leaves_a_whole_document(
     assert [one["ruleId"] for one in run_["results"]] == ["MB-103"]
     said = capsys.readouterr().err.splitlines()
     assert said[0].startswith("1 finding in ")
-    assert said[1].startswith(f"mbtool: {cut}: ends in the middle of a record")
+    assert said[-1].startswith(f"mbtool: {cut}: ends in the middle of a record")
 
 
 @pytest.mark.parametrize(

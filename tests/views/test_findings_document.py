@@ -113,12 +113,13 @@ SARIF = _object(
 
 def written(document: Document, *findings: Finding, place: str = "plant.pcap") -> Any:
     text = document.begin() + "".join(document.add(one, place) for one in findings)
-    return json.loads(text + document.end(42))
+    return json.loads(text + document.end(42, {"no_answer": 3}))
 
 
 def test_json_is_one_object_with_all_fields_of_the_findings() -> None:
     document = written(JsonDocument("1.2"), FULL, BARE, BARE)
     assert (document["version"], document["transactions"]) == ("1.2", 42)
+    assert document["failed_requests"] == {"no_answer": 3}
     full, bare, _ = document["findings"]
     assert full == {
         "code": "FT1A-Q16",
@@ -145,7 +146,7 @@ def test_sarif_is_a_run_of_the_schema() -> None:
     document = written(SarifDocument("1.2"), FULL, BARE, FULL)
     jsonschema.validate(document, SARIF)
     (run,) = document["runs"]
-    assert run["properties"] == {"transactions": 42}
+    assert run["properties"] == {"transactions": 42, "failed_requests": {"no_answer": 3}}
     assert [one["id"] for one in run["tool"]["driver"]["rules"]] == ["FT1A-Q16", "RTU-202"]
     assert [one["ruleIndex"] for one in run["results"]] == [0, 1, 0]
     first = run["results"][0]

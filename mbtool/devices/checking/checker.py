@@ -13,9 +13,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, TypeVar
 
-from mbtool.core import WireEvent
+from mbtool.core import EventKind, WireEvent
 from mbtool.devices.checking.capture_context import CaptureContext
 from mbtool.devices.checking.connections import ConnectionRules, is_foreign_message
+from mbtool.devices.checking.damaged_frames import DamagedFrames
 from mbtool.devices.checking.fa3 import Fa3Rules, is_fa3
 from mbtool.devices.checking.line import LineRules
 from mbtool.devices.checking.polls import PollRules
@@ -50,6 +51,7 @@ class Checker:
         self._responses = ResponseRules()
         self._polls = PollRules()
         self._lines = LineRules(self._context.has_exact_times)
+        self._damaged = DamagedFrames()
         self._connections = ConnectionRules(self._context.ports)
         self._fa3 = Fa3Rules()
         self._wago = WagoRules()
@@ -105,6 +107,7 @@ class Checker:
         """Give the findings that are only known at the end of the capture."""
         yield from self._responses.close()
         yield from self._connections.close()
+        yield from self._damaged.close()
         yield from self._lines.close()
         yield from self._polls.close()
         yield from self._security.close()
@@ -120,6 +123,7 @@ class Checker:
         profile = self._context.assignments.profile_for(one)
         is_ambiguous = Verdict.AMBIGUOUS in one.verdicts
         self._ambiguous += is_ambiguous
+        yield from self._damaged.transaction(one)
         yield from self._transactions.check(one, profile)
         is_serial = one.transport.is_serial
         format_ = self._context.line_of(one.link) if is_serial else None
@@ -142,6 +146,8 @@ class Checker:
                 yield from self._wago.transaction(one)
 
     def _event(self, event: WireEvent) -> Iterator[Finding]:
+        if event.kind is EventKind.BAD_CHECK:
+            yield from self._damaged.event(event)
         yield from self._responses.event(event)
         if not event.source and not event.destination:
             yield from self._lines.event(event)

@@ -6,7 +6,6 @@
 # TCP-201  a connection to a Modbus port carries another protocol
 # TCP-202  bytes are no ADU
 # TCP-203  a retransmission differs from the first copy
-# RTU-201  RTU over TCP: a wrong CRC
 #
 # A capture may begin and end inside an ADU, and may miss bytes in between. So unreadable bytes are
 # no finding in three cases: before the first ADU of a connection that was open before the capture,
@@ -55,7 +54,7 @@ class _Connection:
 class ConnectionRules:
     """Finds wrong transaction and protocol ids, and bytes that are no ADU, on TCP connections.
 
-    The findings are TCP-101 to TCP-203, and RTU-201.
+    The findings are TCP-101 to TCP-203.
     """
 
     def __init__(self, ports: frozenset[int] | None) -> None:
@@ -135,8 +134,6 @@ class ConnectionRules:
                     yield event_finding("TCP-201", event)
             case EventKind.OVERLAP:
                 yield event_finding("TCP-203", event)
-            case EventKind.BAD_CHECK:
-                yield event_finding("RTU-201", event)
             case EventKind.OPENED if not is_joined(event):
                 self._connections.pop((event.link, event.source))
                 self._connections[event.link, event.source].is_cut = False

@@ -2,7 +2,7 @@
 
 # MB-301, MB-302    a slave responds to a broadcast; the master tries to read with a broadcast
 # RTU-101..104      wrong silences; silences.py finds them
-# RTU-201..203      wrong check sums, unreadable bytes, damaged characters
+# RTU-202, RTU-203  unreadable bytes, damaged characters
 # RTU-301, RTU-302  a request comes too soon after another frame or a broadcast; not checked if
 #                   RTU-104 says that the times are useless
 #
@@ -126,8 +126,6 @@ class LineRules:
         """Check the next event of a line. Yields each finding as soon as it is certain."""
         line = self._lines[event.link]
         match event.kind:
-            case EventKind.BAD_CHECK:
-                yield event_finding("RTU-201", event, f"{event.message}: {_bytes(event.raw)}")
             case EventKind.LINE_ERROR:
                 yield event_finding("RTU-203", event)
             case EventKind.SKIPPED if line.silences.transactions:
@@ -233,7 +231,3 @@ def _request(transaction: NamedTransaction) -> bytes | None:
 def _only_reads(function: int) -> bool:
     known = FUNCTIONS.get(function)
     return known is not None and not known.writes and function != _DIAGNOSTICS
-
-
-def _bytes(raw: bytes) -> str:
-    return raw[:16].hex(" ") + (" ..." if len(raw) > 16 else "")

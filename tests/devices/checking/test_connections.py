@@ -108,8 +108,8 @@ def test_bytes_beside_missing_bytes_are_no_finding(kind: EventKind, ends: tuple[
     assert codes(opened(), transaction(), lost, *again) == ["TCP-202"]
 
 
-def test_a_retransmission_that_differs_and_a_wrong_crc_are_found() -> None:
-    assert codes(event(EventKind.OVERLAP), event(EventKind.BAD_CHECK)) == ["TCP-203", "RTU-201"]
+def test_a_retransmission_that_differs_is_found() -> None:
+    assert codes(event(EventKind.OVERLAP)) == ["TCP-203"]
 
 
 def test_ordinary_events_are_no_finding() -> None:

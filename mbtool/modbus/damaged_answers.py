@@ -12,11 +12,11 @@ from collections import deque
 from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind
-from mbtool.modbus import Outcome
+from mbtool.modbus.transaction import Outcome
 
 if TYPE_CHECKING:
     from mbtool.core import WireEvent
-    from mbtool.modbus import Transaction
+    from mbtool.modbus.transaction import Transaction
 
 MAX_FRAMES = 16
 

@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 from mbtool.core import EventKind, WireEvent
-from mbtool.serial_line.damaged_answers import DamagedAnswers
+from mbtool.modbus.damaged_answers import DamagedAnswers
 from tests.overview.masters import MS, START_NS
 from tests.overview.requests import request, unanswered
 

@@ -1,0 +1,73 @@
+"""Finds frames with a wrong CRC or LRC, and which unit sent them (RTU-201)."""
+
+# The unit id in a damaged frame proves nothing. So the frame is taken for the response to the
+# request that was pending when it came, which is known when its transaction ends without a response
+# (modbus/damaged_answers.py). Until then the frame waits; the next transaction that begins
+# after it shows that it answers none.
+#
+# Memory: at most MAX_FRAMES waiting frames for each link (see lru_dict.py).
+
+from __future__ import annotations
+
+from collections import deque
+from typing import TYPE_CHECKING
+
+from mbtool.devices.checking.finding import event_finding, transaction_finding
+from mbtool.devices.checking.lru_dict import LruDict
+from mbtool.devices.checking.transactions import request_text
+from mbtool.modbus.damaged_answers import MAX_FRAMES, DamagedAnswers
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from mbtool.core import WireEvent
+    from mbtool.devices.checking.finding import Finding
+    from mbtool.devices.named_transaction import NamedTransaction
+
+_SHOWN = 16
+"""At most so many bytes of a frame are shown."""
+
+
+class DamagedFrames:
+    """Gives a finding for each damaged frame, with the unit if it is known."""
+
+    def __init__(self) -> None:
+        self._answers = DamagedAnswers()
+        self._waiting: LruDict[str, deque[WireEvent]] = LruDict(deque)
+
+    def event(self, event: WireEvent) -> Iterator[Finding]:
+        """Take an event of the kind BAD_CHECK."""
+        self._answers.note(event)
+        waiting = self._waiting[event.link]
+        waiting.append(event)
+        if len(waiting) > MAX_FRAMES:
+            yield _of_no_unit(waiting.popleft())
+
+    def transaction(self, one: NamedTransaction) -> Iterator[Finding]:
+        """Take the next transaction."""
+        if one.link not in self._waiting:
+            return
+        waiting = self._waiting[one.link]
+        frame_ns = self._answers.frame_of(one)
+        while waiting and waiting[0].ts_ns < one.start_ns:
+            yield _of_no_unit(waiting.popleft())
+        if waiting and waiting[0].ts_ns == frame_ns:
+            event = waiting.popleft()
+            text = f"unit {one.unit}'s answer to {request_text(one)}: {_text(event)}"
+            yield transaction_finding("RTU-201", one, text, ts_ns=event.ts_ns)
+        if not waiting:
+            self._waiting.pop(one.link)
+
+    def close(self) -> Iterator[Finding]:
+        """Give the findings about frames that still wait at the end of the capture."""
+        for waiting in self._waiting.values():
+            yield from map(_of_no_unit, waiting)
+
+
+def _of_no_unit(event: WireEvent) -> Finding:
+    return event_finding("RTU-201", event, f"unit unknown: {_text(event)}")
+
+
+def _text(event: WireEvent) -> str:
+    shown = event.raw[:_SHOWN].hex(" ") + (" ..." if len(event.raw) > _SHOWN else "")
+    return f"{event.message}: {shown}"
