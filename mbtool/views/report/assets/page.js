@@ -283,7 +283,7 @@ function asTable(spec) {
     const rows = spec.data[0].map((x, at) => [spec.at ? spec.at(x) : moment(x * 1e6),
       ...spec.series.map((one, place) => { const v = spec.data[place + 1][at]; return v === null || v === undefined ? "" : one.text ? one.text(v) : number(v); })])
       .filter((row) => row.slice(1).some((cell) => cell !== "" && cell !== "0"));
-    details.append(table(spec.title, [spec.head || "time (UTC)", ...spec.series.map((one) => `>${one.label}`)], rows, true, 0));
+    details.append(table(spec.caption ?? spec.title, [spec.head || "time (UTC)", ...spec.series.map((one) => `>${one.label}`)], rows, true, 0));
   }, { passive: true });
   return details;
 }
@@ -589,7 +589,7 @@ function load() {
   const rates = hasTimeline ? bins.links.map((one) => { const watched = watchedIn(one); return one.requests.map((n, at) => n / watched[at]); }) : [];
   const [factor, noun, unit] = RATES.find(([one]) => one * Math.max(...rates.flat()) >= 0.5) ?? RATES[RATES.length - 1];
   if (rates.length) made.push(chart({
-    title: `Requests ${noun}`, note: BINNED, sync: "time", bins: "counts", summary: "", height: 170, axisY: inUnit(unit),
+    title: `Requests ${noun}`, note: BINNED, sync: "time", bins: "counts", summary: "", height: 170, axisY: inUnit(unit), measure: unit.trim(),
     data: [times, ...rates.map((one) => one.map((rate) => rate * factor))],
     series: bins.links.map((one, at) => ({ label: one.link, show: at < SHOWN_SERIES, text: (v) => number(Number(v.toPrecision(3))) })),
   }));
@@ -673,7 +673,7 @@ function valueChart(one, where, title, [x, y]) {
   const y0 = words ? { splits: () => known, values: (u, splits) => splits.map((v) => named.get(v)), size: laneRoom([...named.values()]) } : y.every(Number.isInteger) ? counted : {};
   if (!words && x.length > MANY_SAMPLES) return bandOfValues(one, where, title, reach, [x, y]);
   return chart({
-    title, note: `${where}, ${plural(one.changes, "change")}${words ? "" : `, ${reach}${one.measure ? ` ${one.measure}` : ""}`}`, sync: "time", height: 150, measure: words ? "" : one.measure,
+    title, caption: `${title}, ${where}`, note: `${where}, ${plural(one.changes, "change")}${words ? "" : `, ${reach}${one.measure ? ` ${one.measure}` : ""}`}`, sync: "time", height: 150, measure: words ? "" : one.measure,
     summary: words ? "" : `${reach}.`, data: [x, y], axisY: y0, held: true,
     scaleY: { range: (u, low, high) => { const room = (high - low) * 0.08 || Math.abs(high) * 0.05 || 1; return [low - (wrapped ? 3 * room : room), high + room]; } },
     series: [{ label: one.name, paths: stepped, measured: one.samples.length, text: (v) => texts.get(v) ?? number(v) }],
@@ -690,7 +690,7 @@ function bandOfValues(one, where, title, reach, [x, y]) {
     for (let column = begin; column <= Math.min(end, VALUE_COLUMNS - 1); column++) note(column, y[place]);
   });
   return chart({
-    title, note: `${where}, ${plural(one.changes, "change")}, ${reach}${one.measure ? ` ${one.measure}` : ""}; least and greatest in ${span(width)}`, sync: "time", height: 150, measure: one.measure, dots: false,
+    title, caption: `${title}, ${where}`, note: `${where}, ${plural(one.changes, "change")}, ${reach}${one.measure ? ` ${one.measure}` : ""}; least and greatest in ${span(width)}`, sync: "time", height: 150, measure: one.measure, dots: false,
     summary: `${reach}.`, data: [at, low, high], legend: false, held: true, bands: true,
     scaleY: { range: (u, least, most) => { const room = (most - least) * 0.08 || Math.abs(most) * 0.05 || 1; return [least - room, most + room]; } },
     series: [{ label: "least", paths: stepped, color: 0, width: 1 }, { label: "greatest", paths: stepped, color: 0, width: 1 }],
