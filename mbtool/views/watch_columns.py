@@ -108,15 +108,16 @@ def fitted(
 ) -> list[FittedColumn]:
     """Return the columns to show on a screen of `width` characters, with their widths.
 
-    If `chosen` names columns, exactly these are shown. With None, the usual columns are shown, as
-    many as fit, and those in `places` (link and master) always, with the width given there.
-    `widest` has the number of characters in the widest cell of columns that are measured.
+    If `chosen` names columns, exactly these are shown. With None, the usual columns are shown that
+    are not empty, as many as fit, and those in `places` (link and master) always, with the width
+    given there. `widest` has the number of characters in the widest cell of columns that are measured.
     """
     places = places or {}
-    needed = _needed(columns, widest or {})
+    widest = widest or {}
+    needed = _needed(columns, widest)
     columns = [_as_wide(one, needed) for one in columns]
     if chosen is None:
-        columns = [_placed(one, places) for one in columns]
+        columns = [_placed(one, places) for one in columns if not _is_empty(one, widest)]
     kept = [one for one in columns if (one.is_usual if chosen is None else one.name in chosen)]
     kept = kept or list(columns[:1])
     while True:
@@ -142,6 +143,11 @@ def _needed(columns: Sequence[WatchColumn], widest: Mapping[str, int]) -> Mappin
         for one in columns
         if one.is_measured and widest.get(one.name, one.most) < one.most
     }
+
+
+def _is_empty(column: WatchColumn, widest: Mapping[str, int]) -> bool:
+    """True for a column that may be left out, and is known to have no text in its cells."""
+    return column.is_measured and column.rank > 0 and widest.get(column.name) == 0
 
 
 def _as_wide(column: WatchColumn, needed: Mapping[str, int]) -> WatchColumn:

@@ -18,7 +18,7 @@ from mbtool.watching.adu_parts import adu_parts
 if TYPE_CHECKING:
     from mbtool.devices import NamedTransaction, Profile
     from mbtool.views.watch_columns import Spans
-    from mbtool.watching.board_rows import WatchedSlaveRow
+    from mbtool.watching.board_rows import TroubleRow, WatchedSlaveRow
     from mbtool.watching.watched_rows import KeptRecord
 
 WHY = {
@@ -99,6 +99,22 @@ def record_detail(kept: KeptRecord, profile: Profile | None, width: int) -> list
             text if point.name != point.reference else f"  {point.name}: {point.text}", width
         )
     return lines
+
+
+def trouble_detail(row: TroubleRow, profile: Profile | None, width: int) -> list[Spans]:
+    """Return the lines that show how often findings or events of a kind came, then the last one.
+
+    `profile` is that of the slave, None if it has none.
+    """
+    lines = record_detail(row.kept, profile, width)
+    if row.times == 1:
+        return lines
+    first, last = clock_time(row.first_ns), clock_time(row.last_ns)
+    unit = "" if row.unit is None else f"unit {row.unit}, "
+    times = (
+        f"{row.times:,} times, first {day(row.first_ns)} {first}, last {last} UTC; the last one:"
+    )
+    return [*_wrapped(f"{row.code} of {unit}{row.link}: {times}", width, "bold"), *lines]
 
 
 def slave_detail(row: WatchedSlaveRow, width: int) -> list[Spans]:

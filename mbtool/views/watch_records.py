@@ -28,7 +28,7 @@ _STYLES = {
 }
 
 
-_LEAST_MEANING, _LEAST_STATE = 60, 38
+_LEAST_MEANING, _LEAST_STATE = 60, 48
 """If the meaning of a finding, or the state of a slave, would get fewer characters than this, and
 has more, other columns are left out."""
 _OF_SOME_UNIT = (EventKind.BAD_CHECK, EventKind.SKIPPED, EventKind.LINE_ERROR, EventKind.GAP)
@@ -108,7 +108,7 @@ RECORD_COLUMNS = (
         name="mark", title=" ", width=1, cell=_mark, sort=lambda row: row.kept.order,
     ),
     WatchColumn(
-        name="number", title="#", width=6, is_right=True,
+        name="number", title="#", width=6, least=3, is_right=True,
         cell=lambda row, _: "" if row.kept.number is None else str(row.kept.number),
         sort=lambda row: row.kept.order,
     ),

@@ -114,6 +114,19 @@ def test_a_name_has_the_room_that_values_do_not_need() -> None:
     assert abs(shown["name"] - shown["value"]) <= 1
 
 
+def test_a_column_without_any_text_is_left_out() -> None:
+    def names(*chosen: str, **widest: int) -> list[str]:
+        return [
+            one.column.name for one in fitted(SLAVE_COLUMNS, 120, chosen or None, widest=widest)
+        ]
+
+    assert "device" in names()
+    assert "device" in names(device=9)
+    assert "device" not in names(device=0)
+    assert names("device", "unit", device=0) == ["unit", "device"]
+    assert "state" in names(state=0)
+
+
 def test_without_rows_nothing_is_known_of_cells() -> None:
     assert widest_cells([], POINT_COLUMNS, DrawContext()) == {}
 

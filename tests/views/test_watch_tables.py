@@ -18,7 +18,7 @@ from mbtool.views.watch_columns import (
     row_spans,
     row_text,
 )
-from mbtool.views.watch_detail import record_detail, slave_detail
+from mbtool.views.watch_detail import record_detail, slave_detail, trouble_detail
 from mbtool.views.watch_places import place_columns
 from mbtool.views.watch_polls import POINT_COLUMNS, POLL_COLUMNS, poll_values
 from mbtool.views.watch_records import RECORD_COLUMNS, SLAVE_COLUMNS, TROUBLE_COLUMNS, slave_state
@@ -409,6 +409,19 @@ def test_the_detail_of_an_event_has_its_bytes() -> None:
     text = lines_of(record_detail(kept_record(1, None, NOISE), None, 80))
     assert "skipped" in text
     assert "fe fd" in text
+
+
+def test_the_detail_of_findings_or_events_says_how_often_and_when() -> None:
+    (row,) = trouble_rows(board_of(*(read(at, 1, findings=["MB-101"]) for at in (0, 5))))
+    text = lines_of(trouble_detail(row, None, 100))
+    assert (
+        "MB-101 of unit 1, line: 2 times, first 2026-01-01 00:00:00.000, last 00:00:00.005" in text
+    )
+    assert "unit 1 function 03H" in text
+    for line in trouble_detail(row, None, 40)[:3]:
+        assert len(text_of(line).rstrip()) <= 40
+    (row,) = trouble_rows(board_of(NOISE))
+    assert trouble_detail(row, None, 80) == record_detail(row.kept, None, 80)
 
 
 def test_no_line_of_a_detail_is_wider_than_the_screen() -> None:

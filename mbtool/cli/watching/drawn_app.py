@@ -24,11 +24,11 @@ from mbtool.cli.watching.watch_settings import WatchSettings, load_settings, sav
 from mbtool.cli.watching.watch_views import VIEWS
 from mbtool.core import MbtoolError
 from mbtool.views.watch_columns import DrawContext, fitted, widest_cells
-from mbtool.views.watch_detail import record_detail, slave_detail
+from mbtool.views.watch_detail import record_detail, slave_detail, trouble_detail
 from mbtool.views.watch_places import place_columns
 from mbtool.views.watch_troubles import TroubleLine, trouble_line
 from mbtool.watching.board_judgement import judge
-from mbtool.watching.board_rows import WatchedSlaveRow
+from mbtool.watching.board_rows import TroubleRow, WatchedSlaveRow
 from mbtool.workflows.watch import FileFeed
 
 if TYPE_CHECKING:
@@ -298,6 +298,8 @@ class DrawnApp(App[int]):
         profile = None
         if hasattr(record, "outcome"):
             profile = self.feed.watched.whole.profile_for(record)
+        if isinstance(row, TroubleRow):
+            return trouble_detail(row, profile, width)
         return record_detail(row.kept, profile, width)
 
     def tell(self, text: str, style: str = "") -> None:
