@@ -110,7 +110,8 @@ def fitted(
 
     If `chosen` names columns, exactly these are shown. With None, the usual columns are shown that
     are not empty, as many as fit, and those in `places` (link and master) always, with the width
-    given there. `widest` has the number of characters in the widest cell of columns that are measured.
+    given there. `widest` has the number of characters in the widest cell of columns that are
+    measured.
     """
     places = places or {}
     widest = widest or {}
