@@ -70,9 +70,15 @@ class Board:
         self.whole = whole or self
         """The board that tells how well slaves answer, and which requests are retries, as a filter
         may let only failures pass."""
+        self.part: Board | None = None
+        """The board of the records that pass a filter, which is told of retries."""
         self.statistics = Statistics(format_of, self._note_retry)
         self.retries: OrderedDict[RetryKey, None] = OrderedDict()
-        """The last requests that are retries by the rule of the statistics."""
+        """The last requests that are retries by the rule of the statistics; on a board for a filter
+        none, as they are those of the board `whole`."""
+        self._asked_again: OrderedDict[RetryKey, int] = OrderedDict()
+        """On a board for a filter, the last requests that may be retries, and the numbers of their
+        polls."""
         self._damaged = DamagedAnswers()
         self._bad_checks: dict[str, deque[tuple[int, KeptRecord]]] = {}
         """By link, times (UTC ns) and events of the last frames with a wrong CRC or LRC that
@@ -130,6 +136,10 @@ class Board:
             else:
                 self.polls.move_to_end(statistics.number)
             self._note_poll(poll, kept, record, at_ns, is_damaged=is_damaged)
+            if record.retries and self.whole is not self and record.request_ns is not None:
+                self._note_asked_again(
+                    (record.link, record.unit, record.request_ns), statistics.number
+                )
         for code in record.findings:
             self._note_trouble(code, kept, record.link, record.unit, at_ns)
 
@@ -147,18 +157,36 @@ class Board:
     def _note_retry(self, poll: PollStatistics, at_ns: int, by: int) -> None:
         """Count a request of `poll` as a retry (`by` 1), or as none after all (-1).
 
-        `at_ns` (UTC ns) is its time.
+        `at_ns` (UTC ns) is its time. A board for a filter may lack the requests between, so that
+        its statistics tell nothing of retries.
         """
-        link, unit = poll.key.link, poll.key.unit
-        slave = self.slaves.get((link, unit))
-        if slave is not None:
-            slave.retries += by
-        if by < 0:
-            self.retries.pop((link, unit, at_ns), None)
+        if self.whole is not self:
             return
-        self.retries[link, unit, at_ns] = None
+        key = poll.key.link, poll.key.unit, at_ns
+        self._count_retry(key, poll.number, by)
+        if self.part is not None and key in self.part._asked_again:
+            self.part._count_retry(key, self.part._asked_again[key], by)
+        if by < 0:
+            self.retries.pop(key, None)
+            return
+        self.retries[key] = None
         if len(self.retries) > _MAX_RETRIES:
             self.retries.popitem(last=False)
+
+    def _note_asked_again(self, key: RetryKey, number: int) -> None:
+        """Note a request, of the poll with this number, that may be a retry, or turn out to be."""
+        self._asked_again[key] = number
+        if len(self._asked_again) > _MAX_RETRIES:
+            self._asked_again.popitem(last=False)
+        if key in self.whole.retries:
+            self._count_retry(key, number, 1)
+
+    def _count_retry(self, key: RetryKey, number: int, by: int) -> None:
+        slave, poll = self.slaves.get(key[:2]), self.polls.get(number)
+        if slave is not None:
+            slave.retries += by
+        if poll is not None:
+            poll.retries += by
 
     def _note_slave(self, one: NamedTransaction, *, is_damaged: bool) -> None:
         key = one.link, one.unit

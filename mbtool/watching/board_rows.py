@@ -299,7 +299,7 @@ def _poll_row(number: int, poll: WatchedPoll) -> PollRow:
         asked=tally.requests,
         errors=errors_of(tally),
         missing=tally.unanswered,
-        retries=statistics.repetitions,
+        retries=poll.retries,
         last_ns=poll.last_ns,
         period_ns=poll.period_ns,
         has_regular_period=poll.has_regular_period,

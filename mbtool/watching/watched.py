@@ -81,7 +81,7 @@ class Watched:
         self._order = self._numbers = self.unfiltered = 0
         self.whole = self._board()
         if self.filtered is not None:
-            self.filtered = self._board(self.whole)
+            self.filtered = self.whole.part = self._board(self.whole)
 
     def set_filter(self, wanted: Wanted | None, past: Iterable[Record] | None = None) -> None:
         """Apply a filter to the kept records and to all later ones; None ends filtering.
@@ -89,11 +89,11 @@ class Watched:
         `past` begins with all records that were added so far; with it, the filter sees them all.
         """
         self.wanted = wanted
-        self.filtered = None
+        self.filtered = self.whole.part = None
         self.unfiltered = 0
         if wanted is None:
             return
-        self.filtered = self._board(self.whole)
+        self.filtered = self.whole.part = self._board(self.whole)
         records = self.whole.records if past is None else _numbered(islice(past, self._order))
         for kept in records:
             self._add_filtered(self.filtered, kept)

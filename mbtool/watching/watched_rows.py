@@ -69,6 +69,8 @@ class WatchedPoll:
     """The median time between two requests, in ns; 0 if only one was sent."""
     has_regular_period: bool = False
     """False if the times between two requests differ widely, by the rule of the statistics."""
+    retries: int = 0
+    """The number of retries, by the rule of the statistics."""
     _period_at: int = 0
 
     def refresh_period(self) -> None:

@@ -94,7 +94,8 @@ def test_a_filter_makes_no_retries_and_judges_no_slave() -> None:
         board.advance(None)
     assert not any(row.is_retry for row in record_rows(failures))
     (row,) = slave_rows(failures)
-    assert (row.asked, row.missing) == (4, 4)
+    assert (row.asked, row.missing, row.retries) == (4, 4, 0)
+    assert poll_rows(failures)[0].retries == 0
     assert row.whole is not None
     assert (row.whole.asked, row.whole.missing, row.whole.silent_since_ns) == (12, 4, None)
     assert slave_rows(whole)[0].whole is None

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import pytest
+
 from mbtool.core import EventKind, WireEvent
 from mbtool.watching import watched as limits
+from mbtool.watching.board_rows import poll_rows, slave_rows
 from mbtool.watching.watched import Watched
 from tests.overview.masters import MS, START_NS
-from tests.overview.requests import LINE, request
+from tests.overview.requests import LINE, request, unanswered
 
 if TYPE_CHECKING:
-    import pytest
-
     from mbtool.watching.watched_rows import Record
 
 EVENT = WireEvent(ts_ns=START_NS, link="line", kind=EventKind.SKIPPED, message="noise")
@@ -71,6 +72,26 @@ def test_a_filter_that_finds_only_events_kept_has_seen_no_transaction() -> None:
         watched.add(record)
     watched.set_filter(lambda _: True)
     assert watched.unfiltered == 1
+
+
+@pytest.mark.parametrize("is_late", [False, True])
+def test_the_retries_under_a_filter_are_those_that_pass_it(is_late: bool) -> None:
+    retries = [unanswered(20_000 + 1000 * at + again, retries=again // 100, quantity=1)
+               for at in range(6) for again in (0, 100)]  # fmt: skip
+    polls: list[Record] = [request(1000 * at, quantity=1) for at in range(20)]
+    watched = Watched(lambda _: LINE)
+    if not is_late:
+        watched.set_filter(lambda one: one.retries > 0)
+        watched.restart()
+    for record in [*polls, *retries]:
+        watched.add(record)
+    watched.advance(None)
+    if is_late:
+        watched.set_filter(lambda one: one.retries > 0)
+    assert watched.filtered is not None
+    for board, asked in ((watched.whole, 32), (watched.filtered, 6)):
+        (slave,), (poll,) = slave_rows(board), poll_rows(board)
+        assert (slave.asked, slave.retries, poll.retries) == (asked, 6, 6)
 
 
 def test_a_filter_that_comes_late_knows_the_periods() -> None:
