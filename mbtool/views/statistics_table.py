@@ -285,7 +285,8 @@ def _load(links: Sequence[LinkReport], width: int | None) -> list[StyledLine]:
 def _longest_polls(link: LinkReport, width: int | None) -> list[StyledLine]:
     """Return a line on the polls (repeated requests) whose frames occupy the serial line longest.
 
-    Returns no line for a network, or with fewer than two polls.
+    Returns no line for a network, or with fewer than two polls. Polls that do not fit the
+    terminal are left out.
     """
     load = link.load
     if load is None or len(link.polls) < 2:
@@ -293,7 +294,13 @@ def _longest_polls(link: LinkReport, width: int | None) -> list[StyledLine]:
     found = [(one.line_time.total_ns, one.poll) for one in link.polls if one.line_time is not None]
     found.sort(key=lambda one: -one[0])
     texts = [f"{poll_text(poll)} {percent(load.share(ns))}" for ns, poll in found[:_EATERS]]
-    return [StyledLine(shortened(f"  kept most by {'; '.join(texts)}", width))]
+    text, *others = texts
+    text = f"  kept most by {text}"
+    for other in others:
+        if width is not None and len(text) + len(other) + 2 > width:
+            break
+        text = f"{text}; {other}"
+    return [StyledLine(shortened(text, width))]
 
 
 def _histogram(links: Sequence[LinkReport]) -> list[StyledLine]:

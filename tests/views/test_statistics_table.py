@@ -94,6 +94,18 @@ def test_cycles_of_the_last_requests_say_of_how_many(monkeypatch: pytest.MonkeyP
     assert "  of the last 30 requests of each master" in lines_of(*records, *others)
 
 
+def test_the_polls_that_keep_a_line_most_are_whole(plant: list[LinkReport]) -> None:
+    def kept(width: int | None) -> str:
+        lines = (line.text for line in statistics_lines(plant, width=width))
+        (text,) = (text for text in lines if "kept most by" in text)
+        return text
+
+    whole = kept(None)
+    for width in (len(whole) - 1, 50):
+        assert len(kept(width)) <= width
+        assert whole.startswith(f"{kept(width)}; ")
+
+
 def test_a_pipe_has_all_sections(plant: list[LinkReport]) -> None:
     text = "\n".join(line.text for line in statistics_lines(plant, width=None))
     for title in ("line: busy", "polls, slowest first", "poll cycles", "latency of all"):
