@@ -156,8 +156,8 @@ def function_text(transaction: NamedTransaction) -> str:
 def what_text(transaction: NamedTransaction, *, in_hex: bool = False) -> str:
     """Return the reference of a request and the values that it writes: `HR400001 := 5`.
 
-    If the request is a retry, or its pairing with the response is ambiguous, the text says so at
-    its end.
+    It ends in `(asked 3x)` if two equal requests before this one had no answer, and in
+    `(ambiguous)` if its pairing with the response is ambiguous.
     """
     function = FUNCTIONS.get(transaction.function)
     writes = function is not None and function.writes
@@ -169,7 +169,7 @@ def what_text(transaction: NamedTransaction, *, in_hex: bool = False) -> str:
     elif not text and transaction.sub_function is not None:
         text = f"sub-function {transaction.sub_function:02X}"
     if transaction.retries:
-        text = f"{text} (retry {transaction.retries})"
+        text = f"{text} (asked {transaction.retries + 1}x)"
     if Verdict.AMBIGUOUS in transaction.verdicts:
         text = f"{text} (ambiguous)"
     return text.strip()

@@ -153,8 +153,8 @@ def test_says_that_it_does_not_know_a_function() -> None:
             "holding 4 := AND 00F2H, OR 0025H",
         ),
         ({"function": 8, "sub_function": 4, "reference": None}, "sub-function 04"),
-        ({"reference": "HR400001", "retries": 2}, "HR400001 (retry 2)"),
-        ({"function": 17, "reference": None, "retries": 1}, "(retry 1)"),
+        ({"reference": "HR400001", "retries": 2}, "HR400001 (asked 3x)"),
+        ({"function": 17, "reference": None, "retries": 1}, "(asked 2x)"),
         ({"reference": "HR400001", "verdicts": [Verdict.AMBIGUOUS]}, "HR400001 (ambiguous)"),
     ],
 )

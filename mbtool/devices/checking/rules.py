@@ -97,7 +97,8 @@ _ROWS = (
     ("MB-302", _W, "A broadcast reads, where it can only write.", "Serial Line 2.1"),
     # Rules about requests without responses, and responses without requests.
     ("MB-401", _W, "A request has no answer.", "Serial Line 2.4.1; TCP/IP guide 4.4.1"),
-    ("MB-402", _W, "A request had to be repeated before it was answered.", "Serial Line 2.4.1"),
+    ("MB-402", _W, "A request was answered only after the master had sent it again.",
+     "Serial Line 2.4.1"),
     ("MB-403", _W, "A slave says what no request asked for.",
      "Serial Line 2.1; TCP/IP guide 4.4.2"),
     ("MB-404", _N, "A request that comes at regular times comes early or late.",
