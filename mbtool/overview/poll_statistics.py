@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from mbtool.devices.named_transaction import NamedTransaction
+    from mbtool.overview.unit_times import UnitTimes
 
 LONG_NS = 3_000_000_000
 """The longest periods of a poll are kept with their begins if they are at least this long (ns)."""
@@ -83,9 +84,14 @@ class PollStatistics:
         "reference",
         "repetitions",
         "tally",
+        "times",
     )
 
-    def __init__(self, number: int, key: PollKey, first: NamedTransaction) -> None:
+    def __init__(
+        self, number: int, key: PollKey, first: NamedTransaction, times: UnitTimes
+    ) -> None:
+        self.times = times
+        """The times of all requests to the unit of the poll."""
         self.number = number
         """The number of the poll, from 0, in the order in which polls were first seen."""
         self.key = key

@@ -6,10 +6,10 @@
 #
 # Memory. At most MAX_POLLS polls: at the limit, the poll whose last request is oldest is removed,
 # and its counts are added to those of its group (link, unit, function). At most MAX_GROUPS groups,
-# MAX_LINKS links with MAX_HOURS hours each, MAX_PAIRS pairs of link and master, and the requests
-# that request_order.py keeps. Links and groups beyond their limits are counted together, under an
-# empty name. A poll takes 2 to 10 KB in practice, and 130 KB if all its latencies and periods
-# differ.
+# as many units, MAX_LINKS links with MAX_HOURS hours each, MAX_PAIRS pairs of link and master, and
+# the requests that request_order.py keeps. Links and groups beyond their limits are counted
+# together, under an empty name. A poll takes 2 to 10 KB in practice, and 130 KB if all its
+# latencies and periods differ.
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ from mbtool.overview.poll_statistics import PollKey, PollStatistics, poll_key
 from mbtool.overview.request_order import RequestOrder
 from mbtool.overview.request_tally import RequestTally
 from mbtool.overview.statistics_connections import ConnectionTally
+from mbtool.overview.unit_times import UnitTimes
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -73,6 +74,9 @@ class Statistics:
         """The counts of transactions that have no poll: responses without a request, and all
         transactions of polls that were removed because there were more than MAX_POLLS. The key is
         link name, unit and function code."""
+        self.units: dict[tuple[str, int], UnitTimes] = {}
+        """The times of the requests to each unit; the key is link and unit. Units beyond
+        MAX_GROUPS are left out."""
         self.devices: dict[tuple[str, int], str] = {}
         self.function_names: dict[int, str] = {}
         self.connections: dict[tuple[str, str], ConnectionTally] = {}
@@ -117,6 +121,7 @@ class Statistics:
         polls = [self._count_alike(kind) for kind in run.kinds]
         for poll, latencies in run.latencies_of(polls).items():
             poll.tally.latency.add_all(latencies)
+        _count_asked(run, polls)
         self._touch(run, polls)
         self._order.add_run(run, polls)
 
@@ -149,13 +154,24 @@ class Statistics:
             return None
         poll = self._poll(one)
         poll.tally.add(one)
+        end_ns = max(one.response_ns or one.request_ns, one.request_ns)
+        times = poll.times
+        times.asked += 1
+        if one.request_ns < times.first_ns:
+            times.first_ns = one.request_ns
+        if end_ns > times.last_ns:
+            times.last_ns = end_ns
+        if one.response_ns is not None and end_ns > times.answered_ns:
+            times.answered_ns = end_ns
+        if one.outcome is not Outcome.OK:
+            times.note_failure(one.outcome, one.request_ns)
         is_damaged = self._damaged.has(one)
         poll.tally.damaged += is_damaged
         if link.has_times:
             self._order.add(
                 one.request_ns,
                 poll,
-                max(one.response_ns or one.request_ns, one.request_ns),
+                end_ns,
                 link.wire_ns(len(one.request_raw or b"")),
                 is_missing=one.outcome is Outcome.NO_ANSWER,
                 is_damaged=is_damaged,
@@ -183,6 +199,7 @@ class Statistics:
         self._link(kind.like.link).note_span(kind.like, kind.begin_ns, kind.end_ns)
         poll = self._poll(kind.like)
         poll.tally.count_alike(kind.like, kind.count)
+        poll.times.note_answers(kind.begin_ns, kind.end_ns)
         return poll
 
     def _touch(self, run: AnsweredRun, polls: list[PollStatistics]) -> None:
@@ -224,13 +241,22 @@ class Statistics:
         if len(self.polls) >= MAX_POLLS:
             old, given_up = self.polls.popitem(last=False)
             self._group((old.link, old.unit, old.function)).merge(given_up.tally)
-        poll = self.polls[key] = PollStatistics(self.polls_seen, key, one)
+        poll = self.polls[key] = PollStatistics(self.polls_seen, key, one, self._times(one))
         self.polls_seen += 1
         if len(self.function_names) < 256 or one.function in self.function_names:
             self.function_names[one.function] = one.function_name
         if one.device is not None and len(self.devices) < MAX_GROUPS:
             self.devices[one.link, one.unit] = one.device
         return poll
+
+    def _times(self, one: NamedTransaction) -> UnitTimes:
+        key = one.link, one.unit
+        times = self.units.get(key)
+        if times is None:
+            times = UnitTimes(one.start_ns)
+            if len(self.units) < MAX_GROUPS:
+                self.units[key] = times
+        return times
 
     def _group(self, key: Group) -> RequestTally:
         tally = self.groups.get(key)
@@ -251,3 +277,19 @@ class Statistics:
                 self._hosts.clear()
             host = self._hosts[address] = address.rpartition(":")[0].strip("[]")
         return host
+
+
+def _count_asked(run: AnsweredRun, polls: list[PollStatistics]) -> None:
+    """Count the requests of a batch with their units; `polls[i]` is the poll of `run.kinds[i]`."""
+    if all(kind.like.outcome is Outcome.OK for kind in run.kinds):
+        for kind, poll in zip(run.kinds, polls, strict=True):
+            poll.times.asked += kind.count
+        return
+    of_kinds = [
+        (poll.times, kind.like.outcome) for kind, poll in zip(run.kinds, polls, strict=True)
+    ]
+    for index, request_ns in zip(run.kind, run.request_ns, strict=True):
+        times, outcome = of_kinds[index]
+        times.asked += 1
+        if outcome is not Outcome.OK:
+            times.note_failure(outcome, request_ns)

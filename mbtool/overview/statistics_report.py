@@ -21,6 +21,7 @@ from mbtool.overview.poll_cycle import PollLists
 from mbtool.overview.poll_statistics import PollStatistics
 from mbtool.overview.request_tally import RequestTally, merged
 from mbtool.overview.statistics_connections import ConnectionTally
+from mbtool.overview.unit_times import UnitTimes
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -86,6 +87,8 @@ class LinkReport:
     connections: list[tuple[str, ConnectionTally]]
     """For each master, its host and the counts of its connections to the link's slave."""
     hours: list[HourCount]
+    units: dict[int, UnitTimes]
+    """The times of the requests to each unit; empty if the capture has no times."""
 
     def rate(self, count: int) -> float | None:
         """Return `count` divided by the watched time in seconds; None if that time is 0."""
@@ -131,6 +134,11 @@ def unit_polls(links: Sequence[LinkReport]) -> dict[tuple[str, int], list[PollSt
         for one in link.polls:
             polls.setdefault((link.name, one.poll.key.unit), []).append(one.poll)
     return polls
+
+
+def unit_times(links: Sequence[LinkReport]) -> dict[tuple[str, int], UnitTimes]:
+    """Return the times of the requests to each unit; the key is link and unit."""
+    return {(link.name, unit): times for link in links for unit, times in link.units.items()}
 
 
 def odd_polling(
@@ -189,6 +197,11 @@ def _link_report(
             (master, one) for (of, master), one in statistics.connections.items() if of == name
         ],
         hours=link.hours.counts(),
+        units={
+            unit: times
+            for (of, unit), times in statistics.units.items()
+            if of == name and link.has_times
+        },
     )
 
 

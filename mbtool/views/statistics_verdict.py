@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.core.wording import counted, plural
 from mbtool.modbus import Outcome
-from mbtool.overview.failure_limits import are_damaged, is_grave, never_answers
+from mbtool.overview.failure_limits import are_damaged, never_answers
 from mbtool.overview.refusals import joint_refusals
 from mbtool.overview.request_tally import RequestTally, merged
 from mbtool.overview.slow_units import slow_units
-from mbtool.overview.statistics_report import odd_polling, unit_polls, unit_tallies
+from mbtool.overview.statistics_report import odd_polling, unit_polls, unit_tallies, unit_times
+from mbtool.overview.unit_times import FailedShare, missing_share, refused_share
 from mbtool.views.statistics_columns import StyledLine
 from mbtool.views.statistics_words import duration, per_second, percent
 from mbtool.views.trouble_words import (
@@ -22,6 +22,7 @@ from mbtool.views.trouble_words import (
     joint_refusals_text,
     many_slow_text,
     oddities_text,
+    since_text,
     slow_text,
     unit_name,
 )
@@ -30,6 +31,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from mbtool.overview.statistics_report import LinkReport
+    from mbtool.overview.unit_times import UnitTimes
+
+    ShareOf = Callable[[RequestTally, UnitTimes | None], FailedShare | None]
 
 _BAD, _DOUBT = "red", "yellow"
 _MOST_UNITS = 3
@@ -64,26 +68,35 @@ class _Units:
 
     def __init__(self, links: Sequence[LinkReport]) -> None:
         self.tallies = unit_tallies(links)
+        self.times = unit_times(links)
         self._several = len(links) > 1
 
     def name(self, unit: Unit) -> str:
         return unit_name(unit, several=self._several)
 
-    def failing(self, count: Callable[[RequestTally], int]) -> _Failing:
-        """Return the units with failures of a kind, which `count` counts."""
-        counts = Counter({unit: count(tally) for unit, tally in self.tallies.items()})
+    def _times(self, unit: Unit, tally: RequestTally) -> UnitTimes | None:
+        """Return the times of a unit's requests; None if it never answers, as all of them fail."""
+        return None if never_answers(tally) else self.times.get(unit)
+
+    def failing(self, share_of: ShareOf) -> _Failing:
+        """Return the units with failures of a kind."""
+        shares = {
+            unit: share
+            for unit, tally in self.tallies.items()
+            if (share := share_of(tally, self._times(unit, tally))) is not None
+        }
         grave = [
             unit
-            for unit, tally in self.tallies.items()
-            if is_grave(counts[unit], tally.requests) or (counts[unit] and never_answers(tally))
+            for unit, share in shares.items()
+            if share.is_grave or never_answers(self.tallies[unit])
         ]
-        return _Failing(+counts, grave)
+        return _Failing(shares, grave)
 
 
 class _Failing(NamedTuple):
-    """The number of failures of one kind by unit, and the units that fail gravely."""
+    """The units with failures of one kind, and those that fail gravely."""
 
-    counts: Counter[Unit]
+    shares: dict[Unit, FailedShare]
     grave: list[Unit]
 
     @property
@@ -92,8 +105,16 @@ class _Failing(NamedTuple):
 
     def worst(self, text_of: Callable[[Unit], str]) -> str:
         """Return the units with most failures as text: `40 of unit 3, 2 of unit 4 and 3 more`."""
-        worst = [f"{count:,} of {text_of(unit)}" for unit, count in self.counts.most_common()]
-        return _listed(worst)
+        often = sorted(self.shares.items(), key=lambda one: -one[1].failed)
+        return _listed(
+            [f"{share.failed:,} of {text_of(unit)}{since_text(share)}" for unit, share in often]
+        )
+
+
+def _malformed_share(tally: RequestTally, times: UnitTimes | None) -> FailedShare | None:
+    del times
+    number = tally.count(Outcome.MALFORMED)
+    return FailedShare(number, tally.requests) if number else None
 
 
 def _sum(links: Sequence[LinkReport], total: RequestTally) -> str:
@@ -126,7 +147,7 @@ def _answered(total: RequestTally) -> str:
 def _missing(links: Sequence[LinkReport], units: _Units, total: RequestTally) -> list[StyledLine]:
     if not total.unanswered:
         return []
-    failing = units.failing(lambda tally: tally.unanswered)
+    failing = units.failing(missing_share)
     damaged = {unit for unit, tally in units.tallies.items() if are_damaged(tally)}
     dead = [
         units.name(unit)
@@ -157,7 +178,7 @@ def _exceptions(
     number = sum(total.exceptions.values())
     if not number:
         return []
-    failing = units.failing(lambda tally: tally.count(Outcome.EXCEPTION))
+    failing = units.failing(refused_share)
     by_count = sorted(total.exceptions.items(), key=lambda one: -one[1])
     codes = ", ".join(
         f"{count:,} x {exception_text(code, total.exception_names[code])}"
@@ -174,8 +195,8 @@ def _exceptions(
 
 
 def _malformed(units: _Units) -> list[StyledLine]:
-    failing = units.failing(lambda tally: tally.count(Outcome.MALFORMED))
-    number = failing.counts.total()
+    failing = units.failing(_malformed_share)
+    number = sum(share.failed for share in failing.shares.values())
     if not number:
         return []
     text = f"! {counted(number, 'answer', ',')} malformed: {failing.worst(units.name)}"

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from mbtool.core.wording import counted
 from mbtool.modbus import Outcome
 from mbtool.overview.odd_polling import LateUnit, Oddity, PollingPause, ShortConnections
+from mbtool.views.cells import clock_time, day
 from mbtool.views.statistics_words import duration, in_ms
 
 if TYPE_CHECKING:
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
 
     from mbtool.overview.refusals import JointRefusals
     from mbtool.overview.request_tally import RequestTally
+    from mbtool.overview.unit_times import FailedShare
 
 Unit = tuple[str, int]
 """Link and unit."""
@@ -25,6 +27,22 @@ def unit_name(unit: Unit, *, several: bool) -> str:
     """Return a unit as text: `unit 4`, with the link if there are `several` links."""
     link, number = unit
     return f"unit {number} at {link}" if several else f"unit {number}"
+
+
+def since_text(share: FailedShare) -> str:
+    """Return the time of failures: ` since 10:43:02`, ` from 10:43:02 to 10:51:10` or empty."""
+    since, until = (
+        None if ns is None else moment_text(ns, is_long=share.is_long)
+        for ns in (share.since_ns, share.until_ns)
+    )
+    if until is None:
+        return "" if since is None else f" since {since}"
+    return f" until {until}" if since is None else f" from {since} to {until}"
+
+
+def moment_text(ns: int, *, is_long: bool) -> str:
+    """Return a time of day with seconds; if the capture `is_long`, with the date, to the minute."""
+    return f"{day(ns)} {clock_time(ns)[:5]}" if is_long else clock_time(ns)[:8]
 
 
 def slow_text(name: str, own_ns: float, usual_ns: float) -> str:

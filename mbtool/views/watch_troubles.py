@@ -12,6 +12,7 @@ from mbtool.views.statistics_words import in_ms, percent
 from mbtool.views.trouble_words import (
     joined_oddities,
     joint_refusals_text,
+    moment_text,
     oddities_text,
     unit_name,
 )
@@ -19,8 +20,9 @@ from mbtool.views.trouble_words import (
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from mbtool.overview.unit_times import FailedShare
     from mbtool.watching.board_judgement import BoardJudgement
-    from mbtool.watching.board_rows import FailedShare, WatchedSlaveRow
+    from mbtool.watching.board_rows import WatchedSlaveRow
 
 _MORE = " more: key 5"
 """Ends the line on slaves with troubles, after the number of those that had no room in it. The key
@@ -56,10 +58,11 @@ def slave_trouble(row: WatchedSlaveRow, *, is_short: bool = False) -> str:
 
 def _share_text(share: FailedShare, word: str, *, is_short: bool) -> str:
     """Return which share of the requests failed, and since when: `33 % refused since 10:43`."""
-    text = f"{percent(share.failed / share.asked)} {word}"
-    digits = 5 if is_short else 8
+    text = f"{percent(share.share)} {word}"
+    digits = 5 if is_short and not share.is_long else None
     since, until = (
-        None if ns is None else clock_time(ns)[:digits] for ns in (share.since_ns, share.until_ns)
+        None if ns is None else moment_text(ns, is_long=share.is_long)[:digits]
+        for ns in (share.since_ns, share.until_ns)
     )
     if until is None:
         return text if since is None else f"{text} since {since}"
@@ -154,5 +157,5 @@ def _refuses_again(row: WatchedSlaveRow) -> bool:
 
 
 def _weight(row: WatchedSlaveRow) -> tuple[bool, float]:
-    failed = row.missing + row.exceptions + row.malformed
-    return not row.never_answers, -failed / (row.asked or 1)
+    shares = [one.share for one in (row.missing_share, row.refused_share) if one is not None]
+    return not row.never_answers, -max([*shares, row.malformed / (row.asked or 1)])

@@ -8,15 +8,10 @@ from typing import TYPE_CHECKING, NamedTuple, overload
 
 from mbtool.core import EventKind, WireEvent
 from mbtool.modbus import Outcome
-from mbtool.overview.failure_limits import (
-    ENOUGH,
-    are_damaged,
-    is_grave,
-    never_answers,
-    time_of_failures,
-)
+from mbtool.overview.failure_limits import are_damaged, is_grave, never_answers
 from mbtool.overview.refusals import always_refused
 from mbtool.overview.slow_units import slow_units
+from mbtool.overview.unit_times import FailedShare, UnitTimes, missing_share, refused_share
 from mbtool.watching.watched_rows import KeptRecord, errors_of
 
 if TYPE_CHECKING:
@@ -26,7 +21,6 @@ if TYPE_CHECKING:
     from mbtool.overview.poll_statistics import PollKey, PollStatistics
     from mbtool.watching.board import Board, RetryKey
     from mbtool.watching.watched_rows import (
-        FailureSpan,
         WatchedPoint,
         WatchedPoll,
         WatchedSlave,
@@ -36,9 +30,6 @@ _ANSWERS = (Outcome.OK, Outcome.EXCEPTION, Outcome.MALFORMED)
 """Outcomes with a response, the same as in statistics."""
 _CONNECTION = (EventKind.OPENED, EventKind.CLOSED)
 _AT_NS = attrgetter("at_ns")
-_SHORTEST_NS = 2_000_000_000
-"""No time of failures is told of a slave that was heard for less than this (ns), as times have
-whole seconds."""
 
 
 class PollRow(NamedTuple):
@@ -107,22 +98,6 @@ class RecordRow(NamedTuple):
     """True if the response to the request came with a wrong CRC or LRC."""
     is_retry: bool
     """True if the request is a retry by the rule of the statistics."""
-
-
-class FailedShare(NamedTuple):
-    """How many requests to a unit failed in one way, of how many, and in which time."""
-
-    failed: int
-    asked: int
-    """The number of requests in the time from `since_ns` to `until_ns`."""
-    since_ns: int | None = None
-    """The time (ns since 1970) of the first failure; None if it was there from the beginning."""
-    until_ns: int | None = None
-    """The time (ns since 1970) of the last failure; None if the failures have not ended."""
-
-    @property
-    def is_grave(self) -> bool:
-        return is_grave(self.failed, self.asked)
 
 
 class WatchedSlaveRow(NamedTuple):
@@ -258,9 +233,15 @@ def slave_rows(board: Board) -> list[WatchedSlaveRow]:
     slow = slow_units({key: slave.tally.latency for key, slave in board.slaves.items()})
     polls = polls_of_slaves(board)
     return [
-        _slave_row(slave, slow.get(key), polls.get(key, ()), every.get(key))
+        _slave_row(slave, slow.get(key), polls.get(key, ()), _times(board, key), every.get(key))
         for key, slave in sorted(board.slaves.items())
     ]
+
+
+def _times(board: Board, key: tuple[str, int]) -> UnitTimes | None:
+    """Return the times of a slave's requests; None if the capture has no times."""
+    link = board.statistics.links.get(key[0])
+    return board.statistics.units.get(key) if link is not None and link.has_times else None
 
 
 def polls_of_slaves(board: Board) -> dict[tuple[str, int], list[PollStatistics]]:
@@ -342,33 +323,11 @@ def _pair(point: WatchedPoint) -> tuple[int, int] | None:
     return (values[at], values[at + 1]) if 0 <= at < len(values) - 1 else None
 
 
-def _failed_share(slave: WatchedSlave, span: FailureSpan | None) -> FailedShare | None:
-    """Return which share of the requests failed.
-
-    If the failures came late or have ended, the share is of the requests from the first one that
-    failed to the last one or the present, as in the verdict of `report`. Else it is of all.
-    """
-    if span is None:
-        return None
-    asked = slave.tally.requests
-    is_late, is_over = time_of_failures(slave.first_ns, span.first_ns, span.last_ns, slave.last_ns)
-    is_short = slave.last_ns - slave.first_ns < _SHORTEST_NS or span.failed < ENOUGH
-    if is_short or not (is_late or is_over):
-        return FailedShare(span.failed, asked)
-    before = span.asked_before if is_late else 0
-    end = span.asked_before + span.asked if is_over else asked
-    return FailedShare(
-        span.failed,
-        end - before,
-        span.first_ns if is_late else None,
-        span.last_ns if is_over else None,
-    )
-
-
 def _slave_row(
     slave: WatchedSlave,
     usual_ns: float | None,
     polls: Sequence[PollStatistics],
+    times: UnitTimes | None,
     whole: WatchedSlaveRow | None,
 ) -> WatchedSlaveRow:
     tally = slave.tally
@@ -391,8 +350,8 @@ def _slave_row(
         first_ns=slave.first_ns,
         last_ns=slave.last_ns,
         never_answers=never_answers(tally),
-        missing_share=_failed_share(slave, slave.missing),
-        refused_share=_failed_share(slave, slave.refused),
+        missing_share=missing_share(tally, times),
+        refused_share=refused_share(tally, times),
         answered_ns=slave.answered_ns,
         silent_since_ns=slave.silent_since_ns,
         findings=slave.findings,

@@ -136,25 +136,6 @@ class WatchedPoint:
             self.history.append(value)
 
 
-class FailureSpan(NamedTuple):
-    """From when to when requests to a unit failed in one way. Times are in ns since 1970."""
-
-    failed: int
-    first_ns: int
-    last_ns: int
-    asked_before: int
-    """The number of requests to the unit before the first one that failed."""
-    asked: int
-    """The number of requests from the first one that failed to the last one."""
-
-    def after(self, at_ns: int, asked: int) -> FailureSpan:
-        """Return the span with one failure more, at `at_ns`, the unit's request number `asked`."""
-        last_ns = max(self.last_ns, at_ns)
-        return FailureSpan(
-            self.failed + 1, self.first_ns, last_ns, self.asked_before, asked - self.asked_before
-        )
-
-
 @dataclass(slots=True)
 class WatchedSlave:
     """The figures of one unit of a link: how it answers."""
@@ -174,10 +155,6 @@ class WatchedSlave:
     retries: int = 0
     """The number of retries, by the rule of the statistics: requests that repeat an unanswered one
     at once, not at the usual period of their poll."""
-    missing: FailureSpan | None = None
-    """The requests without an answer, or whose answer had a wrong CRC or LRC."""
-    refused: FailureSpan | None = None
-    """The requests with an exception as response."""
 
     def add(self, one: NamedTransaction, *, is_damaged: bool = False) -> None:
         at_ns = one.start_ns
@@ -187,10 +164,7 @@ class WatchedSlave:
         self.last_ns = max(at_ns, self.last_ns)
         self.device = one.device or self.device
         self.findings += len(one.findings)
-        if one.outcome is Outcome.EXCEPTION:
-            self.refused = self._span(self.refused, at_ns)
         if one.outcome is Outcome.NO_ANSWER:
-            self.missing = self._span(self.missing, at_ns)
             # A missing response becomes known late: the slave may have answered later requests
             # since.
             is_newest = self.answered_ns is None or at_ns >= self.answered_ns
@@ -198,12 +172,6 @@ class WatchedSlave:
                 self.silent_since_ns = at_ns
         elif one.response_ns is not None:
             self.answered_ns, self.silent_since_ns = one.response_ns, None
-
-    def _span(self, span: FailureSpan | None, at_ns: int) -> FailureSpan:
-        asked = self.tally.requests
-        if span is None:
-            span = FailureSpan(0, at_ns, at_ns, asked - 1, 0)
-        return span.after(at_ns, asked)
 
 
 @dataclass(slots=True)

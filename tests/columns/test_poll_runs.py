@@ -22,6 +22,7 @@ from mbtool.overview.answered_run import AnsweredRun
 from mbtool.overview.inventory import Inventory
 from mbtool.overview.statistics import Statistics
 from mbtool.overview.statistics_report import report
+from mbtool.overview.unit_times import UnitTimes
 from mbtool.packets import read_capture
 from mbtool.views.inventory_documents import inventory_json
 from mbtool.views.statistics_document import statistics_document
@@ -57,8 +58,10 @@ def in_runs(capture: bytes) -> Iterator[Record | AnsweredRun]:
     yield from runs.parts(decoder.close())
 
 
-def overview(parts: Iterator[Record | AnsweredRun]) -> tuple[str, str, int]:
-    """Both documents, and how many requests came in runs."""
+def overview(
+    parts: Iterator[Record | AnsweredRun],
+) -> tuple[str, str, dict[tuple[str, int], list[object]], int]:
+    """Both documents, the times of each unit, and how many requests came in runs."""
     counted, hosts, in_runs_ = Statistics(), Inventory(), 0
     for part in parts:
         if isinstance(part, AnsweredRun):
@@ -71,7 +74,11 @@ def overview(parts: Iterator[Record | AnsweredRun]) -> tuple[str, str, int]:
                 hosts.add(part)
     counted.settle()
     document = statistics_document(counted, report(counted), sources=[], where=None)
-    return document, inventory_json(hosts.document(), "1"), in_runs_
+    times = {
+        unit: [getattr(one, name) for name in UnitTimes.__slots__]
+        for unit, one in counted.units.items()
+    }
+    return document, inventory_json(hosts.document(), "1"), times, in_runs_
 
 
 def assert_equal(capture: bytes, block_packets: int = 65_536) -> int:

@@ -29,7 +29,7 @@ from mbtool.watching.board_rows import point_rows, poll_rows, record_rows, slave
 from mbtool.watching.value_formats import ValueFormat
 from mbtool.watching.watched_rows import kept_record
 from tests.overview.masters import MS, START_NS
-from tests.overview.requests import request, unanswered
+from tests.overview.requests import LINE, request, unanswered
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -49,7 +49,7 @@ NOISE = WireEvent(
 
 
 def board_of(*records: Record) -> Board:
-    board = Board()
+    board = Board(lambda _: LINE)
     for order, record in enumerate(records, 1):
         board.add(kept_record(order, order, record))
     return board

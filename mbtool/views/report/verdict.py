@@ -1,9 +1,8 @@
 """Writes the first sentence of a report: which unit has which trouble since when."""
 
-# A trouble belongs to a unit, a link or a host. If it does not show from the beginning, its text
-# says since when: the begin of the first bin of time (series/time_bins.py) in which it shows. Its
-# share is then of the requests since that time. A unit can have several troubles; the worst come
-# first.
+# A trouble belongs to a unit, a link or a host. Failures that came late, or have ended, are told
+# with their time, and their share is of the requests in it (overview/unit_times.py). A unit can
+# have several troubles; the worst come first.
 
 from __future__ import annotations
 
@@ -13,20 +12,14 @@ from typing import TYPE_CHECKING
 
 from mbtool.core.wording import counted
 from mbtool.modbus import Outcome
-from mbtool.overview.failure_limits import (
-    ENOUGH,
-    FEW,
-    are_damaged,
-    never_answers,
-    time_of_failures,
-)
+from mbtool.overview.failure_limits import FEW, are_damaged, never_answers
 from mbtool.overview.odd_polling import LateUnit
 from mbtool.overview.poll_statistics import PollStatistics
 from mbtool.overview.request_tally import RequestTally, merged
 from mbtool.overview.slow_units import SLOW_NS, are_many, slow_units
-from mbtool.overview.statistics_report import odd_polling, unit_polls, unit_tallies
+from mbtool.overview.statistics_report import odd_polling, unit_polls, unit_tallies, unit_times
+from mbtool.overview.unit_times import FailedShare, UnitTimes, missing_share, refused_share
 from mbtool.series.history import History, UnitRow, UnitSum
-from mbtool.views.cells import clock_time, day
 from mbtool.views.report.line_troubles import finding_troubles, line_troubles
 from mbtool.views.report.odd_polling import odd_troubles
 from mbtool.views.report.refusals import joined_refusals, refused_polls
@@ -36,6 +29,8 @@ from mbtool.views.trouble_words import (
     JOINED,
     codes_text,
     many_slow_text,
+    moment_text,
+    since_text,
     slow_text,
     unit_name,
 )
@@ -63,7 +58,9 @@ class _Unit:
     tally: RequestTally
     history: History | None
     """Counts over time; None if the capture of the unit's line has no times."""
-    polls: Sequence[PollStatistics] = ()
+    polls: Sequence[PollStatistics]
+    times: UnitTimes | None
+    """The times of its requests; None if the capture has no times."""
 
     def trouble(self, rank: Rank, text: str, weight: float, word: str = "") -> VerdictTrouble:
         search = f"{link_word(self.row.link)}unit:{self.row.unit} {word}".rstrip()
@@ -71,6 +68,10 @@ class _Unit:
             rank=rank, text=text, weight=weight, who=self.name, search=search,
             units=frozenset((self.row,)), is_refusal=word == "exception",
         )  # fmt: skip
+
+    def failure(self, text: str, share: FailedShare, word: str) -> VerdictTrouble:
+        rank = rank_of(Rank.FAILING, share.failed, share.asked)
+        return self.trouble(rank, text, share.share, word)
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,6 +107,7 @@ def report_verdict(
     timed = {link.name for link in links if link.has_times}
     slow = slow_units({row: one.latency for row, one in units.items()})
     polls = {UnitRow(*unit): some for unit, some in unit_polls(links).items()}
+    times = unit_times(links)
     odd = odd_polling(links, tallies)
     troubles = [
         *line_troubles(links, history),
@@ -114,7 +116,7 @@ def report_verdict(
     ]
     for row, tally in units.items():
         of_time = history if row.link in timed else None
-        unit = _Unit(row, names[row], tally, of_time, polls.get(row, ()))
+        unit = _Unit(row, names[row], tally, of_time, polls.get(row, ()), times.get(row))
         troubles += _unit_troubles(unit, slow.get(row))
     troubles.sort(key=lambda one: (one.rank, -one.weight))
     troubles = joined_refusals(troubles, units, polls)
@@ -201,16 +203,14 @@ def _unit_troubles(unit: _Unit, usual: float | None) -> list[VerdictTrouble]:
         what = "gives no answer with a right CRC" if are_damaged(tally) else "never answers"
         never = f"{name} {what} ({counted(asked, 'request', ',')})"
         return [unit.trouble(Rank.DEAD, never, asked)]
-    if tally.unanswered:
-        found.append(_unanswered(unit))
-    if tally.count(Outcome.EXCEPTION):
-        found.append(_refusals(unit))
-    malformed = tally.count(Outcome.MALFORMED)
-    if malformed:
-        share = malformed / asked
-        text = f"{name} gives {counted(malformed, 'malformed answer', ',')} ({percent(share)})"
-        rank = rank_of(Rank.FAILING, malformed, asked)
-        found.append(unit.trouble(rank, text, share, "malformed"))
+    if (missing := missing_share(tally, unit.times)) is not None:
+        found.append(_unanswered(unit, missing))
+    if (refused := refused_share(tally, unit.times)) is not None:
+        found.append(_refusals(unit, refused))
+    if number := tally.count(Outcome.MALFORMED):
+        share = FailedShare(number, asked)
+        text = f"{name} gives {counted(number, 'malformed answer', ',')} ({percent(share.share)})"
+        found.append(unit.failure(text, share, "malformed"))
     own = tally.latency.percentile(50)
     if usual is not None:
         found.append(unit.trouble(Rank.SLOW, slow_text(name, own, usual), own / usual))
@@ -242,81 +242,34 @@ def _slower(unit: _Unit) -> VerdictTrouble | None:
         return None  # The unit became fast again.
     begin_ns = bins.begin_ns + places[begin] * bins.width_ns
     is_long = (places[-1] - places[0]) * bins.width_ns >= _DAY_NS
-    since = _moment(begin_ns, is_long=is_long, width_ns=bins.width_ns)
+    since = moment_text(begin_ns, is_long=is_long)
     text = f"{unit.name} answers slower since {since}: in {in_ms(mean(places[begin:]))} ms "
     text += f"on average, before in {in_ms(usual)} ms"
     return unit.trouble(Rank.SLOW, text, late / usual)
 
 
-def _unanswered(unit: _Unit) -> VerdictTrouble:
-    when, lost, of = _period(unit, UnitSum.NO_ANSWER)
-    if not of:
-        lost, of = unit.tally.unanswered, unit.tally.requests
-    share = lost / of
-    requests = _requests(share, lost)
+def _unanswered(unit: _Unit, share: FailedShare) -> VerdictTrouble:
+    requests, when = _requests(share), since_text(share)
     if are_damaged(unit.tally):
         is_all = unit.tally.damaged == unit.tally.unanswered
         how = "with a wrong CRC" if is_all else "with a wrong CRC or not at all"
         text = f"{unit.name} answers {requests} {how}{when}"
     else:
         text = f"{unit.name} leaves {requests} without an answer{when}"
-    return unit.trouble(rank_of(Rank.FAILING, lost, of), text, share, "no-answer")
+    return unit.failure(text, share, "no-answer")
 
 
-def _refusals(unit: _Unit) -> VerdictTrouble:
-    tally = unit.tally
-    when, refused, of = _period(unit, UnitSum.EXCEPTION)
-    if not of:
-        refused, of = tally.count(Outcome.EXCEPTION), tally.requests
-    share = refused / of
-    text = f"{unit.name} refuses {_requests(share, refused)}{when}, {codes_text(tally)}"
-    named = refused_polls(unit.polls, tally)
+def _refusals(unit: _Unit, share: FailedShare) -> VerdictTrouble:
+    codes = codes_text(unit.tally)
+    text = f"{unit.name} refuses {_requests(share)}{since_text(share)}, {codes}"
+    named = refused_polls(unit.polls, unit.tally)
     if named:
-        text = f"{unit.name} {named} {codes_text(tally)}"
-    return unit.trouble(rank_of(Rank.FAILING, refused, of), text, share, "exception")
+        text = f"{unit.name} {named} {codes}"
+    return unit.failure(text, share, "exception")
 
 
-def _requests(share: float, count: int) -> str:
-    if share == 1:
+def _requests(share: FailedShare) -> str:
+    if share.failed == share.asked:
         return "all its requests"
-    return f"{percent(share) if share >= FEW else f'{count:,}'} of its requests"
-
-
-def _period(unit: _Unit, what: UnitSum) -> tuple[str, int, int]:
-    """Return the time of something that happened to a unit, in words, the number of cases, and the
-    number of requests.
-
-    Both counts are of that time only. The words are empty if it happened all the time. The result
-    is ("", 0, 0) for a unit that the history does not have.
-    """
-    if unit.history is None:
-        return "", 0, 0
-    bins = unit.history.bins
-    hits = bins.column(unit.row, what)
-    asked = bins.column(unit.row, UnitSum.TRANSACTIONS)
-    places = [place for place, count in enumerate(hits) if count]
-    active = [place for place, count in enumerate(asked) if count]
-    if not places:
-        return "", 0, 0
-    begin, end = places[0], places[-1]
-    is_late, is_over = time_of_failures(active[0], begin, end + 1, active[-1] + 1)
-    if len(places) < ENOUGH or not (is_late or is_over):
-        return "", sum(hits), sum(asked)
-    begin = begin if is_late else active[0]
-    end = end if is_over else active[-1]
-    span = slice(begin, end + 1)
-    first_ns, last_ns = (bins.begin_ns + place * bins.width_ns for place in (begin, end + 1))
-    is_long = (active[-1] - active[0]) * bins.width_ns >= _DAY_NS
-    since, until = (
-        _moment(ns, is_long=is_long, width_ns=bins.width_ns) for ns in (first_ns, last_ns)
-    )
-    when = f" since {since}" if is_late else ""
-    when = f" from {since} to {until}" if is_late and is_over else when
-    when = f" until {until}" if is_over and not is_late else when
-    return when, sum(hits[span]), sum(asked[span])
-
-
-def _moment(ns: int, *, is_long: bool, width_ns: int) -> str:
-    """Write a time of day as exactly as the bins of time are; `is_long` adds the date."""
-    time = clock_time(ns)[: 5 if width_ns >= 60_000_000_000 else 8]
-    return f"{day(ns)} {time}" if is_long else time
+    number = percent(share.share) if share.share >= FEW else f"{share.failed:,}"
+    return f"{number} of its requests"

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from textual.pilot import Pilot
 
-    from mbtool.core import OutputError
+    from mbtool.core import OutputError, SerialFormat
     from mbtool.watching.watched_rows import Record
 
 SIZE = (80, 24)
@@ -28,8 +28,14 @@ PATIENCE = 500
 class GivenFeed(WatchFeed):
     """Has no thread: a test gives the records, and the time."""
 
-    def __init__(self, records: Iterable[Record] = (), *, kept: int = MAX_KEPT) -> None:
-        super().__init__(Watched(kept=kept))
+    def __init__(
+        self,
+        records: Iterable[Record] = (),
+        *,
+        kept: int = MAX_KEPT,
+        format_: SerialFormat | None = None,
+    ) -> None:
+        super().__init__(Watched(lambda _: format_, kept=kept))
         self.at_ns = START_NS + 1000 * MS
         self._add(records)
 

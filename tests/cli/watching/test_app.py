@@ -14,7 +14,7 @@ from mbtool.devices import PointValue
 from mbtool.watching.value_formats import ValueFormat
 from tests.cli.watching.screens import GivenFeed, NotingSaver, run, screen
 from tests.overview.masters import MS, START_NS
-from tests.overview.requests import request, unanswered
+from tests.overview.requests import LINE, request, unanswered
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -447,7 +447,7 @@ def test_the_view_of_the_bus_names_no_option_that_watch_lacks() -> None:
 
 
 def test_at_80_columns_the_state_of_a_slave_has_room_when_it_changes() -> None:
-    feed = GivenFeed(read(at, 1) for at in range(0, 9000, 500))
+    feed = GivenFeed((read(at, 1) for at in range(0, 9000, 500)), format_=LINE)
 
     async def test() -> None:
         async with screen(feed) as seen:

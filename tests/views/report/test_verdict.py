@@ -47,10 +47,10 @@ def polled(seconds: int, failing: range = range(0), unit: int = 1) -> list[Named
     ("failing", "said"),
     [
         (range(60, 100), "Unit 1 leaves all its requests without an answer since 22:14:20."),
-        (range(30), "Unit 1 leaves all its requests without an answer until 22:13:50."),
+        (range(30), "Unit 1 leaves all its requests without an answer until 22:13:49."),
         (
             range(30, 60),
-            "Unit 1 leaves all its requests without an answer from 22:13:50 to 22:14:20.",
+            "Unit 1 leaves all its requests without an answer from 22:13:50 to 22:14:19.",
         ),
         (range(0, 100, 4), "Unit 1 leaves 25 % of its requests without an answer."),
     ],

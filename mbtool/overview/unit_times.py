@@ -1,0 +1,162 @@
+"""Notes from when to when a unit was asked, and from when to when its requests failed."""
+
+# `stats`, `report` and `watch` tell by it since when a unit is in trouble, and judge the failures
+# in their time. A missing answer is known later than it fails, so the counts of requests before and
+# in the time of failures can be wrong by the few requests that were answered in between.
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+from mbtool.modbus import Outcome
+from mbtool.overview.failure_limits import ENOUGH, is_grave, time_of_failures
+
+if TYPE_CHECKING:
+    from mbtool.overview.request_tally import RequestTally
+
+_SHORTEST_NS = 2_000_000_000
+"""No time of failures is told of a unit that was heard for less than this (ns), as times have
+whole seconds."""
+_DAY_NS = 86_400_000_000_000
+
+
+class FailedShare(NamedTuple):
+    """How many requests to a unit failed in one way, of how many, and in which time."""
+
+    failed: int
+    asked: int
+    """The number of requests in the time from `since_ns` to `until_ns`."""
+    since_ns: int | None = None
+    """The time (ns since 1970) of the first failure; None if it was there from the beginning."""
+    until_ns: int | None = None
+    """The time (ns since 1970) of the last failure; None if the failures have not ended."""
+    is_long: bool = False
+    """True if the unit was asked for a day or longer, so that times need a date."""
+
+    @property
+    def share(self) -> float:
+        return self.failed / self.asked
+
+    @property
+    def is_grave(self) -> bool:
+        return is_grave(self.failed, self.asked)
+
+
+class FailureSpan(NamedTuple):
+    """From when to when requests to a unit failed in one way. Times are in ns since 1970."""
+
+    first_ns: int
+    last_ns: int
+    asked_before: int
+    """The number of requests to the unit before the first one that failed."""
+    asked: int
+    """The number of requests from the first one that failed to the last one."""
+
+
+class UnitTimes:
+    """The times (UTC ns) of the requests to one unit, and of those that failed."""
+
+    __slots__ = (
+        "answered_ns",
+        "asked",
+        "first_ns",
+        "last_ns",
+        "missing",
+        "refused",
+        "silent",
+        "silent_since_ns",
+    )
+
+    def __init__(self, first_ns: int) -> None:
+        self.asked = 0
+        """The number of requests so far."""
+        self.first_ns = self.last_ns = first_ns
+        self.answered_ns = 0
+        """The time of the last answer; 0 if there was none."""
+        self.silent = 0
+        """The number of requests since `silent_since_ns` that were not answered."""
+        self.silent_since_ns = 0
+        """The time of the first unanswered request after an answered one. The unit is silent until
+        now if that is later than `answered_ns`."""
+        self.missing: FailureSpan | None = None
+        """The requests without an answer, or whose answer had a wrong CRC or LRC."""
+        self.refused: FailureSpan | None = None
+        """The requests with an exception as response."""
+
+    def note_failure(self, outcome: Outcome, at_ns: int) -> None:
+        """Note that the last one of the `asked` requests, sent at `at_ns`, had this outcome."""
+        if outcome is Outcome.NO_ANSWER:
+            self.missing = self._after(self.missing, at_ns)
+            if at_ns > self.answered_ns:
+                self._note_silence(at_ns)
+        elif outcome is Outcome.EXCEPTION:
+            self.refused = self._after(self.refused, at_ns)
+
+    def note_answers(self, begin_ns: int, end_ns: int) -> None:
+        """Note that several requests, the first of them sent at `begin_ns`, were answered until
+        `end_ns`. The caller counts them in `asked`.
+        """
+        self.first_ns = min(self.first_ns, begin_ns)
+        self.last_ns = max(self.last_ns, end_ns)
+        self.answered_ns = max(self.answered_ns, end_ns)
+
+    def _note_silence(self, at_ns: int) -> None:
+        if self.silent_since_ns <= self.answered_ns:
+            self.silent, self.silent_since_ns = 0, at_ns
+        self.silent += 1
+
+    def _after(self, span: FailureSpan | None, at_ns: int) -> FailureSpan:
+        if span is None:
+            return FailureSpan(at_ns, at_ns, self.asked - 1, 1)
+        first_ns, last_ns = min(span.first_ns, at_ns), max(span.last_ns, at_ns)
+        return FailureSpan(first_ns, last_ns, span.asked_before, self.asked - span.asked_before)
+
+
+def missing_share(tally: RequestTally, times: UnitTimes | None) -> FailedShare | None:
+    """Return which share of a unit's requests got no answer; None if all got one.
+
+    If the failures came late or have ended, the share is of the requests from the first failure to
+    the last one or the end. Else, and without `times`, it is of all. If that is a small thing, but
+    the unit is silent in the end, the share is of the requests since.
+    """
+    share = _share(tally.unanswered, tally, times, None if times is None else times.missing)
+    if share is None or share.is_grave or times is None:
+        return share
+    silence_ns = times.last_ns - times.silent_since_ns
+    is_silent = times.silent_since_ns > times.answered_ns
+    if is_silent and times.silent >= ENOUGH and silence_ns >= _SHORTEST_NS:
+        return FailedShare(
+            times.silent, times.silent, times.silent_since_ns, is_long=_is_long(times)
+        )
+    return share
+
+
+def refused_share(tally: RequestTally, times: UnitTimes | None) -> FailedShare | None:
+    """Return which share of a unit's requests was refused; None if none was. As missing_share."""
+    number = tally.count(Outcome.EXCEPTION)
+    return _share(number, tally, times, None if times is None else times.refused)
+
+
+def _share(
+    failed: int, tally: RequestTally, times: UnitTimes | None, span: FailureSpan | None
+) -> FailedShare | None:
+    if not failed:
+        return None
+    if times is None or span is None or failed < ENOUGH:
+        return FailedShare(failed, tally.requests)
+    is_late, is_over = time_of_failures(times.first_ns, span.first_ns, span.last_ns, times.last_ns)
+    if times.last_ns - times.first_ns < _SHORTEST_NS or not (is_late or is_over):
+        return FailedShare(failed, tally.requests)
+    before = span.asked_before if is_late else 0
+    end = span.asked_before + span.asked if is_over else times.asked
+    return FailedShare(
+        failed,
+        end - before,
+        span.first_ns if is_late else None,
+        span.last_ns if is_over else None,
+        is_long=_is_long(times),
+    )
+
+
+def _is_long(times: UnitTimes) -> bool:
+    return times.last_ns - times.first_ns >= _DAY_NS
