@@ -74,7 +74,6 @@ def report(
         demand_other_file,
         named_file,
         opened,
-        say_if_empty,
         told_as_lost,
     )
     from mbtool.cli.output_file import kept_told
@@ -116,7 +115,6 @@ def report(
         file.flush()
     for remark in run.remarks:
         say(remark)
-    say_if_empty(run.reading)
     if path is not None:
         done = counted(run.statistics.transactions, "transaction", ",")
         say(f"{done} -> {path} ({len(text) / 1e6:.1f} MB)")

@@ -125,8 +125,11 @@ class ReportRun:
 
     @property
     def remarks(self) -> list[str]:
-        """Lines for the user about the files, for example about cut packets."""
-        return self._check.remarks
+        """Lines for the user about the files, for example about cut packets, or why they have no
+        transaction.
+        """
+        why_empty = self.reading.why_empty
+        return [*self._check.remarks, *([] if why_empty is None else [why_empty])]
 
     def _add(self, one: CheckedRecord) -> None:
         record, named = one.record, one.named

@@ -21,6 +21,9 @@ from tests.workflows.sick_line import sick_line
 if TYPE_CHECKING:
     from pathlib import Path
 
+PCAP_HEADER = 24
+"""The length of the header of a pcap file, in bytes."""
+
 
 def report_of(*paths: Path, against: Path | None = None, everything: bool = False) -> Page:
     made = ReportRun([str(path) for path in paths], ReadingOptions(), everything=everything)
@@ -160,6 +163,13 @@ def test_a_cut_file_is_told_as_far_as_it_can_be_read(tmp_path: Path) -> None:
     assert isinstance(made.error, InputError)
     assert str(made.error) in told["capture"]["remarks"]
     assert told["stats"]["transactions"] == 5
+
+
+def test_a_capture_without_transactions_says_why(tmp_path: Path) -> None:
+    path = tmp_path / "empty.pcap"
+    path.write_bytes(capture_file(1)[:PCAP_HEADER])
+    remarks = report_of(path).document["capture"]["remarks"]
+    assert remarks == [f"{path}: empty; there is neither a packet nor a transaction in it"]
 
 
 def test_texts_of_the_wire_and_of_the_user_become_no_markup(tmp_path: Path) -> None:

@@ -856,7 +856,7 @@ function capture() {
   if (stats.out_of_order) made.push(soft(`${plural(stats.out_of_order, "transaction")} came too late to be put in order.`));
   if (lacking.length) made.push(table(`Gaps (${count(data.capture.lacking_seen)})`, ["time (UTC)", "link", "+what"], lacking.map(([us, link, message]) => [moment(us), link, message])));
   if (remarks.length) made.push(el("ul", {}, remarks.map((line) => el("li", {}, line))));
-  if (!lost && !lacking.length && !remarks.length) made.push(soft("Nothing that it shows."));
+  if (!lost && !lacking.length && !remarks.length) made.push(soft("As far as the files tell, nothing is lost or cut."));
   show("capture", remarks.length ? plural(remarks.length, "remark") : "", made);
 }
 
