@@ -77,4 +77,4 @@ def replay(
         from mbtool.cli.replay_master import play_as_master
 
         master_options = as_master.read(shared, is_loop=pace.loop)
-        play_as_master(file, link, master_options, as_master.report, as_master.learn)
+        play_as_master(file, link, master_options, as_master)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,10 +11,11 @@ import typer
 from mbtool.cli import exit_codes
 from mbtool.cli.console import PipeConsole
 from mbtool.cli.keys import controlled
-from mbtool.cli.output import told_as_lost
+from mbtool.cli.output import demand_other_file, told_as_lost
 from mbtool.cli.progress import with_progress
 from mbtool.cli.talk import say
 from mbtool.core import InputError, LinkError, UsageError
+from mbtool.core.errors import reason_of
 from mbtool.core.wording import counted, milliseconds, plural
 from mbtool.replay.significance import MIN_VALUES
 from mbtool.sources.priority import run_promptly
@@ -25,6 +25,7 @@ from mbtool.workflows.replay_master import MasterRun, junit
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from mbtool.cli.replay_options import AsMasterOptions
     from mbtool.core import LinkSpec
     from mbtool.workflows.replay_master import MasterOptions, Report
 
@@ -33,20 +34,25 @@ _MAX_RANGES_BYTES = 1 << 20
 
 
 def play_as_master(
-    file: str, to: LinkSpec, options: MasterOptions, report_file: Path | None, learn: Path | None
+    file: str, to: LinkSpec, options: MasterOptions, chosen: AsMasterOptions
 ) -> None:
     """Send the requests of the recording `file` to the slave `to`, and compare its responses.
 
     Prints the responses that differ from the recorded ones, and exits with 1 if one does. The
-    result is written to `report_file`, even if the slave cannot be reached; then LinkError is
-    raised. `learn` is a file to which the ranges of registers that differ are added.
+    result is written to the file of --report, even if the slave cannot be reached; then LinkError
+    is raised. The ranges of registers that differ are added to the file of --learn.
     """
+    report_file, learn = chosen.report, chosen.learn
     if report_file is not None and report_file.suffix not in (".json", ".xml"):
         raise UsageError(f"--report {report_file}: name a .json file, or .xml for JUnit")
-    for written in (report_file, learn):
+    lists = [str(each) for each in (*(chosen.ignore_from or ()), learn) if each is not None]
+    for written, inputs in ((report_file, [file, *lists]), (learn, [file])):
         if written is not None:
+            demand_other_file(inputs, str(written))
             _demand_writable(written)
     run = MasterRun(file, options, say, with_progress)
+    if learn is not None and learn.is_file():
+        _demand_list(learn, run)
     say(_what_is_played(file, run, to, options))
     if options.rate is not None or options.tolerance is not None:
         run_promptly()
@@ -73,26 +79,39 @@ def play_as_master(
 def ranges_of(files: Sequence[Path]) -> list[str]:
     """Return the register ranges in files: one in each line; # begins a comment.
 
-    Raises InputError if a file cannot be read as text.
+    Raises InputError if a file cannot be read, and UsageError if it is no text.
     """
     ranges = []
     for file in files:
         try:
             with file.open("rb") as stream:
-                lines = stream.read(_MAX_RANGES_BYTES).decode().splitlines()
-        except (OSError, UnicodeDecodeError) as error:
-            reason = getattr(error, "strerror", None) or "it is no text"
-            raise InputError(f"{file}: cannot be read: {reason}") from error
+                lines = stream.read(_MAX_RANGES_BYTES).decode("utf-8-sig").splitlines()
+        except OSError as error:
+            raise InputError(f"{file}: cannot be read: {reason_of(error)}") from error
+        except UnicodeDecodeError as error:
+            raise UsageError(f"{file}: is no list of ranges, as it is no text") from error
         ranges += [text for line in lines if (text := line.partition("#")[0].strip())]
     return ranges
 
 
+def _demand_list(file: Path, run: MasterRun) -> None:
+    """Raise UsageError if `file`, to which ranges are to be added, holds anything else."""
+    ranges = ranges_of([file])
+    try:
+        run.spans_of(ranges)
+    except UsageError as error:
+        raise UsageError(f"{file}: is no list of ranges: {error}") from error
+
+
 def _add_ranges(file: Path, learned: Sequence[str]) -> None:
-    known: list[str] = []
-    with suppress(InputError):
-        known = ranges_of([file])
+    """Append those of the ranges `learned` that the file lacks; leave what it has as it is."""
+    is_list = file.is_file()
+    known = ranges_of([file]) if is_list else []
     fresh = [one for one in learned if one not in known]
-    _write(file, "".join(f"{one}\n" for one in [*known, *fresh]))
+    ends_within_line = is_list and file.read_bytes()[-1:] not in (b"", b"\n")
+    lines = "".join(f"{one}\n" for one in fresh)
+    with told_as_lost(str(file)), file.open("a", encoding="utf-8") as stream:
+        stream.write(f"\n{lines}" if lines and ends_within_line else lines)
     learned_now = counted(len(fresh), "range", ",")
     say(f"{learned_now} of registers learned; give --ignore-from {file} to leave them out")
 

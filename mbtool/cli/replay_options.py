@@ -320,7 +320,7 @@ class AsMasterOptions(OptionGroup):
         """Combine the options for --as-master with those for every side.
 
         `shared` has the latter: the fields of PlayOptions by name. `is_loop` is True if --loop is
-        given. Raises InputError if a file of register ranges cannot be read.
+        given. Raises InputError or UsageError if a file of register ranges cannot be read.
         """
         from mbtool.cli.replay_master import ranges_of
         from mbtool.replay import Tolerance

@@ -122,9 +122,14 @@ class MasterRun:
         self.script = Script.of(within(recorded.transactions, options.window))
         if not self.script.steps:
             raise InputError(f"{path}: no request to ask{where_none(options.window)}")
-        self._spans: list[Span] = [
-            parse_span(text, self._profiles.values()) for text in options.ignore
-        ]
+        self._spans = self.spans_of(options.ignore)
+
+    def spans_of(self, texts: Sequence[str]) -> list[Span]:
+        """Return ranges of registers, written as for the recording's devices.
+
+        Raises UsageError if a text is no range.
+        """
+        return [parse_span(text, self._profiles.values()) for text in texts]
 
     def play(
         self,

@@ -84,6 +84,47 @@ def test_what_differs_is_learned_and_left_out_the_next_time(
     assert mbtool(*play).code == exit_codes.NO
 
 
+def test_learned_ranges_are_added_behind_what_a_list_holds(
+    mbtool: CommandLine, capture: Path, wrong: str, tmp_path: Path
+) -> None:
+    ranges = tmp_path / "ranges.txt"
+    play = ("replay", capture, "--as-master", "--to", wrong, "--speed", "max", "--learn", ranges)
+    ranges.write_text("# by hand\nholding 9  # the clock")
+    assert mbtool(*play).code == exit_codes.DONE
+    assert ranges.read_text() == "# by hand\nholding 9  # the clock\nholding 1\n"
+    assert mbtool(*play).code == exit_codes.DONE
+    assert ranges.read_text() == "# by hand\nholding 9  # the clock\nholding 1\n"
+
+
+@pytest.mark.parametrize("content", [b"\xd4\xc3\xb2\xa1", b"my notes\n"])
+def test_ranges_are_added_to_nothing_but_a_list(
+    mbtool: CommandLine, capture: Path, tmp_path: Path, content: bytes
+) -> None:
+    scripted = Scripted(lambda *_: Response(WRONG))
+    other = tmp_path / "other"
+    other.write_bytes(content)
+    with open_shell(parse_link("tcp:127.0.0.1:0"), scripted) as shell:
+        told = mbtool("replay", capture, "--as-master", "--to", shell.place, "--learn", other)
+    assert (told.code, scripted.asked) == (exit_codes.USAGE, [])
+    assert f"{other}: is no list of ranges" in told.err
+    assert other.read_bytes() == content
+
+
+@pytest.mark.parametrize("option", ["--learn", "--report"])
+def test_an_input_is_not_overwritten(
+    mbtool: CommandLine, capture: Path, tmp_path: Path, option: str
+) -> None:
+    recording = capture.rename(tmp_path / "capture.json")
+    bytes_before = recording.read_bytes()
+    again = tmp_path / ".." / tmp_path.name / "capture.json"
+    told = mbtool("replay", recording, "--as-master", "--to", "tcp:127.0.0.1:1", option, again)
+    assert (told.code, told.err) == (
+        exit_codes.USAGE,
+        f"mbtool: {again}: is an input and would be overwritten; name another file\n",
+    )
+    assert recording.read_bytes() == bytes_before
+
+
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
