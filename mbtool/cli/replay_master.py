@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -13,9 +12,9 @@ from mbtool.cli.console import PipeConsole
 from mbtool.cli.keys import controlled
 from mbtool.cli.output import demand_other_file, told_as_lost
 from mbtool.cli.progress import with_progress
+from mbtool.cli.range_lists import add_ranges, demand_list
 from mbtool.cli.talk import say
-from mbtool.core import InputError, LinkError, UsageError
-from mbtool.core.errors import reason_of
+from mbtool.core import LinkError, UsageError
 from mbtool.core.wording import counted, milliseconds, plural
 from mbtool.replay.significance import MIN_VALUES
 from mbtool.sources.priority import run_promptly
@@ -23,14 +22,13 @@ from mbtool.views.differences import print_differences
 from mbtool.workflows.replay_master import MasterRun, junit
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from pathlib import Path
 
     from mbtool.cli.replay_options import AsMasterOptions
     from mbtool.core import LinkSpec
     from mbtool.workflows.replay_master import MasterOptions, Report
 
 SIDES = ("recorded", "answered")
-_MAX_RANGES_BYTES = 1 << 20
 
 
 def play_as_master(
@@ -52,7 +50,7 @@ def play_as_master(
             _demand_writable(written)
     run = MasterRun(file, options, say, with_progress)
     if learn is not None and learn.is_file():
-        _demand_list(learn, run)
+        demand_list(learn, run)
     say(_what_is_played(file, run, to, options))
     if options.rate is not None or options.tolerance is not None:
         run_promptly()
@@ -69,51 +67,11 @@ def play_as_master(
     if report.problem is not None:
         raise LinkError(report.problem)
     if learn is not None:
-        _add_ranges(learn, report.learned)
+        add_ranges(learn, report.learned)
     if was_stopped:
         raise typer.Exit(exit_codes.INTERRUPTED)
     if report.differences:
         raise typer.Exit(exit_codes.NO)
-
-
-def ranges_of(files: Sequence[Path]) -> list[str]:
-    """Return the register ranges in files: one in each line; # begins a comment.
-
-    Raises InputError if a file cannot be read, and UsageError if it is no text.
-    """
-    ranges = []
-    for file in files:
-        try:
-            with file.open("rb") as stream:
-                lines = stream.read(_MAX_RANGES_BYTES).decode("utf-8-sig").splitlines()
-        except OSError as error:
-            raise InputError(f"{file}: cannot be read: {reason_of(error)}") from error
-        except UnicodeDecodeError as error:
-            raise UsageError(f"{file}: is no list of ranges, as it is no text") from error
-        ranges += [text for line in lines if (text := line.partition("#")[0].strip())]
-    return ranges
-
-
-def _demand_list(file: Path, run: MasterRun) -> None:
-    """Raise UsageError if `file`, to which ranges are to be added, holds anything else."""
-    ranges = ranges_of([file])
-    try:
-        run.spans_of(ranges)
-    except UsageError as error:
-        raise UsageError(f"{file}: is no list of ranges: {error}") from error
-
-
-def _add_ranges(file: Path, learned: Sequence[str]) -> None:
-    """Append those of the ranges `learned` that the file lacks; leave what it has as it is."""
-    is_list = file.is_file()
-    known = ranges_of([file]) if is_list else []
-    fresh = [one for one in learned if one not in known]
-    ends_within_line = is_list and file.read_bytes()[-1:] not in (b"", b"\n")
-    lines = "".join(f"{one}\n" for one in fresh)
-    with told_as_lost(str(file)), file.open("a", encoding="utf-8") as stream:
-        stream.write(f"\n{lines}" if lines and ends_within_line else lines)
-    learned_now = counted(len(fresh), "range", ",")
-    say(f"{learned_now} of registers learned; give --ignore-from {file} to leave them out")
 
 
 def _demand_writable(file: Path) -> None:

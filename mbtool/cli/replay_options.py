@@ -322,7 +322,7 @@ class AsMasterOptions(OptionGroup):
         `shared` has the latter: the fields of PlayOptions by name. `is_loop` is True if --loop is
         given. Raises InputError or UsageError if a file of register ranges cannot be read.
         """
-        from mbtool.cli.replay_master import ranges_of
+        from mbtool.cli.range_lists import ranges_of
         from mbtool.replay import Tolerance
         from mbtool.workflows.replay_master import MasterOptions
 
