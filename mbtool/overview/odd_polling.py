@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
+from heapq import nlargest
 from typing import TYPE_CHECKING, Generic, TypeVar
 
 from mbtool.overview.poll_statistics import LONG_NS
@@ -33,6 +34,8 @@ PAUSE_TIMES = 10
 """The polling paused if a poll with a regular period did not come for PAUSE_NS (ns) or longer, and
 for this many of its periods."""
 ENOUGH_PERIODS = 20
+_TRIED = 50
+"""Only among so many of the most frequent polls of a master a regular one is looked for."""
 REQUESTS_PER_CONNECTION = 3
 """A link has a TCP connection for each poll if its connections carry at most so many requests in
 the mean, and are at least ENOUGH_CONNECTIONS."""
@@ -115,7 +118,7 @@ def _pause(polls: list[PollStatistics]) -> PollingPause | None:
     """Return the pauses of one master on one link; `polls` are its polls."""
     if all(poll.period.greatest < PAUSE_NS for poll in polls):
         return None
-    often = sorted(polls, key=lambda one: -one.period.count)
+    often = nlargest(_TRIED, polls, key=lambda one: one.period.count)
     poll = next((one for one in often if one.has_regular_period), None)
     if poll is None or poll.period.greatest < PAUSE_NS:
         return None

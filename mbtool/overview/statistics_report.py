@@ -103,12 +103,16 @@ def report(statistics: Statistics) -> list[LinkReport]:
     groups: dict[str, list[tuple[int, int, RequestTally]]] = {}
     for (name, unit, function), tally in statistics.groups.items():
         groups.setdefault(name, []).append((unit, function, tally))
+    units: dict[str, dict[int, UnitTimes]] = {}
+    for (name, unit), times in statistics.units.items():
+        units.setdefault(name, {})[unit] = times
     return [
         _link_report(
             statistics,
             name,
             sorted(polls.get(name, ()), key=lambda one: one.number),
             groups.get(name, []),
+            units.get(name, {}),
         )
         for name in statistics.links
     ]
@@ -160,6 +164,7 @@ def _link_report(
     name: str,
     polls: list[PollStatistics],
     groups: list[tuple[int, int, RequestTally]],
+    units: dict[int, UnitTimes],
 ) -> LinkReport:
     link = statistics.links[name]
     tapes = {master: tape for (of, master), tape in statistics.tapes.items() if of == name}
@@ -197,11 +202,7 @@ def _link_report(
             (master, one) for (of, master), one in statistics.connections.items() if of == name
         ],
         hours=link.hours.counts(),
-        units={
-            unit: times
-            for (of, unit), times in statistics.units.items()
-            if of == name and link.has_times
-        },
+        units=units if link.has_times else {},
     )
 
 

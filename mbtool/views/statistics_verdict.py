@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from mbtool.core.wording import counted, plural
 from mbtool.modbus import Outcome
 from mbtool.overview.failure_limits import are_damaged, never_answers
-from mbtool.overview.refusals import joint_refusals
+from mbtool.overview.refusals import always_refused, joint_refusals
 from mbtool.overview.request_tally import RequestTally, merged
 from mbtool.overview.slow_units import slow_units
 from mbtool.overview.statistics_report import odd_polling, unit_polls, unit_tallies, unit_times
@@ -178,7 +178,12 @@ def _exceptions(
     number = sum(total.exceptions.values())
     if not number:
         return []
+    polls = unit_polls(links)
     failing = units.failing(refused_share)
+    for unit, share in failing.shares.items():
+        if always_refused(polls.get(unit, ()), units.tallies[unit]):
+            # Since when tells nothing of requests that the unit would always have refused.
+            failing.shares[unit] = share._replace(since_ns=None, until_ns=None)
     by_count = sorted(total.exceptions.items(), key=lambda one: -one[1])
     codes = ", ".join(
         f"{count:,} x {exception_text(code, total.exception_names[code])}"
@@ -186,12 +191,12 @@ def _exceptions(
     )
     rest = len(by_count) - _MOST_UNITS
     more = f" and {counted(rest, 'more code')}" if rest > 0 else ""
-    text = f"! {counted(number, 'exception', ',')}: {failing.worst(units.name)}; {codes}{more}"
-    lines = [StyledLine(text, failing.style)]
-    joint = joint_refusals(failing.grave, units.tallies, unit_polls(links))
+    joint = joint_refusals(failing.grave, units.tallies, polls)
     if joint is not None:
-        lines.append(StyledLine(f"! {joint_refusals_text(joint)}", _BAD))
-    return lines
+        text = f"! {counted(number, 'exception', ',')}: {codes}{more}"
+        return [StyledLine(text, _BAD), StyledLine(f"! {joint_refusals_text(joint)}", _BAD)]
+    text = f"! {counted(number, 'exception', ',')}: {failing.worst(units.name)}; {codes}{more}"
+    return [StyledLine(text, failing.style)]
 
 
 def _malformed(units: _Units) -> list[StyledLine]:

@@ -55,10 +55,10 @@ def many_slow_text(slow: int, units: int, worst: str) -> str:
     return f"{slow} of {units} units are slow; {worst}"
 
 
-def joint_refusals_text(joint: JointRefusals, codes: str = "") -> str:
+def joint_refusals_text(joint: JointRefusals, codes: str = "", *, is_short: bool = False) -> str:
     """Return which units refuse how many requests, and if that looks like a scan.
 
-    `codes` has the exception codes as text.
+    `codes` has the exception codes as text. With `is_short`, the text does not say who scans.
     """
     some = f"all {joint.of}" if joint.units == joint.of else f"{joint.units} of {joint.of}"
     refused, asked = joint.tally.count(Outcome.EXCEPTION), joint.tally.requests
@@ -68,7 +68,7 @@ def joint_refusals_text(joint: JointRefusals, codes: str = "") -> str:
     text = f"{some} units refuse {share}{f', {codes}' if codes else ''}"
     if not joint.scanned:
         return text
-    by = f" by {joint.master}" if joint.master else ""
+    by = f" by {joint.master}" if joint.master and not is_short else ""
     return f"{text}: {joint.scanned:,} different ones, as in a scan{by}"
 
 

@@ -93,6 +93,8 @@ def trouble_line(judgement: BoardJudgement, width: int) -> TroubleLine:
     joined = ""
     if refusing is not None:
         joined = joint_refusals_text(refusing)
+        if len(joined) > width:
+            joined = joint_refusals_text(refusing, is_short=True)
         sick = [row for row in sick if row.fails_otherwise or row.usual_ns]
         width -= len(joined) + 2
     line = _line(sick, network, width, is_short=False)

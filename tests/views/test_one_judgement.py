@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import pytest
 
 from mbtool.core import EventKind, SerialFormat, WireEvent
-from mbtool.modbus import Outcome
+from mbtool.modbus import Outcome, Transport
 from mbtool.overview.statistics_report import report
 from mbtool.series.history import History, UnitRow
 from mbtool.views import statistics_verdict, trouble_words
@@ -197,7 +197,7 @@ def test_a_scan_is_told_by_all(monkeypatch: pytest.MonkeyPatch) -> None:
     ]
     told = told_of(scan, monkeypatch)
     text = "all 6 units refuse all their requests (60): 60 different ones, as in a scan"
-    assert f"! {text}" in told.lines
+    assert told.lines == ["! 60 exceptions: 60 x 02", f"! {text}"]
     assert told.watch_line == text
     assert told.sentence.endswith(": 60 different ones, as in a scan.")
 
@@ -231,3 +231,40 @@ def test_few_failures_are_a_small_thing_to_all(monkeypatch: pytest.MonkeyPatch) 
     assert not told.grave_of_report
     assert told.watch_line == ""
     assert told.styles[:1] == ["yellow"]
+
+
+def test_the_line_of_watch_leaves_out_who_scans_if_there_is_no_room() -> None:
+    scan = [
+        request(
+            at, at, link=f"10.0.0.{2 + at % 6}", source="10.0.0.1:50000", outcome=Outcome.EXCEPTION,
+            exception=2, transport=Transport.TCP,
+        )
+        for at in range(60)
+    ]  # fmt: skip
+    judgement = judge(board_of(scan))
+    text = "all 6 units refuse all their requests (60): 60 different ones, as in a scan"
+    assert trouble_line(judgement, 120).text == f"{text} by 10.0.0.1"
+    assert trouble_line(judgement, 78).text == text
+
+
+def test_polls_that_are_always_refused_are_not_told_since_when(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    well = [request(1000 * at, unit=1) for at in range(60)]
+    refused = [request(30_000 + 1000 * at, 90, **REFUSED) for at in range(30)]
+    told = told_of([*well, *refused], monkeypatch)
+    assert told.lines == ["! 30 exceptions: 30 of unit 1; 30 x 02"]
+    assert told.sentence.startswith("Unit 1 always refuses 03 ")
+    assert told.watch_line == "unit 1 always refuses 1 of 2 polls"
+
+
+def test_a_unit_that_is_silent_in_the_end_is_told_by_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    records = [request(1000 * at) for at in range(1000)]
+    records += [unanswered(1_000_000 + 1000 * at) for at in range(5)]
+    told = told_of(records, monkeypatch)
+    compare(told)
+    since = "since 00:16:40"
+    assert told.lines[0].startswith(f"! 5 answers missing: 5 of unit 1 {since}; ")
+    assert told.styles == ["red"]
+    assert told.sentence.startswith(f"Unit 1 leaves all its requests without an answer {since}")
+    assert told.watch_line == f"unit 1 no answer {since}"
