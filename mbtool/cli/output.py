@@ -371,7 +371,12 @@ def opened(
 
 
 def demand_new(path: str | None, *, overwrite: bool) -> None:
-    """Raise UsageError if a file `path` exists, unless `overwrite`. None is standard output."""
+    """Raise UsageError if a file `path` exists, unless `overwrite`, which goes only with a file.
+
+    None is standard output.
+    """
+    if path is None and overwrite:
+        raise UsageError("--overwrite replaces a file, and none is named to write to")
     if path is not None and not overwrite and os.path.isfile(path):
         raise UsageError(
             f"{path}: the file exists; name another, remove it, or replace it with --overwrite"

@@ -27,9 +27,11 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from mbtool.views.plot_lines import PlotSize
+    from mbtool.views.statistics_columns import StyledLine
     from mbtool.workflows.plot import PlottedValues
 
 _SUFFIXES = {".png": "png", ".svg": "svg", ".pdf": "pdf"}
+_CAPTURE_SUFFIXES = (".pcap", ".pcapng", ".mcap", ".sr", ".gz", ".zst")
 _PIPE_ROWS = 8
 
 
@@ -108,7 +110,10 @@ def plot(
     if not values.series and not as_json and run.reading.why_empty is None:
         say("no value was read or written")
     if values.left_out:
-        say(f"{values.left_out:,} more values are left out; name those that you want")
+        from mbtool.series.values import MAX_LEFT_OUT
+
+        least = "at least " if values.left_out >= MAX_LEFT_OUT else ""
+        say(f"{least}{values.left_out:,} more values are left out; name those that you want")
     if window.why_empty is not None:
         say(window.why_empty)
     if run.error is not None:
@@ -119,10 +124,19 @@ def _divided(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
     """Divide the arguments into files and references to plot.
 
     The first argument is always a file. The references begin with the first of the others that is
-    no existing file.
+    no existing file. Raises InputError if one of the others has the suffix of a capture and does
+    not exist, UsageError if it does exist.
     """
+    from mbtool.core import InputError, UsageError
+
     at = next((at for at, one in enumerate(arguments) if at and not os.path.exists(one)), None)
-    return list(arguments[:at]), [] if at is None else list(arguments[at:])
+    texts = [] if at is None else list(arguments[at:])
+    for one in texts:
+        if os.path.splitext(one)[1].lower() in _CAPTURE_SUFFIXES:
+            if not os.path.exists(one):
+                raise InputError(f"{one}: there is no such file")
+            raise UsageError(f"{one}: name all files first, then what to plot")
+    return list(arguments[:at]), texts
 
 
 def _picture(output: str) -> str:
@@ -170,27 +184,31 @@ def _print(
     from mbtool.cli.talk import say
     from mbtool.core.wording import counted
     from mbtool.sources.files import shown_name
-    from mbtool.views.plot_documents import values_json, values_table
+    from mbtool.views.plot_documents import values_json, values_lines
     from mbtool.views.plot_lines import plot_lines
 
     console = PipeConsole(file=sys.stdout)
     changing = {key: one for key, one in values.series.items() if one.changes}
     charts = sum(not one.bit for one in changing.values())
     size = _size(console, charts, len(values.series) + len(changing) - charts)
+    lines: Sequence[StyledLine] = ()
     with told_as_lost("standard output"):
         if as_json:
-            sys.stdout.write(values_json(values.series, [*map(shown_name, files)]))
+            sys.stdout.write(values_json(values.series, [*map(shown_name, files)], values.left_out))
         elif not values.series:
             pass
         elif texts:
             series = list(values.series.items())
-            for line in plot_lines(series, values.begin_ns, values.end_ns, size):
-                console.print(Text(line.text, line.style), soft_wrap=True)
-        else:
-            console.print(values_table(changing, unicode=size.unicode))
+            lines = plot_lines(series, values.begin_ns, values.end_ns, size)
+        elif changing:
+            width = console.width if console.is_terminal else None
+            lines = values_lines(changing, width, unicode=size.unicode)
+        for line in lines:
+            console.print(Text(line.text, line.style), soft_wrap=True)
         sys.stdout.flush()
     if not texts and not as_json and (constant := len(values.series) - len(changing)):
-        say(f"{counted(constant, 'value', ',')} never changed; --json has all")
+        never = "" if changing else "nothing to plot: "
+        say(f"{never}{counted(constant, 'value', ',')} never changed; --json has them")
 
 
 def _size(console: Console, charts: int, others: int) -> PlotSize:

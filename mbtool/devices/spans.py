@@ -88,6 +88,12 @@ def find_span(text: str, profiles: Iterable[Profile] = ()) -> Span | None:
     return None
 
 
+def names_table(text: str) -> bool:
+    """True if a text begins with a word for a table, such as `holding` or `hr`."""
+    word = text.strip().lower().partition(" ")[0]
+    return word in _NEUTRAL or word in _SHORT
+
+
 def _in_notation(text: str, profile: Profile) -> Span | None:
     begin, dots, end = text.strip().partition("..")
     try:

@@ -6,7 +6,7 @@
 #
 # Memory: MAX_SERIES points and registers (value_series.py); at most MAX_OF_POLL registers of one
 # poll; the last values of MAX_POLLS polls. `left_out` counts the points and registers beyond these
-# limits.
+# limits, up to MAX_LEFT_OUT.
 
 from __future__ import annotations
 
@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 MAX_SERIES = 256
 MAX_OF_POLL = 64
 MAX_POLLS = 2048
+MAX_LEFT_OUT = 65_536
+"""The names of so many points and registers take 13 MB."""
 _MASK_WRITE = 0x16
 
 
@@ -64,8 +66,10 @@ class Values:
 
     @property
     def left_out(self) -> int:
-        """Number of points and registers whose values are not collected, because of `most`."""
-        return len(self._left_out)
+        """Number of points and registers whose values are not collected, because of `most` or of
+        MAX_OF_POLL; MAX_LEFT_OUT stands for this number and more.
+        """
+        return len(self._left_out - self.series.keys())
 
     def add(self, one: NamedTransaction) -> None:
         function = FUNCTIONS.get(one.function)
@@ -150,13 +154,23 @@ class Values:
         addresses = range(first, first + min(count, MAX_OF_POLL))
         names = (write_reference(None, table, address) for address in addresses)
         keys = (SeriesKey(one.link, one.unit, name) for name in names)
+        self._leave_out(one, table, range(addresses.stop, first + count))
         return [self._series(key, is_bit=table.is_bits) for key in keys]
+
+    def _leave_out(
+        self, one: NamedTransaction | AnsweredReads, table: Table, addresses: Iterable[int]
+    ) -> None:
+        for address in addresses:
+            if len(self._left_out) >= MAX_LEFT_OUT:
+                return
+            name = write_reference(None, table, address)
+            self._left_out.add(SeriesKey(one.link, one.unit, name))
 
     def _series(self, key: SeriesKey, *, is_bit: bool = False) -> ValueSeries | None:
         series = self.series.get(key)
         if series is None:
             if len(self.series) >= self._most:
-                if len(self._left_out) < MAX_POLLS:
+                if len(self._left_out) < MAX_LEFT_OUT:
                     self._left_out.add(key)
                 return None
             series = self.series[key] = ValueSeries(key.name, bit=is_bit)

@@ -6,48 +6,81 @@ import json
 from typing import TYPE_CHECKING, Any
 
 from mbtool.views.plot_lines import number_text
-from mbtool.views.tables import plain, plain_table, printable_json
+from mbtool.views.statistics_columns import StatisticsColumn, StatisticsRow, table_lines
+from mbtool.views.tables import printable, printable_json
 from mbtool.views.watch_words import sparkline
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from rich.table import Table
-
     from mbtool.series.value_series import ValueSeries
     from mbtool.series.values import SeriesKey
+    from mbtool.views.statistics_columns import StyledLine
 
 _BARS = 16
+_RANKS = {"recent values": 4, "address": 3, "least": 2, "greatest": 2, "last": 1}
+"""The order in which columns are left out in a narrow terminal; the highest number goes first."""
 
 
-def values_table(series: Mapping[SeriesKey, ValueSeries], *, unicode: bool) -> Table:
+def values_lines(
+    series: Mapping[SeriesKey, ValueSeries], width: int | None, *, unicode: bool
+) -> list[StyledLine]:
     """Return a table with a row for each register, bit or point (named value).
 
-    Those that change most often come first. `unicode` adds a column that draws the last values as
-    bars.
+    Those that change most often come first. `width` is the terminal's in characters, None on a
+    pipe. `unicode` adds a column that draws the last values as bars. A column without any text is
+    left out.
     """
     several = len({key.link for key in series}) > 1
-    table = plain_table(
-        *(["link"] if several else []), "unit", "value", "address", "changes", "from", "to", "last",
-        *(["course"] if unicode else []),
-    )  # fmt: skip
-    for key, one in sorted(series.items(), key=lambda each: -each[1].changes):
-        numbers = [sample.value for sample in one.samples]
-        ends = map(number_text, (min(numbers), max(numbers))) if numbers else ("", "")
-        last = one.last_text or (number_text(numbers[-1]) if numbers else "")
-        cells = [
-            *([key.link] if several else []), str(key.unit), one.name, one.reference,
-            f"{one.changes:,}", *ends, last,
-            *([sparkline(numbers[-_BARS:], _BARS)] if unicode else []),
-        ]  # fmt: skip
-        table.add_row(*map(plain, cells))
-    return table
+    order = sorted(series.items(), key=lambda each: -each[1].changes)
+    rows = [_cells(key, one) for key, one in order]
+    names = [
+        name
+        for name in rows[0]
+        if any(row[name] for row in rows)
+        and (several or name != "link")
+        and (unicode or name != "recent values")
+    ]
+    columns = [
+        StatisticsColumn(
+            name, 1 + max(len(name), *(len(row[name]) for row in rows)), _RANKS.get(name, 0)
+        )
+        for name in names
+    ]
+    return table_lines(
+        "value",
+        columns,
+        [
+            StatisticsRow(one.name, [row[name] for name in names])
+            for (_, one), row in zip(order, rows, strict=True)
+        ],
+        width,
+    )
 
 
-def values_json(series: Mapping[SeriesKey, ValueSeries], sources: Sequence[str]) -> str:
+def _cells(key: SeriesKey, one: ValueSeries) -> dict[str, str]:
+    """Return the cells of a row, by their headings."""
+    numbers = [sample.value for sample in one.samples]
+    least, greatest = map(number_text, (min(numbers), max(numbers))) if numbers else ("", "")
+    return {
+        "link": printable(key.link),
+        "unit": str(key.unit),
+        "address": printable(one.reference),
+        "changes": f"{one.changes:,}",
+        "least": least,
+        "greatest": greatest,
+        "last": printable(one.last_text or (number_text(numbers[-1]) if numbers else "")),
+        "recent values": sparkline(numbers[-_BARS:], _BARS),
+    }
+
+
+def values_json(
+    series: Mapping[SeriesKey, ValueSeries], sources: Sequence[str], left_out: int
+) -> str:
     """Return each register, bit or point (named value) with its changes as JSON.
 
-    `sources` are the paths of the files. Times are in ns since 1970.
+    `sources` are the paths of the files, `left_out` is the number of values that were not
+    collected, because there were too many. Times are in ns since 1970.
     """
     rows: list[dict[str, Any]] = [
         {
@@ -64,5 +97,5 @@ def values_json(series: Mapping[SeriesKey, ValueSeries], sources: Sequence[str])
         }
         for key, one in series.items()
     ]
-    text = json.dumps({"schema": 1, "sources": [*sources], "values": rows}, ensure_ascii=False)
-    return f"{printable_json(text)}\n"
+    document = {"schema": 1, "sources": [*sources], "left_out": left_out, "values": rows}
+    return f"{printable_json(json.dumps(document, ensure_ascii=False))}\n"

@@ -14,6 +14,11 @@ if TYPE_CHECKING:
     from mbtool.series.value_series import ValueSeries
     from mbtool.series.values import SeriesKey
 
+_TIMES = ["%Y", "%b", "%d", "%H:%M", "%H:%M", "%H:%M:%S.%f"]
+_BEGINS = ["", "%Y", "%b", "%b %d", "%H:%M", "%H:%M:%S"]
+_DAYS = ["", "%Y", "%Y-%m", "%Y-%m-%d", "%Y-%m-%d", "%Y-%m-%d"]
+"""The labels at the time axis, those where a year, month, day, hour or minute begins, and the date
+at its end; each for ticks at years, months, days, hours, minutes and seconds."""
 _WIDTH_INCHES, _CHART_INCHES, _EDGE_INCHES = 10.0, 1.8, 0.9
 
 
@@ -32,6 +37,7 @@ def write_image(
     import matplotlib.dates
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
+    from matplotlib.ticker import MaxNLocator
 
     several = len({key.link for key, _ in series}) > 1
     figure = Figure(
@@ -51,6 +57,10 @@ def write_image(
             chart.set_ylim(-0.1, 1.1)
         else:
             chart.ticklabel_format(axis="y", useOffset=False)
+            if len({*values}) == 1:
+                chart.set_yticks(values[:1])
+            elif all(value == int(value) for value in values):
+                chart.yaxis.set_major_locator(MaxNLocator("auto", integer=True))
         title = series_title(key, one, with_link=several)
         chart.set_title(title, loc="left", fontsize=10, parse_math=False)
         if one.unit:
@@ -60,7 +70,11 @@ def write_image(
     dates: Any = matplotlib.dates  # matplotlib.dates has no types.
     locator = dates.AutoDateLocator(tz=UTC)
     charts[-1].xaxis.set_major_locator(locator)
-    charts[-1].xaxis.set_major_formatter(dates.ConciseDateFormatter(locator, tz=UTC))
+    charts[-1].xaxis.set_major_formatter(
+        dates.ConciseDateFormatter(
+            locator, tz=UTC, formats=_TIMES, zero_formats=_BEGINS, offset_formats=_DAYS
+        )
+    )
     charts[-1].set_xlabel("UTC")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # A character that the font lacks becomes a box.

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.core import InputError, UsageError, WireEvent
+from mbtool.devices.spans import names_table
 from mbtool.series.chosen_values import ChosenValues, NamedAddresses
 from mbtool.series.values import SeriesKey, Values
 from mbtool.workflows.shared.questions import Wording
@@ -78,12 +79,25 @@ class PlotRun:
             self.error = error
         missing = [text for text in self._texts if text not in chosen.found]
         if missing and begin_ns:
-            raise UsageError(
-                f"{missing[0]!r}: no value of that name or address; without a REFERENCE, "
-                "mbtool plot lists what there is"
-            )
+            raise UsageError(_why_missing(missing[0], self._texts))
         left_out = values.left_out if isinstance(values, Values) else len(values.left_out)
         return PlottedValues(values.series, begin_ns, end_ns, left_out)
+
+
+def _why_missing(text: str, texts: Sequence[str]) -> str:
+    """Return the message about `text`, one of the user's `texts`, that names no value."""
+    behind = [*texts[texts.index(text) + 1 :], ""][0]
+    if _named(text, None) is None and _named(f"{text} {behind}", None) is not None:
+        return f"{text!r} names no value; put its address into the same quotes: '{text} {behind}'"
+    if names_table(text):
+        try:
+            Wording(None).addresses(text)
+        except UsageError as error:
+            return str(error)
+    return (
+        f"{text!r}: no value of that name or address; without a REFERENCE, mbtool plot lists what "
+        "there is"
+    )
 
 
 def _named(text: str, profile: Profile | None) -> NamedAddresses | None:

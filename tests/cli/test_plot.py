@@ -1,11 +1,13 @@
 from __future__ import annotations
 
 import json
+from functools import partialmethod
 from typing import TYPE_CHECKING
 
 import pytest
 
 from mbtool.cli import exit_codes
+from mbtool.series.values import Values
 from tests.cli.test_stats import LINE
 
 if TYPE_CHECKING:
@@ -17,8 +19,8 @@ if TYPE_CHECKING:
 def test_without_a_reference_what_there_is_is_listed(mbtool: CommandLine) -> None:
     told = mbtool("plot", LINE)
     assert told.code == exit_codes.DONE
-    assert told.lines[0].split()[:4] == ["unit", "value", "address", "changes"]
-    assert told.err.endswith("never changed; --json has all\n")
+    assert told.lines[0].split()[:4] == ["value", "unit", "changes", "least"]
+    assert told.err.endswith("never changed; --json has them\n")
 
 
 def test_a_value_is_drawn_and_given_as_json(mbtool: CommandLine) -> None:
@@ -33,6 +35,12 @@ def test_a_value_is_drawn_and_given_as_json(mbtool: CommandLine) -> None:
     ("arguments", "said"),
     [
         (["nonsense"], "'nonsense': no value of that name or address"),
+        (["holding", "0"], "put its address into the same quotes: 'holding 0'"),
+        (["holding 5..1"], "a range runs from the lower to the higher"),
+        (["holding -1"], "'holding -1' is no range of registers"),
+        (["holding 999"], "'holding 999': no value of that name or address"),
+        (["HR400001", LINE], "name all files first, then what to plot"),
+        (["--overwrite"], "--overwrite replaces a file, and none is named"),
         (["-o", "x.png"], "name what to plot behind the files"),
         (["HR400001", "-o", "x.bmp"], "x.bmp: a picture ends in .png, .svg, .pdf"),
         (["HR400001", "-o", "x.png", "--json"], "--output writes a picture"),
@@ -48,8 +56,10 @@ def test_what_cannot_be_plotted_is_one_line(
 
 
 def test_a_missing_file_is_said(mbtool: CommandLine, tmp_path: Path) -> None:
-    told = mbtool("plot", tmp_path / "absent.mcap", "HR400001")
-    assert told.code == exit_codes.UNREADABLE
+    for arguments in (["absent.mcap", "HR400001"], [LINE, "HR400001", "absent.mcap"]):
+        told = mbtool("plot", *arguments)
+        assert told.code == exit_codes.UNREADABLE
+        assert told.err == "mbtool: absent.mcap: there is no such file\n"
 
 
 @pytest.mark.parametrize("suffix", ["png", "svg"])
@@ -68,3 +78,19 @@ def test_a_capture_without_values_says_so(mbtool: CommandLine) -> None:
     told = mbtool("plot", LINE, "--where", "unit == 9")
     assert (told.code, told.out) == (exit_codes.DONE, "")
     assert told.err == "no value was read or written\n"
+
+
+def test_a_list_without_any_change_is_one_line(mbtool: CommandLine) -> None:
+    told = mbtool("plot", LINE, "--end", "0.1")
+    assert told.out == ""
+    assert told.err.startswith("nothing to plot: ")
+    assert told.err.endswith(" never changed; --json has them\n")
+
+
+def test_what_is_left_out_is_counted_also_in_json(
+    mbtool: CommandLine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Values, "__init__", partialmethod(Values.__init__, most=3))
+    told = mbtool("plot", LINE)
+    assert json.loads(mbtool("plot", LINE, "--json").out)["left_out"] == 22
+    assert told.err.endswith("22 more values are left out; name those that you want\n")

@@ -71,4 +71,19 @@ def test_memory_is_bounded_and_what_is_left_out_is_counted() -> None:
     values = Values(most=3)
     values.add(seen(1, 3, list(range(100))))
     assert len(values.series) == 3
-    assert values.left_out == MAX_OF_POLL - 3
+    assert values.left_out == 97
+
+
+def test_what_another_poll_collects_is_not_left_out() -> None:
+    values = Values()
+    values.add(seen(1, 3, list(range(100))))
+    assert values.left_out == 100 - MAX_OF_POLL
+    values.add(seen(2, 3, [7, 8], address=10 + MAX_OF_POLL))
+    assert values.left_out == 100 - MAX_OF_POLL - 2
+
+
+def test_thousands_of_values_that_are_left_out_are_counted() -> None:
+    values = Values(most=3)
+    for address in range(5000):
+        values.add(seen(1, 3, [7], address=address))
+    assert values.left_out == 4997
