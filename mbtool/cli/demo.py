@@ -42,7 +42,8 @@ def demo(
     with TemporaryDirectory(prefix="mbtool-demo-") as folder, _log_told(write):
         run = Demo(write or str(Path(folder) / "demo.mcap"), overwrite=overwrite)
         say("1. An FT1A Touch (RTU, 19200 baud) and an FA3-AT1M8X (Modbus/TCP) answer two masters;")
-        say("   mbtool hears both and logs them:\n")
+        say("   mbtool hears both and logs them:")
+        say("")
         with open_output(
             None,
             Format.TABLE,
@@ -52,7 +53,9 @@ def demo(
         ) as out:
             for record in run.record():
                 out.add(record)
-        say("\n2. The log plays both devices on loopback; the same requests are asked again:\n")
+        say("")
+        say("2. The log plays both devices on loopback; the same requests are asked again:")
+        say("")
         agreement = run.replay()
         for unit, request, answer in agreement.differences:
             typer.echo(
@@ -61,7 +64,8 @@ def demo(
         agreed = agreement.asked - len(agreement.differences)
         typer.echo(f"{agreed} of {agreement.asked} answers agree with the devices' own.")
         if write is not None:
-            say(f"\nThe log is {write}: try mbtool decode {write}")
+            say("")
+            say(f"The log is {write}: try mbtool decode {write}")
     if agreement.differences or not agreement.asked:
         raise typer.Exit(exit_codes.NO)
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from mbtool.cli.option_groups import takes_groups
 from mbtool.cli.options import DeviceOption, RawOption, SourceOptions, WhereOption
+
+if TYPE_CHECKING:
+    from mbtool.workflows.diff import Comparison
 
 
 @takes_groups
@@ -69,9 +72,22 @@ def diff(
             print_differences(PipeConsole(), compared.differences)
     if not compared.is_whole:
         say("mbtool: there is more than can be compared at once; choose a part with --where")
-    say(
-        f"{count_text(compared.differences)} between {compared.a_transactions:,} transactions of "
-        f"{a} and {compared.b_transactions:,} of {b}"
-    )
+    say(f"{count_text(compared.differences)} {_compared_text(compared)}")
     if compared.differences:
         raise typer.Exit(exit_codes.NO)
+    if not compared.is_whole:
+        raise typer.Exit(exit_codes.UNREADABLE)
+
+
+def _compared_text(compared: Comparison) -> str:
+    """Say what was compared: `between 120 transactions of a.mcap and 123 of b.mcap`."""
+    if compared.is_whole:
+        return (
+            f"between {compared.a_transactions:,} transactions of {compared.a} "
+            f"and {compared.b_transactions:,} of {compared.b}"
+        )
+    return (
+        "in the part that was compared: "
+        f"{compared.a_compared:,} of {compared.a_transactions:,} transactions of {compared.a} "
+        f"and {compared.b_compared:,} of {compared.b_transactions:,} of {compared.b}"
+    )

@@ -144,8 +144,8 @@ def examples_of(command_path: str) -> HelpExamples | None:
     return EXAMPLES.get(command_path.partition("mbtool")[2].strip() or command_path)
 
 
-def first_steps() -> str:
-    """Return the text that `mbtool` prints without a command."""
+def first_steps() -> list[str]:
+    """Return the lines that `mbtool` prints without a command."""
     lines = ["Capture, decode and replay Modbus. The commands used most:", ""]
     for wish, line in MOST_USED:
         lines += [f"  {wish}", f"    {line}"]
@@ -155,4 +155,4 @@ def first_steps() -> str:
         "mbtool --help lists all commands, mbtool COMMAND --help tells of one, and",
         "mbtool doctor says what this machine lacks.",
     ]
-    return "\n".join(lines)
+    return lines

@@ -77,7 +77,8 @@ def _root(
     ] = False,
 ) -> None:
     if context.invoked_subcommand is None:
-        say(first_steps())
+        for line in first_steps():
+            say(line)
         raise typer.Exit(exit_codes.USAGE)
 
 

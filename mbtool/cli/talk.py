@@ -51,9 +51,9 @@ def _has_room(timeout_s: float) -> bool:
 
 
 def say(text: str, *, is_error: bool = False) -> None:
-    """Print a message to standard error; in systemd's journal, with its level.
+    """Print a message of one line to standard error; in systemd's journal, with its level.
 
-    Characters that a terminal would obey, such as those in a file's name, are escaped. Nothing
+    Line ends and characters that a terminal would obey, as in a file's name, are escaped. Nothing
     happens if standard error is closed.
     """
     for wipe in _wipes:
@@ -89,8 +89,7 @@ def escaped(text: str) -> str:
     if text.isprintable():
         return text
     return "".join(
-        one if one.isprintable() or one == "\n" else one.encode("unicode_escape").decode()
-        for one in text
+        one if one.isprintable() else one.encode("unicode_escape").decode() for one in text
     )
 
 

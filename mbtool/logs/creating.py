@@ -10,6 +10,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import stat
 import sys
@@ -61,8 +62,13 @@ def check_path(path: Path, *, replace: bool = False) -> None:
     try:
         mode = path.stat().st_mode
     except FileNotFoundError as error:
-        if not Path(os.path.realpath(path)).parent.is_dir():
+        folder = Path(os.path.realpath(path)).parent
+        if not folder.is_dir():
             raise _uncreated(path, error) from error
+        if not os.access(folder, os.W_OK):
+            raise _uncreated(
+                path, PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+            ) from None
         return
     except (OSError, ValueError) as error:
         raise _uncreated(path, error) from error

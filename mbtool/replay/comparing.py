@@ -79,7 +79,8 @@ def differences(
     ):
         one, other = slaves_a.get(key), slaves_b.get(key)
         if one is None or other is None:
-            found.append(_only_slave(key, one, other))
+            if (a if one is None else b).has_all_slaves:  # Else it may have been left out.
+                found.append(_only_slave(key, one, other))
             continue
         wording = DeviceWording.of_device(one.device or other.device, profiles)
         comparison = _SlaveComparison(key, one, other, wording, ignored, ALPHA / max(tests, 1))
@@ -172,6 +173,8 @@ class _SlaveComparison:
     def _requests(self) -> Iterator[Difference]:
         for request in sorted(self._a.requests.keys() ^ self._b.requests.keys()):
             one, other = self._a.requests.get(request), self._b.requests.get(request)
+            if not (self._a if one is None else self._b).has_all_requests:
+                continue  # It may have been left out.
             yield self._difference(
                 request,
                 Kind.REQUEST,

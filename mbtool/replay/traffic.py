@@ -15,9 +15,11 @@
 #
 #     MAX_VALUES       values of a register; after that, only the least and greatest are updated
 #     MAX_LATENCIES    latencies of a request; if there are more, an evenly spaced choice
-#     MAX_REQUESTS     requests of a slave; with more, `is_complete` is False
-#     MAX_REGISTERS    registers of a slave; with more, `is_complete` is False
-#     MAX_SLAVES       slaves; with more, `is_complete` is False
+#     MAX_REQUESTS     requests of a slave
+#     MAX_REGISTERS    registers of a slave
+#     MAX_SLAVES       slaves
+#
+# What exceeds one of the last three is left out, and `compared` is less than `count`.
 
 from __future__ import annotations
 
@@ -37,7 +39,8 @@ MAX_VALUES = 256
 MAX_LATENCIES = 1 << 15
 MAX_REQUESTS = 1 << 16
 MAX_REGISTERS = 1 << 18
-MAX_SLAVES = 1 << 12
+MAX_SLAVES = 1 << 16
+"""A slave that is asked for two registers takes 2 KB: the most slaves together 125 MB."""
 
 NO_ANSWER = "no answer"
 
@@ -156,8 +159,10 @@ class SlaveTraffic:
         """The name of the device's profile; None if it has none."""
         self.requests: dict[RequestKey, RequestTraffic] = {}
         self.registers: dict[ValueKey, ObservedValues] = {}
-        self.is_complete = True
-        """False if requests or registers were left out because there were too many."""
+        self.left_out = 0
+        """The number of transactions whose request, or some of whose registers, were left out
+        because there were too many."""
+        self.has_all_requests = True
 
     def add(self, transaction: NamedTransaction) -> None:
         self.count += 1
@@ -168,47 +173,54 @@ class SlaveTraffic:
             request.outcomes[_outcome(transaction)] += 1
             if transaction.latency_ns is not None:
                 request.latencies.add(transaction.latency_ns)
-        self._add_values(transaction)
+        has_all_values = self._add_values(transaction)
+        self.left_out += request is None or not has_all_values
 
     def _request(self, transaction: NamedTransaction) -> RequestTraffic | None:
         key = _request_key(transaction)
         request = self.requests.get(key)
         if request is None:
             if len(self.requests) >= MAX_REQUESTS:
-                self.is_complete = False
+                self.has_all_requests = False
                 return None
             request = RequestTraffic(transaction.function_name, transaction.reference or "")
             self.requests[key] = request
         return request
 
-    def _add_values(self, transaction: NamedTransaction) -> None:
+    def _add_values(self, transaction: NamedTransaction) -> bool:
+        """Note the values of a transaction; return False if some were left out."""
         known = FUNCTIONS.get(transaction.function)
         if known is None or known.table is None or not transaction.took_effect:
-            return
+            return True
+        has_all = True
         table, address = known.table, transaction.address
         if known.writes and transaction.function != _MASK_WRITE:
             where = address if transaction.write_address is None else transaction.write_address
-            self._observe(table, where, transaction.request_values, is_written=True)
+            has_all = self._observe(table, where, transaction.request_values, is_written=True)
         if transaction.outcome is Outcome.OK and (
             not known.writes or transaction.write_address is not None
         ):
             values = (transaction.response_values or [])[: transaction.quantity]
-            self._observe(table, address, values, is_written=False)
+            has_all = self._observe(table, address, values, is_written=False) and has_all
+        return has_all
 
     def _observe(
         self, table: Table, address: int | None, values: Sequence[int] | None, *, is_written: bool
-    ) -> None:
+    ) -> bool:
+        """Note the values of neighbouring registers; return False if some were left out."""
         if address is None or not values:
-            return
+            return True
+        has_all = True
         for at, value in enumerate(values, start=address):
             key = ValueKey(table, at, is_written)
             observed = self.registers.get(key)
             if observed is None:
                 if len(self.registers) >= MAX_REGISTERS:
-                    self.is_complete = False
-                    return
+                    has_all = False
+                    continue
                 observed = self.registers[key] = ObservedValues()
             observed.add(value)
+        return has_all
 
 
 class Traffic:
@@ -216,7 +228,8 @@ class Traffic:
 
     def __init__(self) -> None:
         self.count = 0
-        self._has_all_slaves = True
+        self._without_slave = 0
+        """The number of transactions of slaves that were left out because there were too many."""
         self._slaves: dict[tuple[str, int], SlaveTraffic] = {}
 
     @classmethod
@@ -232,15 +245,20 @@ class Traffic:
         slave = self._slaves.get(key)
         if slave is None:
             if len(self._slaves) >= MAX_SLAVES:
-                self._has_all_slaves = False
+                self._without_slave += 1
                 return
             slave = self._slaves[key] = SlaveTraffic()
         slave.add(transaction)
 
     @property
-    def is_complete(self) -> bool:
-        """False if slaves, requests or registers were left out because there were too many."""
-        return self._has_all_slaves and all(slave.is_complete for slave in self._slaves.values())
+    def has_all_slaves(self) -> bool:
+        return not self._without_slave
+
+    @property
+    def compared(self) -> int:
+        """The number of transactions of which nothing was left out because there was too much."""
+        left_out = sum(slave.left_out for slave in self._slaves.values())
+        return self.count - self._without_slave - left_out
 
     def slaves(self, unique: frozenset[int]) -> dict[SlaveKey, SlaveTraffic]:
         """Return the traffic of each slave of the capture.

@@ -41,9 +41,13 @@ class Comparison(msgspec.Struct, frozen=True, kw_only=True):
     b: str
     a_transactions: int
     b_transactions: int
+    a_compared: int
+    """The number of transactions of `a` that were compared in every respect. It is less than
+    `a_transactions` if there are more slaves, or requests or registers of a slave, than the memory
+    limits of replay/traffic.py allow."""
+    b_compared: int
     is_whole: bool
-    """False if not everything was compared, because a capture has more slaves, or a slave more
-    requests or registers, than the memory limits of replay/traffic.py allow."""
+    """True if all transactions were compared in every respect."""
     differences: list[Difference]
 
 
@@ -75,7 +79,9 @@ def compare(
         b=b,
         a_transactions=traffic[0].count,
         b_transactions=traffic[1].count,
-        is_whole=all(each.is_complete for each in traffic),
+        a_compared=traffic[0].compared,
+        b_compared=traffic[1].compared,
+        is_whole=all(each.compared == each.count for each in traffic),
         differences=differences(traffic[0], traffic[1], profiles, ignored),
     )
 

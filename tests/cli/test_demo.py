@@ -9,6 +9,8 @@ from mbtool.cli import exit_codes
 if TYPE_CHECKING:
     from pathlib import Path
 
+    import pytest
+
     from tests.cli.program import CommandLine
 
 
@@ -40,3 +42,13 @@ def test_a_log_that_is_there_is_told_before_anything_begins(
         "remove it, or replace it with --overwrite\n"
     )
     assert path.read_text() == "older"
+
+
+def test_a_log_that_cannot_be_created_is_told_before_anything_begins(
+    mbtool: CommandLine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("os.access", lambda *_: False)  # The superuser may write anywhere.
+    path = tmp_path / "first.mcap"
+    told = mbtool("demo", "-w", path)
+    assert (told.code, told.out) == (exit_codes.USAGE, "")
+    assert told.err == f"mbtool: {path}: cannot be created: Permission denied\n"

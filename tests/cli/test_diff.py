@@ -8,15 +8,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mbtool.cli import exit_codes
+from mbtool.replay import traffic
 from tests.workflows.evidence import polling_log
 
 if TYPE_CHECKING:
+    import pytest
+
     from tests.cli.program import CommandLine
 
 CAPTURES = Path(__file__).resolve().parents[2] / "captures"
 SETUP = CAPTURES / "fa3-at1m8x-setup.mcap"
 LINE = CAPTURES / "ft1a-touch-line.mcap"
 GLUED = CAPTURES / "torn-and-glued-frames.mcap"
+PLANT = CAPTURES / "plant.pcap"
 RETRY = CAPTURES / "retry-after-silence.mcap"
 
 
@@ -69,6 +73,29 @@ def test_requests_whose_latencies_changed_by_other_factors_are_named_each(
         (["holding 0"], ["20", "22"]),
         (["holding 2"], ["20", "10"]),
     ]
+
+
+def test_what_could_not_be_compared_is_told_and_the_exit_code_is_3(
+    mbtool: CommandLine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(traffic, "MAX_SLAVES", 1)
+    told = mbtool("diff", PLANT, PLANT)
+    assert (told.code, told.out) == (exit_codes.UNREADABLE, "")
+    assert told.err.splitlines() == [
+        "mbtool: there is more than can be compared at once; choose a part with --where",
+        "0 differences in the part that was compared: "
+        f"22 of 63 transactions of {PLANT} and 22 of 63 of {PLANT}",
+    ]
+    document = json.loads(mbtool("diff", PLANT, PLANT, "--format", "json").out)
+    assert (document["is_whole"], document["a_compared"]) == (False, 22)
+
+
+def test_a_line_feed_in_the_name_of_a_file_is_escaped(mbtool: CommandLine, tmp_path: Path) -> None:
+    odd = tmp_path / "two\nlines.mcap"
+    odd.write_bytes(SETUP.read_bytes())
+    told = mbtool("diff", odd, odd)
+    assert told.err.count("two\\nlines.mcap") == 2
+    assert len(told.err.splitlines()) == 1
 
 
 def test_registers_can_be_left_out(mbtool: CommandLine) -> None:

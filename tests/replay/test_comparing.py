@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -16,6 +17,7 @@ from mbtool.devices import (
 )
 from mbtool.devices import DifferenceKind as Kind
 from mbtool.modbus import Table
+from mbtool.replay import traffic as room
 from mbtool.replay.comparing import Ignored, differences
 from mbtool.replay.traffic import Traffic
 from tests.replay.recorded import MS, answered, unanswered
@@ -241,3 +243,15 @@ def test_requests_of_a_function_without_references_are_named_by_their_address() 
     )
     (found,) = _compared(a, b)
     assert (found.reference, found.alike) == ("address 1", ["address 2"])
+
+
+@pytest.mark.parametrize("limit", ["MAX_SLAVES", "MAX_REQUESTS"])
+def test_what_was_left_out_of_one_capture_is_no_difference(
+    limit: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    unit = 2 if limit == "MAX_SLAVES" else 1
+    other = answered(20, "03 0001 0001", "03 02 0005", unit=unit)
+    one = _poll(10, "0001")
+    assert len(_compared([one, other], [one])) == 1
+    monkeypatch.setattr(room, limit, 1)
+    assert _compared([one, other], [other, one]) == []
