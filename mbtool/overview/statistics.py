@@ -81,6 +81,8 @@ class Statistics:
         self.function_names: dict[int, str] = {}
         self.connections: dict[tuple[str, str], ConnectionTally] = {}
         """The counts of TCP connections; the key is the link and the master's host."""
+        self.bad_checks: dict[str, int] = {}
+        """The number of frames with a wrong CRC or LRC of each link; of at most MAX_LINKS."""
         self.transactions = 0
         self._order = RequestOrder(self.links, on_retry)
         self._damaged = DamagedAnswers()
@@ -214,6 +216,10 @@ class Statistics:
 
     def _add_event(self, event: WireEvent) -> None:
         self._damaged.note(event)
+        if event.kind is EventKind.BAD_CHECK:
+            counts = self.bad_checks
+            if event.link in counts or len(counts) < MAX_LINKS:
+                counts[event.link] = counts.get(event.link, 0) + 1
         if event.kind in _CONNECTIONS:
             key = event.link, self._host(event.source)
             tally = self.connections.get(key)

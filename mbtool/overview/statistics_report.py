@@ -87,6 +87,8 @@ class LinkReport:
     connections: list[tuple[str, ConnectionTally]]
     """For each master, its host and the counts of its connections to the link's slave."""
     hours: list[HourCount]
+    stray_frames: int
+    """The number of frames with a wrong CRC or LRC that answer no request that is known."""
     units: dict[int, UnitTimes]
     """The times of the requests to each unit; empty if the capture has no times."""
 
@@ -202,6 +204,7 @@ def _link_report(
             (master, one) for (of, master), one in statistics.connections.items() if of == name
         ],
         hours=link.hours.counts(),
+        stray_frames=statistics.bad_checks.get(name, 0) - tally.damaged,
         units=units if link.has_times else {},
     )
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.core.wording import counted, plural
 from mbtool.modbus import Outcome
-from mbtool.overview.failure_limits import are_damaged, never_answers
+from mbtool.overview.failure_limits import are_damaged, is_grave, never_answers
 from mbtool.overview.refusals import always_refused, joint_refusals
 from mbtool.overview.request_tally import RequestTally, merged
 from mbtool.overview.slow_units import slow_units
@@ -24,6 +24,7 @@ from mbtool.views.trouble_words import (
     oddities_text,
     since_text,
     slow_text,
+    stray_frames_text,
     unit_name,
 )
 
@@ -57,6 +58,7 @@ def verdict(links: Sequence[LinkReport]) -> list[StyledLine]:
     lines += _missing(links, units, total)
     lines += _exceptions(links, units, total)
     lines += _malformed(units)
+    lines += _stray_frames(links)
     lines += _unasked(total)
     lines += _resets(links)
     lines += _slow(units)
@@ -206,6 +208,18 @@ def _malformed(units: _Units) -> list[StyledLine]:
         return []
     text = f"! {counted(number, 'answer', ',')} malformed: {failing.worst(units.name)}"
     return [StyledLine(text, failing.style)]
+
+
+def _stray_frames(links: Sequence[LinkReport]) -> list[StyledLine]:
+    worst = sorted(links, key=lambda link: -link.stray_frames)[:_MOST_UNITS]
+    return [
+        StyledLine(
+            f"! {stray_frames_text(link.name, link.stray_frames)}",
+            _BAD if is_grave(link.stray_frames, link.tally.transactions) else _DOUBT,
+        )
+        for link in worst
+        if link.stray_frames > 0
+    ]
 
 
 def _unasked(total: RequestTally) -> list[StyledLine]:

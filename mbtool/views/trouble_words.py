@@ -94,6 +94,11 @@ def exception_text(code: int, name: str) -> str:
     return name if name.startswith("exception") else f"{code:02X} {name}".rstrip()
 
 
+def stray_frames_text(link: str, number: int) -> str:
+    frames = counted(number, "frame", ",")
+    return f"{link} has {frames} with a wrong CRC that no unit can be blamed for"
+
+
 def oddity_text(
     one: Oddity[Unit], name_of: Callable[[Unit], str], *, is_short: bool = False
 ) -> str:

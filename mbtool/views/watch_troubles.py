@@ -14,6 +14,7 @@ from mbtool.views.trouble_words import (
     joint_refusals_text,
     moment_text,
     oddities_text,
+    stray_frames_text,
     unit_name,
 )
 
@@ -100,7 +101,9 @@ def trouble_line(judgement: BoardJudgement, width: int) -> TroubleLine:
     line = _line(sick, network, width, is_short=False)
     if _MORE in line:
         line = _line(sick, network, width, is_short=True)
-    text = "; ".join(filter(None, (line, joined)))
+    stray = judgement.stray_frames
+    parts = [line, joined, *(stray_frames_text(link, number) for link, number in stray.items())]
+    text = "; ".join(filter(None, parts))
     return TroubleLine(text or _odd_line(judgement, width), is_grave=bool(text))
 
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
+from mbtool.overview.failure_limits import is_grave
 from mbtool.overview.odd_polling import Oddity, late_units, pauses, short_connections
 from mbtool.overview.refusals import JointRefusals, joint_refusals
 from mbtool.watching.board_rows import WatchedSlaveRow, polls_of_slaves, slave_rows
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from mbtool.watching.board import Board
 
@@ -24,6 +25,9 @@ class BoardJudgement(NamedTuple):
     """All slaves, in trouble or not."""
     refusing: JointRefusals | None
     """The slaves that refuse requests, if they are many."""
+    stray_frames: Mapping[str, int]
+    """By link, the number of frames with a wrong CRC or LRC that answer no request that is known,
+    if they are more than a small thing."""
     odd: Sequence[Sequence[Oddity[Unit]]]
     """What is odd in the polling, by kind; empty if a slave fails, as that is worse."""
 
@@ -45,7 +49,17 @@ def judge(board: Board) -> BoardJudgement:
             if row.refused_share is not None and row.refused_share.is_grave
         ]
         refusing = joint_refusals(units, tallies, polls_of_slaves(board))
-    return BoardJudgement(slaves, refusing, () if failing else _odd(board))
+    return BoardJudgement(slaves, refusing, _stray_frames(board), () if failing else _odd(board))
+
+
+def _stray_frames(board: Board) -> dict[str, int]:
+    found = {}
+    for link, number in board.statistics.bad_checks.items():
+        tallies = [one.tally for one in board.slaves.values() if one.link == link]
+        stray = number - sum(one.damaged for one in tallies)
+        if is_grave(stray, sum(one.transactions for one in tallies)):
+            found[link] = stray
+    return found
 
 
 def _odd(board: Board) -> Sequence[Sequence[Oddity[Unit]]]:

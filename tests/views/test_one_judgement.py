@@ -268,3 +268,19 @@ def test_a_unit_that_is_silent_in_the_end_is_told_by_all(monkeypatch: pytest.Mon
     assert told.styles == ["red"]
     assert told.sentence.startswith(f"Unit 1 leaves all its requests without an answer {since}")
     assert told.watch_line == f"unit 1 no answer {since}"
+
+
+def test_damaged_frames_of_no_unit_are_told_by_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    records: list[Record] = []
+    for at in range(100):
+        records += [request(1000 * at), *([bad_check(1000 * at + 300)] if at % 10 == 0 else [])]
+    told = told_of(records, monkeypatch)
+    text = "line has 10 frames with a wrong CRC that no unit can be blamed for"
+    assert (told.lines, told.styles) == ([f"! {text}"], ["red"])
+    assert told.sentence.startswith(f"L{text[1:]}")
+    assert told.watch_line == text
+    told = told_of(records[:40], monkeypatch)
+    assert told.watch_line.startswith("line has 4 frames")
+    few = told_of([*records[11:22], *records[120:], *records[130:]], monkeypatch)
+    assert few.styles == ["yellow"]
+    assert few.watch_line == ""

@@ -27,11 +27,13 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from pathlib import Path
 
+Found = tuple["list[FileFinding]", list[str], tuple[int, dict[str, int]], str | None, type]
+"""Findings, remarks, numbers of transactions and of failed requests, the error, the reader."""
 MOST_BYTES = 300_000
 NEVER = 1 << 60
 
 
-def found_of_few(path: Path) -> tuple[list[FileFinding], list[str], int, str | None, type]:
+def found_of_few(path: Path) -> Found:
     """The same as `found` by arrays, with small blocks, and quiet rows together from two on."""
     with (
         patch.object(packet_block, "BLOCK_PACKETS", 150),
@@ -41,7 +43,7 @@ def found_of_few(path: Path) -> tuple[list[FileFinding], list[str], int, str | N
         return found(path, 0)
 
 
-def found(path: Path, at_least: int) -> tuple[list[FileFinding], list[str], int, str | None, type]:
+def found(path: Path, at_least: int) -> Found:
     """The findings of a capture; it is read as arrays if it has at least so many bytes."""
     with patch.object(check, "LARGE", at_least):
         run = CheckRun([str(path)], ReadingOptions())
@@ -51,7 +53,8 @@ def found(path: Path, at_least: int) -> tuple[list[FileFinding], list[str], int,
         findings.extend(run.findings())
     except InputError as broken:
         error = str(broken)
-    return findings, run.remarks, run.transactions, error, type(run.reading)
+    counts = run.transactions, run.failed.counts()
+    return findings, run.remarks, counts, error, type(run.reading)
 
 
 def demand_equal(path: Path) -> bool:

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 
 from mbtool.core.wording import counted
 from mbtool.devices.checking.rules import Severity, rule_of
-from mbtool.series.history import History, LinkSum
 from mbtool.views.place_columns import host_of
 from mbtool.views.report.troubles import Rank, VerdictTrouble, link_word, rank_of
+from mbtool.views.trouble_words import stray_frames_text
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -17,19 +17,16 @@ if TYPE_CHECKING:
     from mbtool.views.findings_table import Summaries
 
 
-def line_troubles(links: Sequence[LinkReport], history: History) -> list[VerdictTrouble]:
+def line_troubles(links: Sequence[LinkReport]) -> list[VerdictTrouble]:
     """Return troubles of lines: bad CRCs that fit no unit, and TCP connections reset or refused."""
     troubles = []
     for link in links:
-        frames = sum(history.bins.column(link.name, LinkSum.BAD_CHECK))
-        known = link.tally.damaged
-        if frames > known:
+        if link.stray_frames > 0:
             troubles.append(
                 VerdictTrouble(
-                    rank=rank_of(Rank.FAILING, frames - known, link.tally.transactions),
-                    text=f"{link.name} has {counted(frames - known, 'frame', ',')} with a wrong "
-                    "CRC that no unit can be blamed for",
-                    weight=frames - known,
+                    rank=rank_of(Rank.FAILING, link.stray_frames, link.tally.transactions),
+                    text=stray_frames_text(link.name, link.stray_frames),
+                    weight=link.stray_frames,
                     who=link.name,
                     search=link_word(link.name).strip(),
                 )

@@ -110,7 +110,7 @@ def report_verdict(
     times = unit_times(links)
     odd = odd_polling(links, tallies)
     troubles = [
-        *line_troubles(links, history),
+        *line_troubles(links),
         *finding_troubles(findings),
         *odd_troubles(odd, lambda unit: names[UnitRow(*unit)]),
     ]
