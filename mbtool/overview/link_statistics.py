@@ -86,7 +86,9 @@ class LinkStatistics:
         self.first_ns: int | None = None
         self.last_ns: int | None = None
         self._earlier_ns = 0
-        self._span: tuple[int, int] | None = None
+        self.span: tuple[int, int] | None = None
+        """The first request and the last response of the present capture (UTC ns); None without
+        times."""
         self._is_new = True
         """True until the first transaction of the current capture on this link is noted."""
 
@@ -108,10 +110,10 @@ class LinkStatistics:
             self._begin_span(one)
         if not self.has_times:
             return
-        if self._span is None:
-            self._span = begin_ns, end_ns
+        if self.span is None:
+            self.span = begin_ns, end_ns
         else:
-            self._span = min(self._span[0], begin_ns), max(self._span[1], end_ns)
+            self.span = min(self.span[0], begin_ns), max(self.span[1], end_ns)
 
     def _begin_span(self, one: NamedTransaction) -> None:
         is_serial = one.transport.is_serial
@@ -126,15 +128,15 @@ class LinkStatistics:
         count as watched.
         """
         self._is_new = True
-        if self._span is not None:
+        if self.span is not None:
             self.first_ns, self.last_ns = self.whole_span()
-            self._earlier_ns, self._span = self.watched_ns, None
+            self._earlier_ns, self.span = self.watched_ns, None
 
     def whole_span(self) -> tuple[int, int]:
         """The time of the earliest request and that of the latest response in all captures, in UTC
         ns.
         """
-        begin, end = self._span or (self.first_ns or 0, self.last_ns or 0)
+        begin, end = self.span or (self.first_ns or 0, self.last_ns or 0)
         begin = begin if self.first_ns is None else min(begin, self.first_ns)
         return begin, end if self.last_ns is None else max(end, self.last_ns)
 
@@ -143,7 +145,7 @@ class LinkStatistics:
         """The time (ns) during which the link was watched: from the first request to the last
         response of each capture, summed over all captures.
         """
-        begin, end = self._span or (0, 0)
+        begin, end = self.span or (0, 0)
         return self._earlier_ns + end - begin
 
     def wire_ns(self, count: int) -> int:

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from mbtool.overview.master_tape import MasterTape
 
 MAX_POLLS = 2048
-MAX_GROUPS = 4096
+MAX_GROUPS = 16_384
 MAX_LINKS = 1024
 MAX_PAIRS = 4096
 _MAX_HOSTS = 65_536
@@ -45,6 +45,9 @@ _NO_FRAME = frozenset((EventKind.SKIPPED, EventKind.BAD_CHECK, EventKind.FOREIGN
 
 Group = tuple[str, int, int]
 """The key of a group of transactions: link name, unit and function code."""
+OTHER_UNITS = -1
+"""The unit under which all pairs of unit and function of a link that are beyond MAX_GROUPS are
+counted together."""
 OTHER_LINKS = ""
 """The link name under which all links beyond MAX_LINKS are counted together."""
 
@@ -87,6 +90,19 @@ class Statistics:
         self._order = RequestOrder(self.links, on_retry)
         self._damaged = DamagedAnswers()
         self._hosts: dict[str, str] = {}
+        self._earlier_ns = 0
+        """The time during which the captures before the present one were watched, in ns."""
+
+    @property
+    def watched_ns(self) -> int:
+        """The time in ns from the first request to the last response of each capture, on whatever
+        link, summed over all captures.
+        """
+        spans = [link.span for link in self.links.values() if link.span is not None]
+        if not spans:
+            return self._earlier_ns
+        begin_ns, end_ns = min(begin for begin, _ in spans), max(end for _, end in spans)
+        return self._earlier_ns + end_ns - begin_ns
 
     @property
     def tapes(self) -> Mapping[tuple[str, str], MasterTape]:
@@ -135,6 +151,7 @@ class Statistics:
         watched.
         """
         self._order.begin_capture()
+        self._earlier_ns = self.watched_ns
         for link in self.links.values():
             link.end_span()
         for poll in self.polls.values():
@@ -268,8 +285,7 @@ class Statistics:
         tally = self.groups.get(key)
         if tally is None:
             if len(self.groups) >= MAX_GROUPS:
-                self.links.setdefault(OTHER_LINKS, LinkStatistics(self._format_of))
-                key = OTHER_LINKS, 0, 0
+                key = key[0], OTHER_UNITS, 0
             tally = self.groups.setdefault(key, RequestTally())
         return tally
 

@@ -20,6 +20,7 @@ from mbtool.overview.odd_polling import (
 from mbtool.overview.poll_cycle import PollLists
 from mbtool.overview.poll_statistics import PollStatistics
 from mbtool.overview.request_tally import RequestTally, merged
+from mbtool.overview.statistics import OTHER_LINKS, OTHER_UNITS
 from mbtool.overview.statistics_connections import ConnectionTally
 from mbtool.overview.unit_times import UnitTimes
 
@@ -34,6 +35,7 @@ class FunctionReport:
     """The counts of all requests to one unit with one function code."""
 
     unit: int
+    """The unit, or OTHER_UNITS for those that are counted together."""
     device: str | None
     function: int
     function_name: str
@@ -77,6 +79,8 @@ class LinkReport:
     begin_ns: int
     end_ns: int
     watched_ns: int
+    all_watched_ns: int
+    """The time during which the captures were watched, on this link or another one."""
     tally: RequestTally
     load: BusLoad | None
     functions: list[FunctionReport]
@@ -118,6 +122,16 @@ def report(statistics: Statistics) -> list[LinkReport]:
         )
         for name in statistics.links
     ]
+
+
+def is_counted_together(links: Sequence[LinkReport]) -> bool:
+    """True if there were more links, or pairs of unit and function, than the statistics tell apart,
+    so that figures of single units may be too small.
+    """
+    return any(
+        link.name == OTHER_LINKS or any(one.unit == OTHER_UNITS for one in link.functions)
+        for link in links
+    )
 
 
 def unit_tallies(links: Sequence[LinkReport]) -> dict[tuple[str, int], RequestTally]:
@@ -184,6 +198,7 @@ def _link_report(
         begin_ns=begin_ns,
         end_ns=end_ns,
         watched_ns=link.watched_ns,
+        all_watched_ns=statistics.watched_ns,
         tally=tally,
         load=load,
         functions=functions,

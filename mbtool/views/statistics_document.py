@@ -10,6 +10,8 @@ from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
 from mbtool.modbus import Outcome
+from mbtool.overview.statistics import OTHER_UNITS
+from mbtool.overview.statistics_report import is_counted_together
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -55,6 +57,8 @@ def statistics_document(
         "polls_seen": statistics.polls_seen,
         "polls_listed": len(statistics.polls),
         "out_of_order": statistics.late,
+        "watched_s": statistics.watched_ns / 1e9,
+        "is_counted_together": is_counted_together(links),
         "links": [_link(link) for link in links],
     }
     return json.dumps(document, indent=2, ensure_ascii=True) + "\n"
@@ -77,7 +81,7 @@ def _link(link: LinkReport) -> dict[str, Any]:
         "load": None if link.load is None else _load(link.load),
         "functions": [
             {
-                "unit": one.unit,
+                "unit": None if one.unit == OTHER_UNITS else one.unit,
                 "device": one.device,
                 "function": one.function,
                 "function_name": one.function_name,

@@ -13,6 +13,7 @@ from mbtool.core.wording import plural
 from mbtool.modbus import Outcome, short_name
 from mbtool.overview.distribution import Bucket
 from mbtool.overview.request_tally import RequestTally, merged
+from mbtool.overview.statistics import OTHER_UNITS
 from mbtool.views.cells import clock_time, day
 from mbtool.views.statistics_columns import (
     StatisticsColumn,
@@ -167,7 +168,7 @@ def _links(links: Sequence[LinkReport], width: int | None, top: int) -> list[Sty
     ordered = sorted(links, key=lambda one: (-one.tally.unanswered, -one.tally.transactions))
     rows = [
         StatisticsRow(
-            f"{one.transport} {one.name}{f' {one.settings}' if one.settings else ''}",
+            f"{one.transport} {one.name or 'other links'} {one.settings or ''}".rstrip(),
             _tally_cells(one.tally, one),
             _style(one.tally),
         )
@@ -195,6 +196,8 @@ def _functions(links: Sequence[LinkReport], width: int | None, top: int) -> list
 
 
 def _function_text(one: FunctionReport) -> str:
+    if one.unit == OTHER_UNITS:
+        return "other units"
     return f"{one.unit} {one.function:02X} {short_name(one.function, one.function_name)}"
 
 

@@ -10,12 +10,19 @@ from mbtool.overview.failure_limits import are_damaged, is_grave, never_answers
 from mbtool.overview.refusals import always_refused, joint_refusals
 from mbtool.overview.request_tally import RequestTally, merged
 from mbtool.overview.slow_units import slow_units
-from mbtool.overview.statistics_report import odd_polling, unit_polls, unit_tallies, unit_times
+from mbtool.overview.statistics_report import (
+    is_counted_together,
+    odd_polling,
+    unit_polls,
+    unit_tallies,
+    unit_times,
+)
 from mbtool.overview.unit_times import FailedShare, missing_share, refused_share
 from mbtool.views.statistics_columns import StyledLine
 from mbtool.views.statistics_words import duration, per_second, percent
 from mbtool.views.trouble_words import (
     JOINED,
+    TOGETHER_TEXT,
     Unit,
     exception_text,
     joined_oddities,
@@ -26,6 +33,7 @@ from mbtool.views.trouble_words import (
     slow_text,
     stray_frames_text,
     unit_name,
+    units_text,
 )
 
 if TYPE_CHECKING:
@@ -54,6 +62,8 @@ def verdict(links: Sequence[LinkReport]) -> list[StyledLine]:
     if not all(link.has_times for link in links):
         text = "! no times: the bytes of the file have none, so there are no rates and periods"
         lines.append(StyledLine(text, _DOUBT))
+    if is_counted_together(links):
+        lines.append(StyledLine(f"! {TOGETHER_TEXT}", _DOUBT))
     units = _Units(links)
     lines += _missing(links, units, total)
     lines += _exceptions(links, units, total)
@@ -120,15 +130,15 @@ def _malformed_share(tally: RequestTally, times: UnitTimes | None) -> FailedShar
 
 
 def _sum(links: Sequence[LinkReport], total: RequestTally) -> str:
-    watched_ns = max((link.watched_ns for link in links), default=0)
+    watched_ns = links[0].all_watched_ns
     units = {(link.name, one.unit): one.device for link in links for one in link.functions}
+    of = units_text(units)
     rate = per_second(total.requests * 1e9 / watched_ns if watched_ns else None)
     time = f" in {duration(watched_ns)} ({rate}/s)" if watched_ns else ""
-    where = f"{counted(len(links), 'link', ',')}, {counted(len(units), 'unit', ',')}"
+    where = f"{counted(len(links), 'link', ',')}, {of}"
     if len(links) == 1:
         one = links[0]
         settings = f" {one.settings}" if one.settings else ""
-        of = counted(len(units), "unit", ",")
         if len(units) == 1:
             ((_, unit), device) = next(iter(units.items()))
             of = f"unit {unit} {device or ''}".rstrip()

@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING
 from mbtool.core.wording import counted
 from mbtool.modbus import Outcome
 from mbtool.overview.odd_polling import LateUnit, Oddity, PollingPause, ShortConnections
+from mbtool.overview.statistics import MAX_GROUPS, MAX_LINKS, OTHER_UNITS
 from mbtool.views.cells import clock_time, day
 from mbtool.views.statistics_words import duration, in_ms
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Collection, Sequence
 
     from mbtool.overview.refusals import JointRefusals
     from mbtool.overview.request_tally import RequestTally
@@ -23,10 +24,26 @@ JOINED = 3
 """At least so many slow units, or oddities of one kind, are told as one."""
 
 
+TOGETHER_TEXT = (
+    f"there are more than {MAX_GROUPS:,} pairs of unit and function, or {MAX_LINKS:,} links: "
+    "others are counted together, and figures of single units may be too small"
+)
+
+
+def units_text(units: Collection[Unit]) -> str:
+    """Return the number of units as text: `40 units`, or `at least 40 units` where some are counted
+    together.
+    """
+    known = sum(number != OTHER_UNITS for _, number in units)
+    least = "at least " if known < len(units) else ""
+    return f"{least}{counted(known, 'unit', ',')}"
+
+
 def unit_name(unit: Unit, *, several: bool) -> str:
     """Return a unit as text: `unit 4`, with the link if there are `several` links."""
     link, number = unit
-    return f"unit {number} at {link}" if several else f"unit {number}"
+    name = "other units" if number == OTHER_UNITS else f"unit {number}"
+    return f"{name} at {link or 'other links'}" if several else name
 
 
 def since_text(share: FailedShare) -> str:

@@ -15,7 +15,7 @@ from mbtool.overview.identification import identify
 from mbtool.overview.inventory import Inventory
 from mbtool.overview.odd_polling import LATE_NS
 from mbtool.overview.statistics import Statistics
-from mbtool.overview.statistics_report import report
+from mbtool.overview.statistics_report import is_counted_together, report
 from mbtool.ports.clock import now_ns
 from mbtool.series.history import History, UnitRow
 from mbtool.series.values import Values
@@ -33,6 +33,7 @@ from mbtool.views.report.contents import (
 from mbtool.views.report.late_answers import OF_UNIT
 from mbtool.views.report.page import page
 from mbtool.views.report.transaction_rows import TransactionRows
+from mbtool.views.trouble_words import TOGETHER_TEXT
 from mbtool.workflows.check import CheckRun
 from mbtool.workflows.diff import DiffOptions, compare
 from mbtool.workflows.shared.read_all import unwatched
@@ -185,12 +186,13 @@ class ReportRun:
         profiles = {one.name: one for one in map(load_profile, builtin_profiles())}
         profiles |= {one.name: one for one in self.reading.assignments.profiles}
         names = [*map(shown_name, self._files)]
+        links = report(self.statistics)
         return ReportContents(
             version=__version__,
             made_ns=now_ns(),
             sources=names,
             statistics=self.statistics,
-            links=report(self.statistics),
+            links=links,
             inventory=self._inventory.document(
                 names, partial(identify, profiles=list(profiles.values())), maker, profiles
             ),
@@ -200,7 +202,11 @@ class ReportRun:
             values=self._values,
             rows=self._rows,
             origins=[self._origin(file) for file in names],
-            remarks=[*self.remarks, *([] if self.error is None else [str(self.error)])],
+            remarks=[
+                *self.remarks,
+                *([TOGETHER_TEXT] if is_counted_together(links) else []),
+                *([] if self.error is None else [str(self.error)]),
+            ],
             lacking=self._lacking,
             number_lacking=self._number_lacking,
             comparison=comparison,

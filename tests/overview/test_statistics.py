@@ -11,7 +11,7 @@ from mbtool.modbus import Outcome, Transport
 from mbtool.overview import request_order
 from mbtool.overview import statistics as module
 from mbtool.overview.statistics import Statistics
-from mbtool.overview.statistics_report import LinkReport, report
+from mbtool.overview.statistics_report import LinkReport, is_counted_together, report
 from tests.overview.masters import MS, START_NS, Master, Task
 from tests.overview.requests import LINE, request, requests_of, unanswered
 
@@ -226,13 +226,39 @@ def test_memory_is_bounded_however_many_polls_links_and_masters_there_are(
             )
         )  # fmt: skip
     assert len(statistics.polls) == 20
-    assert len(statistics.groups) <= 31
+    assert len(statistics.groups) <= 30 + len(statistics.links)
     assert len(statistics.links) <= 11
     assert len(statistics.tapes) == 5
     assert len(statistics.connections) == 7
     assert len(statistics._order._heap) <= 16
     total = sum(link.tally.transactions for link in report(statistics))
     assert total == statistics.transactions == 2000
+
+
+def test_what_cannot_be_told_apart_by_unit_still_counts_for_its_link(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(module, "MAX_POLLS", 2)
+    monkeypatch.setattr(module, "MAX_GROUPS", 4)
+    asked = [request(at, unit=at // 2 % 20, link=f"line {at % 2}") for at in range(400)]
+    links = report(counted(*asked))
+    assert {link.name: link.tally.requests for link in links} == {"line 0": 200, "line 1": 200}
+    assert [link.functions[0].unit for link in links] == [module.OTHER_UNITS] * 2
+    assert is_counted_together(links)
+    assert not is_counted_together(report(counted(*asked[:4])))
+
+
+def test_the_time_watched_is_from_the_first_to_the_last_link_of_each_capture() -> None:
+    statistics = Statistics(lambda _: LINE)
+    for at_ms, link in ((0, "a"), (1000, "a"), (5000, "b"), (9000, "b")):
+        statistics.add(request(at_ms, link=link))
+    latency_ns = statistics.watched_ns - 9000 * MS
+    assert 0 < latency_ns < 1000 * MS
+    statistics.begin_capture()
+    for at_ms, link in ((86_400_000, "a"), (86_401_000, "b")):
+        statistics.add(request(at_ms, link=link))
+    assert statistics.watched_ns == 10_000 * MS + 2 * latency_ns
+    assert {link.all_watched_ns for link in report(statistics)} == {statistics.watched_ns}
 
 
 def test_a_poll_that_is_given_up_still_counts_for_its_function(

@@ -8,6 +8,7 @@ import pytest
 from mbtool.core import CONNECTION_OPENED, EventKind, WireEvent
 from mbtool.modbus import Outcome, Transport
 from mbtool.overview import master_tape
+from mbtool.overview import statistics as limits
 from mbtool.overview.statistics import Statistics
 from mbtool.overview.statistics_report import LinkReport, report
 from mbtool.views.statistics_document import statistics_document
@@ -19,16 +20,32 @@ if TYPE_CHECKING:
     from mbtool.devices.named_transaction import NamedTransaction
 
 
-def counted(*records: NamedTransaction | WireEvent) -> list[LinkReport]:
-    statistics = Statistics(lambda _: LINE)
+def counting(*records: NamedTransaction | WireEvent) -> Statistics:
+    made = Statistics(lambda _: LINE)
     for one in records:
-        statistics.add(one)
-    statistics.settle()
-    return report(statistics)
+        made.add(one)
+    made.settle()
+    return made
+
+
+def counted(*records: NamedTransaction | WireEvent) -> list[LinkReport]:
+    return report(counting(*records))
 
 
 def lines_of(*records: NamedTransaction | WireEvent, top: int | None = None) -> list[str]:
     return [line.text for line in statistics_lines(counted(*records), width=80, top=top)]
+
+
+def test_units_beyond_the_limit_are_named_as_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(limits, "MAX_POLLS", 2)
+    monkeypatch.setattr(limits, "MAX_GROUPS", 4)
+    asked = [request(at, unit=at % 20, function=3 + at % 2) for at in range(400)]
+    lines = lines_of(*asked)
+    assert "at least 6 units: 400 requests" in lines[0]
+    assert any(line.startswith("! there are more than") for line in lines)
+    text = statistics_document(counting(*asked), counted(*asked), sources=["x"], where=None)
+    (link,) = json.loads(text)["links"]
+    assert link["functions"][0]["unit"] is None
 
 
 @pytest.fixture(scope="module")

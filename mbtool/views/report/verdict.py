@@ -33,6 +33,7 @@ from mbtool.views.trouble_words import (
     since_text,
     slow_text,
     unit_name,
+    units_text,
 )
 
 if TYPE_CHECKING:
@@ -164,7 +165,7 @@ def _all_well(units: dict[UnitRow, RequestTally], total: RequestTally) -> str:
     lacks = f"the capture lacks parts of {counted(lacking, 'transaction', ',')}"
     if not answered and lacking:
         return f"No trouble shows, but {lacks}."
-    who = "the unit answers" if len(units) == 1 else f"{len(units):,} units answer"
+    who = "the unit answers" if len(units) == 1 else f"{units_text(units)} answer"
     usual = total.latency.percentile(50)
     half = f", half of them within {in_ms(usual)} ms" if usual else ""
     text = f"Everything is well: {who} {counted(answered, 'request', ',')}{half}"

@@ -68,8 +68,8 @@ const milli = (ms) => (ms < 10000 ? `${digits(ms)} ms` : span(ms / 1000));
 const baseName = (path) => path.split(/[\\/]/).pop() || path;
 const several = stats.links.length > 1;
 const isTimed = stats.links.some((link) => link.has_times);
-const unitsSeen = () => new Set(stats.links.flatMap((link) => link.functions.map((one) => `${link.link} ${one.unit}`))).size;
-const unitName = (link, unit) => (several ? `unit ${unit} at ${link}` : `unit ${unit}`);
+const unitsSeen = () => new Set(stats.links.flatMap((link) => link.functions.filter((one) => one.unit !== null).map((one) => `${link.link} ${one.unit}`))).size;
+const unitName = (link, unit) => `${unit === null ? "other units" : `unit ${unit}`}${several ? ` at ${link || "other links"}` : ""}`;
 
 /* ---- elements ---- */
 
@@ -349,10 +349,10 @@ function verdict() {
   if (others.length > MOST_TROUBLES) get("troubles").append(el("li", {}, "and ", el("a", { href: "#findings" }, `${count(others.length - MOST_TROUBLES)} more`)));
   get("troubles").hidden = !others.length;
   const all = (key) => stats.links.reduce((sum, link) => sum + link[key], 0);
-  const watched = Math.max(0, ...stats.links.map((link) => link.watched_s));
+  const watched = stats.watched_s;
   const begins = stats.links.filter((link) => link.begin_ns !== null).map((link) => link.begin_ns / 1000);
   const facts = [
-    ["transactions", count(stats.transactions)], ["links", count(stats.links.length)], ["units", count(unitsSeen())],
+    ["transactions", count(stats.transactions)], ["links", count(stats.links.length)], ["units", `${stats.is_counted_together ? "at least " : ""}${count(unitsSeen())}`],
     ["watched", watched ? span(watched) : "no times"], ["missing answers", count(all("no_answer"))],
     ["exceptions", count(all("exception"))], ["retries", count(all("repetitions"))], ["broken rules", brokenText()],
   ];
