@@ -35,6 +35,7 @@ from mbtool.framing import MbapSplitter, RtuStreamSplitter
 from mbtool.modbus import Adu, ascii_adu, mbap_adu, rtu_adu
 from mbtool.modbus.adu import DirectionBy, Transport
 from mbtool.ports.arrival_times import SerialArrivals, note_arrivals, receive
+from mbtool.ports.host_names import why_failed, why_unknown
 from mbtool.ports.serial_opening import open_port, port_in_use
 from mbtool.ports.tls import client_context, failure
 from mbtool.serial_line import AsciiSplitter, RtuSplitter
@@ -345,10 +346,10 @@ class TcpMaster(MasterLink):
         endpoint = self._link.endpoint
         try:
             connected = socket.create_connection((endpoint.host, endpoint.port), timeout_s)
-        except OSError as error:
-            why = "no answer" if isinstance(error, TimeoutError) else error.strerror or error
-            is_unknown = isinstance(error, socket.gaierror)
-            hint = "is the name right?" if is_unknown else "does a slave listen there?"
+        except (OSError, UnicodeError) as error:
+            unknown = why_unknown(error)
+            hint = "does a slave listen there?" if unknown is None else "is the name right?"
+            why = unknown or why_failed(error)
             raise LinkError(f"{self._link}: cannot be reached: {why}; {hint}") from error
         connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         if self._tls is not None:
@@ -366,7 +367,7 @@ class TcpMaster(MasterLink):
         except (OSError, ValueError) as error:
             connected.close()
             of_tls = failure(error, "slave") if isinstance(error, OSError) else None
-            why = of_tls or f"TLS: {error}; perhaps it speaks no TLS"
+            why = of_tls or f"TLS: {why_failed(error)}; perhaps it speaks no TLS"
             raise LinkError(f"{self._link}: {why}") from error
 
 

@@ -23,7 +23,6 @@ from __future__ import annotations
 import asyncio
 import os
 import re
-import socket
 import ssl
 from contextlib import suppress
 from typing import TYPE_CHECKING
@@ -32,6 +31,7 @@ from mbtool.core import Chunk, Connection, Direction, Endpoint, EventKind, Stamp
 from mbtool.packets import CloseReason, StreamClosed, StreamOpened
 from mbtool.ports.clock import now_ns
 from mbtool.ports.connection_limits import SPARE_S
+from mbtool.ports.host_names import why_unknown
 from mbtool.ports.tcp_listener import reset
 from mbtool.ports.tls import failure
 from mbtool.ports.tls_peer import described
@@ -393,10 +393,9 @@ class _RelaySide(asyncio.Protocol):
 
 def _why(error: Exception) -> str:
     """Return a text for the user that says why the target cannot be reached."""
-    if isinstance(error, UnicodeError):
-        return "no such host"
-    if isinstance(error, socket.gaierror):
-        return "no such host" if error.errno == socket.EAI_NONAME else str(error.strerror)
+    unknown = why_unknown(error)
+    if unknown is not None:
+        return unknown
     if isinstance(error, TimeoutError) and error.errno is None:
         return f"no answer in {CONNECT_S:g} s"
     number = error.errno if isinstance(error, OSError) else None

@@ -23,6 +23,7 @@ from mbtool.core import (
     LinkError,
     Packet,
     SerialLink,
+    TapLink,
     UsageError,
     WireEvent,
 )
@@ -30,6 +31,7 @@ from mbtool.core.wording import counted
 from mbtool.modbus import Outcome
 from mbtool.ports.allowed_peers import THIS_MACHINE, AllowedPeers
 from mbtool.ports.clock import ClockWatch, begun_run, monotonic_ns, now_ns
+from mbtool.ports.host_names import HostLookup
 from mbtool.sources.inbox import Ended, Inbox
 from mbtool.sources.line_guess import guess_line
 from mbtool.sources.live import live_source
@@ -82,8 +84,9 @@ class Sniffer:
         otherwise its link ends.
 
         `on_remark` gets a line for the user in these cases: a link is lost while others remain
-        open, or comes back; a source has lost bytes or packets, so that the log lacks them; a tap
-        refuses a master (reported once for each reason, until a master is served again). At the
+        open, or comes back; a source has lost bytes or packets, so that the log lacks them; the
+        target of a tap has no address; a tap refuses a master (reported once for each reason, until
+        a master is served again). At the
         end: packets were cut, requests were dropped by a limit, or items were not decoded.
         """
         self._links = links
@@ -105,6 +108,7 @@ class Sniffer:
         self._open_sources = ExitStack()
         self.sources: list[LiveSource[Any]] = []
         """One source for each link, in the same order; empty until the context is entered."""
+        self._lookup = HostLookup(())
         self._clocks = ClockWatch()
         self._looked_ns = 0
         self._open = 0
@@ -149,6 +153,9 @@ class Sniffer:
             for source in self.sources:
                 source.accept()
             self._open_sources = opened.pop_all()
+        self._lookup = HostLookup(
+            sorted({one.target.host for one in self._links if isinstance(one, TapLink)})
+        )
         self._open = len(self._links)
         return self
 
@@ -175,6 +182,8 @@ class Sniffer:
         while self._open and not stop(now_ns()):
             item = self._undecoded.get(POLL_S)
             self._tell_clock_step()
+            for problem in self._lookup.problems():
+                self._on_remark(f"{problem}; masters are refused until there is one")
             if self._recorder is not None:
                 self._recorder.check()
             if isinstance(item, Ended):

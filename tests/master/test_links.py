@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from mbtool.core import Endpoint, LinkError, SerialLink, TcpLink, UsageError, parse_link
+from mbtool.core import Endpoint, LinkError, SerialLink, TargetTls, TcpLink, UsageError, parse_link
 from mbtool.master.links import MasterLink, ReceivedResponse, SerialMaster, open_master
 from mbtool.modbus import Response, mbap_adu, rtu_adu
 from mbtool.slave.shells import SerialSlave, TcpSlave
@@ -237,5 +237,20 @@ def test_a_name_that_is_not_known_is_told_as_such(monkeypatch: pytest.MonkeyPatc
 
     monkeypatch.setattr(socket, "create_connection", unknown)
     link = TcpLink(Endpoint("absent", 502))
-    with pytest.raises(LinkError, match="not known; is the name right"):
+    with pytest.raises(LinkError, match="cannot be reached: no such host; is the name right"):
         open_master(link, SECOND_NS)
+
+
+@pytest.mark.parametrize("host", ["a..b", ".", "x" * 70])
+def test_a_name_that_no_host_can_have_is_told_as_such(host: str) -> None:
+    with pytest.raises(LinkError, match="cannot be reached: no such host; is the name right"):
+        open_master(TcpLink(Endpoint(host, 502)), SECOND_NS)
+
+
+def test_a_slave_that_does_not_take_part_in_tls_is_told(
+    listening: socket.socket, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("mbtool.master.links.CONNECT_S", 0.05)
+    with pytest.raises(LinkError) as refused:
+        open_master(_link(listening), SECOND_NS, tls=TargetTls(ca=None))
+    assert str(refused.value).endswith(": TLS: no answer; perhaps it speaks no TLS")

@@ -211,6 +211,14 @@ def test_a_slave_that_cannot_be_reached_is_told_once_and_logged_each_time(
     assert list(Reading([str(path)], ReadingOptions()).records()) == records
 
 
+def test_a_target_that_no_name_leads_to_is_told_before_a_master_comes() -> None:
+    told: list[str] = []
+    tap = TapLink(ANY, Endpoint("no..host", 502))
+    with _sniffer(tap, on_remark=told.append) as sniffer:
+        assert list(sniffer.records(until([], lambda _: bool(told)))) == []
+    assert told == ["no..host: no such host; masters are refused until there is one"]
+
+
 def test_a_slave_that_refuses_the_tap_behind_the_handshake_is_told_once() -> None:
     """With TLS 1.3 each connection opens first."""
     told: list[str] = []
