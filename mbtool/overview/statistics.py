@@ -86,6 +86,9 @@ class Statistics:
         """The counts of TCP connections; the key is the link and the master's host."""
         self.bad_checks: dict[str, int] = {}
         """The number of frames with a wrong CRC or LRC of each link; of at most MAX_LINKS."""
+        self.left_out = 0
+        """The number of transactions that the caller did not add because of the user's filter. It
+        adds all events, so these cannot be compared with the transactions then."""
         self.transactions = 0
         self._order = RequestOrder(self.links, on_retry)
         self._damaged = DamagedAnswers()

@@ -91,8 +91,12 @@ class LinkReport:
     connections: list[tuple[str, ConnectionTally]]
     """For each master, its host and the counts of its connections to the link's slave."""
     hours: list[HourCount]
+    is_whole: bool
+    """False if a filter of the user left out transactions, so that events and periods tell nothing
+    of those that are counted."""
     stray_frames: int
-    """The number of frames with a wrong CRC or LRC that answer no request that is known."""
+    """The number of frames with a wrong CRC or LRC that answer no request that is known; 0 if the
+    statistics are not whole."""
     units: dict[int, UnitTimes]
     """The times of the requests to each unit; empty if the capture has no times."""
 
@@ -164,7 +168,12 @@ def unit_times(links: Sequence[LinkReport]) -> dict[tuple[str, int], UnitTimes]:
 def odd_polling(
     links: Sequence[LinkReport], tallies: Mapping[tuple[str, int], RequestTally]
 ) -> tuple[list[PollingPause], list[ShortConnections], list[LateUnit[tuple[str, int]]]]:
-    """Return what is odd in the polling, by kind. `tallies` has the counts of each unit."""
+    """Return what is odd in the polling, by kind. `tallies` has the counts of each unit.
+
+    There is nothing if the statistics are not whole.
+    """
+    if not all(link.is_whole for link in links):
+        return [], [], []
     polls = [one.poll for link in links for one in link.polls]
     connections = {(link.name, master): one for link in links for master, one in link.connections}
     requests = {link.name: link.tally.requests for link in links}
@@ -219,7 +228,10 @@ def _link_report(
             (master, one) for (of, master), one in statistics.connections.items() if of == name
         ],
         hours=link.hours.counts(),
-        stray_frames=statistics.bad_checks.get(name, 0) - tally.damaged,
+        is_whole=not statistics.left_out,
+        stray_frames=0
+        if statistics.left_out
+        else statistics.bad_checks.get(name, 0) - tally.damaged,
         units=units if link.has_times else {},
     )
 

@@ -126,6 +126,8 @@ class Watched:
             board.add(kept, listed=False)
         elif self.wanted is not None and self.wanted(kept.record):
             board.add(kept)
+        else:
+            board.statistics.left_out += 1
 
 
 def _numbered(records: Iterable[Record]) -> Iterator[KeptRecord]:

@@ -65,8 +65,7 @@ class FileStatistics:
                 self._hints.note(record)
                 if (doubt := self._lines.note(record)) is not None:
                     self._doubts.append(doubt)
-                if isinstance(record, WireEvent) or self._wanted(record):
-                    self.statistics.add(record)
+                _add_wanted(self.statistics, record, self._wanted)
                 yield record
         except InputError:
             self.statistics.settle()
@@ -96,11 +95,17 @@ class LiveStatistics:
         self.statistics = Statistics(format_of)
 
     def add(self, record: Record) -> None:
-        if isinstance(record, WireEvent) or self._wanted(record):
-            self.statistics.add(record)
+        _add_wanted(self.statistics, record, self._wanted)
 
     def advance(self, now_ns: int) -> None:
         """Take the transactions whose requests are more than ORDERED_AFTER_NS before `now_ns` (UTC
         ns), in order of time, and count them in the periods, poll cycles and hours.
         """
         self.statistics.settle(now_ns - ORDERED_AFTER_NS)
+
+
+def _add_wanted(statistics: Statistics, record: Record, wanted: Where) -> None:
+    if isinstance(record, WireEvent) or wanted(record):
+        statistics.add(record)
+    else:
+        statistics.left_out += 1

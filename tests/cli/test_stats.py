@@ -127,3 +127,10 @@ def test_a_link_on_which_nothing_comes_is_told(mbtool: CommandLine) -> None:
     told = mbtool("stats", "tap:127.0.0.1:0=127.0.0.1:9", "--duration", "0")
     assert (told.code, told.out) == (exit_codes.DONE, "")
     assert told.err.endswith("; Ctrl-C ends\nno transactions\n")
+
+
+def test_a_filter_makes_no_trouble_of_the_events_of_others(mbtool: CommandLine) -> None:
+    damaged = FOLDER / "findings" / "RTU-201.pcap"
+    blamed = "! if0 has 1 frame with a wrong CRC that no unit can be blamed for"
+    assert blamed in mbtool("stats", damaged, "--where", "unit > 0").lines
+    assert blamed not in mbtool("stats", damaged, "--where", "number == 1").lines

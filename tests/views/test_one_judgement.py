@@ -284,3 +284,15 @@ def test_damaged_frames_of_no_unit_are_told_by_all(monkeypatch: pytest.MonkeyPat
     few = told_of([*records[11:22], *records[120:], *records[130:]], monkeypatch)
     assert few.styles == ["yellow"]
     assert few.watch_line == ""
+
+
+def test_what_a_filter_left_out_is_not_taken_for_a_trouble() -> None:
+    records: list[Record] = [
+        *map(bad_check, range(0, 5000, 100)),
+        *(request(1000 * at) for at in range(5)),
+    ]
+    records += [request(10_000 + 100 * at) for at in range(100)]
+    for left_out, told in ((0, 2), (1, 0)):
+        board = board_of(records)
+        board.statistics.left_out = left_out
+        assert len(statistics_verdict.verdict(report(board.statistics))[1:]) == told

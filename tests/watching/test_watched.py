@@ -28,6 +28,7 @@ def test_a_filter_takes_the_kept_records_and_those_that_come() -> None:
     watched.add(request(3, unit=1))
     assert watched.filtered is not None
     assert [kept.number for kept in watched.filtered.records] == [2, 3]
+    assert (watched.filtered.statistics.left_out, watched.whole.statistics.left_out) == (2, 0)
     assert watched.whole.transactions == 4
     watched.set_filter(None)
     assert watched.filtered is None
