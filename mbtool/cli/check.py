@@ -102,8 +102,8 @@ def check(
     """
     from mbtool.cli import exit_codes
     from mbtool.cli.output import (
+        chosen_format,
         demand_other_file,
-        format_by_name,
         named_file,
         opened,
         say_if_empty,
@@ -125,7 +125,7 @@ def check(
     run.demand_codes()
     demand_other_file(files, output)
     path = named_file(output)
-    chosen = format_ or format_by_name(path, _SUFFIXES, CheckFormat.TABLE)
+    chosen = chosen_format(format_, path, _SUFFIXES, CheckFormat.TABLE)
     broken: InputError | None = None
     stays = is_old(path)
     with (

@@ -19,6 +19,7 @@ from typer.core import TyperArgument, TyperCommand
 
 from mbtool.cli.completion import is_asked, with_completed_values
 from mbtool.cli.examples import examples_of
+from mbtool.core import UsageError
 
 _NUMBERS = {
     "Input should be a valid integer": "a whole number",
@@ -95,7 +96,8 @@ def with_plain_json(params: Sequence[Any], args: Sequence[str]) -> list[str]:
     """Replace --json and --format json by the option with which this command prints JSON.
 
     That is --format json, or --format jsonl for a command that prints only JSON lines, or --json. A
-    command that has only --json accepts --format table, too, and ignores it.
+    command that has only --json accepts --format table, too, and ignores it. Raises UsageError if
+    --json is given with another format.
     """
     options = {name: one for one in params for name in one.opts}
     name = _json_name(options)
@@ -105,16 +107,24 @@ def with_plain_json(params: Sequence[Any], args: Sequence[str]) -> list[str]:
     plain = ["--json"] if has_flag else ["--format", name]
     made: list[str] = []
     left = iter(args)
+    has_json, other = False, None
     for one in left:
         if one == "--":
-            return [*made, one, *left]
+            made += [one, *left]
+            break
         value = next(left, None) if one == "--format" else one.removeprefix("--format=")
+        if one == "--json":
+            has_json = True
+        elif one.startswith("--format") and value not in ("json", name):
+            other = value
         if one != "--json" and not one.startswith("--format"):
             made.append(one)
         elif one == "--json" or value == "json":
             made += plain
         elif not has_flag or value != "table":
             made += [one] if one != "--format" or value is None else [one, value]
+    if has_json and other is not None and not is_asked():
+        raise UsageError(f"--json and --format {other} exclude each other")
     return made
 
 

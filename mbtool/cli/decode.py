@@ -122,6 +122,8 @@ def decode(
 
     if follow and (raw or source.link is not None or sunspec is not None or len(files) > 1):
         raise UsageError("--follow goes with one log, and not with --raw, --link or --sunspec")
+    if follow and sort is not None:
+        raise UsageError("--follow prints each row as it comes; --sort needs all of them first")
     if is_job(files, output, group):
         refuse_others({
             "--device": device, "--where": where, "--start": start, "--end": end,

@@ -92,8 +92,10 @@ def _devices(
             raise UsageError("--port, --rtu-port and --link go with --match FILE")
         if context.invoked_subcommand is None:
             _list(format_)
-        elif format_ != "table":
-            raise UsageError("--format goes with the list of profiles, and with --match FILE")
+        elif format_ != "table" and context.invoked_subcommand != _SHOW:
+            raise UsageError("--format goes with the list of profiles, a NAME and --match FILE")
+        else:
+            context.obj = lambda names, shown: _show_one(names, shown or format_)
         return
     if context.invoked_subcommand not in (None, _SHOW):
         raise UsageError(f"--match does not go with {context.invoked_subcommand}")
@@ -101,25 +103,33 @@ def _devices(
     if context.invoked_subcommand is None:
         _match(matched, (), options, format_)
     else:
-        context.obj = lambda names: _match(matched, names, options, format_)
+        context.obj = lambda names, shown: _match(matched, names, options, shown or format_)
 
 
 @devices.command(_SHOW, cls=Command, hidden=True)
 def _show(
-    context: typer.Context, names: Annotated[list[str], typer.Argument(metavar="NAME")]
+    context: typer.Context,
+    names: Annotated[list[str], typer.Argument(metavar="NAME")],
+    *,
+    format_: Annotated[ListFormat | None, typer.Option("--format")] = None,
 ) -> None:
     """Show a profile in full."""
+    context.obj(names, format_)
+
+
+def _show_one(names: Sequence[str], format_: ListFormat) -> None:
     from mbtool.cli.console import PipeConsole
     from mbtool.core import UsageError
-    from mbtool.devices import load_profile
+    from mbtool.devices import load_profile, profile_to_json
     from mbtool.views.profile import profile_page
 
-    if context.obj is not None:
-        context.obj(names)
-        return
     if len(names) > 1:
         raise UsageError(f"one profile is shown at a time, not {len(names)}: {', '.join(names)}")
-    PipeConsole().print(profile_page(load_profile(names[0])))
+    profile = load_profile(names[0])
+    if format_ == "table":
+        PipeConsole().print(profile_page(profile))
+    else:
+        typer.echo(profile_to_json(profile))
 
 
 def _list(format_: ListFormat) -> None:
@@ -127,14 +137,14 @@ def _list(format_: ListFormat) -> None:
 
     from mbtool.cli.console import PipeConsole
     from mbtool.devices import builtin_profiles, load_profile
-    from mbtool.views.profile import profile_list
+    from mbtool.views.profile import profile_list, profile_record
 
     profiles = [load_profile(one) for one in builtin_profiles()]
     if format_ == "table":
         PipeConsole().print(profile_list(profiles))
         return
     for one in profiles:
-        typer.echo(json.dumps({"name": one.name, "title": one.title}, ensure_ascii=False))
+        typer.echo(json.dumps(profile_record(one), ensure_ascii=False))
 
 
 def _match(file: str, names: Sequence[str], options: ReadingOptions, format_: ListFormat) -> None:

@@ -94,9 +94,9 @@ def inventory(
     from mbtool.cli import exit_codes
     from mbtool.cli.options import condition
     from mbtool.cli.output import (
+        chosen_format,
         demand_new,
         demand_other_file,
-        format_by_name,
         named_file,
         opened,
         say_if_empty,
@@ -115,7 +115,7 @@ def inventory(
     )
     demand_other_file([*files, *(baseline or ())], output)
     path = named_file(output)
-    chosen = format_ or format_by_name(path, _SUFFIXES, InventoryFormat.TABLE)
+    chosen = chosen_format(format_, path, _SUFFIXES, InventoryFormat.TABLE)
     if baseline and chosen in _WITHOUT_CHANGES:
         raise UsageError("--baseline goes with --format table, json and csv")
     run = InventoryRun(files, options)

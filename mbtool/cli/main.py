@@ -209,6 +209,8 @@ def _usage(error: typer.TyperException, command: str) -> str:
     """
     message = error.format_message().replace("Value error, ", "").rstrip(".")
     context = getattr(error, "ctx", None)
+    if context is not None and context.command.hidden:
+        context = context.parent
     where = context.command_path if context is not None else command
     wanted = getattr(error, "option_name", None)
     if (instead := _elsewhere(wanted, context)) is not None:

@@ -254,7 +254,7 @@ def open_output(
     """
     path = named_file(path)
     place = "" if path is None else f" -> {path}"
-    chosen = format_ or format_by_name(path, OUTPUT_FORMATS, Format.TABLE)
+    chosen = chosen_format(format_, path, OUTPUT_FORMATS, Format.TABLE)
     shown = events or (EventChoice.TROUBLE if chosen is Format.TABLE else EventChoice.NONE)
     if table not in (None, TableOptions()) and chosen is not Format.TABLE:
         raise UsageError("--time, --columns, --hex, --wide and --full go with --format table")
@@ -330,16 +330,22 @@ def named_file(path: str | None) -> str | None:
     return path
 
 
-def format_by_name(path: str | None, suffixes: Mapping[str, F], default: F) -> F:
-    """Return the format that the suffix of the file `path` names.
+def chosen_format(given: F | None, path: str | None, suffixes: Mapping[str, F], default: F) -> F:
+    """Return the format of --format (`given`), or else the one that the suffix of `path` names.
 
     `suffixes` maps each suffix, such as `.csv`, to its format. `default` is returned for standard
-    output (`path` None). Raises UsageError if the suffix names no format.
+    output (`path` None). Says so if the suffix names another format than --format. Raises
+    UsageError if there is no --format, and the suffix names no format.
     """
+    suffix = "" if path is None else Path(path).suffix.lower()
+    if given is not None:
+        if suffixes.get(suffix, given) != given:
+            say(f"{path}: written as {given}, as --format says, though its name ends in {suffix}")
+        return given
     if path is None:
         return default
     try:
-        return suffixes[Path(path).suffix.lower()]
+        return suffixes[suffix]
     except KeyError:
         raise UsageError(
             f"{path}: its suffix names no format; let it end in {', '.join(suffixes)}, "

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Group
 
@@ -29,15 +29,20 @@ def profile_list(profiles: Sequence[Profile]) -> RenderableType:
     """Return a table with a row for each profile."""
     table = plain_table("name", "device", "transports", "areas", "points")
     for profile in profiles:
-        cells = (
-            profile.name,
-            profile.title,
-            ", ".join(profile.transports),
-            str(len(profile.areas)),
-            str(sum(len(point.addresses) for point in profile.points)),
-        )
-        table.add_row(*map(plain, cells))
+        cells = {**profile_record(profile), "transports": ", ".join(profile.transports)}
+        table.add_row(*(plain(str(cell)) for cell in cells.values()))
     return table
+
+
+def profile_record(profile: Profile) -> dict[str, Any]:
+    """Return the row of a profile in the list, as JSON data; areas and points are numbers."""
+    return {
+        "name": profile.name,
+        "title": profile.title,
+        "transports": list(profile.transports),
+        "areas": len(profile.areas),
+        "points": sum(len(point.addresses) for point in profile.points),
+    }
 
 
 def profile_page(profile: Profile) -> RenderableType:

@@ -78,9 +78,14 @@ class CodeFilter:
         return chosen is not None and chosen > (_longest(code, self.ignore) or -1)
 
     def demand_known(self, profiles: Sequence[Profile]) -> None:
-        """Raise UsageError if no code begins with some text of the filter. The known codes are
-        those of the standard's rules and of the rules in `profiles`.
+        """Raise UsageError if no code begins with some text of the filter, or if all that is
+        selected is ignored. The known codes are those of the standard's rules and of the rules in
+        `profiles`.
         """
+        if self.select and not any(map(self.takes, self.select)):
+            raise UsageError(
+                f"--ignore {','.join(self.ignore)} leaves out all that --select chooses"
+            )
         prefixes = {f"{finding_prefix(profile)}-" for profile in profiles}
         letters = [rule.code for rule in RULES.values() if rule.is_of_devices]
         codes = [rule.code for rule in RULES.values() if not rule.is_of_devices]

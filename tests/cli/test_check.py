@@ -225,3 +225,9 @@ def test_a_closed_standard_output_is_told(
     monkeypatch.setattr("sys.__stdout__", None)
     assert run(["check", SHOWS]) == exit_codes.UNREADABLE
     assert "standard output: closed, so what goes there is lost" in capsys.readouterr().err
+
+
+def test_a_choice_that_leaves_nothing_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["check", LOG, "--select", "SEC,mb-1", "--ignore", "mb-1,SEC"]) == exit_codes.USAGE
+    said = "mbtool: --ignore MB-1,SEC leaves out all that --select chooses\n"
+    assert capsys.readouterr().err == said

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from mbtool.cli import exit_codes
 from mbtool.cli.command import with_plain_json
 from mbtool.cli.command_table import CommandTable
 from mbtool.cli.devices import devices
@@ -71,6 +72,26 @@ def test_json_has_the_same_short_form_everywhere(
     told = mbtool(*command, *short)
     assert told.out == mbtool(*command, *usual).out
     assert told.out[0] == "{"
+
+
+@pytest.mark.parametrize(
+    ("command", "format_"),
+    [
+        (["decode", LINE], "csv"),
+        (["inventory", LINE], "table"),
+        (["check", LINE], "sarif"),
+        (["diff", LINE, LINE], "table"),
+        (["stats", LINE], "table"),
+    ],
+)
+def test_json_and_another_format_exclude_each_other(
+    mbtool: CommandLine, command: list[object], format_: str
+) -> None:
+    for arguments in (["--json", "--format", format_], [f"--format={format_}", "--json"]):
+        told = mbtool(*command, *arguments)
+        assert (told.code, told.out) == (exit_codes.USAGE, "")
+        assert told.err == f"mbtool: --json and --format {format_} exclude each other\n"
+    assert mbtool(*command, "--json", "--format", "json").out[0] == "{"
 
 
 def test_the_help_names_the_short_form(mbtool: CommandLine) -> None:

@@ -515,3 +515,28 @@ def test_a_line_that_cannot_be_read_is_told_with_the_settings_that_fit(
         "a correct LRC)\n"
     )
     assert told.err.count("can be read") == 1
+
+
+def test_rows_that_come_for_ever_are_not_sorted(mbtool: CommandLine, tmp_path: Path) -> None:
+    told = mbtool("decode", tmp_path / "a.mcap", "--follow", "--sort", "latency")
+    assert told.code == exit_codes.USAGE
+    assert told.err.startswith("mbtool: --follow prints each row as it comes")
+
+
+def test_a_file_named_after_another_format_is_told(
+    mbtool: CommandLine, capture: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "a.jsonl"
+    told = mbtool("decode", capture, "--format", "csv", "-o", out)
+    assert told.code == exit_codes.DONE
+    assert f"{out}: written as csv, as --format says, though its name ends in .jsonl\n" in told.err
+    assert out.read_text().startswith("request_ns,")
+
+
+@pytest.mark.parametrize("command", ["decode", "check", "inventory"])
+def test_what_goes_to_standard_output_replaces_no_file(
+    mbtool: CommandLine, capture: Path, command: str
+) -> None:
+    told = mbtool(command, capture, "--overwrite")
+    assert (told.code, told.out) == (exit_codes.USAGE, "")
+    assert told.err == "mbtool: --overwrite replaces a file, and none is named to write to\n"

@@ -107,7 +107,8 @@ def test_match_of_a_capture_without_modbus_says_so(mbtool: CommandLine, tmp_path
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["--format", "jsonl", "wago-750"], "goes with the list of profiles"),
+        (["--format", "jsonl", "schema"], "goes with the list of profiles"),
+        (["wago-750", "--nonsense"], "see mbtool devices --help"),
         (["--port", "any", "wago-750"], "go with --match FILE"),
         (["--match", "x.pcap", "schema"], "--match does not go with schema"),
         (["--nonsense"], "see mbtool devices --help"),
@@ -126,3 +127,16 @@ def test_a_capture_that_is_not_there_is_told(mbtool: CommandLine) -> None:
     told = mbtool("devices", "--match", "nosuch.pcap")
     assert told.code == exit_codes.UNREADABLE
     assert "nosuch.pcap" in told.err
+
+
+def test_the_list_as_json_has_what_the_table_shows(mbtool: CommandLine) -> None:
+    profiles = {one["name"]: one for one in map(json.loads, mbtool("devices", "--json").lines)}
+    assert profiles["fa3-at1m8x"]["transports"] == ["tcp"]
+    assert (profiles["fa3-at1m8x"]["areas"], profiles["fa3-at1m8x"]["points"]) == (5, 53)
+
+
+def test_a_profile_is_printed_as_json_wherever_the_option_stands(mbtool: CommandLine) -> None:
+    exported = json.loads(mbtool("devices", "export", "wago-750", "--json").out)
+    for arguments in (["wago-750", "--json"], ["--json", "wago-750"],
+                      ["wago-750", "--format", "jsonl"]):  # fmt: skip
+        assert json.loads(mbtool("devices", *arguments).out) == exported
