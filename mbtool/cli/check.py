@@ -101,16 +101,9 @@ def check(
     1 means that there are findings, 0 that there are none. docs/findings.md explains each code.
     """
     from mbtool.cli import exit_codes
-    from mbtool.cli.output import (
-        chosen_format,
-        demand_other_file,
-        named_file,
-        opened,
-        say_if_empty,
-        told_as_lost,
-        verdict_kept,
-    )
+    from mbtool.cli.output import opened, say_if_empty, told_as_lost, verdict_kept
     from mbtool.cli.output_file import is_old
+    from mbtool.cli.output_path import chosen_format, demand_other_file, named_file
     from mbtool.cli.progress import with_progress
     from mbtool.cli.talk import interruptible
     from mbtool.core import InputError

@@ -55,8 +55,9 @@ def convert(
     from pathlib import PurePath
 
     from mbtool.cli.options import condition
-    from mbtool.cli.output import OUTPUT_FORMATS, demand_other_file
+    from mbtool.cli.output import OUTPUT_FORMATS
     from mbtool.cli.output_file import is_old, kept_told
+    from mbtool.cli.output_path import demand_other_file
     from mbtool.cli.progress import with_progress
     from mbtool.cli.talk import interruption_told, say
     from mbtool.core import UsageError

@@ -112,7 +112,8 @@ def decode(
     """Decode captures and logs into transactions, a line for each."""
     from mbtool.cli.column_output import print_columns, processes_for
     from mbtool.cli.options import condition
-    from mbtool.cli.output import demand_other_file, open_output, say_if_empty
+    from mbtool.cli.output import open_output, say_if_empty
+    from mbtool.cli.output_path import demand_other_file
     from mbtool.cli.talk import interruptible, say
     from mbtool.core import UsageError, WireEvent
     from mbtool.workflows.shared.log_records import followed

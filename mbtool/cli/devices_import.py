@@ -75,13 +75,18 @@ def import_(
     base: Annotated[
         int | None,
         typer.Option(
-            "--base", min=0, max=65000, help="SunSpec: where the map begins. [default: 40000]"
+            "--base",
+            metavar="ADDRESS",
+            min=0,
+            max=65000,
+            help="SunSpec: where the map begins. [default: 40000]",
         ),
     ] = None,
     repeat: Annotated[
         int | None,
         typer.Option(
             "--repeat",
+            metavar="N",
             min=0,
             max=1000,
             help="SunSpec: how often a group is there if the device tells it. [default: 1]",
@@ -89,7 +94,9 @@ def import_(
     ] = None,
     unit: Annotated[
         int | None,
-        typer.Option("--unit", min=0, max=255, help="Home Assistant: which unit's values."),
+        typer.Option(
+            "--unit", metavar="UNIT", min=0, max=255, help="Home Assistant: which unit's values."
+        ),
     ] = None,
     column: Annotated[
         list[str] | None,

@@ -34,8 +34,11 @@ def new(
 ) -> None:
     """Write a commented start of a profile, to be edited."""
     from mbtool.cli.talk import say
+    from mbtool.core import UsageError
     from mbtool.devices.profile_template import name_for, starting_profile
 
+    if not is_file(file):
+        raise UsageError(f"{file}: name the file to write, for example pump.toml")
     write(file, starting_profile(file, name_for(file)))
     say(f"{file}: written; edit it, and look at it with mbtool devices {_as_argument(file)}")
 
@@ -140,7 +143,11 @@ def export(
     unit: Annotated[
         int,
         typer.Option(
-            "--unit", min=0, max=255, help="The unit that Telegraf or Home Assistant will ask."
+            "--unit",
+            metavar="UNIT",
+            min=0,
+            max=255,
+            help="The unit that Telegraf or Home Assistant will ask.",
         ),
     ] = 1,
 ) -> None:

@@ -93,16 +93,9 @@ def inventory(
     """
     from mbtool.cli import exit_codes
     from mbtool.cli.options import condition
-    from mbtool.cli.output import (
-        chosen_format,
-        demand_new,
-        demand_other_file,
-        named_file,
-        opened,
-        say_if_empty,
-        told_as_lost,
-    )
+    from mbtool.cli.output import opened, say_if_empty, told_as_lost
     from mbtool.cli.output_file import kept_told
+    from mbtool.cli.output_path import chosen_format, demand_new, demand_other_file, named_file
     from mbtool.cli.progress import with_progress
     from mbtool.cli.talk import interruption_told, say
     from mbtool.core import UsageError

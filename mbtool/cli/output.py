@@ -2,26 +2,26 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from contextlib import contextmanager
-from pathlib import Path
-from typing import TYPE_CHECKING, TextIO, TypeVar
+from typing import TYPE_CHECKING, TextIO
 
 import typer
 
 from mbtool.cli import exit_codes
 from mbtool.cli.options import EventChoice, Format, SortKey
 from mbtool.cli.output_file import is_old, open_file
+from mbtool.cli.output_path import chosen_format, demand_new, named_file
 from mbtool.cli.printers import LinesPrinter, ParquetPrinter, demand_columns, printer_for
 from mbtool.cli.record_order import SORTED
 from mbtool.cli.talk import NOTHING_WRITTEN, Interrupted, say
 from mbtool.cli.tally import CONNECTION_EVENTS, Tally
 from mbtool.core import InputError, MbtoolError, OutputError, UsageError, WireEvent
+from mbtool.core.errors import reason_unwritten
 from mbtool.views.table_options import TableOptions
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator
     from contextlib import AbstractContextManager
 
     from mbtool.cli.printers import Printer, ProfileFor
@@ -45,10 +45,7 @@ if TYPE_CHECKING:
         "RecordOutput",
     ]
 
-_STANDARD_OUTPUT = "-"
 _STANDARD_OUTPUT_NAME = "standard output"
-
-F = TypeVar("F")
 
 OUTPUT_FORMATS = {
     ".jsonl": Format.JSONL,
@@ -321,38 +318,6 @@ def _interrupted(output: RecordOutput, path: str | None, if_empty: str, *, stays
     return f"interrupted; {path} holds only what was read so far: {output.sentence()}"
 
 
-def named_file(path: str | None) -> str | None:
-    """Return the file of --output; None for standard output. Raises UsageError for a directory."""
-    if path is None or path == _STANDARD_OUTPUT:
-        return None
-    if os.path.isdir(path):
-        raise UsageError(f"{path}: a directory; name a file in it")
-    return path
-
-
-def chosen_format(given: F | None, path: str | None, suffixes: Mapping[str, F], default: F) -> F:
-    """Return the format of --format (`given`), or else the one that the suffix of `path` names.
-
-    `suffixes` maps each suffix, such as `.csv`, to its format. `default` is returned for standard
-    output (`path` None). Says so if the suffix names another format than --format. Raises
-    UsageError if there is no --format, and the suffix names no format.
-    """
-    suffix = "" if path is None else Path(path).suffix.lower()
-    if given is not None:
-        if suffixes.get(suffix, given) != given:
-            say(f"{path}: written as {given}, as --format says, though its name ends in {suffix}")
-        return given
-    if path is None:
-        return default
-    try:
-        return suffixes[suffix]
-    except KeyError:
-        raise UsageError(
-            f"{path}: its suffix names no format; let it end in {', '.join(suffixes)}, "
-            "or add --format"
-        ) from None
-
-
 @contextmanager
 def opened(
     path: str | None,
@@ -376,19 +341,6 @@ def opened(
         yield file, path or _STANDARD_OUTPUT_NAME
 
 
-def demand_new(path: str | None, *, overwrite: bool) -> None:
-    """Raise UsageError if a file `path` exists, unless `overwrite`, which goes only with a file.
-
-    None is standard output.
-    """
-    if path is None and overwrite:
-        raise UsageError("--overwrite replaces a file, and none is named to write to")
-    if path is not None and not overwrite and os.path.isfile(path):
-        raise UsageError(
-            f"{path}: the file exists; name another, remove it, or replace it with --overwrite"
-        )
-
-
 def demand_standard_output() -> None:
     """Raise OutputError if standard output is closed."""
     if sys.__stdout__ is None:
@@ -407,22 +359,6 @@ def say_if_empty(reading: Reading) -> None:
         say(reading.why_empty)
 
 
-def demand_other_file(files: Sequence[str], output: str | None) -> None:
-    """Raise UsageError if the output file is also one of the inputs."""
-    for file in files:
-        if output is not None and _is_same(file, output):
-            raise UsageError(f"{output}: is an input and would be overwritten; name another file")
-
-
-def _is_same(file: str, output: str) -> bool:
-    if _STANDARD_OUTPUT in (file, output):
-        return False
-    try:
-        return os.path.samefile(file, output)
-    except OSError:  # One of the two files does not exist.
-        return os.path.abspath(file) == os.path.abspath(output)
-
-
 @contextmanager
 def told_as_lost(name: str) -> Iterator[None]:
     """Turn an OSError in the context, such as a full disk, into an OutputError.
@@ -434,7 +370,7 @@ def told_as_lost(name: str) -> Iterator[None]:
     except BrokenPipeError:
         raise
     except OSError as error:
-        raise OutputError(f"{name}: cannot be written: {error.strerror or error}") from error
+        raise OutputError(f"{name}: cannot be written: {reason_unwritten(name, error)}") from error
 
 
 @contextmanager

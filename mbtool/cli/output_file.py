@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, TextIO
 
 from mbtool.cli.talk import say
 from mbtool.core import InputError, OutputError, UsageError
+from mbtool.core.errors import reason_unwritten
 from mbtool.core.replacing import replacing
 
 if TYPE_CHECKING:
@@ -56,7 +57,7 @@ def _open_for(path: str, place: Path) -> Iterator[TextIO]:
     try:
         file = place.open("w", encoding="utf-8", newline="")
     except OSError as error:
-        raise UsageError(f"{path}: cannot be written: {error.strerror or error}") from error
+        raise UsageError(f"{path}: cannot be written: {reason_unwritten(path, error)}") from error
     try:
         yield file
     finally:

@@ -68,13 +68,8 @@ def plot(
     A value holds until the next one is read or written. Pictures need mbtool[plot].
     """
     from mbtool.cli.options import condition
-    from mbtool.cli.output import (
-        demand_new,
-        demand_other_file,
-        demand_standard_output,
-        named_file,
-        say_if_empty,
-    )
+    from mbtool.cli.output import demand_standard_output, say_if_empty
+    from mbtool.cli.output_path import demand_new, demand_other_file, named_file
     from mbtool.cli.progress import with_progress
     from mbtool.cli.talk import interruption_told, say
     from mbtool.core import UsageError

@@ -99,6 +99,7 @@ def give(text: str, output: str | None, suffixes: Sequence[str] = (_SUFFIX,)) ->
 
 def write(file: str, text: str, suffixes: Sequence[str] = (_SUFFIX,)) -> None:
     from mbtool.core import UsageError
+    from mbtool.core.errors import reason_unwritten
 
     demand_new(file, suffixes)
     try:
@@ -106,4 +107,4 @@ def write(file: str, text: str, suffixes: Sequence[str] = (_SUFFIX,)) -> None:
         with Path(file).open("x", encoding="utf-8") as stream:
             stream.write(text)
     except OSError as error:
-        raise UsageError(f"{file}: cannot be written: {error.strerror or error}") from error
+        raise UsageError(f"{file}: cannot be written: {reason_unwritten(file, error)}") from error

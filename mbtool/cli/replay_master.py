@@ -10,7 +10,8 @@ import typer
 from mbtool.cli import exit_codes
 from mbtool.cli.console import PipeConsole
 from mbtool.cli.keys import controlled
-from mbtool.cli.output import demand_other_file, told_as_lost
+from mbtool.cli.output import told_as_lost
+from mbtool.cli.output_path import demand_other_file
 from mbtool.cli.progress import with_progress
 from mbtool.cli.range_lists import add_ranges, demand_list
 from mbtool.cli.talk import say

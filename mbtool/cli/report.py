@@ -69,14 +69,9 @@ def report(
     It has the verdict, charts, findings and transactions, and needs no network and no other file.
     docs/report.md explains it.
     """
-    from mbtool.cli.output import (
-        demand_new,
-        demand_other_file,
-        named_file,
-        opened,
-        told_as_lost,
-    )
+    from mbtool.cli.output import opened, told_as_lost
     from mbtool.cli.output_file import kept_told
+    from mbtool.cli.output_path import demand_new, demand_other_file, named_file
     from mbtool.cli.progress import with_progress
     from mbtool.cli.talk import interruption_told, say
     from mbtool.core import UsageError

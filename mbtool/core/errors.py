@@ -15,6 +15,13 @@
 
 from __future__ import annotations
 
+import errno
+import os
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from pathlib import PurePath
+
 
 class MbtoolError(Exception):
     """Any error that this program raises on purpose; its text is one line for the user."""
@@ -52,6 +59,14 @@ class LinkError(MbtoolError):
 
 class OutputError(MbtoolError):
     """An output could not be written, as with a full disk or a closed standard output."""
+
+
+def reason_unwritten(path: str | PurePath, error: OSError | ValueError) -> str:
+    """Return why a file cannot be written: that its folder is missing, or the text of the error."""
+    folder = os.path.dirname(path)
+    if getattr(error, "errno", None) == errno.ENOENT and folder and not os.path.isdir(folder):
+        return f"there is no folder {folder}"
+    return reason_of(error)
 
 
 def reason_of(error: OSError | ValueError) -> str:

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from mbtool.core import OutputError, UsageError
-from mbtool.core.errors import reason_of
+from mbtool.core.errors import reason_unwritten
 
 if sys.platform != "win32":
     import fcntl
@@ -118,7 +118,7 @@ def _exists(path: Path) -> UsageError:
 
 
 def _uncreated(path: Path, error: OSError | ValueError) -> UsageError:
-    return UsageError(f"{path}: cannot be created: {reason_of(error)}")
+    return UsageError(f"{path}: cannot be created: {reason_unwritten(path, error)}")
 
 
 def _sync_folder(folder: Path) -> None:

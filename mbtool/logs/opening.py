@@ -107,6 +107,8 @@ def with_point_topics(create: Callable[[], LogWriter | RotatingLog]) -> LogWrite
 
 def check_log_path(path: str, *, overwrite: bool = False) -> None:
     """Raise UsageError if `create_log` could not create a log at this path; create nothing."""
+    if path in ("", "-"):
+        raise UsageError(f"{path!r}: a log needs a file; name one, for example site.mcap")
     _check_suffix(path)
     check_path(Path(path), replace=overwrite)
 

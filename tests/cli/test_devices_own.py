@@ -59,7 +59,7 @@ def test_a_profile_is_a_toml_file_in_a_folder_that_is_there(mbtool: CommandLine)
     assert "let its name end in .toml" in mbtool("devices", "new", "pump.txt").err
     told = mbtool("devices", "new", "nowhere/pump.toml")
     assert told.code == exit_codes.USAGE
-    assert told.err == "mbtool: nowhere/pump.toml: cannot be written: No such file or directory\n"
+    assert told.err == "mbtool: nowhere/pump.toml: cannot be written: there is no folder nowhere\n"
 
 
 def test_import_writes_a_profile_and_tells_each_guess(mbtool: CommandLine) -> None:
@@ -297,3 +297,9 @@ def test_a_sunspec_device_of_a_capture_is_drafted_and_named(
     again = mbtool("decode", "site.pcap", "--device", "1=./meter.toml", "--full")
     assert "meter.phase[2].V: 231 V" in again.out
     assert "SunSpec" not in again.err
+
+
+def test_a_new_profile_is_not_written_to_standard_output(mbtool: CommandLine) -> None:
+    told = mbtool("devices", "new", "-")
+    assert (told.code, told.out) == (exit_codes.USAGE, "")
+    assert told.err == "mbtool: -: name the file to write, for example pump.toml\n"

@@ -345,3 +345,50 @@ def test_is_full_at_its_limit_and_events_do_not_count(tmp_path: Path) -> None:
         assert not out.is_full
         out.add(transaction())
         assert out.is_full
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["decode", "CAPTURE", "-o", "OUT.jsonl"],
+        ["check", "CAPTURE", "-o", "OUT.json"],
+        ["report", "CAPTURE", "-o", "OUT.html"],
+        ["convert", "CAPTURE", "OUT.pcapng"],
+        ["recover", "LOG", "-o", "OUT.mcap"],
+        ["demo", "-w", "OUT.mcap"],
+        ["devices", "export", "wago-750", "-o", "OUT.toml"],
+    ],
+    ids=lambda one: one[0],
+)
+def test_the_missing_folder_of_an_output_is_named(
+    mbtool: CommandLine, capture: Path, tmp_path: Path, command: list[str]
+) -> None:
+    write_log(tmp_path / "a.mcap", [transaction()])
+    paths = {"CAPTURE": capture, "LOG": tmp_path / "a.mcap"}
+    out = str(tmp_path / "none" / "x")
+    told = mbtool(*(paths.get(one, one.replace("OUT", out)) for one in command))
+    assert told.code != exit_codes.DONE
+    assert told.err.endswith(f": there is no folder {tmp_path / 'none'}\n")
+
+
+@pytest.mark.parametrize("name", ["-", ""])
+@pytest.mark.parametrize(
+    "command", [["recover", "a.mcap", "-o"], ["sniff", "net:none", "-w"], ["demo", "-w"]]
+)
+def test_a_log_is_not_written_to_standard_output(
+    mbtool: CommandLine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: list[str],
+    name: str,
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    write_log(tmp_path / "a.mcap", [transaction()])
+    told = mbtool(*command, name)
+    assert (told.code, told.out) == (exit_codes.USAGE, "")
+    assert told.err == f"mbtool: {name!r}: a log needs a file; name one, for example site.mcap\n"
+    assert not Path("-").exists()
+
+
+def test_an_empty_name_of_an_output_is_told(mbtool: CommandLine, capture: Path) -> None:
+    told = mbtool("decode", capture, "-o", "")
+    assert told.err == (
+        "mbtool: --output has an empty name; name a file, or - for standard output\n"
+    )

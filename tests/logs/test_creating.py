@@ -35,7 +35,7 @@ def test_a_file_that_exists_is_replaced_on_request(tmp_path: Path) -> None:
 
 
 def test_a_file_that_cannot_be_created_is_the_users_mistake(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="cannot be created: No such file or directory"):
+    with pytest.raises(UsageError, match="cannot be created: there is no folder"):
         create_file(tmp_path / "absent" / "x.mcap")
     with pytest.raises(UsageError, match="cannot be created"):
         create_file(tmp_path / "a\0b")
@@ -53,7 +53,7 @@ def test_a_path_can_be_checked_before(tmp_path: Path) -> None:
     check_path(tmp_path / "b.mcap", replace=True)
     with pytest.raises(UsageError, match="the file exists"):
         check_path(tmp_path / "b.mcap")
-    with pytest.raises(UsageError, match="cannot be created: No such file"):
+    with pytest.raises(UsageError, match="cannot be created: there is no folder"):
         check_path(tmp_path / "absent" / "a.mcap")
     assert [path.name for path in tmp_path.iterdir()] == ["b.mcap"]
 

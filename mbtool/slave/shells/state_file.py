@@ -14,6 +14,7 @@ import os
 from typing import TYPE_CHECKING
 
 from mbtool.core import InputError, OutputError, UsageError
+from mbtool.core.errors import reason_unwritten
 from mbtool.devices import write_reference
 from mbtool.slave.device.image_file import load_image
 
@@ -66,7 +67,7 @@ def keep_state(
     try:
         save()
     except OSError as error:
-        raise OutputError(f"{path}: cannot be written: {error.strerror or error}") from error
+        raise OutputError(f"{path}: cannot be written: {reason_unwritten(path, error)}") from error
     device.behaviour.keep = keep
 
 

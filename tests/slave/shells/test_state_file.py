@@ -114,7 +114,9 @@ def test_a_disk_that_is_full_later_is_told_and_the_old_state_stays(
 
 
 def test_a_folder_that_is_not_there_is_told_at_once(tmp_path: Path) -> None:
-    with pytest.raises(OutputError, match=r"absent/state\.toml: cannot be written: No such file"):
+    with pytest.raises(
+        OutputError, match=r"absent/state\.toml: cannot be written: there is no folder"
+    ):
         _device(tmp_path / "absent" / "state.toml")
 
 
