@@ -155,7 +155,7 @@ def test_what_cannot_be_written_is_told_before_the_first_request(
 ) -> None:
     scripted = Scripted(lambda *_: Response(VALUES))
     for file, why in (
-        (tmp_path / "absent" / "x.json", "there is no folder"),
+        (tmp_path / "absent" / "x.json", f"there is no folder {tmp_path / 'absent'}"),
         (tmp_path / "folder.json", "Is a directory"),
     ):
         (tmp_path / "folder.json").mkdir(exist_ok=True)
