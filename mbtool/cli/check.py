@@ -128,7 +128,7 @@ def check(
         interruptible() as interrupt,
         _finished(
             file,
-            _printer(chosen, file, each=each, names_files=len(files) > 1),
+            _printer(chosen, file, files, each=each),
             run,
             path,
             files,
@@ -160,51 +160,63 @@ def _finished(
     *,
     stays: bool,
 ) -> Iterator[_Printer]:
-    """Yield the printer, and complete the output when the context ends, even by an error.
+    """Yield the printer, and complete the output when the context ends.
 
     Then print the remarks, and, if anything was checked, a sentence with the number of findings and
     one with the number of requests without a good answer.
-    `path` is the output file, None for standard output. With `stays`, an error leaves an older
-    file at `path` as it was.
+    `path` is the output file, None for standard output. If Ctrl-C or an InputError ends the
+    context, nothing is left in the file; with `stays`, an older file at `path` stays as it was.
     """
-    from mbtool.cli.talk import Interrupted, say
+    from mbtool.cli.output_file import emptied
+    from mbtool.cli.talk import NOTHING_WRITTEN, Interrupted, say
+    from mbtool.core import InputError
 
-    has_failed = True
-    was_interrupted = False
+    stays_text = f"{path} stays as it was"
     try:
         yield printer
-        has_failed = False
-    except KeyboardInterrupt:
-        was_interrupted = True
-        raise Interrupted from None
-    finally:
-        printer.end(run)
-        file.flush()
-        for remark in () if was_interrupted else run.remarks:
+    except InputError as error:
+        if path is None:
+            printer.end(run, str(error))
+        else:
+            emptied(file)
+        for remark in [*run.remarks, *([stays_text] if stays else [])]:
             say(remark)
-        if was_interrupted:
+        raise
+    except KeyboardInterrupt:
+        if path is None:
+            printer.end(run, "interrupted")
+            file.flush()
             say("interrupted; what follows from the rest of the files is not there")
-        keeps_old = stays and has_failed
-        if keeps_old:
-            say(f"{path} stays as it was")
-        if run.transactions or run.counts or not (has_failed or run.is_outside):
-            say(_sentence(run) + ("" if path is None or keeps_old else f" -> {path}"))
-            if failed := _failed(run, files):
-                say(failed)
+            _sum_up(run, path, files)
+        else:
+            emptied(file)
+            say(f"interrupted; {stays_text}" if stays else NOTHING_WRITTEN)
+        raise Interrupted from None
+    printer.end(run, run.problem)
+    file.flush()
+    for remark in run.remarks:
+        say(remark)
+    if run.transactions or run.counts or not run.is_outside:
+        _sum_up(run, path, files)
 
 
 class _Printer(ABC):
     @abstractmethod
     def add(self, found: FileFinding) -> None: ...
 
-    def end(self, run: CheckRun) -> None:  # noqa: B027 - one printer has nothing left to print
-        """Print the findings that this printer has collected but not yet printed."""
+    def end(self, run: CheckRun, why_partial: str | None) -> None:  # noqa: B027 - one has no rest
+        """Print the findings that this printer has collected but not yet printed.
+
+        `why_partial` says why a part of the files was not checked; None if all was.
+        """
 
 
-def _printer(format_: CheckFormat, file: TextIO, *, each: bool, names_files: bool) -> _Printer:
+def _printer(format_: CheckFormat, file: TextIO, files: list[str], *, each: bool) -> _Printer:
+    if format_ is CheckFormat.TABLE and each:
+        return _EachPrinter(file)
     if format_ is CheckFormat.TABLE:
-        return _EachPrinter(file) if each else _FindingsTablePrinter(file, names_files=names_files)
-    return _DocumentPrinter(file, format_)
+        return _FindingsTablePrinter(file, names_files=len(files) > 1)
+    return _DocumentPrinter(file, format_, files)
 
 
 class _FindingsTablePrinter(_Printer):
@@ -218,7 +230,7 @@ class _FindingsTablePrinter(_Printer):
     def add(self, found: FileFinding) -> None:
         self._summaries.add(found.finding, found.file if self._names_files else "")
 
-    def end(self, run: CheckRun) -> None:
+    def end(self, run: CheckRun, why_partial: str | None) -> None:
         from mbtool.cli.console import PipeConsole
         from mbtool.views.findings_table import print_summaries
 
@@ -238,21 +250,40 @@ class _EachPrinter(_Printer):
 
 
 class _DocumentPrinter(_Printer):
-    def __init__(self, file: TextIO, format_: CheckFormat) -> None:
+    def __init__(self, file: TextIO, format_: CheckFormat, files: list[str]) -> None:
+        from mbtool.sources.files import shown_name
         from mbtool.version import __version__
         from mbtool.views.findings_document import Document, JsonDocument, SarifDocument
 
         self._file = file
-        self._document: Document = (
-            JsonDocument(__version__) if format_ is CheckFormat.JSON else SarifDocument(__version__)
-        )
+        self._document: Document
+        if format_ is CheckFormat.JSON:
+            self._document = JsonDocument(__version__)
+        else:
+            self._document = SarifDocument(__version__, {shown_name(one): one for one in files})
         file.write(self._document.begin())
 
     def add(self, found: FileFinding) -> None:
         self._file.write(self._document.add(found.finding, found.file))
 
-    def end(self, run: CheckRun) -> None:
-        self._file.write(self._document.end(run.transactions, run.failed.counts()))
+    def end(self, run: CheckRun, why_partial: str | None) -> None:
+        remarks = [*run.remarks, *([] if why_partial is None else [why_partial])]
+        self._file.write(
+            self._document.end(
+                run.transactions,
+                run.failed.counts(),
+                remarks=remarks,
+                is_whole=why_partial is None,
+            )
+        )
+
+
+def _sum_up(run: CheckRun, path: str | None, files: list[str]) -> None:
+    from mbtool.cli.talk import say
+
+    say(_sentence(run) + ("" if path is None else f" -> {path}"))
+    if failed := _failed(run, files):
+        say(failed)
 
 
 def _sentence(run: CheckRun) -> str:

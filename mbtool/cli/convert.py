@@ -56,10 +56,10 @@ def convert(
 
     from mbtool.cli.options import condition
     from mbtool.cli.output import OUTPUT_FORMATS
-    from mbtool.cli.output_file import is_old, kept_told
+    from mbtool.cli.output_file import kept_told, left_told
     from mbtool.cli.output_path import demand_other_file
     from mbtool.cli.progress import with_progress
-    from mbtool.cli.talk import interruption_told, say
+    from mbtool.cli.talk import say
     from mbtool.core import UsageError
     from mbtool.core.wording import counted
     from mbtool.workflows.convert import CAPTURE_SUFFIXES, Conversion
@@ -83,8 +83,7 @@ def convert(
     elif events is not None:
         raise UsageError("--events goes with .jsonl")
     else:
-        left = "stays as it was" if is_old(out) else "is not there, or ends early"
-        with interruption_told(f"interrupted; {out} {left}"), kept_told(out):
+        with left_told(out), kept_told(out):
             done = conversion.write(out, overwrite=overwrite, topic_per_point=topic_per_point)
         parts = (
             (done.packets, "packet"),

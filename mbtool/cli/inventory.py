@@ -94,10 +94,10 @@ def inventory(
     from mbtool.cli import exit_codes
     from mbtool.cli.options import condition
     from mbtool.cli.output import opened, say_if_empty, told_as_lost
-    from mbtool.cli.output_file import kept_told
+    from mbtool.cli.output_file import kept_told, left_told
     from mbtool.cli.output_path import chosen_format, demand_new, demand_other_file, named_file
     from mbtool.cli.progress import with_progress
-    from mbtool.cli.talk import interruption_told, say
+    from mbtool.cli.talk import say
     from mbtool.core import UsageError
     from mbtool.version import __version__
     from mbtool.workflows.inventory import InventoryOptions, InventoryRun, changes_since
@@ -111,18 +111,19 @@ def inventory(
     chosen = chosen_format(format_, path, _SUFFIXES, InventoryFormat.TABLE)
     if baseline and chosen in _WITHOUT_CHANGES:
         raise UsageError("--baseline goes with --format table, json and csv")
-    run = InventoryRun(files, options)
-    # The output is opened only after all inputs were read, so that an error does not overwrite an
-    # older output.
-    run.reading.demand_files()
-    demand_new(path, overwrite=overwrite)
-    with interruption_told(), kept_told(path):
-        document = run.take(say, with_progress)
-        run.reading.demand_readable()
-        new = changes_since(baseline, document, options, say) if baseline else None
-    with opened(path, lambda: None, overwrite=overwrite) as (file, name), told_as_lost(name):
-        _write(file, chosen, document, new, __version__, everything=each)
-        file.flush()
+    with left_told(path):
+        run = InventoryRun(files, options)
+        # The output is opened only after all inputs were read, so that an error does not overwrite
+        # an older output.
+        run.reading.demand_files()
+        demand_new(path, overwrite=overwrite)
+        with kept_told(path):
+            document = run.take(say, with_progress)
+            run.reading.demand_readable()
+            new = changes_since(baseline, document, options, say) if baseline else None
+        with opened(path, lambda: None, overwrite=overwrite) as (file, name), told_as_lost(name):
+            _write(file, chosen, document, new, __version__, everything=each)
+            file.flush()
     say_if_empty(run.reading)
     say(_sentence(document, new) + ("" if path is None else f" -> {path}"))
     for what, count in document.left_out.items():

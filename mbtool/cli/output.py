@@ -10,7 +10,7 @@ import typer
 
 from mbtool.cli import exit_codes
 from mbtool.cli.options import EventChoice, Format, SortKey
-from mbtool.cli.output_file import is_old, open_file
+from mbtool.cli.output_file import emptied, is_old, open_file
 from mbtool.cli.output_path import chosen_format, demand_new, named_file
 from mbtool.cli.printers import LinesPrinter, ParquetPrinter, demand_columns, printer_for
 from mbtool.cli.record_order import SORTED
@@ -282,6 +282,8 @@ def open_output(
             raise
         except KeyboardInterrupt:
             output.finish()
+            if output.is_empty and path is not None:
+                emptied(file)
             if not is_summed:
                 raise
             say(_interrupted(output, path, if_interrupted, stays=stays))
@@ -291,6 +293,8 @@ def open_output(
             if not isinstance(error, InputError):
                 raise
             if output.is_empty:
+                if path is not None:
+                    emptied(file)
                 if stays:
                     say(f"{path} stays as it was")
                 raise

@@ -8,7 +8,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
-from mbtool.cli.talk import say
+from mbtool.cli.talk import NOTHING_WRITTEN, interruption_told, say
 from mbtool.core import InputError, OutputError, UsageError
 from mbtool.core.errors import reason_unwritten
 from mbtool.core.replacing import replacing
@@ -35,6 +35,20 @@ def kept_told(path: str | None) -> Iterator[None]:
 
 
 @contextmanager
+def left_told(path: str | None) -> Iterator[None]:
+    """Tell the user what there is at `path`, a file that is written, if Ctrl-C ends the context."""
+    has_old = is_old(path)
+
+    def left() -> str:
+        if has_old:
+            return f"interrupted; {path} stays as it was"
+        return f"interrupted; {path} ends early" if is_old(path) else NOTHING_WRITTEN
+
+    with interruption_told(left):
+        yield
+
+
+@contextmanager
 def open_file(path: str | None, *, in_place: bool) -> Iterator[TextIO]:
     """Open a file to write text to; standard output if `path` is None.
 
@@ -49,6 +63,13 @@ def open_file(path: str | None, *, in_place: bool) -> Iterator[TextIO]:
     else:
         with _left_if_begun(path), _open_for(path, Path(path)) as file:
             yield file
+
+
+def emptied(file: TextIO) -> None:
+    """Take back what was written to a file of `open_file`, which then leaves no new file."""
+    with suppress(OSError):  # A pipe cannot be emptied.
+        file.seek(0)
+        file.truncate()
 
 
 @contextmanager

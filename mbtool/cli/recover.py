@@ -24,13 +24,12 @@ def recover(
     Exit 1 when something is lost.
     """
     from mbtool.cli import exit_codes
-    from mbtool.cli.output_file import is_old
-    from mbtool.cli.talk import interruption_told, say
+    from mbtool.cli.output_file import left_told
+    from mbtool.cli.talk import say
     from mbtool.core.wording import counted
     from mbtool.workflows.recover import loss_text, recover
 
-    left = "stays as it was" if is_old(good) else "is not there, or ends early"
-    with interruption_told(f"interrupted; {good} {left}"):
+    with left_told(good):
         result = recover(broken, good, lambda loss: typer.echo(loss_text(loss)), replace=overwrite)
     if result.remark:
         say(f"mbtool: {result.remark}")

@@ -70,10 +70,10 @@ def report(
     docs/report.md explains it.
     """
     from mbtool.cli.output import opened, told_as_lost
-    from mbtool.cli.output_file import kept_told
+    from mbtool.cli.output_file import kept_told, left_told
     from mbtool.cli.output_path import demand_new, demand_other_file, named_file
     from mbtool.cli.progress import with_progress
-    from mbtool.cli.talk import interruption_told, say
+    from mbtool.cli.talk import say
     from mbtool.core import UsageError
     from mbtool.core.wording import counted
     from mbtool.workflows.check import CodeFilter
@@ -89,25 +89,26 @@ def report(
     if path is not None and Path(path).suffix.lower() in _OTHER_SUFFIXES:
         page = Path(path).with_suffix(".html")
         raise UsageError(f"{path}: the page is HTML: write -o {page}; a browser makes a PDF of it")
-    run = ReportRun(
-        files,
-        source.read(device, raw=raw, silences=silences),
-        CodeFilter.parse((), ignore or ()),
-        TimeWindow.parse(start, end),
-        everything=everything,
-    )
-    run.demand_codes()
-    run.reading.demand_files()
-    demand_new(path, overwrite=overwrite)
-    # The output is opened only after all inputs were read, so that an error does not overwrite an
-    # older page.
-    with interruption_told(), kept_told(path):
-        run.read(with_progress)
-        run.reading.demand_readable()
-        text = run.page(against, say)
-    with opened(path, lambda: None, overwrite=overwrite) as (file, name), told_as_lost(name):
-        file.write(text)
-        file.flush()
+    with left_told(path):
+        run = ReportRun(
+            files,
+            source.read(device, raw=raw, silences=silences),
+            CodeFilter.parse((), ignore or ()),
+            TimeWindow.parse(start, end),
+            everything=everything,
+        )
+        run.demand_codes()
+        run.reading.demand_files()
+        demand_new(path, overwrite=overwrite)
+        # The output is opened only after all inputs were read, so that an error does not overwrite
+        # an older page.
+        with kept_told(path):
+            run.read(with_progress)
+            run.reading.demand_readable()
+            text = run.page(against, say)
+        with opened(path, lambda: None, overwrite=overwrite) as (file, name), told_as_lost(name):
+            file.write(text)
+            file.flush()
     for remark in run.remarks:
         say(remark)
     if path is not None:

@@ -175,14 +175,17 @@ class Interrupted(KeyboardInterrupt):
 
 
 @contextmanager
-def interruption_told(text: str = NOTHING_WRITTEN) -> Iterator[None]:
-    """Print `text`, which says what was kept, if Ctrl-C ends the context."""
+def interruption_told(text: str | Callable[[], str] = NOTHING_WRITTEN) -> Iterator[None]:
+    """Print `text`, which says what was kept, if Ctrl-C ends the context.
+
+    A function is called then to return the text.
+    """
     try:
         yield
     except Interrupted:
         raise
     except KeyboardInterrupt:
-        say(text)
+        say(text if isinstance(text, str) else text())
         raise Interrupted from None
 
 

@@ -10,6 +10,7 @@
 
 from __future__ import annotations
 
+import sys
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any, Protocol
 from urllib.parse import quote
@@ -20,7 +21,7 @@ from mbtool.devices.checking.rules import rule_of
 from mbtool.views.tables import printable_json
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from mbtool.devices.checking.finding import Finding
 
@@ -37,8 +38,19 @@ class Document(Protocol):
 
     def add(self, finding: Finding, file: str) -> str: ...
 
-    def end(self, transactions: int, failed: Mapping[str, int]) -> str:
-        """Return the last piece. `failed` has the numbers of requests without a good answer."""
+    def end(
+        self,
+        transactions: int,
+        failed: Mapping[str, int],
+        *,
+        remarks: Sequence[str] = (),
+        is_whole: bool = True,
+    ) -> str:
+        """Return the last piece.
+
+        `failed` has the numbers of requests without a good answer, `remarks` are lines about the
+        files. `is_whole` is False if a part of the files was not checked.
+        """
         ...
 
 
@@ -60,16 +72,31 @@ class JsonDocument:
         joint, self._joint = self._joint, ",\n"
         return joint + _json({**_fields(finding), "file": file})
 
-    def end(self, transactions: int, failed: Mapping[str, int]) -> str:
-        rest = {"rules": self._rules, "transactions": transactions, "failed_requests": failed}
+    def end(
+        self,
+        transactions: int,
+        failed: Mapping[str, int],
+        *,
+        remarks: Sequence[str] = (),
+        is_whole: bool = True,
+    ) -> str:
+        rest = {
+            "rules": self._rules,
+            "transactions": transactions,
+            "failed_requests": failed,
+            "is_whole": is_whole,
+            "remarks": list(remarks),
+        }
         return f"\n],{_json(rest)[1:]}\n"
 
 
 class SarifDocument:
     """Writes SARIF 2.1.0: a log with one run, which holds all findings."""
 
-    def __init__(self, version: str) -> None:
+    def __init__(self, version: str, paths: Mapping[str, str] | None = None) -> None:
+        """`paths` has the path of each file whose name is shown otherwise, by the shown name."""
         self._version = version
+        self._paths = paths or {}
         self._rules: dict[str, dict[str, Any]] = {}
         self._indices: dict[str, int] = {}
         self._joint = "\n"
@@ -82,9 +109,18 @@ class SarifDocument:
             self._indices[finding.code] = len(self._rules)
             self._rules[finding.code] = self._rule(finding)
         joint, self._joint = self._joint, ",\n"
-        return joint + _json(_result(finding, file, self._indices[finding.code]))
+        return joint + _json(
+            _result(finding, self._paths.get(file, file), self._indices[finding.code])
+        )
 
-    def end(self, transactions: int, failed: Mapping[str, int]) -> str:
+    def end(
+        self,
+        transactions: int,
+        failed: Mapping[str, int],
+        *,
+        remarks: Sequence[str] = (),
+        is_whole: bool = True,
+    ) -> str:
         driver = {
             "name": "mbtool",
             "version": self._version,
@@ -92,6 +128,7 @@ class SarifDocument:
         }
         rest = {
             "tool": {"driver": driver},
+            "invocations": [_invocation(remarks, is_whole=is_whole)],
             "columnKind": "unicodeCodePoints",
             "properties": {"transactions": transactions, "failed_requests": failed},
         }
@@ -125,6 +162,12 @@ def _result(finding: Finding, file: str, index: int) -> dict[str, Any]:
         "occurrenceCount": finding.count,
         "properties": _fields(finding),
     }
+
+
+def _invocation(remarks: Sequence[str], *, is_whole: bool) -> dict[str, Any]:
+    """Return SARIF's account of the run: whether all was checked, and the remarks on the files."""
+    notes = [{"level": "warning", "message": {"text": remark}} for remark in remarks]
+    return {"executionSuccessful": is_whole, "toolExecutionNotifications": notes}
 
 
 def _logical(finding: Finding) -> dict[str, str]:
@@ -178,7 +221,8 @@ def _time(ts_ns: int) -> str | None:
 
 def _uri(file: str) -> str:
     """Return a path as a relative or absolute URI reference; odd bytes are percent-encoded."""
-    return quote(file.replace("\\", "/").encode(errors="surrogateescape"))
+    path = file.replace("\\", "/") if sys.platform == "win32" else file
+    return quote(path.encode(errors="surrogateescape"))
 
 
 def _json(value: Any) -> str:

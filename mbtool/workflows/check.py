@@ -172,6 +172,8 @@ class CheckRun:
         self._captures = 0
         self._file = ""
         self._remarks: list[str] = []
+        self.problem: str | None = None
+        """The error that ended the reading before the end of the files; None if there was none."""
         self._hints = ModelHints(self.reading.profile_for)
         self.transactions = 0
         self.failed = FailedRequests()
@@ -241,7 +243,8 @@ class CheckRun:
                     yield self._check(part)
                 else:
                     yield from self._check_rows(part)
-        except InputError:
+        except InputError as error:
+            self.problem = str(error)
             yield CheckedRecord(None, None, list(self._end_capture()))
             raise
         yield CheckedRecord(None, None, list(self._end_capture()))

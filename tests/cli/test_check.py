@@ -2,11 +2,15 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 
 from mbtool.cli import exit_codes
 from mbtool.cli.main import run
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 FOLDER = Path(__file__).resolve().parents[2] / "captures"
 SHOWS = str(FOLDER / "findings" / "MB-103.pcap")
@@ -131,6 +135,65 @@ def test_a_cut_capture_leaves_a_whole_document(
     said = capsys.readouterr().err.splitlines()
     assert said[0].startswith("1 finding in ")
     assert said[-1].startswith(f"mbtool: {cut}: ends in the middle of a record")
+
+
+def test_the_json_of_a_cut_capture_says_that_it_is_not_whole(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cut = tmp_path / "cut.pcap"
+    cut.write_bytes(Path(SHOWS).read_bytes()[:-5])
+    assert run(["check", str(cut), "--format", "json"]) == exit_codes.UNREADABLE
+    document = json.loads(capsys.readouterr().out)
+    assert document["is_whole"] is False
+    assert document["remarks"][-1].startswith(f"{cut}: ends in the middle of a record")
+    assert run(["check", SHOWS, "--format", "json"]) == exit_codes.NO
+    document = json.loads(capsys.readouterr().out)
+    assert (document["is_whole"], document["remarks"]) == (True, [])
+
+
+@pytest.mark.parametrize("suffix", ["json", "sarif", "txt"])
+@pytest.mark.parametrize("is_old", [True, False])
+def test_ctrl_c_leaves_no_file_that_looks_complete(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    suffix: str,
+    *,
+    is_old: bool,
+) -> None:
+    out = tmp_path / f"x.{suffix}"
+    if is_old:
+        out.write_text("older")
+    monkeypatch.setattr("mbtool.cli.progress.with_progress", _interrupted)
+    assert run(["check", SHOWS, "-o", str(out), "--overwrite"]) == exit_codes.INTERRUPTED
+    kept = f"{out} stays as it was" if is_old else "nothing was written"
+    assert capsys.readouterr().err == f"interrupted; {kept}\n"
+    assert out.exists() == is_old
+    assert not is_old or out.read_text() == "older"
+
+
+def test_ctrl_c_prints_what_was_found_and_marks_it(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("mbtool.cli.progress.with_progress", _interrupted)
+    assert run(["check", SHOWS, "--format", "json"]) == exit_codes.INTERRUPTED
+    told = capsys.readouterr()
+    document = json.loads(told.out)
+    assert (document["is_whole"], document["remarks"]) == (False, ["interrupted"])
+    assert told.err.startswith("interrupted; what follows from the rest of the files is not there")
+
+
+def _interrupted(_: object, records: Iterator[object]) -> Iterator[object]:
+    yield next(records)
+    raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize("suffix", ["json", "sarif", "txt"])
+def test_what_cannot_be_read_at_all_leaves_no_document(tmp_path: Path, suffix: str) -> None:
+    broken, out = tmp_path / "broken.pcap", tmp_path / f"x.{suffix}"
+    broken.write_bytes(Path(SHOWS).read_bytes()[:30])
+    assert run(["check", str(broken), "-o", str(out)]) == exit_codes.UNREADABLE
+    assert not out.exists()
 
 
 @pytest.mark.parametrize(

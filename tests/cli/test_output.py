@@ -283,6 +283,28 @@ def _print_and_fail(path: Path, error: BaseException) -> None:
         raise error
 
 
+@pytest.mark.parametrize("name", ["a.jsonl", "a.csv", "a.txt", "a.parquet"])
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), InputError("x")])
+def test_an_end_before_the_first_record_leaves_no_new_file(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    name: str,
+    error: BaseException,
+) -> None:
+    if name.endswith("parquet"):
+        pytest.importorskip("pyarrow")
+    monkeypatch.chdir(tmp_path)
+    with (
+        pytest.raises(type(error)),
+        open_output(name, None, None, lambda _: None, lambda _: True),
+    ):
+        raise error
+    is_told = isinstance(error, KeyboardInterrupt)
+    assert capsys.readouterr().err == ("interrupted; nothing was written\n" if is_told else "")
+    assert not Path(name).exists()
+
+
 @pytest.mark.parametrize(
     ("is_old", "said"),
     [(True, "interrupted; a.jsonl is empty now\n"), (False, "interrupted; nothing was written\n")],

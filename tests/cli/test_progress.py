@@ -161,7 +161,7 @@ def _stop(*_: object, **__: object) -> Any:
     ("command", "stopped", "told"),
     [
         (["recover", "{}", "-o", "y.mcap"], "mbtool.logs.recovery.Recovery._finish",
-         "interrupted; y.mcap is not there, or ends early"),
+         "interrupted; y.mcap ends early"),
         (["devices", "--match", "{}"], "mbtool.workflows.shared.reading.Reading.records",
          "interrupted; nothing was written"),
         (["devices", "draft", "{}"], "mbtool.workflows.shared.reading.Reading.records",

@@ -55,6 +55,17 @@ SARIF = _object(
             "type": "array",
             "items": _object(
                 ["tool", "results"],
+                invocations={
+                    "type": "array",
+                    "items": _object(
+                        ["executionSuccessful"],
+                        executionSuccessful={"type": "boolean"},
+                        toolExecutionNotifications={
+                            "type": "array",
+                            "items": _object(["message"], level=_LEVEL, message=_TEXT),
+                        },
+                    ),
+                },
                 columnKind={"enum": ["utf16CodeUnits", "unicodeCodePoints"]},
                 tool=_object(
                     ["driver"],
@@ -202,6 +213,30 @@ def test_file_names_with_undecodable_bytes_are_written() -> None:
     for place in ("a b/#1.pcap", "C:\\x.pcap", "bad\udce9.pcap", "-"):
         jsonschema.validate(written(SarifDocument("1"), BARE, place=place), SARIF)
         written(JsonDocument("1"), BARE, place=place)
+
+
+def test_sarif_names_a_file_by_the_bytes_of_its_path() -> None:
+    shown, path = "o2/\\xff\\xfe.pcap", "o2/\udcff\udcfe.pcap"
+    (run,) = written(SarifDocument("1", {shown: path}), BARE, place=shown)["runs"]
+    (location,) = run["results"][0]["locations"]
+    assert location["physicalLocation"]["artifactLocation"]["uri"] == "o2/%FF%FE.pcap"
+
+
+@pytest.mark.parametrize("is_whole", [True, False])
+def test_documents_say_what_was_not_checked(*, is_whole: bool) -> None:
+    json_, sarif = JsonDocument("1"), SarifDocument("1")
+    told: list[Any] = [
+        json.loads(one.begin() + one.end(1, {}, remarks=["cut"], is_whole=is_whole))
+        for one in (json_, sarif)
+    ]
+    assert (told[0]["is_whole"], told[0]["remarks"]) == (is_whole, ["cut"])
+    jsonschema.validate(told[1], SARIF)
+    assert told[1]["runs"][0]["invocations"] == [
+        {
+            "executionSuccessful": is_whole,
+            "toolExecutionNotifications": [{"level": "warning", "message": {"text": "cut"}}],
+        }
+    ]
 
 
 def test_a_time_beyond_the_calendar_is_left_out() -> None:
