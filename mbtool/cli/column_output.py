@@ -75,14 +75,15 @@ def print_columns(
         if processes is not None:
             _print_apart(columns, out, note, interrupt, ended.enter_context(processes))
         elif out.takes_tables:
-            for batch in interrupt.breakable(columns.batches()):
+            for batch in with_progress(columns, interrupt.breakable(columns.batches())):
                 for record in batch.made:
                     note(record)
                 out.add_table(batch.table)
         else:
             printer = out.printer
             assert isinstance(printer, LinesPrinter)
-            for lines in interrupt.breakable(columns.lines(printer.line_of, printer.separator)):
+            blocks = columns.lines(printer.line_of, printer.separator)
+            for lines in with_progress(columns, interrupt.breakable(blocks)):
                 for record in lines.made:
                     note(record)
                 out.add_lines(lines)
@@ -146,7 +147,8 @@ def _print_apart(
     """
     is_table = out.takes_tables
     try:
-        for printed in interrupt.breakable(processes.printed(columns.decoded())):
+        blocks = interrupt.breakable(processes.printed(columns.decoded()))
+        for printed in with_progress(columns, blocks):
             for record in printed.made:
                 note(record)
             if not is_table:

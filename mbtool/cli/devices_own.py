@@ -213,6 +213,7 @@ def _survey(
     Returns the error if the file is cut or damaged, else None. Raises InputError if nothing in the
     file could be decoded.
     """
+    from mbtool.cli.progress import with_progress
     from mbtool.cli.talk import interruptible, interruption_told, say
     from mbtool.core import CutError, DamageError
     from mbtool.workflows.shared.reading import Reading
@@ -221,7 +222,7 @@ def _survey(
     broken: InputError | None = None
     try:
         with interruption_told(), interruptible() as interrupt:
-            take(interrupt.breakable(reading.records()))
+            take(with_progress(reading, interrupt.breakable(reading.records())))
     except (CutError, DamageError) as error:
         broken = error
     finally:

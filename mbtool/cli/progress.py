@@ -22,7 +22,7 @@ T = TypeVar("T")
 _APPEARS_S = 1.0
 _LOOK_EVERY = 100
 """With single records, the clock is read at every 100th, as reading it is slow. A record that is a
-block of several rows is so rare that the clock is read at each."""
+block of rows is so rare that the clock is read at each."""
 _PAUSE_S = 0.1
 """The bar is updated at most this often, in s."""
 
@@ -58,10 +58,10 @@ def _shown(reading: Reading, records: Iterator[T]) -> Iterator[T]:
         for record in records:
             rows = getattr(record, "row_count", 1)
             number += rows
-            if (rows > 1 or number % _LOOK_EVERY == 0) and (now_s := time.monotonic()) >= next_s:
+            if (rows != 1 or number % _LOOK_EVERY == 0) and (now_s := time.monotonic()) >= next_s:
                 next_s = now_s + _PAUSE_S
                 rate = number / (now_s - began_s)
-                told = f"{reading.progress_text}, {rate:,.0f} rows/s"
+                told = f"{reading.progress_text}, {rate:,.0f} transactions/s"
                 bar.update(task, completed=reading.fraction, description=escape(escaped(told)))
                 if not is_shown:
                     shown.enter_context(bar)

@@ -37,6 +37,11 @@ class TransactionBatch:
     """The transactions that were read from arrays but are not usual reads or writes
     (usual_rows.py), so that an object was made for each."""
 
+    @property
+    def row_count(self) -> int:
+        """The number of transactions, for a progress bar."""
+        return self.table.num_rows
+
 
 class BlockTables:
     """Makes a pyarrow table of each block of a capture that is decoded without device profiles."""

@@ -70,6 +70,11 @@ class LineBatch:
     """The transactions that were read from arrays but are not usual reads or writes
     (usual_rows.py), so that an object was made for each."""
 
+    @property
+    def row_count(self) -> int:
+        """The number of transactions and events, for a progress bar."""
+        return self.outcomes.total() + len(self.records)
+
 
 class BlockLines:
     """Formats each block of a capture as lines, if the capture is decoded without device

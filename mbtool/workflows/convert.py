@@ -103,7 +103,7 @@ class Conversion:
 
     def records(self) -> Iterator[Record]:
         """Yield the chosen transactions and events of all files, in the order of time."""
-        for record in self._window.begun(self._all_records()):
+        for record in self._window.begun(self._all_records(self._watch)):
             if isinstance(record, WireEvent):
                 if record in self._window:
                     yield record
@@ -159,8 +159,12 @@ class Conversion:
             ends = "; it ends early" if place.exists() else ""
             raise OutputError(f"{out}: cannot be written: {reason_of(error)}{ends}") from error
 
-    def _all_records(self) -> Iterator[Record]:
-        return _merged([group.records() for group in self._groups], _record_ns)
+    def _all_records(self, watch: Watch = unwatched) -> Iterator[Record]:
+        """Yield all transactions and events; `watch` sees those of the first group, as the groups
+        are read side by side.
+        """
+        first, *others = self._groups
+        return _merged([first.records(watch), *(group.records() for group in others)], _record_ns)
 
     def _is_wanted(self, one: NamedTransaction) -> bool:
         return one in self._window and (self._where is None or self._where(one))

@@ -124,7 +124,7 @@ def test_parts_count_with_all_their_rows(monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setenv("TERM", "xterm")
     reading: Any = Halfway()
     assert len([*with_progress(reading, iter([Part(), Part()]))]) == 2
-    assert "250 rows/s" in screen.getvalue()
+    assert "250 transactions/s" in screen.getvalue()
     assert "left" in screen.getvalue()
 
 
@@ -203,3 +203,39 @@ def test_ctrl_c_while_a_slave_is_asked_says_what_it_may_have_taken(
         told = mbtool("write", link, "holding 0=5", "--yes")
     assert told.code == exit_codes.INTERRUPTED
     assert told.err == "interrupted; the slave may have taken what was sent, or may take it yet\n"
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["decode", "{}", "-o", "x.jsonl"],
+        ["decode", "{}", "-o", "x.csv", "--jobs", "2"],
+        ["decode", "{}", "-o", "x.parquet"],
+        ["decode", "{}", "-o", "x.jsonl", "--where", "unit == 1"],
+        ["convert", "{}", "x.jsonl"],
+        ["convert", "{}", "x.csv"],
+        ["convert", "{}", "x.mcap"],
+        ["devices", "--match", "{}"],
+        ["devices", "draft", "{}"],
+    ],
+    ids=" ".join,
+)
+def test_whatever_is_made_of_a_capture_its_reading_is_shown(
+    mbtool: CommandLine, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, command: list[str]
+) -> None:
+    passed: list[object] = []
+
+    def note(_: object, records: Iterator[object]) -> Iterator[object]:
+        for record in records:
+            passed.append(record)
+            yield record
+
+    for module in ("progress", "decode", "column_output"):
+        monkeypatch.setattr(f"mbtool.cli.{module}.with_progress", note)
+    monkeypatch.setattr("mbtool.cli.decode._WORTH_BYTES", 0)
+    monkeypatch.setattr("mbtool.cli.column_output.WORTH_PROCESSES", 0)
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / "plant.pcap"
+    path.write_bytes(pcap(captured(3)))
+    assert mbtool(*(one.replace("{}", str(path)) for one in command)).code == exit_codes.DONE
+    assert sum(getattr(record, "row_count", 1) for record in passed) >= 3

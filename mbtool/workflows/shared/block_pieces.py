@@ -38,6 +38,11 @@ class PrintedBlock:
     """The size of `text` as UTF-8, in bytes. The process passes the text itself in a file in
     memory."""
 
+    @property
+    def row_count(self) -> int:
+        """The number of transactions, for a progress bar."""
+        return self.counts.outcomes.total()
+
 
 def write_pieces(descriptor: int, pieces: Sequence[ReadableBuffer]) -> list[int]:
     """Write `pieces` one after the other to the beginning of the file with this descriptor; return

@@ -65,13 +65,13 @@ class InputGroup:
     remarks: list[str] = field(default_factory=list)
     line_of: Callable[[str], SerialLink | None] = lambda _: None
 
-    def records(self) -> Iterator[Record]:
+    def records(self, watch: Watch = unwatched) -> Iterator[Record]:
         """Yield the transactions and events of the group; those of a log as they are stored
         in it.
         """
         reading = Reading(self.paths, self.options)
         try:
-            yield from reading.records()
+            yield from watch(reading, reading.records())
         except InputError as error:
             self.broken = error
         self.remarks = reading.remarks
@@ -104,7 +104,7 @@ class TransactionGroup(InputGroup):
     request and response bytes that its transactions contain.
     """
 
-    def records(self) -> Iterator[Record]:
+    def records(self, watch: Watch = unwatched) -> Iterator[Record]:
         (path,) = self.paths
         with open(path, "rb") as file:
             yield from read_jsonl(file, path)
