@@ -40,7 +40,7 @@ class TransactionBatch:
     @property
     def row_count(self) -> int:
         """The number of transactions, for a progress bar."""
-        return self.table.num_rows
+        return len(self.table)
 
 
 class BlockTables:
