@@ -23,11 +23,11 @@ def play_as_bus(file: str, on: LinkSpec, options: BusOptions) -> None:
     """Send the recording, and print how late bytes were sent."""
     link = line_link(on)
     run = BusRun(file, options, link, say, with_progress)
-    say(_what_is_played(file, run, link, options))
+    told = _what_is_played(file, run, link, options)
     if options.rate is not None:
         run_promptly()
     with controlled() as (keys, stops):
-        report = run.play(stops=stops, controls=keys)
+        report = run.play(stops=stops, on_open=lambda: say(told), controls=keys)
         was_stopped = stops()
     say(_outcome(report))
     if was_stopped:

@@ -20,7 +20,7 @@ from mbtool.core.wording import counted, milliseconds, plural
 from mbtool.replay.significance import MIN_VALUES
 from mbtool.sources.priority import run_promptly
 from mbtool.views.differences import print_differences
-from mbtool.workflows.replay_master import MasterRun, junit
+from mbtool.workflows.replay_master import MasterRun, interrupted_text, junit
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -52,11 +52,11 @@ def play_as_master(
     run = MasterRun(file, options, say, with_progress)
     if learn is not None and learn.is_file():
         demand_list(learn, run)
-    say(_what_is_played(file, run, to, options))
+    told = _what_is_played(file, run, to, options)
     if options.rate is not None or options.tolerance is not None:
         run_promptly()
     with controlled() as (keys, stops):
-        report = run.play(to, stops=stops, controls=keys)
+        report = run.play(to, stops=stops, on_open=lambda: say(told), controls=keys)
         was_stopped = stops()
     print_differences(PipeConsole(), report.differences, SIDES)
     if report.requests or report.problem is None:
@@ -102,8 +102,12 @@ def _what_is_played(file: str, run: MasterRun, to: LinkSpec, options: MasterOpti
 
 
 def _outcome(report: Report) -> str:
-    requests = counted(report.requests, "request", ",")
-    text = f"{requests}; {counted(report.different, 'answer', ',')} not as recorded"
+    asked = counted(report.requests, "request", ",")
+    if report.problem is None and (report.not_asked or report.not_awaited):
+        asked = interrupted_text(report)
+    elif report.not_asked:
+        asked = f"{asked}, {report.not_asked:,} not asked"
+    text = f"{asked}; {counted(report.different, 'answer', ',')} not as recorded"
     if report.unsolicited:
         text = f"{text}; {report.unsolicited:,} that nobody asked for"
     if report.uncompared_latencies:

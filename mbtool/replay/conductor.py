@@ -78,6 +78,11 @@ class Conductor:
         """The number of requests sent; in a loop, of all laps together."""
         return self._queue.taken
 
+    @property
+    def pending(self) -> int:
+        """The number of requests that were sent and are neither answered nor given up."""
+        return len(self._open)
+
     def next_step(self, now_ns: int) -> Step | None:
         """Return the step (recorded request) to send at the real time `now_ns`, and count it as
         sent; None if none is due.

@@ -99,9 +99,14 @@ class BusRun:
         return self.pieces[-1].position_ns
 
     def play(
-        self, *, stops: Callable[[], bool] = lambda: False, controls: PlayerControls | None = None
+        self,
+        *,
+        stops: Callable[[], bool] = lambda: False,
+        on_open: Callable[[], None] = lambda: None,
+        controls: PlayerControls | None = None,
     ) -> BusReport:
-        """Send all bytes; end early when `stops` returns True.
+        """Send all bytes; end early when `stops` returns True. `on_open` is called when the port is
+        open.
 
         `controls` gives the user's keys (pause, step, faster, slower) and shows the progress; None
         for none. Raises LinkError if the port cannot be opened or is lost.
@@ -118,6 +123,7 @@ class BusRun:
         )
         steering = Steering(clock, player.allow_step)
         with closing(open_port(link, timeout_s=0)) as port, port_in_use(link):
+            on_open()
             steering.begin(time.monotonic_ns())
             while not player.has_ended and not stops():
                 now_ns = time.monotonic_ns()

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from mbtool.core import InputError, LinkError
+from mbtool.core.wording import counted
 from mbtool.devices import Difference, Span, parse_span, write_reference
 from mbtool.master.links import open_master
 from mbtool.replay import (
@@ -91,6 +92,12 @@ class Report(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     uncompared_latencies: int = 0
     """The number of requests whose latencies could not be compared, because they had too few
     responses."""
+    not_asked: int = 0
+    """The number of requests that were not sent, because the user or an error of the link ended the
+    replay; 0 if all were sent once, repetitions in a loop left out."""
+    not_awaited: int = 0
+    """If the user ended the replay before its end: the number of requests that were sent and whose
+    responses were still to come."""
     problem: str | None = None
     """The error that kept some requests from being sent: the slave cannot be reached, or the port
     was lost. None if the link worked."""
@@ -137,13 +144,14 @@ class MasterRun:
         *,
         stops: Callable[[], bool] = lambda: False,
         on_answer: Callable[[Step, bytes | None, bool], None] = lambda *_: None,
+        on_open: Callable[[], None] = lambda: None,
         controls: PlayerControls | None = None,
     ) -> Report:
         """Send all recorded requests, and compare the responses with the recorded ones.
 
         Ends early when `stops` returns True. `on_answer` is called for each request with three
         arguments: the recorded request, the PDU of the new response (None if there was none), and
-        True if that response is as recorded. `controls` gives the user's keys and shows the
+        True if that response is as recorded. `on_open` is called when the link is open. `controls` gives the user's keys and shows the
         progress; None for none.
 
         If the link cannot be opened or its serial port is lost, the report has the error in
@@ -165,6 +173,7 @@ class MasterRun:
                 conductor = Conductor(self.script, clock, judge, master.limits)
                 steering = Steering(clock, conductor.allow_step)
                 look_ns = _LOOK_NS if controls is None else _STEERED_NS
+                on_open()
                 steering.begin(time.monotonic_ns())
                 while not conductor.has_ended and not stops():
                     if controls is not None:
@@ -222,10 +231,13 @@ class MasterRun:
         sent; `problem` is the error of the link, if any.
         """
         options = self._options
+        sent = conductor.sent if conductor else 0
+        not_asked = max(len(self.script.steps) - sent, 0)
+        is_partial = bool(not_asked) or not options.is_loop
         return Report(
             recording=self._path,
             link=str(link),
-            requests=conductor.sent if conductor else 0,
+            requests=sent,
             different=judge.wrong,
             unsolicited=conductor.unsolicited if conductor else 0,
             lateness_p99_ns=lateness_p99_ns(conductor.lateness, options) if conductor else None,
@@ -233,6 +245,8 @@ class MasterRun:
             differences=judge.differences(),
             learned=[_written(span) for _, span in judge.learned()] if options.learns else [],
             uncompared_latencies=judge.uncompared_latencies(),
+            not_asked=not_asked,
+            not_awaited=conductor.pending if conductor and is_partial else 0,
             problem=problem,
         )
 
@@ -242,7 +256,7 @@ def junit(report: Report) -> str:
     values differed.
 
     A request's case fails if one of its responses was not as recorded, or if its latencies are too
-    long. If the link failed, another case has the error.
+    long. If the link failed or the user ended the replay early, another case has the error.
     """
     cases = [
         Case(
@@ -260,7 +274,18 @@ def junit(report: Report) -> str:
     ]
     if report.problem is not None:
         cases.append(Case("link", report.link, error=report.problem))
+    elif report.not_asked or report.not_awaited:
+        cases.append(Case("replay", "all requests asked", error=interrupted_text(report)))
     return junit_xml(report.recording, cases)
+
+
+def interrupted_text(report: Report) -> str:
+    """Say how far a replay came that the user ended: `interrupted after 1 of 11 requests`."""
+    total = report.requests + report.not_asked
+    text = f"interrupted after {report.requests:,} of {counted(total, 'request', ',')}"
+    if report.not_awaited:
+        text += f", {counted(report.not_awaited, 'answer', ',')} not awaited"
+    return text
 
 
 def _case_name(request: RequestReport) -> str:

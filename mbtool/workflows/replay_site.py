@@ -247,28 +247,43 @@ def _divided(
     patterns = [None if rule.who in lines else parse_who(rule.who or "") for rule in rules]
     order = sorted(range(len(rules)), key=lambda index: -_specificity(patterns[index]))
     of_rule: dict[int, list[tuple[str, int]]] = {index: [] for index in order}
+    fitting: set[int] = set()
+    """The indices of the rules that fit a slave, also one that a more specific rule has."""
     left = []
     for place, unit, destination in slaves:
-        for index in order:
-            who = patterns[index]
-            fits = rules[index].who == place if who is None else who.fits_slave(destination, unit)
-            if fits:
-                of_rule[index].append((place, unit))
-                break
+        fits = [
+            index
+            for index in order
+            if _fits(rules[index].who, patterns[index], place, unit, destination)
+        ]
+        fitting.update(fits)
+        if fits:
+            of_rule[fits[0]].append((place, unit))
         else:
             left.append(place)
+    known = _listed([place for place, _, _ in slaves]) or "none"
+    for index, rule in enumerate(rules):
+        if not of_rule[index]:
+            why = "each slave that it fits has a closer --on"
+            if index not in fitting:
+                why = f"{path} has no such slave, but {known}"
+            raise UsageError(f"--on {rule.who}={rule.link_text}: {why}")
     if left:
         on_remark(f"mbtool: not played: {_listed(left)}; --on all=LINK is for the rest")
     parts = []
     taken: set[Address] = set()
     for index, rule in enumerate(rules):
-        if not of_rule[index]:
-            known = _listed([place for place, _, _ in slaves]) or "none"
-            raise UsageError(f"--on {rule.who}={rule.link_text}: {path} has no such slave: {known}")
         parts += _parts(rule, of_rule[index], taken)
     if len(parts) > MAX_LINKS:
         raise UsageError(f"{path}: {len(parts)} slaves; at most {MAX_LINKS} links are played")
     return parts
+
+
+def _fits(
+    text: str | None, who: Who | None, place: str, unit: int, destination: str | None
+) -> bool:
+    """True if WHO, written as `text`, names a slave; `who` is None for the name of a line."""
+    return text == place if who is None else who.fits_slave(destination, unit)
 
 
 def _specificity(who: Who | None) -> int:

@@ -79,3 +79,10 @@ def test_a_bus_needs_a_serial_line(mbtool: CommandLine, capture: Path) -> None:
     told = mbtool("replay", capture, "--as-bus", "--on", "tcp:127.0.0.1:1502")
     assert told.code == exit_codes.USAGE
     assert "a bus is a serial line: rtu:PORT@19200-8E1 or ascii:PORT@9600-7E1" in told.err
+
+
+def test_a_line_that_is_not_there_is_the_only_message(mbtool: CommandLine, capture: Path) -> None:
+    told = mbtool("replay", capture, "--as-bus", "--on", "rtu:/dev/absent@19200-8E1")
+    assert told.code == exit_codes.UNREADABLE
+    (line,) = told.err.splitlines()
+    assert "/dev/absent" in line

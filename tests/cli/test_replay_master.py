@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import nullcontext
 from typing import TYPE_CHECKING
 
 import pytest
@@ -82,6 +83,21 @@ def test_what_differs_is_learned_and_left_out_the_next_time(
     assert ranges.read_text() == "holding 1\n"
     assert mbtool(*play, "--ignore-from", ranges).code == exit_codes.DONE
     assert mbtool(*play).code == exit_codes.NO
+
+
+def test_ctrl_c_says_that_requests_were_not_asked(
+    mbtool: CommandLine, capture: Path, right: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(
+        "mbtool.cli.replay_master.controlled", lambda: nullcontext((None, lambda: True))
+    )
+    file = tmp_path / "x.xml"
+    told = mbtool("replay", capture, "--as-master", "--to", right, "--report", file)
+    assert (told.code, told.out) == (exit_codes.INTERRUPTED, "")
+    assert told.err.splitlines()[-1] == (
+        "interrupted after 0 of 3 requests; 0 answers not as recorded"
+    )
+    assert 'tests="1" failures="0" errors="1"' in file.read_text()
 
 
 def test_learned_ranges_are_added_behind_what_a_list_holds(
@@ -177,7 +193,7 @@ def test_a_report_is_written_although_the_slave_cannot_be_reached(
         "--learn", known,
     )  # fmt: skip
     assert told.code == exit_codes.UNREADABLE
-    (problem,) = told.err.splitlines()[1:]
+    (problem,) = told.err.splitlines()
     assert "does a slave listen there" in problem
     assert problem.removeprefix("mbtool: ") in file.read_text()
     assert known.read_text() == "holding 9\n"

@@ -66,6 +66,46 @@ def test_right_answers_make_no_difference(capture: Path) -> None:
     assert [(one.reference, one.count) for one in report.asked] == [(SAME, 3)]
 
 
+def test_a_replay_that_the_user_ends_says_what_was_not_asked(capture: Path) -> None:
+    answers: list[object] = []
+    report = _report(
+        _run(capture),
+        lambda _, __: Response(VALUES),
+        stops=lambda: bool(answers),
+        on_answer=lambda *each: answers.append(each),
+    )
+    assert (report.requests, report.not_asked, report.not_awaited) == (1, 2, 0)
+    assert json.loads(msgspec.json.encode(report))["not_asked"] == 2
+    suite = ElementTree.fromstring(junit(report))
+    demand_junit(suite)
+    (error,) = suite.findall("testcase/error")
+    assert error.get("message") == "interrupted after 1 of 3 requests"
+
+
+def test_a_replay_that_ends_before_the_last_answer_says_so(capture: Path) -> None:
+    asked: list[int] = []
+
+    def answer(unit: int, _: bytes) -> Response | None:
+        asked.append(unit)
+        return Response(VALUES) if len(asked) < 3 else None
+
+    report = _report(_run(capture), answer, stops=lambda: len(asked) == 3)
+    assert (report.requests, report.not_asked, report.not_awaited) == (3, 0, 1)
+    assert 'message="interrupted after 3 of 3 requests, 1 answer not awaited"' in junit(report)
+
+
+def test_a_loop_that_was_played_once_is_not_interrupted(capture: Path) -> None:
+    answers: list[object] = []
+    report = _report(
+        _run(capture, is_loop=True),
+        lambda _, __: Response(VALUES),
+        stops=lambda: len(answers) > 3,
+        on_answer=lambda *each: answers.append(each),
+    )
+    assert (report.not_asked, report.not_awaited) == (0, 0)
+    assert "interrupted" not in junit(report)
+
+
 def test_wrong_answers_are_told_in_json_and_as_junit(capture: Path) -> None:
     report = _report(_run(capture), lambda _, __: Response(OTHER_VALUES))
     document = json.loads(msgspec.json.encode(report))

@@ -76,8 +76,12 @@ def test_a_slave_that_is_named_answers_where_it_is_told(site: str) -> None:
 @pytest.mark.parametrize(
     ("on", "message"),
     [
-        (["192.168.1.109=tcp:127.0.0.1"], "has no such slave: 192.168.1.101, 192.168.1.102"),
+        (["192.168.1.109=tcp:127.0.0.1"], "has no such slave, but 192.168.1.101, 192.168.1.102"),
         (["7=tcp:127.0.0.1"], "--on 7=tcp:127.0.0.1: .* has no such slave"),
+        (
+            ["all=tcp:127.0.0.2", "1=tcp:127.0.0.1"],
+            "--on all=tcp:127.0.0.2: each slave that it fits has a closer --on",
+        ),
         (["all=tcp:127.0.0.1"], "unit 1 is on several links"),
         (["tcp:127.0.0.1"], "--on WHO=LINK, or --on all=tcp:127.0.0.0/24:1502"),
         (["tcp:127.0.0.1", "all=tcp:127.0.0.2"], "each says which slaves answer there"),
@@ -91,6 +95,13 @@ def test_a_slave_that_is_named_answers_where_it_is_told(site: str) -> None:
 def test_a_wrong_link_is_one_line(site: str, on: list[str], message: str) -> None:
     with pytest.raises(UsageError, match=message):
         _places(site, *on)
+
+
+def test_a_name_without_a_slave_is_the_only_complaint(site: str) -> None:
+    said: list[str] = []
+    with pytest.raises(UsageError, match="has no such slave"):
+        _places(site, "99=tcp:127.0.0.1", said=said)
+    assert said == []
 
 
 def test_a_slave_without_a_request_in_the_part_is_left_out(site: str) -> None:
