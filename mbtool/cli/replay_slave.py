@@ -12,7 +12,7 @@ from mbtool.cli import exit_codes
 from mbtool.cli.keys import keyboard
 from mbtool.cli.progress import with_progress
 from mbtool.cli.record_order import start_ns
-from mbtool.cli.serve import serve
+from mbtool.cli.serve import serve, while_read
 from mbtool.cli.talk import say
 from mbtool.core.wording import plural
 from mbtool.replay import AnsweredFrom
@@ -47,10 +47,11 @@ def play_as_slave(
         allowed=allowed, on_exchange=lambda one: None if shown is None else shown.of(one)
     )
     with keyboard() as keys, nullcontext() if shown is None else shown.open():
+        show = None if shown is None else while_read(shown.show)
 
         def look() -> None:
-            if shown is not None:
-                shown.show()
+            if show is not None:
+                show()
             if keys is not None:
                 _steer(keys, played)
 

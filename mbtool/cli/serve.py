@@ -51,6 +51,26 @@ def serve(
     raise typer.Exit(exit_codes.INTERRUPTED)
 
 
+def while_read(show: Callable[[], None]) -> Callable[[], None]:
+    """Return a function that calls `show`, which prints to standard output, until nobody reads it.
+
+    Then it says so, once: masters are still answered.
+    """
+    has_reader = True
+
+    def show_if_read() -> None:
+        nonlocal has_reader
+        if not has_reader:
+            return
+        try:
+            show()
+        except BrokenPipeError:
+            has_reader = False
+            say("mbtool: nobody reads standard output any more; the slave goes on")
+
+    return show_if_read
+
+
 def _turned_away(count: int, places: int) -> str:
     connections = "a connection was" if count == 1 else f"{count} connections were"
     return f"mbtool: {connections} turned away: the slave takes {places} at once"

@@ -94,7 +94,7 @@ def slave(
     """
     from mbtool.cli.options import condition
     from mbtool.cli.output import open_output
-    from mbtool.cli.serve import serve
+    from mbtool.cli.serve import serve, while_read
     from mbtool.cli.talk import say
     from mbtool.core import UsageError, parse_link
     from mbtool.core.link_spec import ANSWERED
@@ -136,16 +136,26 @@ def slave(
         serve(shell, who)
         return
     with open_output(None, None, None, monitor.profile_for, condition(None)) as out:
-        serve(shell, who, lambda: _show(monitor, out))
+        show = while_read(lambda: _show(monitor, out))
+
+        def look() -> None:
+            show()
+            _tell(monitor)
+
+        serve(shell, who, look)
 
 
 def _show(monitor: SlaveMonitor, out: RecordOutput) -> None:
-    """Print the requests, responses and changed outputs since the last call."""
-    from mbtool.cli.talk import say
-
+    """Print the requests and responses since the last call."""
     for record in monitor.records():
         out.add(record)
     out.wait()
+
+
+def _tell(monitor: SlaveMonitor) -> None:
+    """Say which outputs changed since the last call, and how many requests were not shown."""
+    from mbtool.cli.talk import say
+
     if missed := monitor.missed():
         say(f"mbtool: {missed} requests not shown: they come faster than they can be printed")
     if changed := monitor.changed_outputs():

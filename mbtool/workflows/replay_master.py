@@ -151,8 +151,8 @@ class MasterRun:
 
         Ends early when `stops` returns True. `on_answer` is called for each request with three
         arguments: the recorded request, the PDU of the new response (None if there was none), and
-        True if that response is as recorded. `on_open` is called when the link is open. `controls` gives the user's keys and shows the
-        progress; None for none.
+        True if that response is as recorded. `on_open` is called when the link is open. `controls`
+        gives the user's keys and shows the progress; None for none.
 
         If the link cannot be opened or its serial port is lost, the report has the error in
         `problem` and the results so far. Raises UsageError if a master cannot use the link.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import signal
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 
@@ -14,8 +14,7 @@ from mbtool.master.links import open_master
 from tests.cli.program import Program, endpoint_in, said
 from tests.workflows.evidence import READ, VALUES
 
-if TYPE_CHECKING:
-    from pathlib import Path
+RECORDING = Path(__file__).resolve().parents[2] / "captures" / "ft1a-touch-line.mcap"
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -48,6 +47,23 @@ def test_it_shows_exchanges_and_outputs_and_keeps_its_state(tmp_path: Path) -> N
     assert first.endswith("05 write Y1: on")
     assert second.endswith("06 write 00F5H Split reception monitoring timer: 7 s")
     assert "00F5H = 7\n" in state.read_text()
+
+
+@pytest.mark.parametrize(
+    "command", [("slave", "idec-ft1a-touch"), ("replay", RECORDING, "--as-slave")]
+)
+def test_a_reader_that_goes_away_does_not_end_a_slave(command: tuple[object, ...]) -> None:
+    with Program(*command, "--on", "tcp:127.0.0.1:0", "--print") as program:
+        began = program.await_said("Ctrl-C ends")
+        assert program.process.stdout is not None
+        program.process.stdout.close()
+        program.process.stdout = None
+        with open_master(TcpLink(endpoint_in(began))) as master:
+            assert master.ask(1, READ) is not None
+            said = program.await_said("nobody reads")
+            assert master.ask(1, READ) is not None
+        assert program.end(signal.SIGINT).code == exit_codes.INTERRUPTED
+    assert said == "mbtool: nobody reads standard output any more; the slave goes on\n"
 
 
 def test_a_state_for_a_device_that_keeps_nothing_is_refused(tmp_path: Path) -> None:
