@@ -90,8 +90,14 @@ def watch(
         raise UsageError("--raw, --link and --play go with files")
     if not any(live) and (write is not None or overwrite or allow):
         raise UsageError("--write, --overwrite and --allow go with a link")
-    if sys.stdin is None or not (sys.stdin.isatty() and sys.stdout.isatty()):
+    if not sys.stdout.isatty():
         raise UsageError("watch needs a terminal; into a pipe or file, use sniff, decode or stats")
+    if sys.stdin is None or not sys.stdin.isatty():
+        state = "is closed" if sys.stdin is None else "is no terminal"
+        raise UsageError(
+            f"watch takes its keys from standard input, which {state}: let that be the terminal, "
+            "or use sniff, decode or stats"
+        )
     prepare_terminal()
     with never_waiting():
         if any(live):

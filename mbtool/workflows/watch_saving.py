@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import os
 import tempfile
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Protocol
@@ -70,7 +71,7 @@ class EvidenceSaver:
                 return _identity(one) in keys
 
         def save() -> str:
-            _demand_suffix(out)
+            _demand_new(out)
             return _convert(self._paths, self._options, wanted, out)
 
         return save
@@ -100,7 +101,7 @@ class FrameSaver:
         chosen.sort(key=lambda one: one.start_ns)
 
         def save() -> str:
-            _demand_suffix(out)
+            _demand_new(out)
             if PurePath(out).suffix.lower() == _LOG_SUFFIX:
                 self._write(out, chosen)
                 return f"{counted(len(chosen), 'transaction')} -> {out}"
@@ -134,9 +135,12 @@ def _convert(
     return f"{', '.join(texts) or 'nothing'} -> {out}"
 
 
-def _demand_suffix(out: str) -> None:
+def _demand_new(out: str) -> None:
+    """Raise UsageError unless the name is that of a capture, and no file has it."""
     if PurePath(out).suffix.lower() not in CAPTURE_SUFFIXES:
-        raise UsageError(f"{out}: let it end in .mcap or .pcapng")
+        raise UsageError(f"{out}: let it end in .mcap, .pcapng or .pcap")
+    if os.path.isfile(out):
+        raise UsageError(f"{out}: the file exists; name another")
 
 
 def _marked(watched: Watched) -> list[NamedTransaction]:

@@ -7,7 +7,7 @@ import os
 import sys
 import termios
 import tty
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -98,3 +98,21 @@ def test_nothing_is_written_to_a_terminal_when_all_is_well(monkeypatch: pytest.M
             pass
         with pytest.raises(BlockingIOError):
             os.read(ours, 1000)
+
+
+@pytest.mark.parametrize(
+    ("stdin", "cause"),
+    [(None, "which is closed"), (os.devnull, "which is no terminal")],
+)
+def test_a_standard_input_without_keys_is_told_as_the_cause(
+    mbtool: CommandLine, monkeypatch: pytest.MonkeyPatch, stdin: str | None, cause: str
+) -> None:
+    with pseudo_terminal(monkeypatch), ExitStack() as opened:
+        file = None if stdin is None else opened.enter_context(open(stdin))
+        monkeypatch.setattr(sys, "stdin", file)
+        told = mbtool("watch", LOG)
+    assert told.code == exit_codes.USAGE
+    assert told.err == (
+        f"mbtool: watch takes its keys from standard input, {cause}: let that be the terminal, "
+        "or use sniff, decode or stats\n"
+    )

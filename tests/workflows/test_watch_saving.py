@@ -94,5 +94,17 @@ def test_without_a_log_the_frames_become_evidence_that_decodes_to_the_same(
 
 def test_a_name_of_another_format_is_refused(tmp_path: Path) -> None:
     job = EvidenceSaver([LINE]).job(watched(LINE), is_filtered=False, out=str(tmp_path / "x.txt"))
-    with pytest.raises(UsageError, match=r"x\.txt: let it end in \.mcap or \.pcapng"):
+    with pytest.raises(UsageError, match=r"x\.txt: let it end in \.mcap, \.pcapng or \.pcap$"):
         job()
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".pcapng"])
+def test_a_file_that_exists_is_kept_and_another_name_asked_for(suffix: str, tmp_path: Path) -> None:
+    out = tmp_path / f"x{suffix}"
+    out.write_text("a file")
+    begin = partial(create_log, links=[], assignments=Assignments(), ports=[], overwrite=True)
+    for saver in (EvidenceSaver([LINE]), FrameSaver(begin)):
+        job = saver.job(watched(LINE), is_filtered=False, out=str(out))
+        with pytest.raises(UsageError, match=rf"x{suffix}: the file exists; name another$"):
+            job()
+    assert out.read_text() == "a file"

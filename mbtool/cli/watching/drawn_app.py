@@ -104,6 +104,8 @@ class DrawnApp(App[int]):
         self._saver = saver
         self._is_asked_to_end = is_asked_to_end
         self._found = ""
+        self._saving: str | None = None
+        """What is told while a file is being saved; else None."""
         self._before_typing = where
         self._typed_at = 0
         self._contexts = [DrawContext() for _ in VIEWS]

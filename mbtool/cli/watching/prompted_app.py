@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import os
 from typing import TYPE_CHECKING
 
 from mbtool.cli.watching.drawn_app import DrawnApp
-from mbtool.cli.watching.finding import find_row
+from mbtool.cli.watching.finding import find_row, hex_bytes
 from mbtool.cli.watching.prompt import Asking, PromptLine, read_filter, why_wrong
 from mbtool.core import MbtoolError, UsageError
 
@@ -95,14 +96,17 @@ class PromptedApp(DrawnApp):
             case Asking.FIND:
                 self._found = text.strip()
                 self.action_find_next(1)
-            case Asking.SAVE:
+            case Asking.SAVE if text.strip():
                 self._save(text.strip())
+                return  # The line stays until the file is saved, so that its name can be mended.
         self._leave_prompt()
 
     def on_prompt_line_left(self) -> None:
         if self.prompt.asking is Asking.FILTER:
             self._typed_at += 1
             self.apply_filter(self._before_typing)
+        elif self._saving is None:
+            self.tell("")
         self._leave_prompt()
 
     def _leave_prompt(self) -> None:
@@ -119,7 +123,8 @@ class PromptedApp(DrawnApp):
         table = self.table
         at = find_row(table.rows, self.view.columns, self._found, table.cursor, step)
         if at is None:
-            self.tell(f"not found: {self._found}")
+            searched = "as text or bytes" if hex_bytes(self._found) else "as text"
+            self.tell(f"not found {searched}: {self._found}")
         else:
             self.tell(f"{self._found}: row {at + 1} of {len(table.rows)}; n next, N back")
             table.go_to(at)
@@ -128,21 +133,33 @@ class PromptedApp(DrawnApp):
         if self._saver is None:
             self.tell("there is nothing to save from")
             return
+        if self._saving is not None:
+            self.tell(self._saving)
+            return
         what = self._saver.what(self.feed.watched, is_filtered=self.filter_is_on)
-        self.prompt.ask(Asking.SAVE, "", (), f"save {what} as FILE.mcap or FILE.pcapng")
+        self.prompt.ask(Asking.SAVE, "", (), f"save {what} as FILE.mcap, .pcapng or .pcap")
 
     def _save(self, name: str) -> None:
-        if not name or self._saver is None:
+        if self._saver is None or self._saving is not None:
             return
+        out = os.path.expanduser(name)
         with self.feed.lock:
-            job = self._saver.job(self.feed.watched, is_filtered=self.filter_is_on, out=name)
-        self.tell(f"saving {name} ...")
-        self.run_worker(lambda: self._saved(job), thread=True)
+            job = self._saver.job(self.feed.watched, is_filtered=self.filter_is_on, out=out)
+        self._saving = f"saving {name} ..."
+        self.tell(self._saving)
+        self.run_worker(lambda: self._run_job(job), thread=True)
 
-    def _saved(self, job: Callable[[], str]) -> None:
+    def _run_job(self, job: Callable[[], str]) -> None:
+        """Save in a thread of its own, and tell how it went."""
         try:
             said = job()
         except (MbtoolError, OSError) as error:
-            self.call_from_thread(self.tell, str(error), "bold red")
+            self.call_from_thread(self._saved, str(error), "bold red", is_done=False)
         else:
-            self.call_from_thread(self.tell, said, "green")
+            self.call_from_thread(self._saved, said, "green", is_done=True)
+
+    def _saved(self, said: str, style: str, *, is_done: bool) -> None:
+        self._saving = None
+        self.tell(said, style)
+        if is_done and self.prompt.asking is Asking.SAVE:
+            self._leave_prompt()

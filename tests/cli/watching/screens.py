@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from contextlib import asynccontextmanager
+from threading import Event
 from typing import TYPE_CHECKING, Any
 
 from mbtool.cli.watching.app import WatchApp
@@ -130,15 +131,19 @@ class NotingSaver:
 
     def __init__(self, error: OutputError | None = None) -> None:
         self.asked: list[tuple[str, bool]] = []
-        self._error = error
+        self.error = error
+        self.goes_on = Event()
+        """A save waits for it; set at first."""
+        self.goes_on.set()
 
     def what(self, watched: Watched, *, is_filtered: bool) -> str:
         return f"{len(watched.marked)} marked"
 
     def job(self, watched: Watched, *, is_filtered: bool, out: str) -> Callable[[], str]:
         def save() -> str:
-            if self._error is not None:
-                raise self._error
+            assert self.goes_on.wait(30)
+            if self.error is not None:
+                raise self.error
             self.asked.append((out, is_filtered))
             return "saved it"
 

@@ -216,13 +216,87 @@ def test_f_finds_a_text_and_bytes_and_n_goes_on() -> None:
     run(test)
 
 
-def test_a_save_that_fails_is_told() -> None:
+def test_bad_hexadecimal_is_told_to_be_searched_as_text() -> None:
+    async def test() -> None:
+        async with screen(line()) as seen:
+            for text, told in (("01 03 0g", "as text"), ("aa bb", "as text or bytes")):
+                await seen.press("f")
+                await seen.type(text)
+                await seen.press("enter")
+                assert seen.note == f"not found {told}: {text}"
+
+    run(test)
+
+
+def test_a_save_that_fails_is_told_and_the_name_can_be_typed_again() -> None:
+    async def test() -> None:
+        saver = NotingSaver(OutputError("disk full"))
+        async with screen(line(), saver=saver) as seen:
+            await seen.press("s")
+            assert "as FILE.mcap, .pcapng or .pcap" in seen.text
+            await seen.type("part.mcap")
+            await seen.press("enter")
+            await seen.until(lambda: seen.note == "disk full")
+            assert seen.app.prompt.has_focus
+            await seen.press("q")
+            assert seen.app.prompt.value == "part.mcapq"
+            saver.error = None
+            await seen.press("enter")
+            await seen.until(lambda: seen.note == "saved it")
+            assert not seen.app.prompt.has_focus
+            await seen.press("s", "enter")
+            assert not seen.app.prompt.has_focus
+            assert saver.asked == [("part.mcapq", False)]
+
+    run(test)
+
+
+def test_while_a_save_runs_one_can_go_on_but_not_save_again() -> None:
+    async def test() -> None:
+        saver = NotingSaver()
+        saver.goes_on.clear()
+        async with screen(line(), saver=saver) as seen:
+            await seen.press("s")
+            await seen.type("part.mcap")
+            await seen.press("enter", "enter")
+            told = seen.note
+            await seen.press("escape", "s")
+            still_told = seen.note
+            await seen.press("slash")
+            saver.goes_on.set()
+            assert (told, still_told) == ("saving part.mcap ...",) * 2
+            await seen.until(lambda: seen.note == "saved it")
+            assert seen.app.prompt.has_focus
+            assert saver.asked == [("part.mcap", False)]
+
+    run(test)
+
+
+def test_escape_takes_the_error_of_a_save_away() -> None:
     async def test() -> None:
         async with screen(line(), saver=NotingSaver(OutputError("disk full"))) as seen:
             await seen.press("s")
             await seen.type("part.mcap")
             await seen.press("enter")
             await seen.until(lambda: seen.note == "disk full")
+            await seen.press("escape")
+            assert not seen.note
+            assert not seen.app.prompt.has_focus
+
+    run(test)
+
+
+def test_a_tilde_in_the_name_to_save_is_the_home_folder(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", "/home/me")
+
+    async def test() -> None:
+        saver = NotingSaver()
+        async with screen(line(), saver=saver) as seen:
+            await seen.press("s")
+            await seen.type("~/part.mcap")
+            await seen.press("enter")
+            await seen.until(lambda: seen.note == "saved it")
+            assert saver.asked == [("/home/me/part.mcap", False)]
 
     run(test)
 
