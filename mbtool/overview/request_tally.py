@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mbtool.modbus import Outcome
+from mbtool.modbus import Outcome, exception_name
+from mbtool.modbus.functions import ExceptionCode
 from mbtool.overview.distribution import Distribution
 
 if TYPE_CHECKING:
@@ -13,6 +14,7 @@ if TYPE_CHECKING:
 MAX_EXCEPTIONS = 256
 """The most exception codes that are counted separately: all that are possible, as a code is one
 byte."""
+_STANDARD_NAMES = {int(code): exception_name(code) for code in ExceptionCode}
 
 
 class RequestTally:
@@ -44,6 +46,8 @@ class RequestTally:
         """The number of requests answered with an exception response; the key is the exception
         code."""
         self.exception_names: dict[int, str] = {}
+        """The name of each exception code: the standard's, as the manuals of several devices may
+        call a code otherwise. A code that the standard lacks has the name of its first response."""
         self.unsolicited_exceptions = 0
         """The number of exception responses without a request; these are not in `exceptions`."""
         self.damaged = 0
@@ -86,7 +90,7 @@ class RequestTally:
     def _count_exception(self, code: int, name: str, number: int) -> None:
         if code in self.exceptions or len(self.exceptions) < MAX_EXCEPTIONS:
             self.exceptions[code] = self.exceptions.get(code, 0) + number
-            self.exception_names.setdefault(code, name)
+            self.exception_names.setdefault(code, _STANDARD_NAMES.get(code, name))
 
     def merge(self, other: RequestTally) -> None:
         """Add the counts and latencies of another tally to this one."""

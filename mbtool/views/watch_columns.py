@@ -65,6 +65,9 @@ class WatchColumn:
     rank: int = 0
     """On a narrow screen, columns with the highest rank are left out first; a column of rank 0
     never is."""
+    is_spared: bool = False
+    """True for a column with a rank that is left out only where a column of width 0 would get fewer
+    than LEAST_REST characters, even if it has a greater `least_share`."""
     is_right: bool = False
     fit: Callable[[Any, DrawContext, int], Spans] | None = None
     """Makes the cell where it has so many characters; None if the cell is just cut."""
@@ -123,11 +126,10 @@ def fitted(
     kept = kept or list(columns[:1])
     while True:
         room = width - sum(one.width for one in kept) - (len(kept) - 1)
-        rank = max(one.rank for one in kept)
-        least = sum(one.least_share for one in kept if not one.width)
-        if chosen is not None or not rank or room >= least:
+        last = max(reversed(kept), key=lambda one: one.rank)
+        if chosen is not None or not last.rank or room >= _least_room(kept, last):
             break
-        kept.remove(next(one for one in reversed(kept) if one.rank == rank))
+        kept.remove(last)
     shares = _shares([one for one in kept if not one.width], max(room, 0), needed)
     result = []
     for one in kept:
@@ -144,6 +146,12 @@ def _needed(columns: Sequence[WatchColumn], widest: Mapping[str, int]) -> Mappin
         for one in columns
         if one.is_measured and widest.get(one.name, one.most) < one.most
     }
+
+
+def _least_room(columns: Sequence[WatchColumn], last: WatchColumn) -> int:
+    """Return the room that columns of width 0 need in all, so that `last` is not left out."""
+    shares = [one.least_share for one in columns if not one.width]
+    return sum(min(share, LEAST_REST) if last.is_spared else share for share in shares)
 
 
 def _is_empty(column: WatchColumn, widest: Mapping[str, int]) -> bool:

@@ -170,23 +170,23 @@ POLL_COLUMNS = (
         sort=lambda row: transaction_text(row.kept.record),
     ),
     WatchColumn(
-        name="age", title="age", width=4, is_right=True, cell=_poll_age,
+        name="age", title="age", width=4, is_right=True, cell=_poll_age, rank=2, is_spared=True,
         sort=lambda row: -row.last_ns,
     ),
     WatchColumn(
-        name="every", title="every", width=6, is_right=True,
+        name="every", title="every", width=6, is_right=True, rank=4, is_spared=True,
         cell=_poll_period, sort=lambda row: (not row.has_regular_period, row.period_ns),
     ),
     WatchColumn(
-        name="count", title="count", width=5, is_right=True,
+        name="count", title="count", width=5, is_right=True, rank=3, is_spared=True,
         cell=lambda row, _: count(row.asked), sort=lambda row: row.asked,
     ),
     WatchColumn(
-        name="errors", title="err", width=4, is_right=True, cell=_errors,
+        name="errors", title="err", width=4, is_right=True, cell=_errors, rank=1, is_spared=True,
         sort=lambda row: row.errors,
     ),
     WatchColumn(
-        name="ms", title="ms", width=5, is_right=True, cell=_last_ms, rank=1,
+        name="ms", title="ms", width=5, is_right=True, cell=_last_ms, rank=5,
         sort=lambda row: (row.latencies[-1] or 0) if row.latencies else 0,
     ),
     WatchColumn(
@@ -198,7 +198,7 @@ POLL_COLUMNS = (
         cell=lambda row, _: count(row.retries), sort=lambda row: row.retries,
     ),
     WatchColumn(
-        name="trend", title="latency", width=8, cell=_trend, rank=2,
+        name="trend", title="latency", width=8, cell=_trend, rank=6,
         sort=lambda row: row.slowest_ns,
     ),
 )  # fmt: skip

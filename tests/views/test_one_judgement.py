@@ -197,7 +197,7 @@ def test_a_scan_is_told_by_all(monkeypatch: pytest.MonkeyPatch) -> None:
     ]
     told = told_of(scan, monkeypatch)
     text = "all 6 units refuse all their requests (60): 60 different ones, as in a scan"
-    assert told.lines == ["! 60 exceptions: 60 x 02", f"! {text}"]
+    assert told.lines == ["! 60 exceptions: 60 x 02 illegal data address", f"! {text}"]
     assert told.watch_line == text
     assert told.sentence.endswith(": 60 different ones, as in a scan.")
 
@@ -253,7 +253,7 @@ def test_polls_that_are_always_refused_are_not_told_since_when(
     well = [request(1000 * at, unit=1) for at in range(60)]
     refused = [request(30_000 + 1000 * at, 90, **REFUSED) for at in range(30)]
     told = told_of([*well, *refused], monkeypatch)
-    assert told.lines == ["! 30 exceptions: 30 of unit 1; 30 x 02"]
+    assert told.lines == ["! 30 exceptions: 30 of unit 1; 30 x 02 illegal data address"]
     assert told.sentence.startswith("Unit 1 always refuses 03 ")
     assert told.watch_line == "unit 1 always refuses 1 of 2 polls"
 

@@ -142,7 +142,7 @@ def test_the_worst_comes_right_after_the_sum() -> None:
     assert lines[0].startswith("rtu line 9600-8E1, 2 units: 14 requests in ")
     assert lines[1] == "! unit 5 never answered"
     assert lines[2].startswith("! 1 answer missing: 1 of unit 5")
-    assert lines[3] == "! 1 exception: 1 of unit 1; 1 x 02 busy"
+    assert lines[3] == "! 1 exception: 1 of unit 1; 1 x 02 illegal data address"
     assert lines[4] == "! 1 not captured whole: the capture's loss, not a device's fault"
 
 
@@ -252,7 +252,7 @@ def test_answers_that_nobody_asked_for_are_neither_requests_nor_exceptions_of_th
     links = counted(request(0), request(100, **refused), request(200, **alone))
     text = "\n".join(line.text for line in statistics_lines(links, width=80))
     assert ": 2 requests in " in text
-    assert "! 1 exception: 1 of unit 1; 1 x 02 illegal address\n" in text
+    assert "! 1 exception: 1 of unit 1; 1 x 02 illegal data address\n" in text
     assert "! 1 answer that nobody asked for, 1 of them with an exception\n" in text
     statistics = Statistics(lambda _: LINE)
     document = json.loads(statistics_document(statistics, links, sources=["a"], where=None))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from mbtool.views.watch_columns import (
+    LEAST_REST,
     DrawContext,
     WatchColumn,
     cut_spans,
@@ -42,6 +43,20 @@ def test_columns_of_high_rank_are_left_out_where_there_is_little_room(
     width: int, names: list[str]
 ) -> None:
     assert [one.column.name for one in fitted(COLUMNS, width)] == names
+
+
+def test_on_a_very_narrow_screen_the_values_of_polls_keep_room() -> None:
+    def names(width: int) -> list[str]:
+        shown = {one.column.name: one.width for one in fitted(POLL_COLUMNS, width)}
+        assert shown.pop("values") >= min(LEAST_REST, width - len("un ") - 2 - 23)
+        return [*shown]
+
+    everything = ["unit", "request", "age", "every", "count", "errors", "ms", "trend"]
+    assert names(110) == everything
+    assert names(80) == everything[:6]
+    assert names(60) == ["unit", "request", "age", "errors"]
+    assert names(50) == ["unit", "request"]
+    assert names(40) == ["unit", "request"]
 
 
 def test_chosen_columns_stay_in_their_order_however_narrow() -> None:

@@ -88,7 +88,8 @@ class SortChoice(ModalScreen[str | None]):
     def on_mount(self) -> None:
         choice = self.query_one(OptionList)
         names = [AS_IT_COMES, *(one.name for one in self._columns)]
-        choice.highlighted = names.index(self._sorted_by or AS_IT_COMES)
+        # The settings may name a column that this version does not have.
+        choice.highlighted = names.index(self._sorted_by) if self._sorted_by in names else 0
 
     def on_option_list_option_selected(self, event: OptionList.OptionSelected) -> None:
         name = event.option.id

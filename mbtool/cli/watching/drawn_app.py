@@ -20,7 +20,7 @@ from mbtool.cli.watching.one_line import OneLine
 from mbtool.cli.watching.prompt import PromptLine
 from mbtool.cli.watching.spans import is_plain, style_of, text_of
 from mbtool.cli.watching.status_line import ScreenState, keys_line, status_text, tabs_text
-from mbtool.cli.watching.watch_settings import WatchSettings, load_settings, save_settings
+from mbtool.cli.watching.watch_settings import load_settings, save_settings
 from mbtool.cli.watching.watch_views import VIEWS
 from mbtool.core import MbtoolError
 from mbtool.views.watch_columns import DrawContext, fitted, widest_cells
@@ -100,7 +100,7 @@ class DrawnApp(App[int]):
         self.view_at = 0
         self.frozen: list[Sequence[Any]] | None = None
         """The rows of each view, by its index in VIEWS, while the screen is frozen; else None."""
-        self.settings: WatchSettings = load_settings()
+        self.settings, self._settings_problem = load_settings()
         self._saver = saver
         self._is_asked_to_end = is_asked_to_end
         self._found = ""
@@ -138,6 +138,8 @@ class DrawnApp(App[int]):
         self.set_interval(1 / DRAWS_PER_S, self._tick)
         self.feed.start()
         self.draw()
+        if self._settings_problem is not None:
+            self.tell(self._settings_problem, "yellow")
 
     @property
     def view(self) -> WatchView:

@@ -1,7 +1,7 @@
 """The settings that `watch` remembers from run to run: columns, sorting, filters."""
 
-# The settings are one JSON file in the user's config folder. A file that cannot be read or is wrong
-# is ignored; the next change replaces it.
+# The settings are one JSON file in the user's config folder. A file that cannot be used is told to
+# the user, and kept under another name when the next change writes a new one.
 
 from __future__ import annotations
 
@@ -11,7 +11,12 @@ from pathlib import Path
 
 import msgspec
 
+from mbtool.core import InputError
+from mbtool.core.errors import reason_of
+
 MAX_FILTERS = 20
+_DAMAGED = ".damaged"
+_WHAT = "columns, sorting and filters"
 
 
 class WatchSettings(msgspec.Struct, omit_defaults=True):
@@ -40,21 +45,56 @@ def settings_path() -> Path:
     return Path(folder) / "mbtool" / "watch.json"
 
 
-def load_settings() -> WatchSettings:
+def load_settings() -> tuple[WatchSettings, str | None]:
+    """Return the settings, and a line for the user if their file cannot be used, else None."""
     try:
-        return msgspec.json.decode(settings_path().read_bytes(), type=WatchSettings)
-    except (OSError, RuntimeError, msgspec.DecodeError):
-        return WatchSettings()
+        return _read(settings_path()) or WatchSettings(), None
+    except RuntimeError:  # There is no home folder.
+        return WatchSettings(), None
+    except InputError as error:
+        return WatchSettings(), f"{error}; {_WHAT} are the usual ones"
 
 
 def save_settings(settings: WatchSettings) -> str | None:
-    """Write the settings file; return None, or a line for the user if that fails."""
+    """Write the settings file; return None, or a line for the user if that fails.
+
+    A file that cannot be used is kept under another name, which ends in _DAMAGED.
+    """
+    problem = f"{_WHAT} are not remembered: "
     try:
         path = settings_path()
+    except RuntimeError:
+        return f"{problem}there is no home folder"
+    try:
         path.parent.mkdir(parents=True, exist_ok=True)
         beside = path.with_suffix(".new")
         beside.write_bytes(msgspec.json.format(msgspec.json.encode(settings)))
+        _keep_damaged(path)
         beside.replace(path)
-    except (OSError, RuntimeError) as error:
-        return f"not remembered: {error}"
+    except (FileExistsError, NotADirectoryError):
+        file = next(one for one in path.parents if one.exists())
+        return f"{problem}{file} is a file, not a folder"
+    except OSError as error:
+        return f"{problem}{path.parent} cannot be written: {reason_of(error)}"
     return None
+
+
+def _read(path: Path) -> WatchSettings | None:
+    """Return the settings in a file; None if it is absent, InputError if it cannot be used."""
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=WatchSettings)
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {reason_of(error)}") from error
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: damaged: not UTF-8") from None
+    except msgspec.DecodeError as error:
+        raise InputError(f"{path}: damaged: {error}") from error
+
+
+def _keep_damaged(path: Path) -> None:
+    try:
+        _read(path)
+    except InputError:
+        path.replace(path.with_name(f"{path.name}{_DAMAGED}"))

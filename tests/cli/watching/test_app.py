@@ -228,6 +228,10 @@ def test_bad_hexadecimal_is_told_to_be_searched_as_text() -> None:
     run(test)
 
 
+def is_typed_into(seen: Screen) -> bool:
+    return seen.app.prompt.has_focus
+
+
 def test_a_save_that_fails_is_told_and_the_name_can_be_typed_again() -> None:
     async def test() -> None:
         saver = NotingSaver(OutputError("disk full"))
@@ -237,15 +241,15 @@ def test_a_save_that_fails_is_told_and_the_name_can_be_typed_again() -> None:
             await seen.type("part.mcap")
             await seen.press("enter")
             await seen.until(lambda: seen.note == "disk full")
-            assert seen.app.prompt.has_focus
+            assert is_typed_into(seen)
             await seen.press("q")
             assert seen.app.prompt.value == "part.mcapq"
             saver.error = None
             await seen.press("enter")
             await seen.until(lambda: seen.note == "saved it")
-            assert not seen.app.prompt.has_focus
+            assert not is_typed_into(seen)
             await seen.press("s", "enter")
-            assert not seen.app.prompt.has_focus
+            assert not is_typed_into(seen)
             assert saver.asked == [("part.mcapq", False)]
 
     run(test)
@@ -348,6 +352,32 @@ def test_c_chooses_columns_and_they_are_remembered(config_folder: Path) -> None:
 
     run(test)
     assert (config_folder / "mbtool" / "watch.json").exists()
+
+
+def test_damaged_settings_are_told_in_the_screen(config_folder: Path) -> None:
+    (config_folder / "mbtool").mkdir()
+    (config_folder / "mbtool" / "watch.json").write_text("{")
+
+    async def test() -> None:
+        async with screen(line()) as seen:
+            assert "watch.json: damaged: Input data was truncated; columns" in seen.note
+
+    run(test)
+
+
+def test_settings_of_columns_that_are_not_there_change_nothing(config_folder: Path) -> None:
+    (config_folder / "mbtool").mkdir()
+    (config_folder / "mbtool" / "watch.json").write_text(
+        '{"columns": {"polls": ["gone"]}, "sorted_by": {"polls": ["gone", true]}}'
+    )
+
+    async def test() -> None:
+        async with screen(line()) as seen:
+            await seen.press("o")
+            await seen.pilot.pause()
+            assert seen.app.screen.query_one(OptionList).highlighted == 0
+
+    run(test)
 
 
 def test_x_shows_the_row_in_the_next_format() -> None:

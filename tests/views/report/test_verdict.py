@@ -134,16 +134,19 @@ def test_the_codes_of_refusals_are_told_as_often_as_they_came() -> None:
     def told(*codes: int) -> str:
         return judged(refused(1, 1, *codes)).sentence.removeprefix("Unit 1 refuses ")
 
-    assert told(2, 2, 2) == "all its requests, with 02 name 2."
-    assert told(1, 2, 2) == "all its requests, mostly with 02 name 2."
-    assert told(1, 1, 2, 2) == "all its requests, with 01 name 1 or 02 name 2."
-    assert told(1, 2, 3) == "all its requests, with 01 name 1, 02 name 2 or others."
+    one, other = "illegal function", "illegal data address"
+    assert told(2, 2, 2) == "all its requests, with 02 illegal data address."
+    assert told(1, 2, 2) == "all its requests, mostly with 02 illegal data address."
+    assert told(1, 1, 2, 2) == f"all its requests, with 01 {one} or 02 {other}."
+    assert told(1, 2, 3) == f"all its requests, with 01 {one}, 02 {other} or others."
 
 
 def test_many_units_that_refuse_are_told_as_one() -> None:
     records = [one for unit in range(1, 6) for one in refused(1, unit, 2, 2, 2)]
     told = judged(records)
-    assert told.sentence == ("All 5 units refuse all their requests (15), with 02 name 2.")
+    assert told.sentence == (
+        "All 5 units refuse all their requests (15), with 02 illegal data address."
+    )
     assert judged([*records, *polled(3, unit=9)]).sentence.endswith("; everything else is well.")
 
 
