@@ -54,7 +54,7 @@ class Command(TyperCommand):
 
     def get_params(self, ctx: Any) -> list[Any]:
         params = with_plain_values(super().get_params(ctx))
-        return with_completed_values(params) if is_asked() else params
+        return with_completed_values(params, ctx.info_name) if is_asked() else params
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         return super().parse_args(ctx, with_plain_json(self.params, args))

@@ -28,6 +28,7 @@ from mbtool.cli import exit_codes
 from mbtool.cli.command import with_plain_values
 from mbtool.cli.command_table import CommandTable
 from mbtool.cli.completion import is_asked, join_words
+from mbtool.cli.completion_setup import INSTALL, SHOW, install, show, with_shell
 from mbtool.cli.examples import examples_of, first_steps
 from mbtool.cli.leaving import leave
 from mbtool.cli.talk import Interrupted, say
@@ -49,12 +50,16 @@ class _Root(TyperGroup):
     def get_params(self, ctx: Any) -> list[Any]:
         return with_plain_values(super().get_params(ctx))
 
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        return super().parse_args(ctx, with_shell(args))
+
 
 app = typer.Typer(
     cls=_Root,
     name="mbtool",
     help="Capture, decode and replay Modbus: serial lines, TCP, and the devices' own words.",
     rich_markup_mode=None,
+    add_completion=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
@@ -75,6 +80,26 @@ def _root(
     version: Annotated[
         bool, typer.Option("--version", help="Print the version.", callback=_version, is_eager=True)
     ] = False,
+    install_completion: Annotated[
+        str | None,
+        typer.Option(
+            INSTALL,
+            metavar="[SHELL]",
+            help="Let bash, zsh, fish, powershell or pwsh complete. [default: this shell]",
+            callback=install,
+            is_eager=True,
+        ),
+    ] = None,
+    show_completion: Annotated[
+        str | None,
+        typer.Option(
+            SHOW,
+            metavar="[SHELL]",
+            help="Print the script for it, to look at or change it.",
+            callback=show,
+            is_eager=True,
+        ),
+    ] = None,
 ) -> None:
     if context.invoked_subcommand is None:
         for line in first_steps():
@@ -85,7 +110,10 @@ def _root(
 def main() -> None:
     """Run the command line and exit with its code."""
     if is_asked():
+        from typer._completion_classes import completion_init
+
         join_words(os.environ)
+        completion_init()
         get_command(app).main(prog_name="mbtool")
     gc.set_threshold(_NEW_OBJECTS, *gc.get_threshold()[1:])
     _open_standard_descriptors()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import subprocess
 import sys
@@ -10,14 +11,18 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from mbtool.cli import completion
+from mbtool.cli import completion, exit_codes
 from mbtool.cli.completion import COMPLETE, join_words
 from mbtool.cli.main import main
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from tests.cli.program import CommandLine
+
 PATIENCE_S = 60
+_BASH_WORD = re.compile(r"""'[^']*'?|"[^"]*"?|[:=@]|[^\s:=@]+""")
+RTU_CODES = (101, 102, 103, 201, 202, 203, 204, 301, 302)
 
 
 @pytest.fixture
@@ -33,10 +38,9 @@ def complete(
         monkeypatch.setenv(COMPLETE, f"complete_{shell}")
         monkeypatch.setenv("_TYPER_COMPLETE_ARGS", line)
         monkeypatch.setenv("_TYPER_COMPLETE_FISH_ACTION", "get-args")
-        words = line
-        for one in ":=@":
-            words = words.replace(one, f"\n{one}\n")
-        words = words.replace(" ", "\n").replace("\n\n", "\n")
+        words = "\n".join(_BASH_WORD.findall(line)) + "\n" * line.endswith(" ")
+        monkeypatch.setenv(completion._QUOTED, "")
+        monkeypatch.delenv(completion._QUOTED)
         monkeypatch.setenv("COMP_WORDS", words)
         monkeypatch.setenv("COMP_CWORD", str(words.count("\n")))
         capsys.readouterr()
@@ -59,6 +63,16 @@ def complete(
         ("mbtool slave wa", ["wago-750"]),
         ("mbtool check --format s", ["sarif"]),
         ("mbtool decode pla", []),
+        ('mbtool sniff "net:e', ["net:eth0"]),
+        ("mbtool plot x 'holding 0' --devi", ["--device"]),
+        ("mbtool read ", ["rtu:/dev/ttyS0@19200-8E1"]),
+        ("mbtool slave fa3-at1m8x --on n", []),
+        ("mbtool replay x --on rtu:", ["/dev/ttyS0@19200-8E1"]),
+        ("mbtool replay x --on a=r", ["rtu:/dev/ttyS0@19200-8E1"]),
+        ("mbtool decode x --columns number,ti", ["number,time"]),
+        ("mbtool check x --select SEC-20", [f"SEC-20{one}" for one in range(1, 6)]),
+        ("mbtool check x --ignore SE,RT", ["SE,RTU", *(f"SE,RTU-{one}" for one in RTU_CODES)]),
+        ("mbtool decode x --link a", ["ascii@9600-7E1"]),
     ],
 )
 def test_bash_gets_what_stands_behind_the_last_break(
@@ -97,3 +111,54 @@ def test_a_bash_with_the_script_completes(tmp_path: Path) -> None:
         cwd=Path(__file__).resolve().parents[2],
     )  # fmt: skip
     assert done.stdout.split() == ["fa3-at1m8x", "fa3-at1m8y"]
+
+
+def test_links_and_files_are_offered_together(
+    complete: Callable[[str, str], list[str]], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "rack").mkdir()
+    (tmp_path / "north.pcap").touch()
+    every = ["rtu:/dev/ttyS0@19200-8E1", "net:eth0", "north.pcap", "rack/"]
+    assert complete("bash", "mbtool watch ") == every
+    assert complete("bash", "mbtool stats n") == ["net:eth0", "north.pcap"]
+    assert complete("bash", "mbtool watch ra") == []
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_the_script_of_the_shell_that_is_named_is_printed_and_installed(
+    mbtool: CommandLine, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, shell: str
+) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    script = mbtool("--show-completion", shell)
+    assert f"_MBTOOL_COMPLETE=complete_{shell}" in script.out
+    told = mbtool("--install-completion", shell)
+    path = told.out.partition(": written; ")[0]
+    assert told.out == f"{path}: written; {shell} completes mbtool in the next terminal\n"
+    assert Path(path).read_text().strip() == script.out.strip()
+
+
+@pytest.mark.parametrize("option", ["--install-completion", "--show-completion"])
+def test_without_a_shell_it_is_the_one_around(
+    mbtool: CommandLine, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, option: str
+) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setattr("typer._completion_shared._get_shell_name", lambda: "fish")
+    assert "fish" in mbtool(option).out
+    monkeypatch.setattr("typer._completion_shared._get_shell_name", lambda: None)
+    told = mbtool(option)
+    assert told.code == exit_codes.USAGE
+    assert told.err.startswith(f"mbtool: {option}: this shell is not known; name one of bash, ")
+
+
+def test_a_shell_that_is_none_or_not_there_is_one_line(
+    mbtool: CommandLine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PATH", "")
+    known = "bash, zsh, fish, powershell, pwsh"
+    for option in ("--install-completion", "--show-completion"):
+        told = mbtool(option, "tcsh")
+        assert told.err == f"mbtool: {option}: there is none for tcsh; name one of {known}\n"
+    told = mbtool("--install-completion", "pwsh")
+    assert told.err == "mbtool: --install-completion pwsh: there is no pwsh on this machine\n"
+    assert told.code == exit_codes.USAGE
