@@ -16,6 +16,7 @@ from mbtool.cli.progress import with_progress
 from mbtool.cli.range_lists import add_ranges, demand_list
 from mbtool.cli.talk import say
 from mbtool.core import LinkError, UsageError
+from mbtool.core.errors import reason_unwritten
 from mbtool.core.wording import counted, milliseconds, plural
 from mbtool.replay.significance import MIN_VALUES
 from mbtool.sources.priority import run_promptly
@@ -76,14 +77,16 @@ def play_as_master(
 
 
 def _demand_writable(file: Path) -> None:
-    """Raise OutputError, before a long run, if a file cannot be written; leave no file behind."""
+    """Raise UsageError, before a long run, if a file cannot be written; leave no file behind."""
     if file.exists() and not (file.is_file() or file.is_dir()):
         return  # Opening a pipe would wait until somebody reads it.
     was_there = file.exists() or file.is_symlink()
-    with told_as_lost(str(file)):
+    try:
         file.open("ab").close()
         if not was_there:
             file.unlink()
+    except OSError as error:
+        raise UsageError(f"{file}: cannot be written: {reason_unwritten(file, error)}") from error
 
 
 def _write(file: Path, text: str) -> None:

@@ -30,7 +30,7 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from mbtool.core.errors import InputError, ProfileError, UsageError
+from mbtool.core.errors import ProfileError, UsageError
 from mbtool.core.nesting import why_too_deep
 from mbtool.devices.model import AnswerWord, Area, Exceptions, FunctionRule, Point, Profile, Timing
 from mbtool.devices.schema import description
@@ -165,8 +165,6 @@ def _read_toml(path: Path) -> dict[str, Any]:
     try:
         return read_toml(path, MAX_FILE_BYTES, "profile")
     except TomlError as error:
-        if not error.place:
-            raise InputError(f"profile {str(path)!r} {error.problem}") from error
         raise ProfileError(str(path), error.place, error.problem) from error
 
 

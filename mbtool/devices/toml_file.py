@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from mbtool.core.errors import InputError
+from mbtool.core.errors import InputError, UsageError, reason_of
 from mbtool.core.nesting import why_too_deep
 
 if TYPE_CHECKING:
@@ -25,23 +25,22 @@ _ADVICE = (
 to append to the message."""
 
 
-class TomlError(InputError):
-    """Raised for a file that cannot be read or is not TOML."""
+class TomlError(UsageError):
+    """Raised for a file that is not TOML."""
 
     def __init__(self, file: str, place: str, problem: str) -> None:
-        super().__init__(": ".join(part for part in (file, place, problem) if part))
+        super().__init__(f"{file}: {place}: {problem}")
         self.place = place
-        """The place of the mistake: a line, byte or key of the file, or a word such as `size`.
-        Empty if the file cannot be read."""
+        """The place of the mistake: a line, byte or key of the file, or a word such as `size`."""
         self.problem = problem
 
 
 def read_toml(path: Path, max_bytes: int, what: str, hint: str = "") -> dict[str, Any]:
     """Read the keys and values of a TOML file, in the order of the file.
 
-    Raises TomlError if the file cannot be read, is longer than `max_bytes`, nests too deep, or is
-    not TOML. `what` names the kind of file in messages, such as `profile`; `hint` is appended to
-    the parser's message about a line.
+    Raises InputError if the file cannot be read, TomlError if it is longer than `max_bytes`, nests
+    too deep, or is not TOML. `what` names the kind of file in messages, such as `profile`; `hint`
+    is appended to the parser's message about a line.
     """
     import tomllib  # Imported here: most commands read no such file.
 
@@ -50,7 +49,7 @@ def read_toml(path: Path, max_bytes: int, what: str, hint: str = "") -> dict[str
         with path.open("rb") as stream:
             data = stream.read(max_bytes + 1)
     except OSError as error:
-        raise TomlError(file, "", f"cannot be read: {error.strerror or error}") from error
+        raise InputError(f"{file}: cannot be read: {reason_of(error)}") from error
     if len(data) > max_bytes:
         raise TomlError(file, "size", f"more than {max_bytes} bytes are no {what}")
     try:

@@ -75,7 +75,7 @@ def check_path(path: Path, *, replace: bool = False) -> None:
     if stat.S_ISDIR(mode):
         raise UsageError(f"{path}: a directory; name a file in it, for example {path / 'x.mcap'}")
     if not stat.S_ISREG(mode):
-        raise UsageError(f"{path}: not a regular file, so it cannot hold a log; name another")
+        raise UsageError(f"{path}: not a regular file; name another")
     if not replace:
         raise _exists(path)
 

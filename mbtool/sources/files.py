@@ -338,7 +338,7 @@ class _Unpacked(io.RawIOBase):
                 self._ready = memoryview(self._unpack(data))
             except self._error as error:
                 raise InputError(
-                    f"{self._name}: damaged, it cannot be unpacked: {error}"
+                    f"{self._name}: its compressed data are damaged and cannot be unpacked"
                 ) from error
             self._left += MAX_RATIO * len(data) - len(self._ready)
         if self._left < 0:

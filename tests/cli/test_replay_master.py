@@ -177,7 +177,7 @@ def test_what_cannot_be_written_is_told_before_the_first_request(
         (tmp_path / "folder.json").mkdir(exist_ok=True)
         with open_shell(parse_link("tcp:127.0.0.1:0"), scripted) as shell:
             told = mbtool("replay", capture, "--as-master", "--to", shell.place, option, file)
-        assert told.code == exit_codes.UNREADABLE
+        assert told.code == exit_codes.USAGE
         assert told.err == f"mbtool: {file}: cannot be written: {why}\n"
     assert scripted.asked == []
 

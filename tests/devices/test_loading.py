@@ -64,7 +64,7 @@ def test_the_common_part_of_a_family_is_no_profile() -> None:
 
 
 def test_absent_file_is_named_with_the_reason(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"nothing\.toml' cannot be read: No such file"):
+    with pytest.raises(InputError, match=r"nothing\.toml: cannot be read: No such file"):
         load_profile(str(tmp_path / "nothing.toml"))
 
 

@@ -370,10 +370,10 @@ def test_file_that_cannot_be_a_profile_is_told(
 @pytest.mark.parametrize(
     ("name", "told"),
     [
-        ("folder.toml", "profile 'folder.toml' cannot be read: Is a directory"),
-        ("folder.toml/none.toml", "profile 'folder.toml/none.toml' cannot be read: No such file or "
+        ("folder.toml", "folder.toml: cannot be read: Is a directory"),
+        ("folder.toml/none.toml", "folder.toml/none.toml: cannot be read: No such file or "
          "directory"),
-        ("./folder.toml", "profile 'folder.toml' cannot be read: Is a directory"),
+        ("./folder.toml", "folder.toml: cannot be read: Is a directory"),
     ],
 )  # fmt: skip
 def test_file_that_cannot_be_read_is_told(

@@ -100,8 +100,8 @@ def load_image(
     are looked for beside the file, or in the current directory. `only` is None for start values.
     For the file that keeps a device's state it lists the addresses that may be set, each to the
     content of a register. `recall` reads values from captures; with None the file may not name any.
-    Raises InputError for a file that is no TOML, and UsageError for a wrong key or value; the image
-    then holds the values of the lines before the wrong one.
+    Raises InputError for a file that cannot be read, UsageError for one that is no TOML or has a
+    wrong key or value; the image then holds the values of the lines before the wrong one.
     """
     hint = "write lines such as HR400001 = 4660"
     targets = ValueTargets(profile)

@@ -67,8 +67,8 @@ class FaultFile:
         """Read the TOML file `source`; a mapping is taken as the keys and values of such a file.
 
         `profiles` are those of the slaves; they give references such as HR400001 their addresses.
-        Raises InputError for a file that cannot be read or is no TOML, UsageError for a wrong key
-        or value.
+        Raises InputError for a file that cannot be read, UsageError for one that is no TOML or has
+        a wrong key or value.
         """
         if isinstance(source, Path):
             path = str(source)

@@ -29,7 +29,7 @@ def faulty(
 
     `source` is a fault file, or the keys and values of one. It may name registers in the notation
     of `profiles`. `link` is the link on which the responder answers. Raises InputError if the file
-    cannot be read or is no TOML, UsageError for a fault that is unknown or impossible on the link.
+    cannot be read, UsageError if it is no TOML or a fault is unknown or impossible on the link.
     """
     file = FaultFile(source, profiles)
     for number, fault in enumerate(file.faults, start=1):

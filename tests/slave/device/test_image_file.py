@@ -109,7 +109,7 @@ def test_names_file_key_and_value_of_a_mistake(tmp_path: Path, text: str, says: 
 def test_refuses_a_file_of_another_kind(tmp_path: Path, data: bytes, says: str) -> None:
     file = tmp_path / "start.toml"
     file.write_bytes(data)
-    with pytest.raises(InputError, match=says):
+    with pytest.raises(UsageError, match=says):
         load_image(file, load_profile("idec-ft1a-touch"), RegisterImage())
 
 

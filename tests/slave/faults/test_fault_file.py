@@ -148,8 +148,8 @@ def test_a_file_without_faults_is_wrong(tmp_path: Path, text: str, problem: str)
 
 
 @pytest.mark.parametrize("text", ["kind =", "x" * (MAX_FILE_BYTES + 1), "\x00"])
-def test_what_is_no_toml_cannot_be_read(tmp_path: Path, text: str) -> None:
-    with pytest.raises(InputError):
+def test_what_is_no_toml_is_wrong(tmp_path: Path, text: str) -> None:
+    with pytest.raises(UsageError):
         _read(tmp_path, text)
 
 

@@ -132,7 +132,7 @@ def test_a_file_of_start_values_is_not_taken_for_a_state(tmp_path: Path) -> None
 def test_a_file_that_is_no_state_stays_as_it_is(tmp_path: Path) -> None:
     state = tmp_path / "photo.toml"
     state.write_text("not toml")
-    with pytest.raises(InputError, match="not TOML"):
+    with pytest.raises(UsageError, match="not TOML"):
         _device(state)
     assert state.read_text() == "not toml"
 
