@@ -30,6 +30,8 @@ _NUMBERS = {
 """The beginnings of pydantic's messages about a wrong number, and the words that replace them."""
 
 
+_NO_NUMBERS = ("nan", "+nan", "-nan")
+"""Texts that Python reads as a number which is neither below nor above any other."""
 _FIRST_SECTION = "Options"
 """The heading in the help above options that have no other heading."""
 
@@ -185,6 +187,8 @@ class _PlainValues:
 
 def _in_plain_words(message: str, value: Any) -> str:
     """Return pydantic's message about the wrong `value` in plain words, for the user."""
+    if str(value).lower() in _NO_NUMBERS:
+        return f"{value!r} is not a number"
     for beginning, words in _NUMBERS.items():
         if message.startswith(beginning):
             return f"{value!r} is not {words}{message.removeprefix(beginning).partition(',')[0]}"

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from mbtool.workflows.ask import Asker, Changes, PollTally
 
 _LEAST_NS = 1_000_000
+_MOST_NS = 365 * 86_400 * 10**9
 
 
 @takes_groups
@@ -47,9 +48,10 @@ def poll(
     there is a summary. With --count, exit 1 when a request gets an exception or no answer.
     """
     from mbtool.cli.talk import interruptible, say
+    from mbtool.core.moments import parse_duration
     from mbtool.workflows.ask import Changes, PollTally
 
-    period_ns = _period_ns(every)
+    period_ns = parse_duration(every, "--every", _LEAST_NS, _MOST_NS)
     asked, options = ask.read(link), table.read()
     requests = [pdu for each in references for pdu in asked.wording.reads(each)]
     tally = PollTally()
@@ -127,17 +129,3 @@ class Polling:
             self._out.skip()
         else:
             self._out.add(changed if self._is_table else transaction)
-
-
-def _period_ns(text: str) -> int:
-    """Return --every in ns. Raises UsageError for a text that is no time of 1 ms or longer."""
-    from mbtool.core import UsageError
-    from mbtool.core.moments import parse_moment
-
-    try:
-        period = parse_moment(text, "--every")
-    except UsageError:
-        period = None
-    if period is None or period.is_absolute or period.ns < _LEAST_NS:
-        raise UsageError(f"--every {text[:40]!r}: write a time such as 1s, 250ms or 1m30s")
-    return period.ns

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
 AS_SLAVE, AS_MASTER, AS_BUS = "--as-slave", "--as-master", "--as-bus"
 
-_MAX_S = 1e9
-"""The largest --start and --end in seconds: 31 years."""
+_MAX_NS = 36_500 * 86_400 * 10**9
+"""The largest --start and --end: a hundred years."""
 _MAX_SPEED = 1000
 """The greatest factor of --speed; the least is 1 / 1000."""
 _MAX_SPEED_CHARACTERS = 20
@@ -199,10 +199,13 @@ class PaceOptions(OptionGroup):
         bool, typer.Option("--loop", help="Again from the beginning, until Ctrl-C.")
     ] = False
     start: Annotated[
-        float, typer.Option("--start", metavar="S", help="Where to begin, in seconds of it.")
-    ] = 0.0
+        str,
+        typer.Option(
+            "--start", metavar="TIME", help="Where to begin: 2.5 or 1h30m since the first request."
+        ),
+    ] = "0"
     end: Annotated[
-        float | None, typer.Option("--end", metavar="S", help="Where to end, likewise.")
+        str | None, typer.Option("--end", metavar="TIME", help="Where to end, likewise.")
     ] = None
 
     def shared(
@@ -244,15 +247,14 @@ class PaceOptions(OptionGroup):
 
     def _window(self) -> TimeRange:
         from mbtool.core import UsageError
+        from mbtool.core.moments import parse_duration
         from mbtool.replay import TimeRange
 
-        for option, seconds in (("--start", self.start), ("--end", self.end)):
-            if seconds is not None and not 0 <= seconds <= _MAX_S:  # NaN is outside, too.
-                raise UsageError(f"{option} {seconds:g}: write seconds, such as 2.5")
-        if self.end is not None and self.end <= self.start:
-            raise UsageError(f"--end {self.end:g}: is not after --start {self.start:g}")
-        end_ns = None if self.end is None else round(self.end * 1e9)
-        return TimeRange(round(self.start * 1e9), end_ns)
+        start_ns = parse_duration(self.start, "--start", 0, _MAX_NS)
+        end_ns = None if self.end is None else parse_duration(self.end, "--end", 0, _MAX_NS)
+        if end_ns is not None and end_ns <= start_ns:
+            raise UsageError(f"--end {self.end}: is not after --start {self.start}")
+        return TimeRange(start_ns, end_ns)
 
 
 @dataclass(frozen=True, slots=True)

@@ -53,6 +53,25 @@ def parse_moment(text: str, option: str) -> TimePoint:
     )
 
 
+def parse_duration(text: str, option: str, least_ns: int, most_ns: int) -> int:
+    """Read a time such as `2.5` (seconds), `250ms` or `1h30m` that a user gave in an option, in ns.
+
+    Raises UsageError, which names the option, for a text that is no such time, and for a time below
+    `least_ns` or above `most_ns`.
+    """
+    ns = _duration_ns(text)
+    if ns is None:
+        raise UsageError(
+            f"{option} {text[:40]!r}: write a time such as 2.5 (seconds), 250ms or 1h30m"
+        )
+    if ns < least_ns:
+        raise UsageError(f"{option} {text[:40]}: is shorter than {least_ns / 1e6:g} ms, the least")
+    if ns > most_ns:
+        days = most_ns // _UNITS_NS["d"]
+        raise UsageError(f"{option} {text[:40]}: is longer than {days:,} days, the most")
+    return ns
+
+
 def parse_iso(text: str) -> int | None:
     """Convert a time in ISO 8601 to UTC ns; None if the text has another form."""
     match = _ISO.fullmatch(text.strip())

@@ -14,7 +14,7 @@ from typing import Self
 
 from mbtool.core.errors import UsageError
 
-_PATTERN = re.compile(r"(?P<amount>\d{1,6}(?:\.\d{1,3})?) ?(?P<unit>bits|chars|ms|us)", re.ASCII)
+_PATTERN = re.compile(r"(?P<amount>\d{1,12}(?:\.\d{1,3})?) ?(?P<unit>bits|chars|ms|us)", re.ASCII)
 
 MAX_NS = 1_000_000_000
 """The longest silence that a user can give, in ns; no line needs a longer one between two
@@ -41,12 +41,16 @@ class Silence:
     def parse(cls, text: str) -> Self:
         """Read `28bits`, `3.5chars`, `5ms` or `750us`. Raises UsageError for other forms and 0."""
         match = _PATTERN.fullmatch(text.strip().lower())
-        if match is None or not Decimal(match["amount"]):
+        if match is None:
             raise UsageError(
                 f"silence {text!r}: write a number and bits, chars, ms or us, "
                 "for example 28bits or 5ms"
             )
-        return cls(Decimal(match["amount"]), SilenceUnit(match["unit"]))
+        made = cls(Decimal(match["amount"]), SilenceUnit(match["unit"]))
+        # The length of bits and characters is checked when the baud rate is known.
+        if not 0 < made.ns(baud=1_000_000, character_bits=1) <= MAX_NS:
+            raise UsageError(f"silence {text!r}: it is longer than 0 and at most 1 s")
+        return made
 
     def ns(self, baud: int, character_bits: int) -> int:
         """The length in ns on a line with this baud rate and this number of bits in a character."""

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from mbtool.core import UsageError
-from mbtool.core.moments import TimePoint, parse_iso, parse_moment
+from mbtool.core.moments import TimePoint, parse_duration, parse_iso, parse_moment
 
 S = 1_000_000_000
 NINE = 1_795_338_843 * S
@@ -63,3 +65,18 @@ def test_no_text_raises_anything_else(text: str) -> None:
         parse_moment(text, "--start")
     except UsageError:
         return
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("0.5ms", "--every 0.5ms: is shorter than 1 ms, the least"),
+        ("49h", "--every 49h: is longer than 2 days, the most"),
+        ("1us", "--every '1us': write a time such as 2.5 (seconds), 250ms or 1h30m"),
+        ("2026-01-01", "--every '2026-01-01': write a time such as"),
+    ],
+)
+def test_a_duration_out_of_range_is_told_the_range(text: str, said: str) -> None:
+    with pytest.raises(UsageError, match=re.escape(said)):
+        parse_duration(text, "--every", 1_000_000, 2 * 86_400 * 10**9)
+    assert parse_duration("1h30m", "--every", 0, 10**15) == 5400 * 10**9
