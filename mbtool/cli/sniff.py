@@ -157,8 +157,6 @@ def sniff(
         raise UsageError("--evidence-only needs a log to leave things out of: -w FILE.mcap")
     if evidence_only and topic_per_point:
         raise UsageError("--evidence-only logs no points, so --topic-per-point has nothing to do")
-    if duration == inf:
-        raise UsageError("--duration inf: without --duration it goes on until Ctrl-C")
     specs = tls.on_taps([parse_link(link, HEARD) for link in links])
     for warning in tls.warnings():
         say(f"mbtool: {warning}")

@@ -109,8 +109,12 @@ def test_an_exception_and_no_answer_are_a_no(mbtool: CommandLine, slave: str) ->
             "--function: 'ten' is no function code",
         ),
         (("write", "tcp:127.0.0.1:1", "coil 0"), exit_codes.USAGE, "write REFERENCE=VALUE"),
-        (("poll", "tcp:127.0.0.1:1", "coil 0", "--every", "0"), exit_codes.USAGE, "--every '0'"),
-        (("poll", "tcp:127.0.0.1:1", "coil 0", "--every", "2026-11-22"), exit_codes.USAGE, "1m30s"),
+        (
+            ("poll", "tcp:127.0.0.1:1", "coil 0", "--every", "0"),
+            exit_codes.USAGE,
+            "--every 0: is shorter than 1 ms",
+        ),
+        (("poll", "tcp:127.0.0.1:1", "coil 0", "--every", "2026-11-22"), exit_codes.USAGE, "1h30m"),
     ],
 )
 def test_what_is_wrong_is_told_in_one_line(
