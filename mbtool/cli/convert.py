@@ -92,6 +92,8 @@ def convert(
         )
         texts = [counted(count, word) for count, word in parts if count]
         say(f"{', '.join(texts) or 'nothing'} -> {out}")
+        if topic_per_point and not done.points:
+            say("no point has a name, so none has a topic; name the devices: --device WHO=PROFILE")
     for remark in conversion.remarks:
         say(remark)
     conversion.demand_whole()

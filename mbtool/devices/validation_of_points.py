@@ -38,6 +38,8 @@ def validate_point(point: Point, errors: PartErrors) -> None:
     if point.table.is_bits != (point.type is PointType.BIT):
         right = "bit" if point.table.is_bits else "a type of registers like uint16"
         errors.wrong("type", f"{point.type} does not fit {point.table}; {right} would be right")
+    if not point.name.strip():
+        errors.wrong("name", "is empty; a point is found and shown by its name")
     _validate_length(point, errors)
     if point.count > 1 and point.stride < point.words:
         errors.wrong(

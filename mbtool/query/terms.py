@@ -18,6 +18,7 @@ from mbtool.devices.named_transaction import NamedTransaction
 from mbtool.modbus import FUNCTIONS, Outcome
 from mbtool.modbus.adu import Transport, Verdict
 
+_WITH_UNIT = re.compile(r"(?P<host>.+)/(?P<unit>[0-9]{1,3})")
 _WITH_PORT = re.compile(r"[^:]+:[0-9]+|\[.*\]:[0-9]+")
 
 
@@ -70,6 +71,8 @@ def why_never_true(left: Term, right: Term, *, membership: bool) -> str | None:
     if not membership:
         return _why_never_equal(left, right)
     if right.kind is ValueKind.LIST:
+        if not right.items:
+            return f"{right.text} is an empty list, so nothing is in it"
         return _first(_why_never_equal(left, item) for item in right.items)
     if right.kind is ValueKind.TEXT:
         return None if left.kind is ValueKind.TEXT else _unlike(left, right)
@@ -116,6 +119,10 @@ def _why_never_equal(left: Term, right: Term) -> str | None:
         if one.is_host and other.constant is not None and _WITH_PORT.fullmatch(other.constant):
             whole = "source" if one.text == "master" else "destination"
             return f"{one.text} has no port; write {whole} == {other.text}"
+        behind = _WITH_UNIT.fullmatch(other.constant or "")
+        if behind is not None and (one.is_host or one.is_endpoint):
+            alone = f'{one.text} == "{behind["host"]}" and unit == {behind["unit"]}'
+            return f"{one.text} has no unit or prefix behind it; write {alone}"
     return None if left.kind is right.kind else _unlike(left, right)
 
 

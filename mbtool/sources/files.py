@@ -402,6 +402,11 @@ def _kind(name: str, head: bytes, line: LineSettings | None) -> CaptureKind:
         return CaptureKind.HEX if is_hex else CaptureKind.RAW
     if any(magic.startswith(head) for magic in (*CAPTURE_MAGICS, _MCAP)):
         raise CutError(f"{name}: ends inside the first bytes of its header")
+    if text.startswith(b"{"):
+        raise InputError(
+            f"{name}: JSON, no capture; if it has transactions of decode --format jsonl, "
+            "mbtool convert makes a log of it: convert X.jsonl X.mcap"
+        )
     looks_like = other or (
         "a text file" if _is_text(text) else f"a file that begins with {head[:8].hex(' ')}"
     )

@@ -267,7 +267,9 @@ class Conversion:
                 log.write(item)
                 done.packets += isinstance(item, Packet)
                 done.reads += isinstance(item, Chunk)
-                done.transactions += not isinstance(item, Packet | Chunk | WireEvent)
+                if not isinstance(item, Packet | Chunk | WireEvent):
+                    done.transactions += 1
+                    done.points += len(item.points)
         return done
 
     def _log_items(self) -> Iterator[LogItem]:

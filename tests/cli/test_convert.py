@@ -123,5 +123,7 @@ def test_points_get_topics_of_their_own_only_where_asked(
     assert own
     assert len(own) == sum(topic == "/points" for topic, _, _ in stock_messages(asked))
     assert not any(topic.startswith("/points/") for topic, _, _ in stock_messages(plain))
+    told = mbtool("convert", source[0], tmp_path / "nameless.mcap", "--topic-per-point")
+    assert "no point has a name, so none has a topic; name the devices: --device" in told.err
     told = mbtool("convert", plain, tmp_path / "x.jsonl", "--topic-per-point")
     assert (told.code, told.err.count("\n")) == (exit_codes.USAGE, 1)

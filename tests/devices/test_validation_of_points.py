@@ -75,6 +75,7 @@ def test_sound_point_passes(point: Point) -> None:
         (_point(type=PointType.HEX16, texts={0x10000: "x"}), "texts", "holds 0..65535"),
         (_point(type=PointType.BIT_FIELD, texts={2: "x"}), "texts",
          "2 does not fit the 1 bit of each channel, which holds 0..1"),
+        (_point(name=" "), "name", "is empty"),
         (_point(minimum=5, maximum=4), "minimum", "more than the maximum"),
         (_point(maximum=float("inf")), "maximum", "inf is no limit; leave the key out"),
         (_point(minimum=5, maximum=9, default=4), "default", "4 is less than the minimum, 5"),

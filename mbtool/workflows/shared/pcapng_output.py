@@ -72,6 +72,8 @@ class Converted:
     packets: int = 0
     reads: int = 0
     transactions: int = 0
+    points: int = 0
+    """The number of values of named points in these transactions, if a log was written."""
 
 
 class PieceWriter:
