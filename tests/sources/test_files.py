@@ -166,7 +166,7 @@ def test_unpacks_a_little_at_a_time(
         (b"", "empty; a capture has at least a header"),
         (gzip.compress(b"", mtime=0), "empty; a capture has at least a header"),
         (b"09:14:03 unit 1 \xc3\xa4\n" * 9, "a text file, no capture"),
-        (b'{"link":"plant"}\n' * 9, "mbtool convert makes a log of it: convert X.jsonl X.mcap"),
+        (b'{"link":"plant"}\n' * 9, "JSON, no capture; if it has transactions of decode"),
         (b"\x7fELF\x02\x01" + bytes(60), "an ELF program, no capture"),
         (b"PK\x03\x04" + bytes(60), "a zip archive, no capture"),
         (b"\xfd7zXZ\0" + bytes(60), "an xz archive, no capture"),
