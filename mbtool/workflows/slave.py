@@ -75,8 +75,9 @@ def device_slave(
     gets a line for the user when a capture with values is incomplete, and when the state file
     cannot be written while the slave runs.
 
-    Raises UsageError for a link, a unit or a file that does not fit the devices, InputError for a
-    file that cannot be read, and OutputError if the state file cannot be written at the start.
+    Raises UsageError for a link, a unit or a file that does not fit the devices and for a state
+    file that cannot be written, InputError for a file that cannot be read, and OutputError if the
+    disk is full at the start.
     """
     stations = {unit: Station(profile, image_file), **(others or {})}
     where = _with_silences(slave_link(link), stations)

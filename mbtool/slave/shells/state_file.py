@@ -9,6 +9,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import json
 import os
 from typing import TYPE_CHECKING
@@ -34,10 +35,10 @@ def keep_state(
 ) -> None:
     """Load a device's state from a file, if it exists, and save the state there at each change.
 
-    Raises UsageError for a device without non-volatile registers and for a file with keys for other
-    registers, InputError for a file that cannot be read, OutputError for one that cannot be
-    written. If a later write fails, the device continues, and `on_trouble` gets a line for the
-    user.
+    Raises UsageError for a device without non-volatile registers, for a file with keys for other
+    registers and for one that cannot be written, InputError for one that cannot be read, and
+    OutputError if the disk is full. If a later write fails, the device continues, and `on_trouble`
+    gets a line for the user.
     """
     kept = device.behaviour.kept
     if not kept:
@@ -67,7 +68,9 @@ def keep_state(
     try:
         save()
     except OSError as error:
-        raise OutputError(f"{path}: cannot be written: {reason_unwritten(path, error)}") from error
+        is_full = error.errno in (errno.ENOSPC, errno.EDQUOT)
+        problem = f"{path}: cannot be written: {reason_unwritten(path, error)}"
+        raise (OutputError(problem) if is_full else UsageError(problem)) from error
     device.behaviour.keep = keep
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from mbtool.core import InputError, OutputError, UsageError
+from mbtool.core import InputError, UsageError
 from mbtool.devices import load_profile
 from mbtool.modbus import Table
 from mbtool.slave.device.image import RegisterImage
@@ -115,7 +115,7 @@ def test_a_disk_that_is_full_later_is_told_and_the_old_state_stays(
 
 def test_a_folder_that_is_not_there_is_told_at_once(tmp_path: Path) -> None:
     with pytest.raises(
-        OutputError, match=r"absent/state\.toml: cannot be written: there is no folder"
+        UsageError, match=r"absent/state\.toml: cannot be written: there is no folder"
     ):
         _device(tmp_path / "absent" / "state.toml")
 
