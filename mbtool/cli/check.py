@@ -287,15 +287,15 @@ def _sum_up(run: CheckRun, path: str | None, files: list[str]) -> None:
 
 
 def _sentence(run: CheckRun) -> str:
-    """Sum up a run: `14 findings of 3 codes in 8120 transactions; docs/findings.md ...`."""
-    from mbtool.core.wording import plural
+    """Sum up a run: `14 findings of 3 codes in 8,120 transactions; docs/findings.md ...`."""
+    from mbtool.core.wording import counted
 
     number, codes = run.counts.total(), len(run.counts)
-    transactions = f"{run.transactions} {plural(run.transactions, 'transaction')}"
+    transactions = counted(run.transactions, "transaction")
     if not number:
         return f"no findings in {transactions}"
-    of_codes = "" if number == 1 else f" of {codes} {plural(codes, 'code')}"
-    findings = f"{number} {plural(number, 'finding')}{of_codes}"
+    of_codes = "" if number == 1 else f" of {counted(codes, 'code')}"
+    findings = f"{counted(number, 'finding')}{of_codes}"
     return f"{findings} in {transactions}; docs/findings.md explains each code"
 
 

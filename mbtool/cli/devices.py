@@ -168,6 +168,6 @@ def _match(file: str, names: Sequence[str], options: ReadingOptions, format_: Li
     if not results:
         say(f"{file}: no transaction in it, so nothing to match")
     if found.forgotten:
-        say(f"{found.forgotten} transactions of further slaves were not looked at")
+        say(f"{found.forgotten:,} transactions of further slaves were not looked at")
     if broken is not None:
         raise broken

@@ -101,7 +101,7 @@ class Exchanges:
             self._out.add(record)
         self._out.wait()
         if missed:
-            say(f"mbtool: {missed} requests not shown: they come faster than they can be printed")
+            say(f"mbtool: {missed:,} requests not shown: they come faster than they can be printed")
 
 
 def _steer(keys: Keyboard, played: PlayedSite) -> None:

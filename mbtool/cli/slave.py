@@ -157,7 +157,7 @@ def _tell(monitor: SlaveMonitor) -> None:
     from mbtool.cli.talk import say
 
     if missed := monitor.missed():
-        say(f"mbtool: {missed} requests not shown: they come faster than they can be printed")
+        say(f"mbtool: {missed:,} requests not shown: they come faster than they can be printed")
     if changed := monitor.changed_outputs():
         say("outputs: " + ", ".join(f"{one.name} {one.text}" for one in changed))
 

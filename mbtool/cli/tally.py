@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind, WireEvent
-from mbtool.core.wording import plural
+from mbtool.core.wording import counted
 from mbtool.modbus import Outcome, Verdict
 
 if TYPE_CHECKING:
@@ -53,19 +53,19 @@ class Tally:
 
     def sentence(self) -> str:
         """Sum up: `12 transactions: 10 ok, 2 exception; 3 events: 3 skipped`."""
-        text = f"{self.transactions} {plural(self.transactions, 'transaction')}"
+        text = counted(self.transactions, "transaction")
         parts = [
-            f"{self.outcomes[key]} {word}" for key, word in _WORDS.items() if self.outcomes[key]
+            f"{self.outcomes[key]:,} {word}" for key, word in _WORDS.items() if self.outcomes[key]
         ]
         if parts:
             text += ": " + ", ".join(parts)
         if self.ambiguous:
-            text += f" ({self.ambiguous} ambiguous)"
+            text += f" ({self.ambiguous:,} ambiguous)"
         troubles = {
             kind: count for kind, count in self.events.items() if kind not in CONNECTION_EVENTS
         }
         if troubles:
             total = sum(troubles.values())
-            text += f"; {total} {plural(total, 'event')}: "
-            text += ", ".join(f"{count} {kind.value}" for kind, count in sorted(troubles.items()))
+            text += f"; {counted(total, 'event')}: "
+            text += ", ".join(f"{count:,} {kind.value}" for kind, count in sorted(troubles.items()))
         return text

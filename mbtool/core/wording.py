@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 
-def counted(count: int, noun: str, separator: str = "") -> str:
-    """A count and its noun: `1 packet`, `2 packets`. The separator "," groups thousands."""
+def counted(count: int, noun: str, separator: str = ",") -> str:
+    """A count and its noun: `1 packet`, `2,000 packets`. The separator stands between thousands."""
     return f"{count:{separator}} {plural(count, noun)}"
 
 

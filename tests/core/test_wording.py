@@ -6,7 +6,7 @@ from mbtool.core.wording import counted, milliseconds, plural
 
 
 @pytest.mark.parametrize(
-    ("count", "text"), [(0, "0 bytes"), (1, "1 byte"), (2, "2 bytes"), (12345, "12345 bytes")]
+    ("count", "text"), [(0, "0 bytes"), (1, "1 byte"), (2, "2 bytes"), (12345, "12,345 bytes")]
 )
 def test_only_a_count_of_one_takes_the_singular(count: int, text: str) -> None:
     assert counted(count, "byte") == text

@@ -67,7 +67,7 @@ class HeardLine:
         if not self._overlaps:
             return None
         return (
-            f"{self.name}: {self._overlaps} of {self._pieces} packets overlap "
+            f"{self.name}: {self._overlaps:,} of {self._pieces:,} packets overlap "
             f"at {self._format.baud} baud: is the rate right?"
         )
 
