@@ -28,6 +28,9 @@ _STYLES = {
 }
 
 
+_LEAST_RECORD = 34
+"""If a request with its response would get fewer characters than this, the latency is left out, so
+that `03 read holding 0..1 -> no answer` is seen whole."""
 _LEAST_MEANING, _LEAST_STATE = 60, 48
 """If the meaning of a finding, or the state of a slave, would get fewer characters than this, and
 has more, other columns are left out."""
@@ -108,7 +111,7 @@ RECORD_COLUMNS = (
         name="mark", title=" ", width=1, cell=_mark, sort=lambda row: row.kept.order,
     ),
     WatchColumn(
-        name="number", title="#", width=6, least=3, is_right=True,
+        name="number", title="#", width=6, least=3, is_right=True, rank=1, is_spared=True,
         cell=lambda row, _: "" if row.kept.number is None else str(row.kept.number),
         sort=lambda row: row.kept.order,
     ),
@@ -117,7 +120,7 @@ RECORD_COLUMNS = (
         cell=lambda row, _: clock_time(row.kept.at_ns), sort=lambda row: row.kept.at_ns,
     ),
     WatchColumn(
-        name="ms", title="ms", width=5, is_right=True, cell=_in_ms,
+        name="ms", title="ms", width=5, is_right=True, cell=_in_ms, rank=2,
         sort=lambda row: -1 if _latency(row) is None else _latency(row),
     ),
     _field("link", "link", 15),
@@ -141,7 +144,8 @@ RECORD_COLUMNS = (
         sort=lambda row: getattr(row.kept.record, "confidence", 0),
     ),
     WatchColumn(
-        name="text", title="request -> response", width=0, cell=record_text, fit=fitted_record,
+        name="text", title="request -> response", width=0, least_share=_LEAST_RECORD,
+        cell=record_text, fit=fitted_record,
         sort=lambda row: "".join(text for text, _ in record_text(row, DrawContext())),
     ),
 )  # fmt: skip

@@ -59,6 +59,18 @@ def test_on_a_very_narrow_screen_the_values_of_polls_keep_room() -> None:
     assert names(40) == ["unit", "request"]
 
 
+def test_on_a_narrow_screen_the_result_of_a_transaction_is_seen() -> None:
+    def names(width: int) -> list[str]:
+        shown = {one.column.name: one.width for one in fitted(RECORD_COLUMNS, width)}
+        if width >= 60:
+            assert shown["text"] >= len("03 read holding 0..1 -> no answer")
+        return [*shown]
+
+    assert names(80) == ["mark", "number", "time", "ms", "unit", "text"]
+    assert names(60) == ["mark", "number", "time", "unit", "text"]
+    assert names(40) == ["mark", "time", "unit", "text"]
+
+
 def test_chosen_columns_stay_in_their_order_however_narrow() -> None:
     assert [one.column.name for one in fitted(COLUMNS, 20, ["rare", "more", "unit"])] == [
         "unit",

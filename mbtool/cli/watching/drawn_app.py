@@ -68,7 +68,7 @@ class DrawnApp(App[int]):
     #detail-text { height: auto; }
     #troubles { display: none; }
     #troubles.told { display: block; }
-    #note { height: auto; max-height: 2; display: none; }
+    #note { height: auto; max-height: 8; display: none; }
     #note.told { display: block; }
     OptionList:nocolor > .option-list--option-highlighted { text-style: bold underline; }
     """

@@ -89,6 +89,8 @@ def why_wrong(text: str, error: UsageError) -> tuple[int, str]:
     reason = str(error).partition(": ")[2] if ": " in str(error) else str(error)
     if not str(error).startswith("--where"):
         reason = str(error)
+    if "did you mean" in reason:
+        reason = f"{reason.partition('?')[0]}?"  # The list of all names has no room.
     cause = error.__cause__
     if isinstance(cause, SyntaxError):
         # If an expression ends too early, Python reports no offset, or the first one.

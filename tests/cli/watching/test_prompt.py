@@ -28,6 +28,15 @@ def test_an_error_has_a_place_in_the_text(text: str, place: int, reason: str) ->
     assert abs(at - place) <= 1, (at, why)
 
 
+def test_beside_the_nearest_name_the_others_are_left_out() -> None:
+    with pytest.raises(UsageError) as caught:
+        read_filter("latncy > 4")
+    assert why_wrong("latncy > 4", caught.value) == (
+        0,
+        "there is no 'latncy', did you mean 'latency_ms'?",
+    )
+
+
 def test_no_text_is_no_filter() -> None:
     assert read_filter("  ") is None
 
