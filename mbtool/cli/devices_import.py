@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from mbtool.cli.options import OverwriteOption
 from mbtool.cli.profile_files import (
     OutputOption,
     demand_new,
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from mbtool.devices.importing.options import ImportOptions
+    from mbtool.devices.importing.register_list import ImportedList
 
 
 class AddressesChoice(StrEnum):
@@ -66,6 +68,8 @@ def import_(
         ),
     ],
     output: OutputOption = None,
+    *,
+    overwrite: OverwriteOption = False,
     sunspec: Annotated[
         bool, typer.Option("--sunspec", help="FILE is a SunSpec model in JSON.")
     ] = False,
@@ -145,7 +149,7 @@ def import_(
     from mbtool.devices.point_types import WordOrder
     from mbtool.modbus.tables import Table
 
-    demand_new(output)
+    demand_new(output, overwrite=overwrite)
     if sunspec and home_assistant:
         raise UsageError("--sunspec and --home-assistant exclude each other")
     for option, value, is_for in (
@@ -156,11 +160,16 @@ def import_(
             raise UsageError(f"{option} goes with {form}")
     if len(files) > 1 and not sunspec:
         raise UsageError(f"{files[1]}: only --sunspec takes several files; import one at a time")
+    if sunspec and len(files) == 1 and Path(files[0]).is_dir():
+        _try_all(files[0], output)
+        return
     if sunspec:
-        _import_sunspec(files, output, 40000 if base is None else base, repeat)
+        made = _sunspec(files, output, 40000 if base is None else base, repeat)
+        give_imported(made, output, overwrite=overwrite)
         return
     if home_assistant:
-        _import_home_assistant(files[0], output, unit)
+        made = _home_assistant(files[0], output, unit)
+        give_imported(made, output, overwrite=overwrite)
         return
     options = ImportOptions(
         columns=parse_columns(column or ()),
@@ -170,36 +179,32 @@ def import_(
         word_order=WordOrder(word_order) if word_order is not None else None,
         skip_bad=skip_bad,
     )
-    _import_list(files[0], output, options)
+    give_imported(_list(files[0], output, options), output, overwrite=overwrite)
 
 
-def _import_list(file: str, output: str | None, options: ImportOptions) -> None:
+def _list(file: str, output: str | None, options: ImportOptions) -> ImportedList:
     from mbtool.cli.talk import say
     from mbtool.devices.importing.register_list import BadRowsError, import_register_list
 
     try:
-        imported = import_register_list(
+        return import_register_list(
             read_input(file), shown(file), options, profile_name(file, output)
         )
     except BadRowsError as wrong:
         for line in wrong.lines:
             say(line)
         raise
-    give_imported(imported, output)
 
 
-def _import_sunspec(
+def _sunspec(
     files: Sequence[str], output: str | None, base: int, repeat: int | None
-) -> None:
+) -> ImportedList:
     from mbtool.devices.importing.sunspec import import_sunspec
 
-    if len(files) == 1 and Path(files[0]).is_dir():
-        _try_all(files[0], output)
-        return
     models = [(shown(file), read_input(file)) for file in files]
     name = profile_name(files[0], output) or "sunspec"
     count = 1 if repeat is None else repeat
-    give_imported(import_sunspec(models, name, base=base, repeat=count), output)
+    return import_sunspec(models, name, base=base, repeat=count)
 
 
 def _try_all(folder: str, output: str | None) -> None:
@@ -225,8 +230,8 @@ def _try_all(folder: str, output: str | None) -> None:
         raise UsageError(f"{folder}: {len(wrong)} models cannot be imported")
 
 
-def _import_home_assistant(file: str, output: str | None, unit: int | None) -> None:
+def _home_assistant(file: str, output: str | None, unit: int | None) -> ImportedList:
     from mbtool.devices.importing.home_assistant import import_home_assistant
 
     name = profile_name(file, output) or "home-assistant"
-    give_imported(import_home_assistant(read_input(file), shown(file), name, unit=unit), output)
+    return import_home_assistant(read_input(file), shown(file), name, unit=unit)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from mbtool.cli.option_groups import takes_groups
-from mbtool.cli.options import SourceOptions
+from mbtool.cli.options import OverwriteOption, SourceOptions
 from mbtool.cli.profile_files import (
     OutputOption,
     demand_new,
@@ -31,6 +31,10 @@ if TYPE_CHECKING:
 
 def new(
     file: Annotated[str, typer.Argument(metavar="FILE.toml", help="The file to write.")],
+    *,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace the file if there is one.")
+    ] = False,
 ) -> None:
     """Write a commented start of a profile, to be edited."""
     from mbtool.cli.talk import say
@@ -39,7 +43,7 @@ def new(
 
     if not is_file(file):
         raise UsageError(f"{file}: name the file to write, for example pump.toml")
-    write(file, starting_profile(file, name_for(file)))
+    write(file, starting_profile(file, name_for(file)), overwrite=overwrite)
     say(f"{file}: written; edit it, and look at it with mbtool devices {_as_argument(file)}")
 
 
@@ -59,6 +63,7 @@ def draft(
         ),
     ] = None,
     output: OutputOption = None,
+    overwrite: OverwriteOption = False,
     sunspec: Annotated[
         str | None,
         typer.Option(
@@ -81,16 +86,16 @@ def draft(
     from mbtool.devices.drafting.draft import draft_profile
     from mbtool.devices.profile_template import name_for
 
-    demand_new(output)
+    demand_new(output, overwrite=overwrite)
     who = parse_who(unit) if unit is not None else None
     if sunspec is not None:
-        _draft_sunspec(file, source.read(), who, sunspec, output)
+        _draft_sunspec(file, source.read(), who, sunspec, output, overwrite=overwrite)
         return
     found, broken = survey(file, source.read(), who, with_values=True)
     seen = found.only("--unit")
     name = name_for(output) if output is not None and is_file(output) else f"unit-{seen.unit}"
     drafted = draft_profile(seen, name, shown(file))
-    give(drafted.text, output)
+    give(drafted.text, output, overwrite=overwrite)
     if is_file(output):
         areas = counted(len(drafted.profile.areas), "area")
         points = counted(len(drafted.profile.points), "point")
@@ -100,7 +105,13 @@ def draft(
 
 
 def _draft_sunspec(
-    file: str, options: ReadingOptions, who: Who | None, folder: str, output: str | None
+    file: str,
+    options: ReadingOptions,
+    who: Who | None,
+    folder: str,
+    output: str | None,
+    *,
+    overwrite: bool,
 ) -> None:
     """Write the profile of a SunSpec device, made of the models that masters read in the capture.
 
@@ -114,7 +125,8 @@ def _draft_sunspec(
     if broken is not None and not devices.maps:
         raise broken
     found = only_map(devices, who, "--unit")
-    give_imported(models.profile(found, profile_name(file, output) or "sunspec"), output)
+    made = models.profile(found, profile_name(file, output) or "sunspec")
+    give_imported(made, output, overwrite=overwrite)
     if broken is not None:
         raise broken
 
@@ -129,6 +141,8 @@ def export(
             "--output", "-o", metavar="FILE", help="Write to a new file. [default: standard output]"
         ),
     ] = None,
+    *,
+    overwrite: OverwriteOption = False,
     csv: Annotated[bool, typer.Option("--csv", help="A register list.")] = False,
     json_: Annotated[bool, typer.Option("--json", help="The profile as JSON.")] = False,
     telegraf: Annotated[
@@ -171,11 +185,11 @@ def export(
     if len(forms) > 1:
         raise UsageError(f"--{forms[0]} and --{forms[1]}: choose one form")
     form = forms[0] if forms else ExportForm.TOML
-    demand_new(output, form.suffixes)
+    demand_new(output, form.suffixes, overwrite=overwrite)
     made = exported(load_profile(name), form, unit)
     for line in made.lacking:
         say(f"mbtool: {line}")
-    give(made.text, output, form.suffixes)
+    give(made.text, output, form.suffixes, overwrite=overwrite)
 
 
 def schema() -> None:

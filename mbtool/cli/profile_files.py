@@ -37,13 +37,13 @@ def profile_name(file: str, output: str | None) -> str | None:
     return name_for(output or file) if _STANDARD not in (output or file,) else None
 
 
-def give_imported(imported: ImportedList, output: str | None) -> None:
+def give_imported(imported: ImportedList, output: str | None, *, overwrite: bool) -> None:
     from mbtool.cli.talk import say
     from mbtool.core.wording import counted
 
     for remark in imported.remarks:
         say(remark)
-    give(imported.text, output)
+    give(imported.text, output, overwrite=overwrite)
     if is_file(output):
         say(f"{counted(len(imported.profile.points), 'point')} -> {output}")
 
@@ -71,37 +71,48 @@ def is_file(output: str | None) -> bool:
     return output is not None and output != _STANDARD
 
 
-def demand_new(output: str | None, suffixes: Sequence[str] = (_SUFFIX,)) -> None:
-    """Raise UsageError if a profile cannot be written to a new file of this name.
+def demand_new(
+    output: str | None, suffixes: Sequence[str] = (_SUFFIX,), *, overwrite: bool
+) -> None:
+    """Raise UsageError if a profile cannot be written to a file of this name.
 
-    `output` must have one of the suffixes, and must not exist, as the user may have edited it. None
-    and `-` stand for standard output, which is always allowed.
+    `output` must have one of the suffixes. It must not exist, as the user may have edited it,
+    except with `overwrite`. None and `-` stand for standard output.
     """
+    from mbtool.cli.output_path import demand_new as demand_new_file
+    from mbtool.cli.output_path import named_file
     from mbtool.core import UsageError
 
-    if output is None or output == _STANDARD:
+    output = named_file(output)
+    demand_new_file(output, overwrite=overwrite)
+    if output is None:
         return
     if not output.lower().endswith(tuple(suffixes)):
         what = (
             "a profile is a TOML file" if _SUFFIX in suffixes else "the suffix is of another form"
         )
         raise UsageError(f"{output}: {what}; let its name end in {' or '.join(suffixes)}")
-    if Path(output).exists():
-        raise UsageError(f"{output}: is there already; name another, or remove it first")
 
 
-def give(text: str, output: str | None, suffixes: Sequence[str] = (_SUFFIX,)) -> None:
+def give(
+    text: str, output: str | None, suffixes: Sequence[str] = (_SUFFIX,), *, overwrite: bool
+) -> None:
     if output is None or output == _STANDARD:
         typer.echo(text, nl=False)
     else:
-        write(output, text, suffixes)
+        write(output, text, suffixes, overwrite=overwrite)
 
 
-def write(file: str, text: str, suffixes: Sequence[str] = (_SUFFIX,)) -> None:
+def write(file: str, text: str, suffixes: Sequence[str] = (_SUFFIX,), *, overwrite: bool) -> None:
+    from mbtool.cli.output_file import is_old, open_file
     from mbtool.core import UsageError
     from mbtool.core.errors import reason_unwritten
 
-    demand_new(file, suffixes)
+    demand_new(file, suffixes, overwrite=overwrite)
+    if is_old(file):
+        with open_file(file, in_place=False) as stream:
+            stream.write(text)
+        return
     try:
         # Mode "x" does not overwrite a file that was made after the check of demand_new.
         with Path(file).open("x", encoding="utf-8") as stream:

@@ -51,7 +51,10 @@ def test_nothing_is_written_over(mbtool: CommandLine, arguments: list[object]) -
     Path("there.toml").write_text("mine")
     told = mbtool("devices", *arguments)
     assert told.code == exit_codes.USAGE
-    assert "there.toml: is there already; name another, or remove it first" in told.err
+    assert (
+        "there.toml: the file exists; name another, remove it, or replace it with --overwrite"
+        in told.err
+    )
     assert Path("there.toml").read_text() == "mine"
 
 
@@ -303,3 +306,29 @@ def test_a_new_profile_is_not_written_to_standard_output(mbtool: CommandLine) ->
     told = mbtool("devices", "new", "-")
     assert (told.code, told.out) == (exit_codes.USAGE, "")
     assert told.err == "mbtool: -: name the file to write, for example pump.toml\n"
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["new", "OUT"],
+        ["import", "list.csv", "-o", "OUT"],
+        ["export", "wago-750", "-o", "OUT"],
+        ["draft", "plant.pcap", "-o", "OUT"],
+    ],
+    ids=lambda one: one[0],
+)
+def test_a_profile_is_replaced_only_where_asked(
+    mbtool: CommandLine, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: list[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("list.csv").write_text("address,name\n0,Speed\n")
+    Path("plant.pcap").write_bytes(capture_of([read(0, [1, 2])]))
+    Path("out.toml").write_text("mine")
+    arguments = [one.replace("OUT", "out.toml") for one in command]
+    told = mbtool("devices", *arguments)
+    assert told.code == exit_codes.USAGE
+    assert told.err.startswith("mbtool: out.toml: the file exists; ")
+    assert Path("out.toml").read_text() == "mine"
+    assert mbtool("devices", *arguments, "--overwrite").code == exit_codes.DONE
+    assert load_profile("out.toml").name
