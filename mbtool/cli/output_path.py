@@ -40,7 +40,8 @@ def chosen_format(given: F | None, path: str | None, suffixes: Mapping[str, F], 
     """
     suffix = "" if path is None else Path(path).suffix.lower()
     if given is not None:
-        if suffixes.get(suffix, given) != given:
+        # SARIF and CycloneDX are JSON, too.
+        if suffixes.get(suffix, given) != given and suffix != ".json":
             say(f"{path}: written as {given}, as --format says, though its name ends in {suffix}")
         return given
     if path is None:

@@ -294,3 +294,11 @@ def test_a_choice_that_leaves_nothing_is_refused(capsys: pytest.CaptureFixture[s
     assert run(["check", LOG, "--select", "SEC,mb-1", "--ignore", "mb-1,SEC"]) == exit_codes.USAGE
     said = "mbtool: --ignore MB-1,SEC leaves out all that --select chooses\n"
     assert capsys.readouterr().err == said
+
+
+def test_sarif_may_be_named_json(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    out = str(tmp_path / "a.json")
+    assert run(["check", LOG, "--format", "sarif", "-o", out]) == exit_codes.NO
+    assert "written as" not in capsys.readouterr().err
+    assert run(["check", LOG, "--format", "json", "-o", f"{out}.sarif"]) == exit_codes.NO
+    assert "written as json, as --format says" in capsys.readouterr().err
