@@ -241,7 +241,7 @@ def _show(
     """
     from mbtool.cli import exit_codes
     from mbtool.cli.options import condition
-    from mbtool.cli.talk import Interrupted
+    from mbtool.cli.talk import Interrupted, say
     from mbtool.cli.watching.app import WatchApp
     from mbtool.cli.watching.terminal_output import terminal_output
 
@@ -258,6 +258,8 @@ def _show(
             was_gone = is_gone()
     finally:
         feed.stop()
+    if app.unsaid is not None:
+        say(app.unsaid)
     if feed.error is not None:
         raise feed.error
     if app.return_code:  # textual has printed why the screen failed.

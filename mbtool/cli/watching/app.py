@@ -201,7 +201,7 @@ class WatchApp(PromptedApp):
             feed.seek_to(share)
 
     def action_leave(self) -> None:
-        self.exit(exit_codes.DONE)
+        self.exit(exit_codes.DONE, message=self._saving)
 
     def action_interrupt(self) -> None:
-        self.exit(exit_codes.INTERRUPTED)
+        self.exit(exit_codes.INTERRUPTED, message=self._saving)

@@ -106,6 +106,8 @@ class DrawnApp(App[int]):
         self._found = ""
         self._saving: str | None = None
         """What is told while a file is being saved; else None."""
+        self.unsaid: str | None = None
+        """What a save told that is not on the screen, as the user has left it; else None."""
         self._before_typing = where
         self._typed_at = 0
         self._contexts = [DrawContext() for _ in VIEWS]

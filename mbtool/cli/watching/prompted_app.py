@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from mbtool.cli.watching.drawn_app import DrawnApp
@@ -151,15 +152,19 @@ class PromptedApp(DrawnApp):
 
     def _run_job(self, job: Callable[[], str]) -> None:
         """Save in a thread of its own, and tell how it went."""
+        is_done = True
         try:
-            said = job()
+            self.unsaid = job()
         except (MbtoolError, OSError) as error:
-            self.call_from_thread(self._saved, str(error), "bold red", is_done=False)
-        else:
-            self.call_from_thread(self._saved, said, "green", is_done=True)
+            self.unsaid, is_done = str(error), False
+        with suppress(RuntimeError):  # The screen is closed, and textual does not run any more.
+            self.call_from_thread(self._saved, is_done=is_done)
 
-    def _saved(self, said: str, style: str, *, is_done: bool) -> None:
+    def _saved(self, *, is_done: bool) -> None:
         self._saving = None
-        self.tell(said, style)
+        if self.return_value is not None or self.unsaid is None or not self.is_up:
+            return
+        self.tell(self.unsaid, "green" if is_done else "bold red")
+        self.unsaid = None
         if is_done and self.prompt.asking is Asking.SAVE:
             self._leave_prompt()

@@ -280,6 +280,22 @@ def test_while_a_save_runs_one_can_go_on_but_not_save_again() -> None:
     run(test)
 
 
+def test_what_a_save_says_after_the_screen_was_left_is_kept_for_the_terminal() -> None:
+    async def test() -> None:
+        saver = NotingSaver(OutputError("disk full"))
+        saver.goes_on.clear()
+        async with screen(line(), saver=saver) as seen:
+            await seen.press("s")
+            await seen.type("part.mcap")
+            await seen.press("enter", "ctrl+c")
+            unsaid = seen.app.unsaid
+            saver.goes_on.set()
+            await seen.until(lambda: seen.app.unsaid == "disk full")
+            assert unsaid is None
+
+    run(test)
+
+
 def test_escape_takes_the_error_of_a_save_away() -> None:
     async def test() -> None:
         async with screen(line(), saver=NotingSaver(OutputError("disk full"))) as seen:
