@@ -6,8 +6,8 @@
 # (packets/line_packets.py). In a log, the reads of ports stay as they are.
 #
 # With --start, --end or --where, only the packets and frames of the chosen transactions are
-# written. Without --where, the packets and bytes in that time that belong to no transaction are
-# written, too.
+# written, and the damaged frames that were their responses. Without --where, the packets, bytes and
+# events in that time that belong to no transaction are written, too.
 
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, BinaryIO, NamedTuple, TypeVar
 from mbtool.core import (
     Chunk,
     Direction,
+    EventKind,
     OutputError,
     Packet,
     UsageError,
@@ -44,7 +45,7 @@ from mbtool.packets.line_packets import (
 from mbtool.workflows.shared.conversion_inputs import grouped
 from mbtool.workflows.shared.pcapng_output import Converted, NumberedPacket, PcapngOutput, Shown
 from mbtool.workflows.shared.read_all import unwatched
-from mbtool.workflows.shared.wire_streams import StreamKey, WirePiece, WireStream
+from mbtool.workflows.shared.wire_streams import SkippedBytes, StreamKey, WirePiece, WireStream
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -211,6 +212,9 @@ class Conversion:
         if isinstance(one.item, WirePiece):
             if one.item.frame is not None:
                 return one.item.frame.is_kept
+            skipped = one.item.skipped
+            if skipped is not None and _is_kept(group, one.item.key.link, skipped):
+                return True
         elif one.number in group.marks.used:
             return one.number in group.marks.kept
         return self._where is None and self._window.contains_ns(one.item.ts_ns)
@@ -277,9 +281,21 @@ class Conversion:
         transaction or event comes after the packets or reads from which it was decoded.
         """
         evidence: Iterator[LogItem] = _reads(self._shown())
-        records: Iterator[LogItem] = self.records()
+        records: Iterator[LogItem] = (one for one in self.records() if self._belongs(one))
         keyed = _keyed(evidence, _known_ns, 0), _keyed(records, _known_ns, 1)
         return (item for _, _, item in heapq.merge(*keyed, key=lambda one: one[:2]))
+
+    def _belongs(self, record: Record) -> bool:
+        """False for an event that is about no chosen transaction, if --where chooses them."""
+        if self._where is None or not isinstance(record, WireEvent):
+            return True
+        return any(_is_kept(group, record.link, record) for group in self._groups)
+
+
+def _is_kept(group: InputGroup, link: str, about: WireEvent | SkippedBytes) -> bool:
+    """True if `about` is a damaged frame that was the response to a chosen request."""
+    is_damaged = about.kind is EventKind.BAD_CHECK
+    return is_damaged and (link, about.ts_ns) in group.marks.kept_damaged
 
 
 class _Cut(NamedTuple):

@@ -11,15 +11,16 @@ import tempfile
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Protocol
 
-from mbtool.core import Chunk, Direction, UsageError, WireEvent
+from mbtool.core import Chunk, Direction, EventKind, UsageError, WireEvent
 from mbtool.core.evidence import Connection, Endpoint, Stamp
 from mbtool.core.wording import counted
+from mbtool.modbus.damaged_answers import DamagedAnswers
 from mbtool.workflows.convert import CAPTURE_SUFFIXES, Conversion
 from mbtool.workflows.shared.reading_options import ReadingOptions
 from mbtool.workflows.shared.time_window import TimeWindow
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from mbtool.devices import NamedTransaction
     from mbtool.logs import LogWriter, RotatingLog
@@ -99,25 +100,38 @@ class FrameSaver:
         listed = [one.record for one in board.records]
         chosen = _marked(watched) or [one for one in listed if not isinstance(one, WireEvent)]
         chosen.sort(key=lambda one: one.start_ns)
+        damaged = _damaged_answers([one.record for one in watched.whole.records])
 
         def save() -> str:
             _demand_new(out)
             if PurePath(out).suffix.lower() == _LOG_SUFFIX:
-                self._write(out, chosen)
+                self._write(out, chosen, damaged)
                 return f"{counted(len(chosen), 'transaction')} -> {out}"
             with tempfile.TemporaryDirectory() as folder:
                 log = str(Path(folder) / "frames.mcap")
-                self._write(log, chosen)
+                self._write(log, chosen, damaged)
                 return _convert([log], ReadingOptions(), None, out)
 
         return save
 
-    def _write(self, path: str, chosen: Sequence[NamedTransaction]) -> None:
+    def _write(
+        self,
+        path: str,
+        chosen: Sequence[NamedTransaction],
+        damaged: Mapping[tuple[object, ...], WireEvent],
+    ) -> None:
+        """Write the chosen transactions to a log, each with the frame in `damaged` that was its
+        response.
+        """
         log = self._begin_log(path)
         try:
             for one in chosen:
                 for chunk in _chunks(one):
                     log.write(chunk)
+                event = damaged.get(_identity(one))
+                if event is not None:
+                    log.write(Chunk(ts_ns=event.ts_ns, link=event.link, data=event.raw))
+                    log.write(event)
                 log.write(one)
         finally:
             log.close({})
@@ -157,6 +171,25 @@ def _identity(one: NamedTransaction) -> tuple[object, ...]:
     capture is decoded again.
     """
     return one.request_ns, one.response_ns, one.unit, one.function, one.request_raw
+
+
+def _damaged_answers(
+    records: Sequence[NamedTransaction | WireEvent],
+) -> dict[tuple[object, ...], WireEvent]:
+    """Return the frames with a wrong CRC or LRC on serial lines by the requests (_identity) whose
+    responses they were. `records` are in the order of a decoder's results.
+    """
+    damaged = DamagedAnswers()
+    events: dict[tuple[str, int], WireEvent] = {}
+    found: dict[tuple[object, ...], WireEvent] = {}
+    for one in records:
+        if isinstance(one, WireEvent):
+            if one.kind is EventKind.BAD_CHECK and not one.source:
+                damaged.note(one)
+                events[one.link, one.ts_ns] = one
+        elif (frame_ns := damaged.frame_of(one)) is not None:
+            found[_identity(one)] = events[one.link, frame_ns]
+    return found
 
 
 def _chunks(one: NamedTransaction) -> Iterator[Chunk]:

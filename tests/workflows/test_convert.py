@@ -11,6 +11,7 @@ import pytest
 from mbtool.core import (
     Chunk,
     Direction,
+    EventKind,
     InputError,
     SerialFormat,
     SerialLink,
@@ -20,6 +21,7 @@ from mbtool.core import (
 from mbtool.logs import LogReader, LogWriter, RotatingLog, Rotation
 from mbtool.logs.links import SPEC
 from mbtool.modbus import rtu_adu
+from mbtool.modbus.damaged_answers import DamagedAnswers
 from mbtool.query.where import parse_where
 from mbtool.workflows.convert import Conversion
 from mbtool.workflows.shared.pcapng_output import Converted
@@ -27,6 +29,7 @@ from mbtool.workflows.shared.reading import Reading, ReadingOptions
 from mbtool.workflows.shared.time_window import TimeWindow
 from tests.captures import read_packets
 from tests.records import without_origins
+from tests.workflows import sick_line as sick
 from tests.workflows.evidence import LINE, READ, VALUES, captured, exchange, relayed
 
 if TYPE_CHECKING:
@@ -181,6 +184,24 @@ def test_where_keeps_the_packets_of_its_transactions(
         (one.request_raw, one.response_raw)  # type: ignore[union-attr]
         for one in _transactions(out)
     ] == [(one.request_raw, one.response_raw) for one in expected]  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize("suffix", [".pcapng", ".mcap"])
+@pytest.mark.parametrize(("unit", "damaged"), [(sick.WELL, 0), (sick.BAD_CRC, 4)])
+def test_where_takes_no_fault_of_others_along_but_the_damaged_answers_of_its_own(
+    unit: int, damaged: int, suffix: str, tmp_path: Path
+) -> None:
+    log, out = sick.sick_line(tmp_path / "sick.mcap", 24), tmp_path / f"x{suffix}"
+    _convert([log], out, where=f"unit == {unit}")
+    for raw in (False, True):
+        records = list(Reading([str(out)], ReadingOptions(raw=raw)).records())
+        events = [one for one in records if isinstance(one, WireEvent)]
+        assert [one.kind for one in events] == [EventKind.BAD_CHECK] * damaged
+        found = DamagedAnswers()
+        for one in events:
+            found.note(one)
+        assert sum(found.has(one) for one in records if not isinstance(one, WireEvent)) == damaged
+        assert len(records) == 24 + damaged
 
 
 def test_a_serial_line_does_not_fit_into_pcap(tmp_path: Path) -> None:

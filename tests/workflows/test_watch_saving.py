@@ -8,13 +8,15 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from mbtool.core import UsageError, WireEvent, parse_link
+from mbtool.core import EventKind, UsageError, WireEvent, parse_link
 from mbtool.devices import Assignments
 from mbtool.logs.opening import create_log
 from mbtool.watching.watched import Watched
 from mbtool.workflows.shared.reading import Reading
 from mbtool.workflows.shared.reading_options import ReadingOptions
-from mbtool.workflows.watch_saving import EvidenceSaver, FrameSaver
+from mbtool.workflows.watch_saving import EvidenceSaver, FrameSaver, Saver
+from tests.workflows.sick_line import LINE as LINK
+from tests.workflows.sick_line import sick_line
 
 if TYPE_CHECKING:
     from mbtool.devices import NamedTransaction
@@ -90,6 +92,34 @@ def test_without_a_log_the_frames_become_evidence_that_decodes_to_the_same(
     out = str(tmp_path / f"part{suffix}")
     saver.job(model, is_filtered=False, out=out)()
     assert frames(read(out, raw=True)) == frames(read(source))
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".pcapng"])
+@pytest.mark.parametrize("from_files", [False, True])
+def test_marked_requests_keep_their_damaged_answers_and_no_fault_of_others(
+    suffix: str, from_files: bool, tmp_path: Path
+) -> None:
+    source, out = str(sick_line(tmp_path / "sick.mcap", 24)), str(tmp_path / f"part{suffix}")
+    model = Watched()
+    for one in Reading([source], ReadingOptions()).records():
+        model.add(one)
+    saver: Saver = EvidenceSaver([source])
+    if not from_files:
+        saver = FrameSaver(
+            partial(create_log, links=[LINK], assignments=Assignments(), ports=[502])
+        )
+    blamed = model.whole.blamed
+    asked = [one for one in model.whole.records if not isinstance(one.record, WireEvent)]
+    damaged = [one for one in asked if one.order in blamed][1:3]
+    for one in [*damaged, asked[-8]]:
+        model.mark(one)
+    chosen = [one.record for one in model.marked.values() if not isinstance(one.record, WireEvent)]
+    saver.job(model, is_filtered=False, out=out)()
+    for raw in (False, True):
+        records = list(Reading([out], ReadingOptions(raw=raw)).records())
+        events = [one for one in records if isinstance(one, WireEvent)]
+        assert [one.kind for one in events] == [EventKind.BAD_CHECK] * 2
+        assert frames([one for one in records if not isinstance(one, WireEvent)]) == frames(chosen)
 
 
 def test_a_name_of_another_format_is_refused(tmp_path: Path) -> None:

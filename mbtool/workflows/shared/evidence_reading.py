@@ -22,6 +22,7 @@ from mbtool.core import Chunk, Direction, InputError, Origin, Packet, StreamPlac
 from mbtool.devices import finding_text
 from mbtool.logs import LogReader
 from mbtool.modbus import Outcome, Verdict
+from mbtool.modbus.damaged_answers import DamagedAnswers
 from mbtool.packets import reads_of, serial_pieces
 from mbtool.sources.files import PACKET_KINDS, CaptureKind, open_capture
 from mbtool.workflows.shared.heard_line import serial_types
@@ -58,6 +59,9 @@ class EvidenceMarks:
     wants."""
     used: set[int] = field(default_factory=set)
     """The numbers (from 1) of all packets that contain ADUs of transactions, wanted or not."""
+    kept_damaged: set[tuple[str, int]] = field(default_factory=set)
+    """The link and the time (UTC ns) of the frames with a wrong CRC or LRC that were the responses
+    to requests which the user wants."""
     spans: dict[str, tuple[int, int]] = field(default_factory=dict)
     """For each serial line, the times (UTC ns) of its first and its last read; the key is the link
     name."""
@@ -75,6 +79,7 @@ class EvidenceReading(Reading):
         self._keys: dict[tuple[str, ...], StreamKey] = {}
         """The key of each stream of bytes that has a known direction. It is found by the link, the
         direction and, for a TCP connection, the addresses of master and slave."""
+        self._damaged = DamagedAnswers()
         self.marks = EvidenceMarks()
 
     def read_marks(
@@ -128,6 +133,7 @@ class EvidenceReading(Reading):
         return replace(chunk, place=place)
 
     def _note_event(self, event: WireEvent) -> None:
+        self._damaged.note(event)
         if event.raw and event.link in self._positions and not event.source:
             key = StreamKey(event.link, Direction.UNKNOWN, None)
             about = SkippedBytes(event.raw, event.kind, event.message, event.ts_ns)
@@ -138,8 +144,11 @@ class EvidenceReading(Reading):
         about = comments_of(one, self.profile_for(one) if one.findings else None)
         numbers = [each for each in (one.request_packet, one.response_packet) if each]
         marks.used.update(numbers)
+        damaged_ns = self._damaged.frame_of(one)
         if is_kept:
             marks.kept.update(numbers)
+            if damaged_ns is not None:
+                marks.kept_damaged.add((one.link, damaged_ns))
         if numbers:
             if about:
                 marks.comments.setdefault(numbers[-1], []).extend(about)
