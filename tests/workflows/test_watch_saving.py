@@ -111,8 +111,8 @@ def test_marked_requests_keep_their_damaged_answers_and_no_fault_of_others(
     blamed = model.whole.blamed
     asked = [one for one in model.whole.records if not isinstance(one.record, WireEvent)]
     damaged = [one for one in asked if one.order in blamed][1:3]
-    for one in [*damaged, asked[-8]]:
-        model.mark(one)
+    for kept in [*damaged, asked[-8]]:
+        model.mark(kept)
     chosen = [one.record for one in model.marked.values() if not isinstance(one.record, WireEvent)]
     saver.job(model, is_filtered=False, out=out)()
     for raw in (False, True):
