@@ -2,10 +2,11 @@
 
 # The unit id in a damaged frame proves nothing. So the frame is taken for the response to the
 # request that was pending when it came, which is known when its transaction ends without a response
-# (modbus/damaged_answers.py). Until then the frame waits; the next transaction that begins
-# after it shows that it answers none.
+# (modbus/damaged_answers.py). Until then the frame waits. On a serial line, the next transaction
+# that begins after it shows that it answers none. On TCP it goes on waiting, because a request
+# without a response may end long after later ones (TIMEOUT_NS in decode/network_pairing.py).
 #
-# Memory: at most MAX_FRAMES waiting frames for each link (see lru_dict.py).
+# Memory: at most MAX_FRAMES waiting frames for each of MAX_ENTRIES links (lru_dict.py).
 
 from __future__ import annotations
 
@@ -38,6 +39,8 @@ class DamagedFrames:
     def event(self, event: WireEvent) -> Iterator[Finding]:
         """Take an event of the kind BAD_CHECK."""
         self._answers.note(event)
+        if not self._waiting.has_room([event.link]):
+            yield from map(_of_no_unit, self._waiting.pop_oldest())
         waiting = self._waiting[event.link]
         waiting.append(event)
         if len(waiting) > MAX_FRAMES:
@@ -49,7 +52,8 @@ class DamagedFrames:
             return
         waiting = self._waiting[one.link]
         frame_ns = self._answers.frame_of(one)
-        while waiting and waiting[0].ts_ns < one.start_ns:
+        past_ns = one.start_ns if one.transport.is_serial else frame_ns or 0
+        while waiting and waiting[0].ts_ns < past_ns:
             yield _of_no_unit(waiting.popleft())
         if waiting and waiting[0].ts_ns == frame_ns:
             event = waiting.popleft()

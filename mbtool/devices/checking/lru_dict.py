@@ -29,7 +29,7 @@ class LruDict(Generic[K, V]):
         value = self._entries.get(key)
         if value is None:
             if len(self._entries) >= self._limit:
-                self._entries.popitem(last=False)
+                self.pop_oldest()
             value = self._entries[key] = self._make()
         else:
             self._entries.move_to_end(key)
@@ -55,6 +55,10 @@ class LruDict(Generic[K, V]):
 
     def pop(self, key: K) -> V | None:
         return self._entries.pop(key, None)
+
+    def pop_oldest(self) -> V:
+        """Remove the least recently used entry and return its value. There must be one."""
+        return self._entries.popitem(last=False)[1]
 
     def items(self) -> Iterator[tuple[K, V]]:
         yield from self._entries.items()

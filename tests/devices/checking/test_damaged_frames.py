@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind, WireEvent
 from mbtool.devices.checking.damaged_frames import DamagedFrames
 from mbtool.devices.checking.finding import Finding
+from mbtool.devices.checking.lru_dict import MAX_ENTRIES
 from mbtool.modbus.damaged_answers import MAX_FRAMES
-from tests.devices.checking.talk import LINK, START_NS, event, transaction
+from tests.devices.checking.talk import LINK, START_NS, event, line_event, transaction
 
 if TYPE_CHECKING:
     from mbtool.devices.named_transaction import NamedTransaction
@@ -48,6 +50,29 @@ def test_a_frame_waits_until_no_earlier_request_can_end() -> None:
     open_still = transaction(response=None, unit=4)
     (one,) = findings(damaged(10), transaction(at_ms=5, unit=9), open_still)
     assert one.unit == 4
+
+
+def test_on_tcp_a_frame_waits_for_a_request_that_ends_long_after_later_ones() -> None:
+    later = [transaction(at_ms=at_ms) for at_ms in range(1_000, 60_000, 1_000)]
+    (one,) = findings(damaged(10), *later, transaction(response=None, unit=4), closed=False)
+    assert one.unit == 4
+
+
+def test_on_tcp_frames_before_the_one_that_answers_are_of_no_unit() -> None:
+    found = findings(damaged(10), damaged(30), transaction(at_ms=20, response=None, unit=4))
+    assert [one.unit for one in found] == [None, 4]
+
+
+def test_on_a_line_a_frame_answers_no_request_after_the_next_one_that_begins_later() -> None:
+    frame = line_event(EventKind.BAD_CHECK, at_ms=10)
+    found = findings(frame, transaction(at_ms=20, on_a_line=True), closed=False)
+    assert [one.unit for one in found] == [None]
+
+
+def test_frames_of_more_links_than_are_kept_are_told() -> None:
+    many = [replace(damaged(at), link=f"link {at}") for at in range(MAX_ENTRIES + 3)]
+    assert [one.link for one in findings(*many, closed=False)] == ["link 0", "link 1", "link 2"]
+    assert len(findings(*many)) == len(many)
 
 
 def test_each_frame_is_told_once() -> None:
