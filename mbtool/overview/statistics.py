@@ -178,7 +178,7 @@ class Statistics:
         poll.tally.add(one)
         end_ns = max(one.response_ns or one.request_ns, one.request_ns)
         times = poll.times
-        times.asked += 1
+        times.bins.add(one.request_ns, one.latency_ns)
         if one.request_ns < times.first_ns:
             times.first_ns = one.request_ns
         if end_ns > times.last_ns:
@@ -306,15 +306,12 @@ class Statistics:
 
 def _count_asked(run: AnsweredRun, polls: list[PollStatistics]) -> None:
     """Count the requests of a batch with their units; `polls[i]` is the poll of `run.kinds[i]`."""
-    if all(kind.like.outcome is Outcome.OK for kind in run.kinds):
-        for kind, poll in zip(run.kinds, polls, strict=True):
-            poll.times.asked += kind.count
-        return
     of_kinds = [
-        (poll.times, kind.like.outcome) for kind, poll in zip(run.kinds, polls, strict=True)
+        (poll.times, poll.times.bins.add, kind.like.outcome)
+        for kind, poll in zip(run.kinds, polls, strict=True)
     ]
-    for index, request_ns in zip(run.kind, run.request_ns, strict=True):
-        times, outcome = of_kinds[index]
-        times.asked += 1
+    for index, begin_ns, end_ns in zip(run.kind, run.request_ns, run.response_ns, strict=True):
+        times, add, outcome = of_kinds[index]
+        add(begin_ns, end_ns - begin_ns)
         if outcome is not Outcome.OK:
-            times.note_failure(outcome, request_ns)
+            times.note_failure(outcome, begin_ns)

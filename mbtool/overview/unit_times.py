@@ -1,8 +1,8 @@
 """Notes from when to when a unit was asked, and from when to when its requests failed."""
 
 # `stats`, `report` and `watch` tell by it since when a unit is in trouble, and judge the failures
-# in their time. A missing answer is known later than it fails, so the counts of requests before and
-# in the time of failures can be wrong by the few requests that were answered in between.
+# in their time. The number of requests in that time is taken from bins of time (unit_bins.py), so
+# it can be wrong by a part of a bin.
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.modbus import Outcome
 from mbtool.overview.failure_limits import ENOUGH, is_grave, time_of_failures
+from mbtool.overview.unit_bins import UnitBins
 
 if TYPE_CHECKING:
     from mbtool.overview.request_tally import RequestTally
@@ -35,11 +36,11 @@ class FailedShare(NamedTuple):
 
     @property
     def share(self) -> float:
-        return self.failed / self.asked
+        return self.failed / max(self.asked, self.failed)
 
     @property
     def is_grave(self) -> bool:
-        return is_grave(self.failed, self.asked)
+        return is_grave(self.failed, max(self.asked, self.failed))
 
 
 class FailureSpan(NamedTuple):
@@ -47,10 +48,6 @@ class FailureSpan(NamedTuple):
 
     first_ns: int
     last_ns: int
-    asked_before: int
-    """The number of requests to the unit before the first one that failed."""
-    asked: int
-    """The number of requests from the first one that failed to the last one."""
 
 
 class UnitTimes:
@@ -58,7 +55,7 @@ class UnitTimes:
 
     __slots__ = (
         "answered_ns",
-        "asked",
+        "bins",
         "first_ns",
         "last_ns",
         "missing",
@@ -68,14 +65,13 @@ class UnitTimes:
     )
 
     def __init__(self, first_ns: int) -> None:
-        self.asked = 0
-        """The number of requests so far."""
+        self.bins = UnitBins()
         self.first_ns = self.last_ns = first_ns
-        self.answered_ns = 0
-        """The time of the last answer; 0 if there was none."""
+        self.answered_ns = first_ns - 1
+        """The time of the last answer; a time before the first request if there was none."""
         self.silent = 0
         """The number of requests since `silent_since_ns` that were not answered."""
-        self.silent_since_ns = 0
+        self.silent_since_ns = first_ns - 1
         """The time of the first unanswered request after an answered one. The unit is silent until
         now if that is later than `answered_ns`."""
         self.missing: FailureSpan | None = None
@@ -84,17 +80,17 @@ class UnitTimes:
         """The requests with an exception as response."""
 
     def note_failure(self, outcome: Outcome, at_ns: int) -> None:
-        """Note that the last one of the `asked` requests, sent at `at_ns`, had this outcome."""
+        """Note that a request sent at `at_ns` had this outcome."""
         if outcome is Outcome.NO_ANSWER:
-            self.missing = self._after(self.missing, at_ns)
+            self.missing = _with(self.missing, at_ns)
             if at_ns > self.answered_ns:
                 self._note_silence(at_ns)
         elif outcome is Outcome.EXCEPTION:
-            self.refused = self._after(self.refused, at_ns)
+            self.refused = _with(self.refused, at_ns)
 
     def note_answers(self, begin_ns: int, end_ns: int) -> None:
         """Note that several requests, the first of them sent at `begin_ns`, were answered until
-        `end_ns`. The caller counts them in `asked`.
+        `end_ns`. The caller counts them in `bins`.
         """
         self.first_ns = min(self.first_ns, begin_ns)
         self.last_ns = max(self.last_ns, end_ns)
@@ -105,11 +101,12 @@ class UnitTimes:
             self.silent, self.silent_since_ns = 0, at_ns
         self.silent += 1
 
-    def _after(self, span: FailureSpan | None, at_ns: int) -> FailureSpan:
-        if span is None:
-            return FailureSpan(at_ns, at_ns, self.asked - 1, 1)
-        first_ns, last_ns = min(span.first_ns, at_ns), max(span.last_ns, at_ns)
-        return FailureSpan(first_ns, last_ns, span.asked_before, self.asked - span.asked_before)
+
+def _with(span: FailureSpan | None, at_ns: int) -> FailureSpan:
+    """Return the time of failures so that it has one at `at_ns`, too."""
+    if span is None:
+        return FailureSpan(at_ns, at_ns)
+    return FailureSpan(min(span.first_ns, at_ns), max(span.last_ns, at_ns))
 
 
 def missing_share(tally: RequestTally, times: UnitTimes | None) -> FailedShare | None:
@@ -120,10 +117,14 @@ def missing_share(tally: RequestTally, times: UnitTimes | None) -> FailedShare |
     the unit is silent in the end, the share is of the requests since.
     """
     share = _share(tally.unanswered, tally, times, None if times is None else times.missing)
-    if share is None or share.is_grave or times is None:
+    if share is None or times is None:
+        return share
+    is_silent = times.silent_since_ns > times.answered_ns
+    if is_silent and share.failed == times.silent and share.since_ns is not None:
+        return share._replace(asked=share.failed)
+    if share.is_grave:
         return share
     silence_ns = times.last_ns - times.silent_since_ns
-    is_silent = times.silent_since_ns > times.answered_ns
     if is_silent and times.silent >= ENOUGH and silence_ns >= _SHORTEST_NS:
         return FailedShare(
             times.silent, times.silent, times.silent_since_ns, is_long=_is_long(times)
@@ -147,11 +148,11 @@ def _share(
     is_late, is_over = time_of_failures(times.first_ns, span.first_ns, span.last_ns, times.last_ns)
     if times.last_ns - times.first_ns < _SHORTEST_NS or not (is_late or is_over):
         return FailedShare(failed, tally.requests)
-    before = span.asked_before if is_late else 0
-    end = span.asked_before + span.asked if is_over else times.asked
+    before = times.bins.asked_before(span.first_ns) if is_late else 0
+    end = times.bins.asked_before(span.last_ns) + 1 if is_over else tally.requests
     return FailedShare(
         failed,
-        end - before,
+        max(end - before, failed),
         span.first_ns if is_late else None,
         span.last_ns if is_over else None,
         is_long=_is_long(times),

@@ -118,7 +118,7 @@ class Board:
             self._note_trouble(record.kind.value, kept, record.link, None, record.ts_ns)
             return
         self.transactions += 1
-        at_ns = record.start_ns
+        at_ns = kept.at_ns
         if at_ns > self.last_ns:
             self.last_ns = at_ns
         frame_ns = self._damaged.frame_of(record)

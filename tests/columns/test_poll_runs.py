@@ -58,6 +58,9 @@ def in_runs(capture: bytes) -> Iterator[Record | AnsweredRun]:
     yield from runs.parts(decoder.close())
 
 
+TIMES = [name for name in UnitTimes.__slots__ if name != "bins"]
+
+
 def overview(
     parts: Iterator[Record | AnsweredRun],
 ) -> tuple[str, str, dict[tuple[str, int], list[object]], int]:
@@ -75,7 +78,7 @@ def overview(
     counted.settle()
     document = statistics_document(counted, report(counted), sources=[], where=None)
     times = {
-        unit: [getattr(one, name) for name in UnitTimes.__slots__]
+        unit: [one.bins.bins(), *(getattr(one, name) for name in TIMES)]
         for unit, one in counted.units.items()
     }
     return document, inventory_json(hosts.document(), "1"), times, in_runs_

@@ -80,6 +80,33 @@ def test_a_unit_that_is_silent_in_the_end_fails_gravely_however_long_it_was_well
     assert share == FailedShare(2, 5002)
 
 
+@pytest.mark.parametrize(
+    ("failing", "since", "until", "asked"),
+    [
+        (range(500, 550), 500, None, 50),
+        (range(500, 550, 5), 500, None, 50),
+        (range(200, 240, 4), 200, 236, 37),
+        (range(40), None, 39, 40),
+        (range(547, 550), 547, None, 3),
+    ],
+)
+def test_misses_that_are_known_at_the_end_of_the_capture_are_counted_in_their_time(
+    failing: range, since: int | None, until: int | None, asked: int
+) -> None:
+    answered = [request(number * S) for number in range(550) if number not in failing]
+    (share, _) = shares([*answered, *(unanswered(number * S) for number in failing)])
+    assert share is not None
+    assert share.failed == len(failing)
+    assert share.since_ns == (None if since is None else at(since))
+    assert share.until_ns == (None if until is None else at(until))
+    assert share.asked == pytest.approx(asked, abs=6)
+
+
+def test_the_share_does_not_depend_on_the_order_of_requests() -> None:
+    records = polled(range(150, 300, 2), 400)
+    assert shares(records) == shares(list(reversed(records)))
+
+
 def test_an_answer_that_came_before_a_silence_was_known_ends_it() -> None:
     records = [*(request(1000 * at) for at in range(1000)), request(1_005_000)]
     late = [unanswered(1000 * at) for at in range(1000, 1004)]
