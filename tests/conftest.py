@@ -34,7 +34,7 @@ SLOW = frozenset((
     "cli/test_replay.py", "cli/test_replay_slave.py", "cli/test_slave.py", "cli/test_sniff.py",
     "cli/test_status.py",
     "columns/test_equality.py", "columns/test_headers.py", "columns/test_lines.py",
-    "cli/watching/test_app.py", "cli/watching/test_keys.py",
+    "cli/watching/test_app.py", "cli/watching/test_keys.py", "cli/watching/test_saving.py",
     "devices/test_wrong_profiles.py", "docs", "logs/test_damaged_logs.py", "logs/test_reader.py",
     "logs/test_writer.py",
     "replay/test_read_back.py", "serial_line/test_plants.py",

@@ -10,7 +10,7 @@ from mbtool.modbus import Outcome
 from mbtool.views.cells import ARROW, clock_time, event_text, result_text, transaction_text
 from mbtool.views.place_columns import host_of
 from mbtool.views.statistics_words import in_ms, percent
-from mbtool.views.watch_columns import LEAST_REST, DrawContext, Spans, WatchColumn
+from mbtool.views.watch_columns import LEAST_REST, DrawContext, Spans, WatchColumn, cut_spans
 from mbtool.views.watch_names import with_short_names
 from mbtool.views.watch_troubles import slave_trouble
 from mbtool.views.watch_words import age, count, in_table_words
@@ -58,9 +58,19 @@ def record_text(row: RecordRow, context: DrawContext) -> Spans:
 
 
 def fitted_record(row: RecordRow, context: DrawContext, width: int) -> Spans:
-    """Return the text of a transaction for `width` characters, with shorter names of points."""
+    """Return the text of a transaction for `width` characters, with shorter names of points.
+
+    The codes of findings are kept if that leaves enough room for the request and its result.
+    """
     spans, record = record_text(row, context), row.kept.record
-    return spans if isinstance(record, WireEvent) else with_short_names(spans, record, width)
+    if isinstance(record, WireEvent):
+        return spans
+    spans = with_short_names(spans, record, width)
+    room = width - len(spans[-1][0])
+    is_too_long = sum(len(text) for text, _ in spans) > width
+    if record.findings and is_too_long and room >= _LEAST_RECORD:
+        return [*cut_spans(spans[:-1], room), spans[-1]]
+    return spans
 
 
 def _text_of(name: str, row: RecordRow) -> str:

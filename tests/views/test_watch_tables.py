@@ -14,6 +14,7 @@ from mbtool.views.watch_columns import (
     DrawContext,
     FittedColumn,
     WatchColumn,
+    cut_spans,
     fitted,
     row_spans,
     row_text,
@@ -21,7 +22,13 @@ from mbtool.views.watch_columns import (
 from mbtool.views.watch_detail import record_detail, slave_detail, trouble_detail
 from mbtool.views.watch_places import place_columns
 from mbtool.views.watch_polls import POINT_COLUMNS, POLL_COLUMNS, poll_values
-from mbtool.views.watch_records import RECORD_COLUMNS, SLAVE_COLUMNS, TROUBLE_COLUMNS, slave_state
+from mbtool.views.watch_records import (
+    RECORD_COLUMNS,
+    SLAVE_COLUMNS,
+    TROUBLE_COLUMNS,
+    fitted_record,
+    slave_state,
+)
 from mbtool.views.watch_troubles import trouble_line
 from mbtool.watching.board import Board
 from mbtool.watching.board_judgement import judge
@@ -213,6 +220,21 @@ def test_an_exception_code_has_one_name_in_all_rows() -> None:
     texts = [cell(RECORD_COLUMNS, "text", row, DrawContext()) for row in rows]
     assert [text.partition(" -> ")[2] for text in texts] == told
     assert "02 device address error" in lines_of(record_detail(rows[1].kept, None, 80))
+
+
+def test_the_code_of_a_finding_is_kept_where_the_text_is_cut() -> None:
+    one = request(
+        0, reference="HR404091..404100", outcome=Outcome.EXCEPTION, exception=2,
+        exception_name="illegal data address", findings=["FT1A-A3"],
+    )  # fmt: skip
+    (row,) = record_rows(board_of(one))
+    told = {
+        width: text_of(cut_spans(fitted_record(row, DrawContext(), width), width)).rstrip()
+        for width in (60, 49, 36)
+    }
+    assert told[60] == "03 read HR404091..404100 -> 02 illegal address ! FT1A-A3"
+    assert told[49] == "03 read HR404091..404100 -> 02 illegal… ! FT1A-A3"
+    assert told[36] == "03 read HR404091..404100 -> 02 …"
 
 
 def test_under_a_filter_a_slave_is_judged_by_all_records() -> None:

@@ -84,6 +84,8 @@ class WatchApp(PromptedApp):
         if self.view.can_follow:
             self._follows = follows
         self.view_at = at
+        if not self._note_stays and self._saving is None:
+            self.tell("")
         starts_following = self.view.can_follow and self._follows
         self.table.begin_view(follows=starts_following, key=self._cursor_keys[at])
         self.draw()

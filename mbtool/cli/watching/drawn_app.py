@@ -119,6 +119,7 @@ class DrawnApp(App[int]):
         self._troubles = TroubleLine("", is_grave=False)
         self._next_look_s = 0.0
         self._frozen_ns = 0
+        self._note_stays = False
         self._told_remarks = 0
         self._told_error = False
         self._follows = True
@@ -311,13 +312,15 @@ class DrawnApp(App[int]):
     def tell(self, text: str, style: str = "") -> None:
         """Show a message below the table, until the next message or Escape; "" removes it.
 
-        `style` is in the notation of the library rich, such as `red`.
+        `style` is in the notation of the library rich, such as `red`. A message without a style
+        answers a key; it also goes when the view changes.
         """
         if not self.is_up:
             return
         note = self.screen_stack[0].query_one("#note", Static)
         note.update(Text(text, style_of(style, plain=is_plain())))
         note.set_class(bool(text), "told")
+        self._note_stays = bool(style)
 
     def _tell_remarks(self) -> None:
         remarks = self.feed.remarks
