@@ -189,4 +189,5 @@ def short_connections(
 
 
 def _are_short(one: ShortConnections) -> bool:
-    return one.opened >= ENOUGH_CONNECTIONS and one.requests <= REQUESTS_PER_CONNECTION * one.opened
+    is_polled = 0 < one.requests <= REQUESTS_PER_CONNECTION * one.opened
+    return is_polled and one.opened >= ENOUGH_CONNECTIONS

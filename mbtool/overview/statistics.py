@@ -93,19 +93,30 @@ class Statistics:
         self._order = RequestOrder(self.links, on_retry)
         self._damaged = DamagedAnswers()
         self._hosts: dict[str, str] = {}
-        self._earlier_ns = 0
-        """The time during which the captures before the present one were watched, in ns."""
+        self._spans: list[tuple[int, int]] = []
+        """The first request and the last response (UTC ns) of each capture before the present one;
+        captures that overlap are joined."""
 
     @property
     def watched_ns(self) -> int:
         """The time in ns from the first request to the last response of each capture, on whatever
-        link, summed over all captures.
+        link, summed over all captures. Where captures overlap, it counts once.
         """
-        spans = [link.span for link in self.links.values() if link.span is not None]
-        if not spans:
-            return self._earlier_ns
-        begin_ns, end_ns = min(begin for begin, _ in spans), max(end for _, end in spans)
-        return self._earlier_ns + end_ns - begin_ns
+        return sum(end_ns - begin_ns for begin_ns, end_ns in self._joined_spans())
+
+    def _joined_spans(self) -> list[tuple[int, int]]:
+        """Return the spans of all captures, sorted; those that overlap are joined."""
+        present = [link.span for link in self.links.values() if link.span is not None]
+        spans = list(self._spans)
+        if present:
+            spans.append((min(begin for begin, _ in present), max(end for _, end in present)))
+        joined: list[tuple[int, int]] = []
+        for begin_ns, end_ns in sorted(spans):
+            if joined and begin_ns <= joined[-1][1]:
+                joined[-1] = joined[-1][0], max(end_ns, joined[-1][1])
+            else:
+                joined.append((begin_ns, end_ns))
+        return joined
 
     @property
     def tapes(self) -> Mapping[tuple[str, str], MasterTape]:
@@ -154,7 +165,7 @@ class Statistics:
         watched.
         """
         self._order.begin_capture()
-        self._earlier_ns = self.watched_ns
+        self._spans = self._joined_spans()
         for link in self.links.values():
             link.end_span()
         for poll in self.polls.values():

@@ -167,8 +167,8 @@ def oddities_text(
 
 def _noun(some: Sequence[Oddity[Unit]]) -> str:
     """Return what differs between oddities of one kind: `unit`, `link` or `master`."""
-    owners = [("", "") if isinstance(one, LateUnit) else (one.link, one.master) for one in some]
-    if isinstance(some[0], LateUnit):
+    owners = [(one.link, one.master) for one in some if not isinstance(one, LateUnit)]
+    if not owners:
         return "unit"
     if len({link for link, _ in owners}) == len(some):
         return "link"

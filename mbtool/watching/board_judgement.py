@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.overview.failure_limits import is_grave
@@ -19,7 +20,7 @@ Unit = tuple[str, int]
 
 
 class BoardJudgement(NamedTuple):
-    """What is wrong with slaves and polling."""
+    """The slaves that fail or are slow, damaged frames of no known slave, and odd polling."""
 
     slaves: Sequence[WatchedSlaveRow]
     """All slaves, in trouble or not."""
@@ -29,7 +30,8 @@ class BoardJudgement(NamedTuple):
     """By link, the number of frames with a wrong CRC or LRC that answer no request that is known,
     if they are more than a small thing."""
     odd: Sequence[Sequence[Oddity[Unit]]]
-    """What is odd in the polling, by kind; empty if a slave fails, as that is worse."""
+    """Pauses, TCP connections for single polls, and late answers, a list for each kind; empty if a
+    slave fails, as that is worse."""
 
 
 def judge(board: Board) -> BoardJudgement:
@@ -53,23 +55,25 @@ def judge(board: Board) -> BoardJudgement:
 
 
 def _stray_frames(board: Board) -> dict[str, int]:
-    found = {}
-    for link, number in board.statistics.bad_checks.items():
-        tallies = [one.tally for one in board.slaves.values() if one.link == link]
-        stray = number - sum(one.damaged for one in tallies)
-        if is_grave(stray, sum(one.transactions for one in tallies)):
-            found[link] = stray
-    return found
+    bad_checks = board.statistics.bad_checks
+    if not bad_checks:
+        return {}
+    damaged, asked = Counter[str](), Counter[str]()
+    for one in board.slaves.values():
+        damaged[one.link] += one.tally.damaged
+        asked[one.link] += one.tally.transactions
+    stray = {link: number - damaged[link] for link, number in bad_checks.items()}
+    return {link: number for link, number in stray.items() if is_grave(number, asked[link])}
 
 
 def _odd(board: Board) -> Sequence[Sequence[Oddity[Unit]]]:
     polls = [poll.statistics for poll in board.polls.values()]
 
-    def requests_of(link: str) -> int:
-        return sum(one.tally.requests for one in board.slaves.values() if one.link == link)
-
+    requests = Counter[str]()
+    for one in board.slaves.values():
+        requests[one.link] += one.tally.requests
     return (
         pauses(polls),
-        short_connections(board.statistics.connections, polls, requests_of),
+        short_connections(board.statistics.connections, polls, lambda link: requests[link]),
         late_units({key: slave.tally.latency for key, slave in board.slaves.items()}),
     )

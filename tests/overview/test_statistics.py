@@ -261,6 +261,15 @@ def test_the_time_watched_is_from_the_first_to_the_last_link_of_each_capture() -
     assert {link.all_watched_ns for link in report(statistics)} == {statistics.watched_ns}
 
 
+def test_captures_of_the_same_time_are_watched_once() -> None:
+    statistics = Statistics(lambda _: LINE)
+    for link in ("a", "b", "c"):
+        statistics.add(request(0, link=link))
+        statistics.add(request(9000 if link == "b" else 5000, link=link))
+        statistics.begin_capture()
+    assert 9000 * MS < statistics.watched_ns < 9100 * MS
+
+
 def test_a_poll_that_is_given_up_still_counts_for_its_function(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -93,6 +93,11 @@ def test_a_connection_for_each_poll_is_told() -> None:
     assert judged([opened(0), *(on_network(at) for at in range(80))]).level == "well"
 
 
+def test_connections_without_a_request_are_no_polling() -> None:
+    scanned = [opened(at, "10.0.0.7:4000") for at in range(40)]
+    assert judged([*scanned, *map(on_network, range(80))]).level == "well"
+
+
 def test_the_one_that_cost_most_time_comes_first() -> None:
     records = [on_network(at / 4 + (7 if at > 60 else 0), 2) for at in range(99)]
     late = on_network(40, 900)
