@@ -49,7 +49,7 @@ class Silence:
         made = cls(Decimal(match["amount"]), SilenceUnit(match["unit"]))
         # The length of bits and characters is checked when the baud rate is known.
         if not 0 < made.ns(baud=1_000_000, character_bits=1) <= MAX_NS:
-            raise UsageError(f"silence {text!r}: it is longer than 0 and at most 1 s")
+            raise UsageError(f"silence {text!r}: it must be longer than 0 and at most 1 s")
         return made
 
     def ns(self, baud: int, character_bits: int) -> int:

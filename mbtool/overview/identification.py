@@ -126,7 +126,7 @@ def _contradiction(result: MatchResult, profile: Profile) -> str:
 
 def _too_few(requests: int) -> str:
     is_too_few = "is too few" if requests == 1 else "are too few"
-    return f"{_requests(requests)} {is_too_few} to tell a device"
+    return f"{_requests(requests)} {is_too_few} to tell which device it is"
 
 
 def _share(match: ProfileMatch) -> str:

@@ -71,7 +71,7 @@ def test_given_silences_replace_earlier_ones() -> None:
         ("9600-8E1,", "'' is neither"),
         ("9600-8E1,t3.5=0ms", "silence '0ms'"),
         ("9600-8E1,t3.5=2s", "silence '2s'"),
-        ("9600-8E1,t3.5=2000ms", "silence '2000ms': it is longer than 0 and at most 1 s"),
+        ("9600-8E1,t3.5=2000ms", "silence '2000ms': it must be longer than 0 and at most 1 s"),
         ("9600-8E1,t1.5=6ms,t3.5=5ms", "t1.5 of 6ms is longer than t3.5, 5ms"),
         ("9600-8E1,t1.5=6ms", "t1.5 of 6ms is longer than t3.5"),
     ],

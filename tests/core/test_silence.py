@@ -37,5 +37,5 @@ def test_an_impossible_silence_is_a_usage_error(text: str) -> None:
 
 @pytest.mark.parametrize("text", ["0ms", "0.0bits", "1001ms", "99999999ms", "2000000bits"])
 def test_a_silence_out_of_range_is_told_the_range(text: str) -> None:
-    with pytest.raises(UsageError, match="it is longer than 0 and at most 1 s"):
+    with pytest.raises(UsageError, match="it must be longer than 0 and at most 1 s"):
         Silence.parse(text)

@@ -59,7 +59,8 @@ def test_a_model_code_and_answers_that_agree_with_it_are_sure(profile: Profile) 
 def test_a_model_code_alone_names_nothing() -> None:
     code = on_tcp(0x42, response_raw=mbap_adu(0, 1, bytes.fromhex("42 0016")))
     fit = seen(code, on_tcp(3, 0x102), on_tcp(4, 2))
-    assert (fit.profile, fit.why) == (None, "3 different requests are too few to tell a device")
+    assert fit.profile is None
+    assert fit.why == "3 different requests are too few to tell which device it is"
     assert not fit.why_names_nearest
 
 
