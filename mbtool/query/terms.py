@@ -67,12 +67,11 @@ def why_never_true(left: Term, right: Term, *, membership: bool) -> str | None:
     """Say why a comparison can never be true, and what to write instead; None if it can be true.
 
     `membership` is True for `left in right` and `left not in right`, False for other operators.
+    An empty list is accepted, as scripts fill in lists that may be empty.
     """
     if not membership:
         return _why_never_equal(left, right)
     if right.kind is ValueKind.LIST:
-        if not right.items:
-            return f"{right.text} is an empty list, so nothing is in it"
         return _first(_why_never_equal(left, item) for item in right.items)
     if right.kind is ValueKind.TEXT:
         return None if left.kind is ValueKind.TEXT else _unlike(left, right)
@@ -121,9 +120,24 @@ def _why_never_equal(left: Term, right: Term) -> str | None:
             return f"{one.text} has no port; write {whole} == {other.text}"
         behind = _WITH_UNIT.fullmatch(other.constant or "")
         if behind is not None and (one.is_host or one.is_endpoint):
-            alone = f'{one.text} == "{behind["host"]}" and unit == {behind["unit"]}'
-            return f"{one.text} has no unit or prefix behind it; write {alone}"
+            return _without_suffix(one.text, behind["host"], behind["unit"])
     return None if left.kind is right.kind else _unlike(left, right)
+
+
+def _without_suffix(name: str, host: str, number: str) -> str:
+    """Say what to write for an address with a unit or a network prefix behind it.
+
+    An address that ends in 0, such as 10.0.0.0/24, is that of a network.
+    """
+    if not host.endswith((".0", "::")):
+        return (
+            f'{name} has no unit or prefix behind it; write {name} == "{host}" and unit == {number}'
+        )
+    instead = "compare with like or matches"
+    if number in ("8", "16", "24") and host.count(".") == 3:
+        octets = host.split(".")[: int(number) // 8]
+        instead = f'write {name} like "{".".join(octets)}.*"'
+    return f"{name} has no network prefix behind it; {instead}"
 
 
 def _unlike(left: Term, right: Term, instead: str | None = None) -> str:

@@ -336,10 +336,14 @@ def test_an_endpoint_a_time_or_a_pattern_holds(text: str) -> None:
         ('outcome like "exep*"', "outcome never fits 'exep*'; it is ok, exception"),
         ('time > "soon"', "'soon' is no moment; write 2026-11-22T09:14:03"),
         ('master == "10.0.0.6:502"', "master has no port; write source == '10.0.0.6:502'"),
-        ("unit in ()", "() is an empty list, so nothing is in it"),
-        ("outcome not in []", "[] is an empty list, so nothing is in it"),
         ('slave == "10.0.0.11/1"', 'write slave == "10.0.0.11" and unit == 1'),
         ('destination in ("10.0.0.1", "10.0.0.9:502/3")', '== "10.0.0.9:502" and unit == 3'),
+        ('master == "10.0.0.0/24"', 'no network prefix behind it; write master like "10.0.0.*"'),
+        (
+            'source in ("172.16.0.0/12",)',
+            "source has no network prefix behind it; compare with like",
+        ),
+        ('slave == "fe80::/64"', "slave has no network prefix behind it; compare with like"),
         ("reference like 5", "is not an expression"),
         ("reference like device", "is not an expression"),
     ],
@@ -348,6 +352,12 @@ def test_what_can_never_hold_is_one_clear_line(text: str, why: str) -> None:
     with pytest.raises(UsageError, match=re.escape(why)) as told:
         parse_where(text)
     assert "\n" not in str(told.value)
+
+
+def test_nothing_is_in_an_empty_list() -> None:
+    for text in ("unit not in []", "unit == 1 or unit in ()"):
+        assert parse_where(text)(transaction())
+    assert not parse_where("unit in []")(transaction())
 
 
 def test_limits_of_a_range_can_be_compared() -> None:
