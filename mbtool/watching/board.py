@@ -4,10 +4,10 @@
 # values as last time, no point (named value) is touched, because the age of a point is the age of
 # its poll. Rows are made only when a view is drawn (board_rows.py).
 #
-# Memory: MAX_KEPT records, MAX_POINTS points, MAX_SLAVES slaves, MAX_TROUBLES kinds of events and
-# findings, and MAX_POLLS polls (overview/statistics.py). A new record replaces the oldest one, and
-# a new poll the one that was not sent for longest; further points, slaves and kinds are only
-# counted in `left_out`.
+# Memory: MAX_KEPT records and as many events of connections, MAX_POINTS points, MAX_SLAVES slaves,
+# MAX_TROUBLES kinds of events and findings, and MAX_POLLS polls (overview/statistics.py). A new
+# record replaces the oldest one, and a new poll the one that was not sent for longest; further
+# points, slaves and kinds are only counted in `left_out`.
 
 from __future__ import annotations
 
@@ -47,6 +47,7 @@ RetryKey = tuple[str, int, int]
 """The link and the unit of a request, and its time in UTC ns."""
 _MASK_WRITE, _READ_WRITE = 0x16, 0x17
 _BAD_CHECK = EventKind.BAD_CHECK.value
+_CONNECTION = (EventKind.OPENED, EventKind.CLOSED)
 
 
 class Board:
@@ -88,7 +89,12 @@ class Board:
         """The unit by the `order` number of a record: of an event that tells of a damaged response
         of the unit, and of the request to it."""
         self.records: deque[KeptRecord] = deque(maxlen=kept)
-        """The last transactions and events, in the order in which they were decoded."""
+        """The last transactions and events, in the order in which they were decoded; without
+        connections that open and close, as many short ones would push out everything else."""
+        self.connections: deque[KeptRecord] = deque(maxlen=kept)
+        """The last events of connections that open and close."""
+        self.listed = 0
+        """The number of records that were ever put into `records`."""
         self.polls: OrderedDict[int, WatchedPoll] = OrderedDict()
         """The polls (repeated requests) by their number, which counts them from 0 in the order in
         which they were first sent. The one that was sent last is at the end."""
@@ -102,21 +108,15 @@ class Board:
     def add(self, kept: KeptRecord, *, listed: bool = True) -> None:
         """Take the next record, with its numbers in the capture.
 
-        With `listed` false it changes all figures, but is not kept in `records`.
+        With `listed` false it changes all figures, but is not kept.
         """
         record = kept.record
+        if isinstance(record, WireEvent):
+            self._add_event(kept, record, listed=listed)
+            return
         if listed:
             self.records.append(kept)
-        if isinstance(record, WireEvent):
-            self.events += 1
-            self.statistics.add(record)
-            self.last_ns = max(self.last_ns, record.ts_ns)
-            self._damaged.note(record)
-            if record.kind is EventKind.BAD_CHECK:
-                events = self._bad_checks.setdefault(record.link, deque(maxlen=MAX_FRAMES + 1))
-                events.append((record.ts_ns, kept))
-            self._note_trouble(record.kind.value, kept, record.link, None, record.ts_ns)
-            return
+            self.listed += 1
         self.transactions += 1
         at_ns = kept.at_ns
         if at_ns > self.last_ns:
@@ -142,6 +142,21 @@ class Board:
                 )
         for code in record.findings:
             self._note_trouble(code, kept, record.link, record.unit, at_ns)
+
+    def _add_event(self, kept: KeptRecord, event: WireEvent, *, listed: bool) -> None:
+        if listed and event.kind in _CONNECTION:
+            self.connections.append(kept)
+        elif listed:
+            self.records.append(kept)
+            self.listed += 1
+        self.events += 1
+        self.statistics.add(event)
+        self.last_ns = max(self.last_ns, event.ts_ns)
+        self._damaged.note(event)
+        if event.kind is EventKind.BAD_CHECK:
+            events = self._bad_checks.setdefault(event.link, deque(maxlen=MAX_FRAMES + 1))
+            events.append((event.ts_ns, kept))
+        self._note_trouble(event.kind.value, kept, event.link, None, event.ts_ns)
 
     def advance(self, before_ns: int | None) -> None:
         """Let the statistics count the requests from before `before_ns` (ns since 1970).

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from operator import attrgetter
 from typing import TYPE_CHECKING, NamedTuple, overload
 
-from mbtool.core import EventKind, WireEvent
+from mbtool.core import WireEvent
 from mbtool.modbus import Outcome
 from mbtool.overview.failure_limits import are_damaged, is_grave, never_answers
 from mbtool.overview.refusals import always_refused
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 
 _ANSWERS = (Outcome.OK, Outcome.EXCEPTION, Outcome.MALFORMED)
 """Outcomes with a response, the same as in statistics."""
-_CONNECTION = (EventKind.OPENED, EventKind.CLOSED)
 _AT_NS = attrgetter("at_ns")
 
 
@@ -186,9 +185,13 @@ class RecordRows(Sequence[RecordRow]):
         kept: list[KeptRecord],
         blamed: Mapping[int, int],
         retries: Collection[RetryKey],
+        *,
+        heard: int,
     ) -> None:
         """Take the records in the order of the rows, and the board's `blamed` and `retries`."""
         self._kept, self._blamed, self._retries = kept, blamed, retries
+        self.heard = heard
+        """The number of records so far, with the older ones that are no longer kept."""
 
     def __len__(self) -> int:
         return len(self._kept)
@@ -199,22 +202,15 @@ class RecordRows(Sequence[RecordRow]):
     def __getitem__(self, at: slice) -> RecordRows: ...
     def __getitem__(self, at: int | slice) -> RecordRow | RecordRows:
         if isinstance(at, slice):
-            return RecordRows(self._kept[at], self._blamed, self._retries)
+            return RecordRows(self._kept[at], self._blamed, self._retries, heard=self.heard)
         return _record_row(self._kept[at], self._blamed, self._retries)
 
 
 def record_rows(board: Board) -> RecordRows:
-    """Return the transactions and events that are kept, in the order of their times.
-
-    Opened and closed connections are left out: of many short ones, nothing else would be seen.
-    """
-    kept = [
-        one
-        for one in board.records
-        if not (isinstance(one.record, WireEvent) and one.record.kind in _CONNECTION)
-    ]
-    kept.sort(key=_AT_NS)
-    return RecordRows(kept, dict(board.blamed), frozenset(board.whole.retries))
+    """Return the transactions and events that are kept, in the order of their times."""
+    kept = sorted(board.records, key=_AT_NS)
+    retries = frozenset(board.whole.retries)
+    return RecordRows(kept, dict(board.blamed), retries, heard=board.listed)
 
 
 def _record_row(

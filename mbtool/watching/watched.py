@@ -8,7 +8,9 @@
 
 from __future__ import annotations
 
+from heapq import merge
 from itertools import islice
+from operator import attrgetter
 from typing import TYPE_CHECKING
 
 from mbtool.core import WireEvent
@@ -25,6 +27,7 @@ if TYPE_CHECKING:
     Wanted = Callable[[NamedTransaction], bool]
 
 MAX_MARKED = 1000
+_ORDER = attrgetter("order")
 
 
 class Watched:
@@ -94,11 +97,16 @@ class Watched:
         if wanted is None:
             return
         self.filtered = self.whole.part = self._board(self.whole)
-        records = self.whole.records if past is None else _numbered(islice(past, self._order))
+        whole = self.whole
+        records = (
+            merge(whole.records, whole.connections, key=_ORDER)
+            if past is None
+            else _numbered(islice(past, self._order))
+        )
         for kept in records:
             self._add_filtered(self.filtered, kept)
         if past is None:
-            numbers = (kept.number for kept in records if kept.number is not None)
+            numbers = (kept.number for kept in whole.records if kept.number is not None)
             self.unfiltered = next(numbers, self._numbers + 1) - 1
         self.filtered.advance(self._settled_ns)
 

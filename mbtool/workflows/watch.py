@@ -90,6 +90,11 @@ class WatchFeed(ABC):
         with self.lock:
             self.watched.set_filter(wanted, self._past())
 
+    @property
+    def keeps_all(self) -> bool:
+        """True if a new filter sees all records so far; otherwise only those that are kept."""
+        return self._past() is not None
+
     def _past(self) -> Sequence[Record] | None:
         """Return a list that begins with all records so far; None if they are not kept."""
         return None

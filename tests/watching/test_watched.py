@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import pytest
 
 from mbtool.core import EventKind, WireEvent
 from mbtool.watching import watched as limits
-from mbtool.watching.board_rows import poll_rows, slave_rows
+from mbtool.watching.board_rows import poll_rows, record_rows, slave_rows
 from mbtool.watching.watched import Watched
 from tests.overview.masters import MS, START_NS
 from tests.overview.requests import LINE, request, unanswered
@@ -141,3 +142,20 @@ def test_a_restart_keeps_the_filter_and_the_marks() -> None:
     watched.add(request(0))
     assert watched.filtered is not None
     assert (watched.filtered.transactions, list(watched.marked)) == (1, [1])
+
+
+def test_connections_that_open_and_close_push_out_no_transaction() -> None:
+    watched = Watched(kept=3)
+    for at in range(3):
+        watched.add(replace(EVENT, kind=EventKind.OPENED))
+        watched.add(request(at))
+        watched.add(replace(EVENT, kind=EventKind.CLOSED))
+    assert [kept.number for kept in watched.whole.records] == [1, 2, 3]
+    assert record_rows(watched.whole).heard == 3
+    watched.add(replace(EVENT, ts_ns=START_NS + 9 * MS))
+    assert [row.kept.number for row in record_rows(watched.whole)] == [2, 3, None]
+    assert record_rows(watched.whole).heard == 4
+    watched.set_filter(lambda one: True)
+    assert watched.filtered is not None
+    assert (watched.filtered.transactions, watched.filtered.events) == (2, 4)
+    assert {code for code, _, _ in watched.filtered.troubles} == {"opened", "closed", "skipped"}

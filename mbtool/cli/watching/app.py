@@ -37,7 +37,7 @@ class WatchApp(PromptedApp):
         Binding("f", "ask_find", "Find text or hex"),
         Binding("n", "find_next(1)", "Find the next"),
         Binding("N", "find_next(-1)", "Find the one before"),
-        Binding("m", "mark", "Mark a transaction"),
+        Binding("m", "mark", "Mark a transaction and go on to the next"),
         Binding("s", "ask_save", "Save what is marked, else what is filtered"),
         Binding("o", "sort", "Sort by a column"),
         Binding("c", "columns", "Choose columns"),

@@ -110,6 +110,8 @@ class DrawnApp(App[int]):
         """What a save told that is not on the screen, as the user has left it; else None."""
         self._before_typing = where
         self._typed_at = 0
+        self._notes: Sequence[str] = ()
+        """What the present view does not show, in several lengths; see WatchView."""
         self._contexts = [DrawContext() for _ in VIEWS]
         self._widest: list[dict[str, int]] = [{} for _ in VIEWS]
         """By view, the width in characters of the widest cell so far of some columns."""
@@ -196,6 +198,7 @@ class DrawnApp(App[int]):
                 now_ns = self.feed.now_ns()
                 rows = self.view.rows(self.board, width)
                 self._look_for_troubles(width)
+        self._notes = self.view.notes(rows)
         self.context.now_ns = now_ns
         self.context.is_over = self.feed.is_over or not self.feed.is_live
         self.context.marked = self.feed.watched.marked
@@ -277,7 +280,7 @@ class DrawnApp(App[int]):
             where=self.where,
             filter_is_on=self.filter_is_on,
         )
-        base.query_one("#tabs", OneLine).show(tabs_text(VIEWS, self.view_at))
+        base.query_one("#tabs", OneLine).show(tabs_text(VIEWS, self.view_at, self._notes, width))
         base.query_one("#status", OneLine).show(status_text(state, width))
         troubles = base.query_one("#troubles", OneLine)
         style = "bold red" if self._troubles.is_grave else "yellow"

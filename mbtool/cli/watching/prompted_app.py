@@ -124,11 +124,21 @@ class PromptedApp(DrawnApp):
         table = self.table
         at = find_row(table.rows, self.view.columns, self._found, table.cursor, step)
         if at is None:
-            searched = "as text or bytes" if hex_bytes(self._found) else "as text"
-            self.tell(f"not found {searched}: {self._found}")
+            self.tell(self._not_found())
         else:
-            self.tell(f"{self._found}: row {at + 1} of {len(table.rows)}; n next, N back")
+            place = f"row {at + 1:,} of {len(table.rows):,} {self.view.row_noun}"
+            self.tell(f"{self._found}: {place}; n next, N back")
             table.go_to(at)
+
+    def _not_found(self) -> str:
+        """Return the text for the user that nothing was found, and where it may still be."""
+        searched = "as text or bytes" if hex_bytes(self._found) else "as text"
+        if not self.view.can_follow or not self._notes:
+            return f"not found {searched}: {self._found}"
+        text = f"not found {searched} among the {self._notes[0]}: {self._found}"
+        if self.feed.keeps_all:
+            return f"{text}; / filters all"
+        return text if self.feed.is_live else f"{text}; --where filters all"
 
     def action_ask_save(self) -> None:
         if self._saver is None:

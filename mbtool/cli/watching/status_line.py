@@ -60,13 +60,21 @@ class ScreenState:
     filter_is_on: bool
 
 
-def tabs_text(views: Sequence[WatchView], shown: int) -> Spans:
-    """Return the names of the views with their keys; that of index `shown` is in reverse."""
+def tabs_text(
+    views: Sequence[WatchView], shown: int, notes: Sequence[str] = (), width: int = 0
+) -> Spans:
+    """Return the names of the views with their keys; that of index `shown` is in reverse.
+
+    `notes` has a text on this view in several lengths: the first one that has room behind the names
+    is shown at the end of the line of `width` characters.
+    """
     spans: Spans = []
     for at, view in enumerate(views):
         title = f"{at + 1} {view.name} "
         spans.append((title, "bold reverse" if at == shown else ""))
-    return spans
+    room = width - sum(len(text) for text, _ in spans)
+    note = next((one for one in notes if len(one) <= room), None)
+    return spans if note is None else [*spans, (f"{note:>{room}}", "yellow")]
 
 
 def status_text(state: ScreenState, width: int) -> Spans:

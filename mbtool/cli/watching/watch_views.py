@@ -13,6 +13,7 @@ from mbtool.views.watch_polls import POINT_COLUMNS, POLL_COLUMNS
 from mbtool.views.watch_records import RECORD_COLUMNS, SLAVE_COLUMNS, TROUBLE_COLUMNS
 from mbtool.watching.board import Board
 from mbtool.watching.board_rows import (
+    RecordRows,
     point_rows,
     poll_rows,
     record_rows,
@@ -42,6 +43,8 @@ class WatchView:
 
     name: str
     what: str
+    """What it shows, for a view without rows, such as `requests to slaves`."""
+    row_noun: str
     """The plural noun for its rows, such as `slaves`."""
     columns: Sequence[WatchColumn]
     rows: Callable[[Board, int], Sequence[Any]]
@@ -51,6 +54,9 @@ class WatchView:
     """True if the newest row is the last one."""
     pause_s: float = 0
     """The least time between two drawings in seconds; more than 0 if its rows take long to make."""
+    notes: Callable[[Sequence[Any]], Sequence[str]] = lambda _: ()
+    """Makes from the rows a text on what the view does not show, in several lengths, the longest
+    first; none if there is nothing to say."""
 
 
 _MOST_ROWS = 50
@@ -75,22 +81,48 @@ _LINES = (
         sort=lambda row: row.key,
     ),
 )
+
+
+def _older_left_out(rows: Sequence[Any]) -> Sequence[str]:
+    """Say that the view of transactions has only the last ones, if it does."""
+    heard = rows.heard if isinstance(rows, RecordRows) else len(rows)
+    return (f"last {len(rows):,} of {heard:,}",) if heard > len(rows) else ()
+
+
+_ELSEWHERE = ("rules over several transactions: mbtool check", "more rules: mbtool check")
 VIEWS = (
-    WatchView("polls", "requests", POLL_COLUMNS, lambda board, _: poll_rows(board)),
+    WatchView("polls", "requests", "requests", POLL_COLUMNS, lambda board, _: poll_rows(board)),
     WatchView(
-        "points", "values read or written", POINT_COLUMNS, lambda board, _: point_rows(board)
+        "points",
+        "values read or written",
+        "points",
+        POINT_COLUMNS,
+        lambda board, _: point_rows(board),
     ),
     WatchView(
         "transactions",
         "transactions or events",
+        "transactions and events",
         RECORD_COLUMNS,
         lambda board, _: record_rows(board),
         can_follow=True,
+        notes=_older_left_out,
     ),
     WatchView(
-        "events", "events or findings", TROUBLE_COLUMNS, lambda board, _: trouble_rows(board)
+        "events",
+        "events or findings",
+        "kinds of events and findings",
+        TROUBLE_COLUMNS,
+        lambda board, _: trouble_rows(board),
+        notes=lambda _: _ELSEWHERE,
     ),
-    WatchView("slaves", "requests to slaves", SLAVE_COLUMNS, lambda board, _: slave_rows(board)),
-    WatchView("bus", "requests", _LINES, _line_rows, pause_s=1),
+    WatchView(
+        "slaves",
+        "requests to slaves",
+        "slaves",
+        SLAVE_COLUMNS,
+        lambda board, _: slave_rows(board),
+    ),
+    WatchView("bus", "requests", "lines", _LINES, _line_rows, pause_s=1),
 )
 """The views in the order of their keys, 1 to 6."""

@@ -217,6 +217,34 @@ def test_f_finds_a_text_and_bytes_and_n_goes_on() -> None:
     run(test)
 
 
+def test_a_view_that_has_only_the_last_records_says_so_and_so_does_find() -> None:
+    async def test() -> None:
+        feed = GivenFeed((read(at, at, 0) for at in range(8)), kept=5)
+        async with screen(feed) as seen:
+            assert "last" not in seen.lines[0]
+            await seen.press("3", "o", "down", "enter")
+            await seen.pilot.pause()
+            assert seen.lines[0].endswith("6 bus              last 5 of 8")
+            await seen.press("f")
+            await seen.type("holding 0..1 -> 0, 0")
+            await seen.press("enter")
+            told = "not found as text among the last 5 of 8: holding 0..1 -> 0, 0"
+            assert seen.note == told
+            feed.is_live = False
+            await seen.press("n")
+            assert seen.note == f"{told}; --where filters all"
+            await seen.press("4")
+            assert seen.lines[0].endswith("more rules: mbtool check")
+            feed.give(read(9, 1, 2, findings=["MB-101"]))
+            await seen.redraw()
+            await seen.press("f")
+            await seen.type("mb-101")
+            await seen.press("enter")
+            assert seen.note == "mb-101: row 1 of 1 kinds of events and findings; n next, N back"
+
+    run(test)
+
+
 def test_bad_hexadecimal_is_told_to_be_searched_as_text() -> None:
     async def test() -> None:
         async with screen(line()) as seen:

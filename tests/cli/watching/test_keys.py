@@ -128,7 +128,7 @@ async def test_what_is_typed_filters_and_finds(keys: KeyLog) -> None:
         assert len(seen.rows) == UNITS
         await keys.press(seen, "f", has(seen, "a text, or bytes in hexadecimal"))
         await seen.type("holding")
-        await keys.press(seen, "enter", lambda: "row 2 of 40; n next, N back" in seen.note)
+        await keys.press(seen, "enter", lambda: "row 2 of 40 requests; n next, N back" in seen.note)
         await keys.press(seen, "n", at(seen, 2))
         await keys.press(seen, "N", at(seen, 1))
 
