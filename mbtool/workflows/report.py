@@ -140,14 +140,15 @@ class ReportRun:
             self._findings.add(found.finding, found.file if len(self._files) > 1 else "")
         if record is not None and named is not None:
             self._note_capture()
-            self.statistics.add(record)
-            self._history.add(named)
             if isinstance(record, WireEvent) or isinstance(named, WireEvent):
                 self._note_event(record)
             else:
                 self._inventory.add(record)
                 self._values.add(named)
+                # Before the statistics, which may tell at once that its request is a retry.
                 self._rows.add(named, _codes_of(named, findings))
+            self.statistics.add(record)
+            self._history.add(named)
         if one.rows is not None:
             self._note_capture()
             self._add_rows(one.rows)
@@ -177,7 +178,10 @@ class ReportRun:
             self.statistics.begin_capture()
 
     def _note_event(self, record: object) -> None:
-        if isinstance(record, WireEvent) and record.kind in _LACKING:
+        if not isinstance(record, WireEvent):
+            return
+        self._rows.note_event(record)
+        if record.kind in _LACKING:
             self._number_lacking += 1
             if len(self._lacking) < MAX_LACKING:
                 self._lacking.append(record)
@@ -226,7 +230,9 @@ class ReportRun:
         )
 
     def _add_retry(self, poll: PollStatistics, at_ns: int, number: int) -> None:
-        self._history.add_retry(UnitRow(poll.key.link, poll.key.unit), at_ns, number)
+        unit = UnitRow(poll.key.link, poll.key.unit)
+        self._history.add_retry(unit, at_ns, number)
+        self._rows.mark_retry(unit, at_ns, number)
 
     def _format_of(self, link: str) -> SerialFormat | None:
         return self.reading.format_of(link)

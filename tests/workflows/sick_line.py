@@ -27,12 +27,21 @@ SOUND_SHARE = 3
 
 def sick_line(path: Path, cycles: int = 60, name: str = LINE.name) -> Path:
     """Write the log; the master asks each slave once a cycle and waits 200 ms for an answer."""
+    return _write(path, _evidence(cycles), name)
+
+
+def asked_twice(path: Path, cycles: int = 30) -> Path:
+    """Write a log in which the master asks DEAD once more at once in each cycle."""
+    return _write(path, _asked_twice(cycles), LINE.name)
+
+
+def _write(path: Path, evidence: Iterator[Chunk | Quiet], name: str) -> Path:
     decoder = Decoder(Namer(), lines={name: LINE})
     with LogWriter(
         path, capture={"version": "1", "host": "bench", "command": "mbtool sniff"}
     ) as log:
         log.add_link(name, {"spec": str(LINE)})
-        for item in _evidence(cycles):
+        for item in evidence:
             item = replace(item, link=name)
             if isinstance(item, Chunk):
                 log.write(item)
@@ -51,6 +60,14 @@ def _evidence(cycles: int) -> Iterator[Chunk | Quiet]:
         yield from _poll(at_ms + 100, SLOW, SLOW_MS, cycle)
         yield from _poll(at_ms + 400, DEAD, None, cycle)
         yield from _poll(at_ms + 700, BAD_CRC, 9, cycle, is_damaged=is_damaged)
+
+
+def _asked_twice(cycles: int) -> Iterator[Chunk | Quiet]:
+    for cycle in range(cycles):
+        at_ms = cycle * CYCLE_MS
+        yield from _poll(at_ms, WELL, 8, cycle)
+        yield from _poll(at_ms + 100, DEAD, None, cycle)
+        yield from _poll(at_ms + 400, DEAD, None, cycle)
 
 
 def _poll(

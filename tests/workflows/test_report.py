@@ -16,7 +16,7 @@ from mbtool.workflows.shared.reading import ReadingOptions
 from tests.golden.test_captures import CAPTURES, FOLDER
 from tests.views.report.pages import Page, demand_self_contained
 from tests.workflows.evidence import capture_file
-from tests.workflows.sick_line import sick_line
+from tests.workflows.sick_line import asked_twice, sick_line
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -115,8 +115,29 @@ def test_findings_stand_at_the_transactions_that_they_are_about(sick_page: Page)
     units: dict[str, set[int]] = {}
     for row in told["rows"]:
         units.setdefault(told["texts"][row[-1]], set()).add(row[3])
-    assert units == {"": {1, 2, 4}, "MB-401": {3}, "MB-402": {4}}
+    expected = {"": {1, 2, 4}, "MB-401": {3}, "RTU-201 MB-402": {4}}
+    assert units == expected
     assert told["with_trouble"] == told["kept_with_trouble"] == 70
+
+
+def test_a_request_whose_answer_was_damaged_says_so_and_has_the_code(sick_page: Page) -> None:
+    told = sick_page.document["transactions"]
+    texts = told["texts"]
+    damaged = [row for row in told["rows"] if texts[row[5]] == "wrong CRC"]
+    (found,) = [one for one in sick_page.document["findings"]["rows"] if one["code"] == "RTU-201"]
+    assert len(damaged) == found["count"] > 1
+    assert {row[3] for row in damaged} == {4}
+    assert all("RTU-201" in texts[row[8]].split() for row in damaged)
+    assert {texts[row[6]] for row in damaged} == {"no-answer"}
+
+
+def test_rows_are_marked_as_retries_where_the_statistics_count_them(tmp_path: Path) -> None:
+    document = report_of(asked_twice(tmp_path / "twice.mcap")).document
+    told = document["transactions"]
+    marked = [row for row in told["rows"] if told["texts"][row[4]].endswith(" (retry)")]
+    (link,) = document["stats"]["links"]
+    assert len(marked) == link["repetitions"] == 30
+    assert not any("asked" in text for text in told["texts"])
 
 
 def test_values_changed_and_unchanged_are_told_apart(sick_page: Page) -> None:

@@ -17,7 +17,10 @@ from __future__ import annotations
 from collections import Counter
 from typing import TYPE_CHECKING, Any
 
+from msgspec.structs import replace
+
 from mbtool.modbus import Outcome
+from mbtool.modbus.damaged_answers import DamagedAnswers
 from mbtool.series.history import UnitRow
 from mbtool.views.cells import result_text, transaction_text
 from mbtool.views.report.late_answers import LateAnswers
@@ -26,6 +29,7 @@ from mbtool.views.tables import printable
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
+    from mbtool.core import WireEvent
     from mbtool.devices import NamedTransaction
     from mbtool.devices.checking.finding import Finding
     from mbtool.series.answered_reads import SlowRead
@@ -39,8 +43,10 @@ to `most` characters."""
 _SHORTEST = 12
 _ARROW = " -> "
 _WELL = frozenset((Outcome.OK, Outcome.BROADCAST))
-_OUTCOME, _CODES = 6, 8
-"""The indices of the outcome and of the codes of findings in a row."""
+_NUMBER, _REQUEST, _OUTCOME, _CODES = 0, 4, 6, 8
+"""The indices of some fields in a row."""
+_DAMAGED = "wrong CRC"
+"""The result of a request whose response came with a wrong CRC or LRC, as `watch` has it."""
 
 
 class TransactionRows:
@@ -56,13 +62,21 @@ class TransactionRows:
         self._late = LateAnswers()
         self._by_time: dict[tuple[str, int | None, int], tuple[list[int], dict[str, None]]] = {}
         """Each kept row and the codes of its findings, by the transaction's link, unit and start
-        in ns since 1970; `mark` looks up the row of a finding here."""
+        in ns since 1970; `mark` looks up the row of a finding here. A transaction whose response
+        was damaged also stands under the time of the damaged frame, which its finding has."""
+        self._damaged = DamagedAnswers()
+        self._retries: set[int] = set()
+        """The numbers of the kept rows whose requests are retries."""
         self.begin_ns: int | None = None
         self.rows: list[list[int]] = []
         self.transactions = 0
         self.with_trouble = 0
         """The number of transactions with a finding, or with another outcome than ok."""
         self.kept_with_trouble = 0
+
+    def note_event(self, event: WireEvent) -> None:
+        """Take an event in its order among the transactions: it may be a damaged response."""
+        self._damaged.note(event)
 
     def add(self, one: NamedTransaction, codes: Iterable[str]) -> None:
         """Count a transaction, and keep a row for it if it is among the first ones or failed.
@@ -74,11 +88,14 @@ class TransactionRows:
         codes = dict.fromkeys((*one.findings, *codes))
         has_trouble = bool(codes) or one.outcome not in _WELL
         self.with_trouble += has_trouble
+        frame_ns = self._damaged.frame_of(one)
         if self._everything or self.transactions <= FIRST or self._is_wanted(one, codes):
             self.kept_with_trouble += has_trouble
-            row = self._row(self.transactions, one, codes)
+            row = self._row(self.transactions, one, codes, is_damaged=frame_ns is not None)
             self.rows.append(row)
             self._by_time[one.link, one.unit, one.start_ns] = row, codes
+            if frame_ns is not None:
+                self._by_time[one.link, one.unit, frame_ns] = row, codes
         elif one.latency_ns is not None:
             unit = UnitRow(one.link, one.unit)
             self._late.offer(unit, one.latency_ns, self.transactions, lambda: one)
@@ -110,6 +127,16 @@ class TransactionRows:
         codes[finding.code] = None
         row[_CODES] = self._place(" ".join(codes))
 
+    def mark_retry(self, row: UnitRow, at_ns: int, number: int) -> None:
+        """Mark the row of a request as that of a retry, or as that of none if `number` is -1.
+
+        `at_ns` is the time of the request in ns since 1970.
+        """
+        found = self._by_time.get((row.link, row.unit, at_ns))
+        if found is not None:
+            change = self._retries.add if number > 0 else self._retries.discard
+            change(found[0][_NUMBER])
+
     def document(self, late_ns: Mapping[UnitRow, int]) -> dict[str, Any]:
         """Return rows, texts and counts as JSON data for the page.
 
@@ -120,7 +147,7 @@ class TransactionRows:
         return {
             "begin_us": 0 if self.begin_ns is None else self.begin_ns // 1000,
             "texts": self._texts,
-            "rows": sorted([*self.rows, *late], key=lambda row: row[0]),
+            "rows": sorted([*map(self._with_retry, self.rows), *late], key=lambda row: row[0]),
             "transactions": self.transactions,
             "with_trouble": self.with_trouble,
             "kept_with_trouble": self.kept_with_trouble,
@@ -137,11 +164,28 @@ class TransactionRows:
         self._more += 1
         return True
 
-    def _row(self, number: int, one: NamedTransaction, codes: Iterable[str]) -> list[int]:
+    def _with_retry(self, row: list[int]) -> list[int]:
+        """Return a row, with `(retry)` behind its request if that is a retry."""
+        if row[_NUMBER] not in self._retries:
+            return row
+        text = self._place(f"{self._texts[row[_REQUEST]]} (retry)")
+        return [*row[:_REQUEST], text, *row[_REQUEST + 1 :]]
+
+    def _row(
+        self,
+        number: int,
+        one: NamedTransaction,
+        codes: Iterable[str],
+        *,
+        is_damaged: bool = False,
+    ) -> list[int]:
         if self.begin_ns is None:
             self.begin_ns = one.start_ns
-        text, result = transaction_text(one), ""
-        if _ARROW in text:
+        # Its count of equal requests is left out: it also counts those at the usual period.
+        text, result = transaction_text(replace(one, retries=0) if one.retries else one), ""
+        if is_damaged:
+            text, result = text.partition(_ARROW)[0], _DAMAGED
+        elif _ARROW in text:
             text, _, result = text.partition(_ARROW)
         return [
             number,

@@ -376,7 +376,7 @@ function findings() {
     const text = `${one.code} ${one.severity} ${one.meaning} ${one.place} ${cases.map((each) => each.message).join(" ")}`.toLowerCase();
     const said = cases.map((each, at) => el("div", {}, jump(each.us, one.code), ` ${at && each.message === cases[0].message ? "the same" : each.message}`));
     const row = tableRow(heads, [
-      el("button", { type: "button", class: "link", "aria-label": `${one.code}: the transactions with it`, on: { click: () => search(one.code) } }, one.code),
+      matching(one.code).length ? el("button", { type: "button", class: "link", "aria-label": `${one.code}: the transactions with it`, on: { click: () => search(one.code) } }, one.code) : one.code,
       el("span", { class: `tag ${["error", "warning"].includes(one.severity) ? one.severity : "note"}` }, one.severity),
       count(one.count), one.place,
       el("div", {}, el("div", {}, one.meaning), el("div", { class: "soft" }, said),
@@ -461,9 +461,10 @@ function failures() {
     .sort(([, a], [, b]) => b.no_answer + b.exception - a.no_answer - a.exception)
     .map(([link, one]) => [...(several ? [link.link] : []), String(one.unit), `${hex(one.function)} ${one.function_name}`, count(one.transactions), some(one.no_answer), some(one.wrong_crc), some(one.exception),
       one.exceptions.map((each) => `${hex(each.code)} ${each.name} ×${count(each.count)}`).join(", "), some(one.repetitions), some(one.malformed), some(one.unsolicited), some(one.not_captured)]);
-  const sums = FAILURES.map(([, label, , name]) => [total(stats.links.flatMap((link) => link.functions.map((one) => one[name] ?? 0))), label]).filter(([sum]) => sum);
-  show("failures", sums.length ? sums.map(([sum, label]) => `${count(sum)} ${label}`).join(", ") : "none", failing.length > 1 ? choice : null, place, whole || rows.length ? null : soft("No request failed."),
-    rows.length ? table("Failures by unit and function", [...(several ? ["link"] : []), ">unit", "~function", ">asked", ">no answer", ">wrong CRC", ">exceptions", "+which", ">retries", ">malformed", ">unasked", ">not captured"], rows) : null,
+  const sumOf = (name) => total(stats.links.flatMap((link) => link.functions.map((one) => one[name] ?? 0))), damaged = sumOf("wrong_crc");
+  const sums = FAILURES.map(([, label, , name]) => (name === "wrong_crc" ? "" : sumOf(name) && `${count(sumOf(name))} ${label}${name === "no_answer" && damaged ? `, of these ${count(damaged)} with a wrong CRC` : ""}`)).filter(Boolean);
+  show("failures", sums.length ? sums.join("; ") : "none", failing.length > 1 ? choice : null, place, whole || rows.length ? null : soft("No request failed."),
+    rows.length ? table("Failures by unit and function", [...(several ? ["link"] : []), ">unit", "~function", ">asked", ">no answer", ">of these wrong CRC", ">exceptions", "+which", ">retries", ">malformed", ">unasked", ">not captured"], rows) : null,
     rows.some((row) => row[row.length - 1]) ? soft("What was not captured is the capture’s loss, and no device’s fault.") : null,
     bins.units_left_out ? soft(`Of single units there are charts of the ${count(bins.units.length)} that were asked most; ${plural(bins.units_left_out, "unit")} left out.`) : null);
 }
