@@ -20,6 +20,7 @@ from pyarrow import fs
 
 from mbtool.cluster.plan import InputFile
 from mbtool.core import InputError, OutputError, UsageError
+from mbtool.core.errors import reason_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
 
 _PIECE = 4 * 1024 * 1024
 _ADDRESS = re.compile(r"([a-zA-Z][a-zA-Z0-9+.-]+)://([^/]*)/*(.*)", re.DOTALL)
+_SYSTEM_REASON = re.compile(r"Detail: \[errno \d+\] (.+)")
+"""The operating system's text for an error, in a message of pyarrow."""
 _DEFAULT_REGION = "us-east-1"
 """The region to use for a store that is not Amazon's (AWS_ENDPOINT_URL), if none is set."""
 
@@ -82,7 +85,7 @@ def _stream(path: str) -> Any:
 class OutputStore:
     """The folder, or the prefix in an object store, that results are written to.
 
-    Its methods raise OutputError if the folder cannot be used.
+    Its methods raise OutputError if the folder cannot be used; `make` raises UsageError.
     """
 
     def __init__(self, address: str) -> None:
@@ -96,6 +99,19 @@ class OutputStore:
             self._fs, self._root = fs.LocalFileSystem(), os.path.abspath(address)
         else:
             self._fs, self._root = _opened(self.address)
+
+    def make(self, folder: str) -> None:
+        """Make a folder, with those above it, if it is missing. An object store needs none.
+
+        Raises UsageError if that is not possible.
+        """
+        if not self._is_local:
+            return
+        try:
+            os.makedirs(f"{self._root}/{folder}", exist_ok=True)
+        except (OSError, ValueError) as error:
+            text = f"{self.address}: this folder cannot be made: {_reason(error)}"
+            raise UsageError(text) from error
 
     def names(self, folder: str) -> list[str]:
         """The names of the files in a folder; none if there is no such folder."""
@@ -229,5 +245,7 @@ def _options(scheme: str) -> str:
 
 
 def _reason(error: OSError | ValueError) -> str:
-    """The message of a library's error, in one line."""
-    return " ".join(str(error).split())
+    """The reason of an error of a library or the operating system, in one line."""
+    text = " ".join(reason_of(error).split())
+    system = _SYSTEM_REASON.search(text)
+    return text if system is None else system[1]

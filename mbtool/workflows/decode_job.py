@@ -80,7 +80,8 @@ class DecodeJob:
         """Decode the captures that are not decoded yet, with the processes of `executor`, and yield
         the outcome of each.
 
-        Raises InputError if there are no captures, OutputError if the output cannot be used.
+        Raises InputError if there are no captures, UsageError if the output folder cannot be made,
+        and OutputError if it cannot be used.
         """
         tasks = self._tasks(executor.processes)
         for data, result in executor.run([msgspec.json.encode(one) for one in tasks]):
@@ -107,6 +108,7 @@ class DecodeJob:
         if share is not None:
             runs = [one for one in runs if share_of(one, share[1]) == share[0]]
         self.files = sum(len(one.files) for one in runs)
+        OutputStore(self.output).make(RECORDS)
         records = self._records()
         tasks = []
         for run in runs:
