@@ -10,6 +10,7 @@ from mbtool.overview.failure_limits import are_damaged, is_grave, never_answers
 from mbtool.overview.refusals import always_refused, joint_refusals
 from mbtool.overview.request_tally import RequestTally, merged
 from mbtool.overview.slow_units import slow_units
+from mbtool.overview.slower_units import slower_units
 from mbtool.overview.statistics_report import (
     is_counted_together,
     odd_polling,
@@ -28,9 +29,11 @@ from mbtool.views.trouble_words import (
     joined_oddities,
     joint_refusals_text,
     many_slow_text,
+    many_slower_text,
     oddities_text,
     since_text,
     slow_text,
+    slower_text,
     stray_frames_text,
     unit_name,
     units_text,
@@ -53,7 +56,8 @@ def verdict(links: Sequence[LinkReport]) -> list[StyledLine]:
     """Return a line that sums up, then lines for each kind of trouble.
 
     Troubles are missing responses, exceptions, malformed and unsolicited responses, TCP resets,
-    slow units, and what is odd in the polling. `report` and `watch` judge by the same limits.
+    units that are slow or became slower, and what is odd in the polling. `report` and `watch` judge
+    by the same limits.
     """
     total = merged([link.tally for link in links])
     if not total.transactions:
@@ -258,7 +262,9 @@ def _resets(links: Sequence[LinkReport]) -> list[StyledLine]:
 
 
 def _slow(units: _Units) -> list[StyledLine]:
-    """Return a line on each slow unit; if they are many (JOINED), one on the slowest."""
+    """Return a line on each slow unit, then on each that became slower; if one of these are many
+    (JOINED), one line on the worst of them.
+    """
     slow = slow_units({unit: tally.latency for unit, tally in units.tallies.items()})
     medians = {unit: units.tallies[unit].latency.percentile(50) for unit in slow}
     texts = [
@@ -267,7 +273,11 @@ def _slow(units: _Units) -> list[StyledLine]:
     ]
     if len(texts) >= JOINED:
         texts = [many_slow_text(len(texts), len(units.tallies), texts[0])]
-    return [StyledLine(f"! {text}", _DOUBT) for text in texts]
+    slower = sorted(slower_units(units.times, slow).items(), key=lambda one: -one[1].factor)
+    others = [slower_text(units.name(unit), one) for unit, one in slower]
+    if len(others) >= JOINED:
+        others = [many_slower_text(len(others), len(units.tallies), others[0])]
+    return [StyledLine(f"! {text}", _DOUBT) for text in (*texts, *others)]
 
 
 def _odd_polling(links: Sequence[LinkReport], units: _Units) -> list[StyledLine]:

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from mbtool.overview.refusals import JointRefusals
     from mbtool.overview.request_tally import RequestTally
+    from mbtool.overview.slower_units import Slower
     from mbtool.overview.unit_times import FailedShare
 
 Unit = tuple[str, int]
@@ -70,6 +71,17 @@ def slow_text(name: str, own_ns: float, usual_ns: float) -> str:
 def many_slow_text(slow: int, units: int, worst: str) -> str:
     """Return how many of the `units` are slow; `worst` has the text for the slowest one."""
     return f"{slow} of {units} units are slow; {worst}"
+
+
+def slower_text(name: str, slower: Slower) -> str:
+    since = moment_text(slower.since_ns, is_long=slower.is_long)
+    text = f"{name} answers slower since {since}: in {in_ms(slower.mean_ns)} ms on average"
+    return f"{text}, before in {in_ms(slower.before_ns)} ms"
+
+
+def many_slower_text(slower: int, units: int, worst: str) -> str:
+    """Return how many of the `units` became slower; `worst` has the text for the worst one."""
+    return f"{slower} of {units} units became slower; {worst}"
 
 
 def joint_refusals_text(joint: JointRefusals, codes: str = "", *, is_short: bool = False) -> str:

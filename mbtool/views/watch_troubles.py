@@ -21,6 +21,7 @@ from mbtool.views.trouble_words import (
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from mbtool.overview.slower_units import Slower
     from mbtool.overview.unit_times import FailedShare
     from mbtool.watching.board_judgement import BoardJudgement
     from mbtool.watching.board_rows import WatchedSlaveRow
@@ -33,7 +34,8 @@ _MORE = " more: key 5"
 def slave_trouble(row: WatchedSlaveRow, *, is_short: bool = False) -> str:
     """Return what is wrong with a slave, the worst first; empty if nothing is.
 
-    With `is_short`, the text for a slow slave leaves out the median latency of the other slaves.
+    With `is_short`, the text for a slow slave leaves out the median latency of the other slaves,
+    or its own from before.
     """
     if row.never_answers:
         return "every answer has a wrong CRC" if row.is_damaged else "never answers"
@@ -54,15 +56,27 @@ def slave_trouble(row: WatchedSlaveRow, *, is_short: bool = False) -> str:
     if row.usual_ns is not None:
         others = "" if is_short else f" (others {in_ms(row.usual_ns)})"
         parts.append(f"slow, {in_ms(row.median_ns)} ms{others}")
+    elif row.slower is not None:
+        parts.append(_slower_text(row.slower, is_short=is_short))
     return ", ".join(parts)
+
+
+def _slower_text(slower: Slower, *, is_short: bool) -> str:
+    """Return since when a slave is slower: `slower since 10:43:02, 110 ms (before 9.5)`."""
+    since = _moment(slower.since_ns, is_long=slower.is_long, is_short=is_short)
+    before = "" if is_short else f" (before {in_ms(slower.before_ns)})"
+    return f"slower since {since}, {in_ms(slower.mean_ns)} ms{before}"
+
+
+def _moment(ns: int, *, is_long: bool, is_short: bool) -> str:
+    return moment_text(ns, is_long=is_long)[: 5 if is_short and not is_long else None]
 
 
 def _share_text(share: FailedShare, word: str, *, is_short: bool) -> str:
     """Return which share of the requests failed, and since when: `33 % refused since 10:43`."""
     text = f"{percent(share.share)} {word}"
-    digits = 5 if is_short and not share.is_long else None
     since, until = (
-        None if ns is None else moment_text(ns, is_long=share.is_long)[:digits]
+        None if ns is None else _moment(ns, is_long=share.is_long, is_short=is_short)
         for ns in (share.since_ns, share.until_ns)
     )
     if until is None:
@@ -90,13 +104,14 @@ def trouble_line(judgement: BoardJudgement, width: int) -> TroubleLine:
     network = (common_network(links) or "") if len(links) > 1 else None
     slow = sum(row.usual_ns is not None for row in rows)
     told = not are_many(slow, len(rows))
-    sick = sorted((row for row in rows if row.is_failing or (told and row.usual_ns)), key=_weight)
+    sick = [row for row in rows if row.is_failing or row.slower or (told and row.usual_ns)]
+    sick.sort(key=_weight)
     joined = ""
     if refusing is not None:
         joined = joint_refusals_text(refusing)
         if len(joined) > width:
             joined = joint_refusals_text(refusing, is_short=True)
-        sick = [row for row in sick if row.fails_otherwise or row.usual_ns]
+        sick = [row for row in sick if row.fails_otherwise or row.usual_ns or row.slower]
         width -= len(joined) + 2
     line = _line(sick, network, width, is_short=False)
     if _MORE in line:

@@ -11,6 +11,7 @@ from mbtool.modbus import Outcome
 from mbtool.overview.failure_limits import are_damaged, is_grave, never_answers
 from mbtool.overview.refusals import always_refused
 from mbtool.overview.slow_units import slow_units
+from mbtool.overview.slower_units import Slower, slower_units
 from mbtool.overview.unit_times import FailedShare, UnitTimes, missing_share, refused_share
 from mbtool.watching.watched_rows import KeptRecord, errors_of
 
@@ -119,6 +120,8 @@ class WatchedSlaveRow(NamedTuple):
     median_ns: int
     usual_ns: float | None
     """The median latency of the other units in ns, if this unit is much slower; else None."""
+    slower: Slower | None
+    """Since when the unit is slower; None if it is not, or always was slow."""
     slowest_ns: int
     first_ns: int
     last_ns: int
@@ -227,17 +230,30 @@ def slave_rows(board: Board) -> list[WatchedSlaveRow]:
     """Return the slaves, sorted by link and unit."""
     every = {} if board.whole is board else {row.key: row for row in slave_rows(board.whole)}
     slow = slow_units({key: slave.tally.latency for key, slave in board.slaves.items()})
+    times = _times(board)
+    slower = slower_units(times, slow)
     polls = polls_of_slaves(board)
     return [
-        _slave_row(slave, slow.get(key), polls.get(key, ()), _times(board, key), every.get(key))
+        _slave_row(
+            slave,
+            slow.get(key),
+            slower.get(key),
+            polls.get(key, ()),
+            times.get(key),
+            every.get(key),
+        )
         for key, slave in sorted(board.slaves.items())
     ]
 
 
-def _times(board: Board, key: tuple[str, int]) -> UnitTimes | None:
-    """Return the times of a slave's requests; None if the capture has no times."""
-    link = board.statistics.links.get(key[0])
-    return board.statistics.units.get(key) if link is not None and link.has_times else None
+def _times(board: Board) -> dict[tuple[str, int], UnitTimes]:
+    """Return the times of the requests to each unit; without links that have no times."""
+    links = board.statistics.links
+    return {
+        (link, unit): times
+        for (link, unit), times in board.statistics.units.items()
+        if link in links and links[link].has_times
+    }
 
 
 def polls_of_slaves(board: Board) -> dict[tuple[str, int], list[PollStatistics]]:
@@ -322,6 +338,7 @@ def _pair(point: WatchedPoint) -> tuple[int, int] | None:
 def _slave_row(
     slave: WatchedSlave,
     usual_ns: float | None,
+    slower: Slower | None,
     polls: Sequence[PollStatistics],
     times: UnitTimes | None,
     whole: WatchedSlaveRow | None,
@@ -342,6 +359,7 @@ def _slave_row(
         retries=slave.retries,
         median_ns=tally.latency.percentile(50),
         usual_ns=usual_ns,
+        slower=slower,
         slowest_ns=tally.latency.greatest,
         first_ns=slave.first_ns,
         last_ns=slave.last_ns,

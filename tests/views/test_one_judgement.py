@@ -11,7 +11,7 @@ import pytest
 from mbtool.core import EventKind, SerialFormat, WireEvent
 from mbtool.modbus import Outcome, Transport
 from mbtool.overview.statistics_report import report
-from mbtool.series.history import History, UnitRow
+from mbtool.series.history import UnitRow
 from mbtool.views import statistics_verdict, trouble_words
 from mbtool.views.findings_table import Summaries
 from mbtool.views.report import verdict
@@ -74,6 +74,7 @@ _WORDS = {
     "refused": ("refuse", "exception"),
     "malformed": ("malformed",),
     "slow": ("slow:",),
+    "slower": (" slower since ",),
     "late": (" late, ",),
 }
 _UNIT = re.compile(r"unit (\d+)(?: at ([^\s,;]+))?")
@@ -97,13 +98,11 @@ def told_of(records: Iterable[Record], monkeypatch: pytest.MonkeyPatch) -> Told:
         monkeypatch.setattr(statistics_verdict, limit, 100_000)
     for module in (verdict, trouble_words):
         monkeypatch.setattr(module, "JOINED", 100_000)
-    board, history = board_of(records := list(records)), History()
-    for record in records:
-        history.add(record)
+    board = board_of(records)
     links = report(board.statistics)
     styled = statistics_verdict.verdict(links)[1:]
     lines = [line.text for line in styled]
-    told = verdict.report_verdict(links, history, Summaries())
+    told = verdict.report_verdict(links, Summaries())
     judgement = judge(board)
     grave, every = set[tuple[str, UnitRow]](), set[tuple[str, UnitRow]]()
     for trouble in told.troubles:
@@ -119,6 +118,7 @@ def told_of(records: Iterable[Record], monkeypatch: pytest.MonkeyPatch) -> Told:
         is_refusing = row.refused_share is not None and row.refused_share.is_grave
         watch |= {("refused", unit)} if is_refusing else set()
         watch |= {("slow", unit)} if row.usual_ns is not None else set()
+        watch |= {("slower", unit)} if row.slower is not None else set()
     return Told(
         named_in(lines, links[0].name if len(links) == 1 else ""),
         grave,
@@ -153,7 +153,7 @@ def named_in(lines: Iterable[str], only_link: str) -> set[tuple[str, UnitRow]]:
 
 
 def compare(told: Told) -> None:
-    judged = ("missing", "refused", "slow")
+    judged = ("missing", "refused", "slow", "slower")
     # Slow units are a small thing if they are many: the report tells them, but not as grave.
     grave = told.grave_of_report | {one for one in told.all_of_report if one[0] == "slow"}
     assert told.watch == {one for one in grave if one[0] in judged}
@@ -187,6 +187,21 @@ def test_the_same_units_of_a_line_with_all_troubles(monkeypatch: pytest.MonkeyPa
         "unit 7: 17 % malformed; unit 6 slow, 90.0 ms (others 5.0)"
     )
     assert told.sentence.startswith("Unit 3 never answers (60 requests); unit 5 refuses 50 % of ")
+
+
+def test_a_unit_that_became_slower_is_told_by_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    well = [request(1000 * at + 500, unit=2, latency_ns=9 * MS) for at in range(100)]
+    slower = [request(1000 * at, latency_ns=(6 if at < 60 else 26) * MS) for at in range(100)]
+    told = told_of([*well, *slower], monkeypatch)
+    compare(told)
+    since = "slower since 00:00:59"  # Exact to a bin: the first slow answer comes at 00:01:00.
+    text = f"unit 1 answers {since}: in 25.5 ms on average, before in 6.0 ms"
+    assert (told.lines, told.styles) == ([f"! {text}"], ["yellow"])
+    assert told.sentence == f"U{text[1:]}; everything else is well."
+    assert told.watch_line == f"unit 1 {since}, 25.5 ms (before 6.0)"
+    judgement = judge(board_of([*well, *slower]))
+    assert trouble_line(judgement, 40).text == told.watch_line
+    compare(told_of([*well, *slower[:60]], monkeypatch))
 
 
 def test_a_scan_is_told_by_all(monkeypatch: pytest.MonkeyPatch) -> None:

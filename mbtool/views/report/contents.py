@@ -108,7 +108,7 @@ def report_document(contents: ReportContents) -> dict[str, Any]:
 
     Texts from the wire are not escaped here: the page shows them as text nodes only.
     """
-    verdict = report_verdict(contents.links, contents.history, contents.findings)
+    verdict = report_verdict(contents.links, contents.findings)
     bins = contents.history.bins.coarser(contents.statistics.transactions // REQUESTS_IN_BIN)
     return {
         "version": contents.version,

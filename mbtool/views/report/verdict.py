@@ -6,7 +6,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -16,10 +16,11 @@ from mbtool.overview.failure_limits import FEW, are_damaged, never_answers
 from mbtool.overview.odd_polling import LateUnit
 from mbtool.overview.poll_statistics import PollStatistics
 from mbtool.overview.request_tally import RequestTally, merged
-from mbtool.overview.slow_units import SLOW_NS, are_many, slow_units
+from mbtool.overview.slow_units import are_many, slow_units
+from mbtool.overview.slower_units import Slower, slower_units
 from mbtool.overview.statistics_report import odd_polling, unit_polls, unit_tallies, unit_times
 from mbtool.overview.unit_times import FailedShare, UnitTimes, missing_share, refused_share
-from mbtool.series.history import History, UnitRow, UnitSum
+from mbtool.series.history import UnitRow
 from mbtool.views.report.line_troubles import finding_troubles, line_troubles
 from mbtool.views.report.odd_polling import odd_troubles
 from mbtool.views.report.refusals import joined_refusals, refused_polls
@@ -29,9 +30,10 @@ from mbtool.views.trouble_words import (
     JOINED,
     codes_text,
     many_slow_text,
-    moment_text,
+    many_slower_text,
     since_text,
     slow_text,
+    slower_text,
     unit_name,
     units_text,
 )
@@ -42,23 +44,15 @@ if TYPE_CHECKING:
 
 IN_SENTENCE = 3
 """The first sentence of a report names at most this many troubles; the page lists all below it."""
-SLOWER = 2
-"""A unit has become slower if the mean latency in the last quarter of its bins of time is at least
-this many times that in the first half, and at least SLOW_NS more."""
-_ENOUGH_BINS = 8
-"""A unit with fewer bins of time than this is never reported as having become slower."""
-_DAY_NS = 86_400_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
 class _Unit:
-    """The counts of one unit, and its history over time."""
+    """The counts of one unit, and the times of its requests."""
 
     row: UnitRow
     name: str
     tally: RequestTally
-    history: History | None
-    """Counts over time; None if the capture of the unit's line has no times."""
     polls: Sequence[PollStatistics]
     times: UnitTimes | None
     """The times of its requests; None if the capture has no times."""
@@ -95,20 +89,18 @@ class ReportVerdict:
         return "bad" if worst < Rank.RULE else "doubt"
 
 
-def report_verdict(
-    links: Sequence[LinkReport], history: History, findings: Summaries
-) -> ReportVerdict:
-    """Judge a capture by its statistics, its history over time and its findings (broken rules)."""
+def report_verdict(links: Sequence[LinkReport], findings: Summaries) -> ReportVerdict:
+    """Judge a capture by its statistics and its findings (broken rules)."""
     tallies = unit_tallies(links)
     units = {UnitRow(*unit): tally for unit, tally in tallies.items()}
     total = merged(list(units.values()))
     if not total.transactions and not findings:
         return ReportVerdict("There is no transaction in the capture.")
     names = {row: unit_name(row, several=len(links) > 1) for row in units}
-    timed = {link.name for link in links if link.has_times}
     slow = slow_units({row: one.latency for row, one in units.items()})
     polls = {UnitRow(*unit): some for unit, some in unit_polls(links).items()}
     times = unit_times(links)
+    slower = slower_units(times, slow)
     odd = odd_polling(links, tallies)
     troubles = [
         *line_troubles(links),
@@ -116,12 +108,11 @@ def report_verdict(
         *odd_troubles(odd, lambda unit: names[UnitRow(*unit)]),
     ]
     for row, tally in units.items():
-        of_time = history if row.link in timed else None
-        unit = _Unit(row, names[row], tally, of_time, polls.get(row, ()), times.get(row))
-        troubles += _unit_troubles(unit, slow.get(row))
+        unit = _Unit(row, names[row], tally, polls.get(row, ()), times.get(row))
+        troubles += _unit_troubles(unit, slow.get(row), slower.get(row))
     troubles.sort(key=lambda one: (one.rank, -one.weight))
     troubles = joined_refusals(troubles, units, polls)
-    troubles = _joined_slow(troubles, len(units))
+    troubles = _joined_slow(troubles, slower, len(units))
     grave = sum(one.rank < Rank.RULE for one in troubles)
     told = min(grave or len(troubles), IN_SENTENCE)
     sentence = _sentence(troubles, units, total)
@@ -172,30 +163,38 @@ def _all_well(units: dict[UnitRow, RequestTally], total: RequestTally) -> str:
     return f"{text}; {lacks}." if lacking else f"{text}."
 
 
-def _joined_slow(troubles: list[VerdictTrouble], units: int) -> list[VerdictTrouble]:
-    """Join the slowness of many of the `units` into one trouble: their kind may just be slow."""
-    slow = [one for one in troubles if one.rank is Rank.SLOW]
-    if len(slow) < JOINED:
-        return troubles
-    worst = slow[0]
-    joined = replace(
-        worst,
-        rank=Rank.MINOR if are_many(len(slow), units) else Rank.SLOW,
-        text=many_slow_text(len(slow), units, worst.text),
-        units=_units_of(slow),
-    )
+def _joined_slow(
+    troubles: list[VerdictTrouble], slower: Collection[tuple[str, int]], units: int
+) -> list[VerdictTrouble]:
+    """Join the slow ones of all `units` into one trouble if they are many, and those that became
+    `slower` into another one.
+
+    Many slow units are a small thing, as their kind may just be slow.
+    """
+    of_slow = [one for one in troubles if one.rank is Rank.SLOW]
+    became = [one for one in of_slow if one.units.issubset(slower)]
+    always = [one for one in of_slow if not one.units.issubset(slower)]
+    if (number := len(always)) >= JOINED:
+        rank = Rank.MINOR if are_many(number, units) else Rank.SLOW
+        text = many_slow_text(number, units, always[0].text)
+        always = [replace(always[0], rank=rank, text=text, units=_units_of(always))]
+    if (number := len(became)) >= JOINED:
+        text = many_slower_text(number, units, became[0].text)
+        became = [replace(became[0], text=text, units=_units_of(became))]
+    told = sorted([*always, *became], key=lambda one: -one.weight)
     others = [one for one in troubles if one.rank is not Rank.SLOW]
-    return sorted([joined, *others], key=lambda one: one.rank)
+    return sorted([*told, *others], key=lambda one: one.rank)
 
 
 def _units_of(troubles: Sequence[VerdictTrouble]) -> frozenset[UnitRow]:
     return frozenset(unit for one in troubles for unit in one.units)
 
 
-def _unit_troubles(unit: _Unit, usual: float | None) -> list[VerdictTrouble]:
+def _unit_troubles(unit: _Unit, usual: float | None, slower: Slower | None) -> list[VerdictTrouble]:
     """Return the troubles of one unit: missing, refused, malformed and slow responses.
 
-    `usual` is the median latency of the other units in ns if this one is slow, else None.
+    `usual` is the median latency of the other units in ns if this one is slow, else None;
+    `slower` tells since when it is slower, if it became slower.
     """
     name, tally = unit.name, unit.tally
     asked = tally.requests
@@ -215,38 +214,9 @@ def _unit_troubles(unit: _Unit, usual: float | None) -> list[VerdictTrouble]:
     own = tally.latency.percentile(50)
     if usual is not None:
         found.append(unit.trouble(Rank.SLOW, slow_text(name, own, usual), own / usual))
-    elif (slower := _slower(unit)) is not None:
-        found.append(slower)
+    elif slower is not None:
+        found.append(unit.trouble(Rank.SLOW, slower_text(name, slower), slower.factor))
     return found
-
-
-def _slower(unit: _Unit) -> VerdictTrouble | None:
-    """Return a trouble if a unit's mean latency rose (SLOWER) and did not fall again, else None."""
-    if unit.history is None:
-        return None
-    bins = unit.history.bins
-    counts = bins.column(unit.row, UnitSum.LATENCIES)
-    sums = bins.column(unit.row, UnitSum.LATENCY_NS)
-    places = [place for place, count in enumerate(counts) if count]
-    if len(places) < _ENOUGH_BINS:
-        return None
-
-    def mean(some: Sequence[int]) -> float:
-        return sum(sums[place] for place in some) / sum(counts[place] for place in some)
-
-    usual, late = mean(places[: len(places) // 2]), mean(places[-len(places) // 4 :])
-    if late < max(SLOWER * usual, usual + SLOW_NS):
-        return None
-    middle = (usual + late) / 2
-    begin = max((at for at, place in enumerate(places) if mean([place]) < middle), default=-1) + 1
-    if len(places) - begin < len(places) // 8:
-        return None  # The unit became fast again.
-    begin_ns = bins.begin_ns + places[begin] * bins.width_ns
-    is_long = (places[-1] - places[0]) * bins.width_ns >= _DAY_NS
-    since = moment_text(begin_ns, is_long=is_long)
-    text = f"{unit.name} answers slower since {since}: in {in_ms(mean(places[begin:]))} ms "
-    text += f"on average, before in {in_ms(usual)} ms"
-    return unit.trouble(Rank.SLOW, text, late / usual)
 
 
 def _unanswered(unit: _Unit, share: FailedShare) -> VerdictTrouble:

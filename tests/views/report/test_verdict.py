@@ -12,7 +12,6 @@ from mbtool.devices.checking.finding import Finding
 from mbtool.modbus import Outcome
 from mbtool.overview.statistics import Statistics
 from mbtool.overview.statistics_report import report
-from mbtool.series.history import History
 from mbtool.views.findings_table import Summaries
 from mbtool.views.report.troubles import Rank
 from mbtool.views.report.verdict import ReportVerdict, report_verdict
@@ -26,14 +25,13 @@ if TYPE_CHECKING:
 
 
 def judged(records: Sequence[NamedTransaction | WireEvent], *findings: Finding) -> ReportVerdict:
-    statistics, history, summaries = Statistics(lambda _: SerialFormat()), History(), Summaries()
+    statistics, summaries = Statistics(lambda _: SerialFormat()), Summaries()
     for record in records:
         statistics.add(record)
-        history.add(record)
     for finding in findings:
         summaries.add(finding)
     statistics.settle()
-    return report_verdict(report(statistics), history, summaries)
+    return report_verdict(report(statistics), summaries)
 
 
 def polled(seconds: int, failing: range = range(0), unit: int = 1) -> list[NamedTransaction]:
@@ -71,13 +69,28 @@ def test_rare_failures_are_small_things() -> None:
 def test_a_unit_that_became_slower_is_told_since_when() -> None:
     told = judged([asked(at, latency_ms=5 if at < 60 else 45) for at in range(100)])
     assert told.sentence == (
-        "Unit 1 answers slower since 22:14:20: in 45.0 ms on average, before in 5.0 ms."
+        "Unit 1 answers slower since 22:14:19: in 45.0 ms on average, before in 5.0 ms."
     )
 
 
 def test_a_unit_that_is_slow_and_fast_in_turn_is_not_told_to_be_slower() -> None:
-    told = judged([asked(at, latency_ms=45 if at > 70 and at % 2 else 5) for at in range(100)])
+    times = {at: 45 if at >= 60 and at % 20 < 10 else 5 for at in range(100)}
+    told = judged([asked(at, latency_ms=latency_ms) for at, latency_ms in times.items()])
     assert told.troubles == []
+
+
+def test_many_units_that_became_slower_are_told_as_one_and_are_no_small_thing() -> None:
+    told = judged(
+        [
+            asked(at, unit, latency_ms=5 if at < 60 else 45 + unit)
+            for at in range(100)
+            for unit in range(4)
+        ]
+    )
+    assert told.sentence == (
+        "4 of 4 units became slower; unit 3 answers slower since 22:14:19: in 48.0 ms on average, "
+        "before in 5.0 ms."
+    )
 
 
 def test_many_slow_units_are_told_as_one() -> None:
