@@ -61,26 +61,36 @@ _COLOURS = {
 }
 
 
-def record_detail(kept: KeptRecord, profile: Profile | None, width: int) -> list[Spans]:
+def record_detail(
+    kept: KeptRecord, profile: Profile | None, width: int, damaged: WireEvent | None = None
+) -> list[Spans]:
     """Return the lines that show one transaction or event in full, broken at `width` characters.
 
-    `profile` is that of the slave, None if it has none.
+    `profile` is that of the slave, None if it has none. `damaged` is the event of a response with
+    a wrong CRC or LRC that belongs to the transaction, if there is one.
     """
     record = kept.record
     if isinstance(record, WireEvent):
         return _event_detail(record, width)
     title = f"#{kept.number}  {day(record.start_ns)} {clock_time(record.start_ns)} UTC"
-    lines: list[Spans] = [[(title, "bold"), (f"  {_place(record)}", "")]]
-    lines += _wrapped(transaction_text(replace(record, retries=0)), width)
+    text, place = transaction_text(replace(record, retries=0)), _place(record)
+    if damaged is not None:
+        wrong = "wrong LRC" if record.transport is Transport.ASCII else "wrong CRC"
+        text = f"{text.removesuffix(result_text(record))}{wrong}"
+        place = f"{place} ({wrong})"
+    lines: list[Spans] = [[(title, "bold"), (f"  {place}", "")]]
+    lines += _wrapped(text, width)
     if record.retries:
         before = "equal request" if record.retries == 1 else f"{record.retries:,} equal requests"
         lines += _wrapped(f"the {before} before it got no answer", width)
     if record.latency_ns is not None:
         lines.append([(f"answered after {in_ms(record.latency_ns)} ms", "")])
     lines += _adu_lines("request ", record.transport, record.request_raw, Direction.REQUEST, width)
-    lines += _adu_lines(
-        "response", record.transport, record.response_raw, Direction.RESPONSE, width
-    )
+    if damaged is None:
+        raw = record.response_raw
+        lines += _adu_lines("response", record.transport, raw, Direction.RESPONSE, width)
+    else:
+        lines += _damaged_lines(damaged, width)
     why = WHY.get(record.direction_by, record.direction_by.value)
     lines.append([
         ("direction by ", ""), (record.direction_by.value, "bold"), (f": {why}; ", ""),
@@ -99,6 +109,14 @@ def record_detail(kept: KeptRecord, profile: Profile | None, width: int) -> list
             text if point.name != point.reference else f"  {point.name}: {point.text}", width
         )
     return lines
+
+
+def _damaged_lines(event: WireEvent, width: int) -> list[Spans]:
+    """Return the lines on the response of a transaction of which only an event tells."""
+    title = "response "
+    raw: Spans = [(title, "bold"), (event.raw.hex(" "), "yellow")]
+    reason: Spans = [(" " * len(title), ""), (printable(event.message), "yellow")]
+    return _flowed(raw, width, len(title)) + _flowed(reason, width, len(title))
 
 
 def trouble_detail(row: TroubleRow, profile: Profile | None, width: int) -> list[Spans]:
@@ -128,7 +146,8 @@ def slave_detail(row: WatchedSlaveRow, width: int) -> list[Spans]:
     ]
     of_these = f" (of these {', '.join(faulty)})" if faulty else ""
     counts = f"asked {row.asked}, answered {row.answered}{of_these}"
-    lines += _wrapped(f"{counts}, missing {row.missing}, retries {row.retries}", width)
+    damaged = f" (of these {row.damaged} with a wrong CRC or LRC)" if row.damaged else ""
+    lines += _wrapped(f"{counts}, missing {row.missing}{damaged}, retries {row.retries}", width)
     whole = row.whole or row
     if row.whole is not None:
         of_all = f"asked {whole.asked}, answered {whole.answered}, missing {whole.missing}"

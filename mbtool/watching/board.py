@@ -88,6 +88,9 @@ class Board:
         self.blamed: OrderedDict[int, int] = OrderedDict()
         """The unit by the `order` number of a record: of an event that tells of a damaged response
         of the unit, and of the request to it."""
+        self.damaged: OrderedDict[int, WireEvent] = OrderedDict()
+        """The event of the damaged response by the `order` number of the request to which it
+        belongs."""
         self.records: deque[KeptRecord] = deque(maxlen=kept)
         """The last transactions and events, in the order in which they were decoded; without
         connections that open and close, as many short ones would push out everything else."""
@@ -314,11 +317,15 @@ class Board:
             if at_ns == frame_ns:
                 del events[at]
                 self.blamed[event.order] = one.unit
+                if isinstance(event.record, WireEvent):
+                    self.damaged[kept.order] = event.record
                 if self._take_back(one.link, events):
                     self._note_trouble(_BAD_CHECK, event, one.link, one.unit, frame_ns)
                 break
         while len(self.blamed) > _MAX_BLAMED:
             self.blamed.popitem(last=False)
+        while len(self.damaged) > MAX_KEPT:
+            self.damaged.popitem(last=False)
 
     def _take_back(self, link: str, left: Sequence[tuple[int, KeptRecord]]) -> bool:
         """Count one damaged frame of no unit less; `left` has the last events that stay.

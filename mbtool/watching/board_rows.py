@@ -113,6 +113,8 @@ class WatchedSlaveRow(NamedTuple):
     """The number of responses; exceptions and malformed responses are among them."""
     exceptions: int
     missing: int
+    damaged: int
+    """The number of missing responses that came, but with a wrong CRC or LRC."""
     is_damaged: bool
     """True if most of the missing responses came, but with a wrong CRC or LRC."""
     malformed: int
@@ -354,6 +356,7 @@ def _slave_row(
         answered=sum(map(tally.count, _ANSWERS)),
         exceptions=tally.count(Outcome.EXCEPTION),
         missing=tally.unanswered,
+        damaged=tally.damaged,
         is_damaged=are_damaged(tally),
         malformed=tally.count(Outcome.MALFORMED),
         retries=slave.retries,

@@ -433,6 +433,27 @@ def test_the_detail_of_an_event_has_its_bytes() -> None:
     assert "fe fd" in text
 
 
+def test_a_damaged_response_is_in_the_detail_of_its_request_and_of_its_slave() -> None:
+    raw = bytes.fromhex("01 03 02 00 07 1234")
+    board = board_of(
+        WireEvent(
+            ts_ns=START_NS + 12 * MS, link="line", kind=EventKind.BAD_CHECK, raw=raw,
+            message="a frame with CRC 3412H, where 86F9H would be right",
+        ),
+        unanswered(10, reference="D1"), unanswered(30, reference="D1"),
+    )  # fmt: skip
+    damaged, _, missing = record_rows(board)
+    assert list(board.damaged) == [damaged.kept.order]
+    text = lines_of(record_detail(damaged.kept, None, 80, board.damaged[damaged.kept.order]))
+    assert "unit 1, no-answer (wrong CRC)\n03 read D1 -> wrong CRC\n" in text
+    assert "response 01 03 02 00 07 12 34\n         a frame with CRC 3412H, where 86F9H" in text
+    assert "response none" not in text
+    assert "response none" in lines_of(record_detail(missing.kept, None, 80))
+    (slave,) = slave_rows(board)
+    told = lines_of(slave_detail(slave, 100))
+    assert "missing 2 (of these 1 with a wrong CRC or LRC), retries 0" in told
+
+
 def test_the_detail_of_findings_or_events_says_how_often_and_when() -> None:
     (row,) = trouble_rows(board_of(*(read(at, 1, findings=["MB-101"]) for at in (0, 5))))
     text = lines_of(trouble_detail(row, None, 100))

@@ -310,7 +310,9 @@ class DrawnApp(App[int]):
             profile = self.feed.watched.whole.profile_for(record)
         if isinstance(row, TroubleRow):
             return trouble_detail(row, profile, width)
-        return record_detail(row.kept, profile, width)
+        with self.feed.lock:
+            damaged = self.feed.watched.whole.damaged.get(row.kept.order)
+        return record_detail(row.kept, profile, width, damaged)
 
     def tell(self, text: str, style: str = "") -> None:
         """Show a message below the table, until the next message or Escape; "" removes it.

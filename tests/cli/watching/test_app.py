@@ -375,6 +375,23 @@ def test_enter_shows_the_bytes_by_field_and_why_this_direction() -> None:
     run(test)
 
 
+def test_the_detail_of_a_request_shows_its_damaged_response() -> None:
+    frame = WireEvent(
+        ts_ns=START_NS + 12 * MS, link="line", kind=EventKind.BAD_CHECK, message="x", raw=b"\xfe"
+    )
+
+    async def test() -> None:
+        async with screen(GivenFeed([read(0, 1, 2), frame, unanswered(10)])) as seen:
+            for keys in (("3", "up"), ("1", "down")):
+                await seen.press(*keys)
+                (response,) = (
+                    line for line in seen.app.detail_lines(78) if line[0][0] == "response "
+                )
+                assert response[1][0] == "fe"
+
+    run(test)
+
+
 def test_a_view_without_rows_has_no_detail() -> None:
     async def test() -> None:
         async with screen(GivenFeed()) as seen:
