@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind, WireEvent
 from mbtool.devices.references import write_reference
-from mbtool.modbus import FUNCTIONS, Outcome
+from mbtool.modbus import FUNCTIONS, Outcome, Verdict
 from mbtool.modbus.damaged_answers import MAX_FRAMES, DamagedAnswers
 from mbtool.overview.statistics import MAX_POLLS, Statistics
 from mbtool.watching.watched_rows import (
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from mbtool.devices import NamedTransaction, PointValue, Profile
     from mbtool.modbus import Table
     from mbtool.overview.poll_statistics import PollStatistics
+    from mbtool.watching.watched_rows import Record
 
 MAX_KEPT = 10_000
 MAX_POINTS = 20_000
@@ -226,9 +227,13 @@ class Board:
         is_damaged: bool,
     ) -> None:
         poll.latencies.append(one.latency_ns)
-        if at_ns < poll.last_ns:
+        if at_ns > poll.last_ns:
+            poll.last_ns = at_ns
+        if at_ns < poll.last.at_ns and not _is_cut_off(poll.last.record):
             return  # A request without response becomes known late; the values shown are newer.
-        poll.last, poll.last_ns, poll.is_damaged = kept, at_ns, is_damaged
+        if one.outcome is Outcome.NOT_CAPTURED and _is_cut_off(one) and kept is not poll.last:
+            return  # What the slave did before tells more.
+        poll.last, poll.is_damaged = kept, is_damaged
         if one.outcome is not Outcome.OK and one.outcome is not Outcome.BROADCAST:
             return
         values = one.request_values if one.response_values is None else one.response_values
@@ -357,6 +362,11 @@ class Board:
             row = self.troubles[key] = WatchedTrouble(code, is_finding, link, unit, at_ns, kept)
         row.last, row.last_ns = kept, at_ns
         row.count += 1
+
+
+def _is_cut_off(record: Record) -> bool:
+    """True for a request whose response may have come after the capture's end."""
+    return not isinstance(record, WireEvent) and Verdict.CAPTURE_END in record.verdicts
 
 
 def _note_changes(poll: WatchedPoll, values: Sequence[int], at_ns: int) -> None:

@@ -51,10 +51,12 @@ class WatchedPoll:
 
     statistics: PollStatistics
     last: KeptRecord
+    """The last transaction; not one whose response the capture's end cut off, if there is another.
+    """
     last_ns: int = NEVER_NS
     """The time of the last request, in ns since 1970."""
     is_damaged: bool = False
-    """True if the response to the last request came with a wrong CRC or LRC."""
+    """True if the response in `last` came with a wrong CRC or LRC."""
     values: list[int] | None = None
     """The values that were last read or written; None before the first ones."""
     changed_ns: list[int] = field(default_factory=list)

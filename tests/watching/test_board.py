@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from mbtool.core import EventKind, WireEvent
 from mbtool.devices import PointValue
-from mbtool.modbus import Outcome
+from mbtool.modbus import Outcome, Verdict
 from mbtool.modbus.damaged_answers import MAX_FRAMES
 from mbtool.watching import board as limits
 from mbtool.watching.board import Board
@@ -65,6 +65,18 @@ def test_a_request_that_is_told_late_as_unanswered_replaces_nothing_newer() -> N
     (slave,) = slave_rows(board)
     assert slave.silent_since_ns is None
     assert slave.last_ns == START_NS + 200 * MS
+
+
+def test_a_request_at_the_end_of_a_capture_hides_no_outcome() -> None:
+    """Of a dead unit the last request of a file would hide that it gives no answer."""
+    cut = unanswered(200, quantity=1, outcome=Outcome.NOT_CAPTURED, verdicts=[Verdict.CAPTURE_END])
+    board = board_of(read(0, 7), unanswered(100, quantity=1), cut)
+    (row,) = poll_rows(board)
+    assert (row.kept.order, row.asked, row.last_ns) == (2, 3, START_NS + 200 * MS)
+    (row,) = poll_rows(board_of(cut))
+    assert row.kept.order == 1
+    (row,) = poll_rows(board_of(cut, unanswered(100, quantity=1)))
+    assert (row.kept.order, row.missing, row.last_ns) == (2, 1, START_NS + 200 * MS)
 
 
 def test_the_polls_of_a_dead_unit_are_no_retries() -> None:
