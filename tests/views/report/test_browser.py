@@ -31,6 +31,8 @@ setTimeout(() => {
   const type = (text) => { field.value = text; field.dispatchEvent(new Event("input")); };
   use("slow", () => type("unit:2 ms>=180"));
   use("fast", () => type("ms<8.5 ms>0"));
+  use("damaged", () => type("wrong CRC"));
+  use("code", () => type("RTU-201"));
   location.hash = "#t7";
   setTimeout(() => {
     use("link", () => {});
@@ -45,11 +47,22 @@ setTimeout(() => {
       told.push(["table", details.querySelectorAll("tbody tr").length]);
       const text = (what) => details.querySelector(what).textContent;
       told.push(["paper", text("button"), text("p.printed")]);
+      dispatchEvent(new Event("beforeprint"));
+      const units = new Set(rows().map((row) => row.children[2].textContent));
+      const sentence = document.querySelector("#transactions p.printed").textContent;
+      told.push(["printed", rows().length, [...units].sort().join(), sentence]);
+      dispatchEvent(new Event("afterprint"));
+      told.push(["screen", rows().length]);
       tell(told);
     }, 200);
   }, 200);
 }, 3000);
 """
+
+SENTENCE = (
+    "On paper 40 transactions: some of each kind of those that failed or have a finding, "
+    "each with the one before."
+)
 
 
 def test_links_searches_and_keys_lead_where_they_say(tmp_path: Path) -> None:
@@ -61,11 +74,15 @@ def test_links_searches_and_keys_lead_where_they_say(tmp_path: Path) -> None:
         ["finding", 40, "t3"],
         ["slow", 40, "t2"],
         ["fast", 40, "t1"],
+        ["damaged", 6, "t88"],
+        ["code", 6, "t88"],
         ["link", 100, "t1"],
         ["here", "t7", "t7"],
         ["chart", "2023-11-14 22:13:20.000 UTC — unit 1: 8 ms, unit 2: 180 ms, unit 4: 9 ms"],
         ["table", 12],
         ["paper", "Show 8 more", "8 rows more on the screen."],
+        ["printed", 40, "2,3,4", SENTENCE],
+        ["screen", 100],
     ]
 
 
@@ -128,8 +145,10 @@ def test_a_histogram_of_one_bar_tells_of_longer_answers(tmp_path: Path) -> None:
     assert text.count('"beyond":0') >= 1
     text = re.sub(r'"latency":\{"count":1,', '"latency":{"count":201,', text)
     text = re.sub(r'"max_ms":[\d.]+', '"max_ms":3000', text)
+    text = re.sub(r'"min_ms":[\d.]+', '"min_ms":0.003', text)
     out.write_text(text.replace('"beyond":0', '"beyond":1'))
     page = shown(out, tmp_path / "profile")
+    assert '">&lt;0.01</td>' in page
     assert "200 answers of all units took about 8.0 ms; 1 longer answer, up to 3000 ms." in page
 
 
@@ -152,6 +171,9 @@ setTimeout(() => {
     told.onPaper = [...new Set(shown.map((one) => one.width))].sort();
     dispatchEvent(new Event("afterprint"));
     told.after = opened();
+    const kept = (id) => document.querySelectorAll(`#${id} tbody tr:not(.on-paper)`);
+    told.cycle = kept("cycle").length;
+    told.polls = [...kept("polls")].map((row) => row.firstChild.textContent);
     told.drawnThen = charts.length > 0;
     for (const fold of document.querySelectorAll("details")) fold.open = true;
     setTimeout(() => {
@@ -169,6 +191,7 @@ def test_a_phone_folds_long_sections_and_nothing_is_wider_than_its_screen(tmp_pa
     log = sick_line(tmp_path / "sick.mcap", 40, name=HOSTILE * 3)
     out = tmp_path / "r.html"
     assert run(["report", str(log), "-o", str(out)]) == 0
+    out.write_text(out.read_text().replace("FEW_ROWS = narrow.matches ? 5 :", "FEW_ROWS = 2 ??"))
     assert asked(out, tmp_path / "profile", PHONE, width=400) == {
         "narrow": True,
         "first": ["findings"],
@@ -179,6 +202,8 @@ def test_a_phone_folds_long_sections_and_nothing_is_wider_than_its_screen(tmp_pa
         "onPaper": [330, 690],
         "after": ["findings", "latency", "transactions"],
         "drawnThen": True,
+        "cycle": 4,
+        "polls": ["3 03 holding 0..1", "4 03 holding 0..1"],
         "overflow": 0,
         "rows": 25,
     }

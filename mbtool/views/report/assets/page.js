@@ -17,7 +17,6 @@ const MOST_FINDINGS = narrow.matches ? 8 : 30;
 const MOST_TROUBLES = narrow.matches ? 5 : 40;
 const UNFOLDED = ["findings", "against"];
 const PRINTED_ROWS = 60;
-/* As the style sheet says. */
 const PRINTED_TRANSACTIONS = 40;
 const MANY_COLUMNS = 3;
 const MANY_SAMPLES = 150;
@@ -41,7 +40,7 @@ const count = (n) => (n ?? 0).toLocaleString("en");
 const some = (n) => (n ? count(n) : "");
 const plural = (n, noun) => `${count(n)} ${noun}${n === 1 ? "" : "s"}`;
 const digits = (n) => (n === null || n === undefined ? "–"
-  : n !== 0 && Math.abs(n) < 0.995 ? n.toFixed(2) : Math.abs(n) < 99.95 ? n.toFixed(1) : n.toFixed(0));
+  : n > 0 && n < 0.005 ? "<0.01" : n !== 0 && Math.abs(n) < 0.995 ? n.toFixed(2) : Math.abs(n) < 99.95 ? n.toFixed(1) : n.toFixed(0));
 const share = (s) => (s === null || s === undefined ? "–"
   : s > 0 && s < 0.001 ? "<0.1 %" : `${(s * 100).toFixed(s < 0.1 ? 1 : 0)} %`);
 const seconds = (s) => (s === null || s === undefined ? "–"
@@ -120,21 +119,23 @@ const breakable = (cell) => (typeof cell !== "string" || !cell.includes("..") ? 
 function tableRow(heads, cells, cards, attributes) {
   return el("tr", { role: cards ? "row" : null, ...attributes }, cells.map((cell, at) => el("td", { class: kindOf(heads[at]), role: cards ? "cell" : null, "data-label": cards ? nameOf(heads[at]) : null }, breakable(cell))));
 }
-function table(caption, allHeads, allRows, isNamed = true, printed = PRINTED_ROWS) {
+/* Rows behind the first ones are folded, except those that `isKept` names by their place. */
+function table(caption, allHeads, allRows, isNamed = true, printed = PRINTED_ROWS, isKept = () => false) {
   const filled = allHeads.map((_, at) => allRows.some((cells) => cells[at] !== "" && cells[at] !== "–" && cells[at] !== null));
   const heads = allHeads.filter((_, at) => filled[at]), rows = allRows.map((cells) => cells.filter((_, at) => filled[at]));
   const cards = heads.length > MANY_COLUMNS;
-  const row = (cells, at) => tableRow(heads, cells, cards, at >= FEW_ROWS ? { class: "on-paper" } : {});
-  const body = el("tbody", { role: cards ? "rowgroup" : null }, rows.slice(0, Math.max(FEW_ROWS, printed)).map(row));
+  const isFolded = (_, at) => at >= FEW_ROWS && !isKept(at), most = Math.max(FEW_ROWS, printed), isLeftOut = (_, at) => at >= most && !isKept(at);
+  const row = (cells, at) => (isLeftOut(cells, at) ? null : tableRow(heads, cells, cards, isFolded(cells, at) ? { class: "on-paper" } : {}));
+  const body = el("tbody", { role: cards ? "rowgroup" : null }, rows.map(row));
   const region = frame(caption, heads, body, cards, isNamed);
-  const hidden = rows.length - FEW_ROWS;
+  const hidden = rows.filter(isFolded).length;
   if (hidden <= 0) return region;
   const more = el("button", { type: "button", on: { click: () => {
-    body.replaceChildren(...rows.map((cells) => row(cells, 0)));
+    body.replaceChildren(...rows.map((cells) => tableRow(heads, cells, cards, {})));
     tools.remove();
   } } }, `Show ${count(hidden)} more`);
   const tools = el("div", { class: "tools" }, more);
-  const unprinted = rows.length - Math.max(FEW_ROWS, printed);
+  const unprinted = rows.filter(isLeftOut).length;
   return el("div", {}, region, tools, unprinted > 0 ? el("p", { class: "soft printed" }, `${plural(unprinted, "row")} more on the screen.`) : null);
 }
 
@@ -316,10 +317,12 @@ const folded = [];
 function toPaper() {
   folded.push(...document.querySelectorAll("section > details:not([open])"));
   for (const fold of folded) fold.open = true;
+  rowsToPaper();
   redraw((one) => (one.figure.closest(".grid, .pair") ? 330 : 690));
 }
 function toScreen() {
   for (const fold of folded.splice(0)) fold.open = false;
+  draw();
   redraw();
 }
 addEventListener("beforeprint", toPaper);
@@ -554,7 +557,7 @@ function cycleTable(link, list, who, isOpen, part) {
   const other = list.other_cycles ? ` ${plural(list.other_cycles, "cycle")} had a poll more or less, or another order.` : "";
   return el("details", { open: isOpen }, el("summary", {}, el("h3", {}, `${who ? `${who}: ` : ""}${plural(list.steps.length, "poll")} every ${span(list.cycle_ms / 1000)}`)),
     soft(`${part}${plural(list.cycles, "cycle")} went in this order and took ${took}.${other}${missing}`),
-    table(`One cycle in order${who ? `, ${who}` : ""}, every ${span(list.cycle_ms / 1000)}`, ["~poll", ">pause before, ms", ">took, ms", ">cycles with missing", "+timeline"], rows));
+    table(`One cycle in order${who ? `, ${who}` : ""}, every ${span(list.cycle_ms / 1000)}`, ["~poll", ">pause before, ms", ">took, ms", ">cycles with missing", "+timeline"], rows, true, PRINTED_ROWS, (at) => list.steps[at].cycles_with_missing));
 }
 
 /* How long each bin of a link counts (s). Its first and last bin hold requests for a part of their
@@ -614,10 +617,11 @@ function everyText(period) {
 function polls() {
   const all = stats.links.flatMap((link) => link.polls.map((poll) => [link, poll]));
   if (!all.length) return;
-  const ranked = all.sort(([, a], [, b]) => (b.latency?.p95_ms ?? 0) - (a.latency?.p95_ms ?? 0));
+  const failed = (one) => one.no_answer + one.exception + one.malformed;
+  const ranked = all.sort(([, a], [, b]) => failed(b) - failed(a) || (b.latency?.p95_ms ?? 0) - (a.latency?.p95_ms ?? 0));
   const rows = ranked.map(([link, one]) => [...(several ? [link.link] : []), pollText(one), one.device || "", count(one.transactions), ...everyText(one.period), digits(one.latency?.p50_ms), digits(one.latency?.p95_ms), digits(one.latency?.max_ms), some(one.exception), some(one.no_answer), one.load ? share(one.load.total_share) : ""]);
   const listed = all.length < stats.polls_listed ? ` Of ${count(stats.polls_listed)} polls the ${count(all.length)} that were asked most.` : "";
-  show("polls", count(all.length), soft(`Equal requests, the slowest first; unit, function and address.${listed}`),
+  show("polls", count(all.length), soft(`Equal requests, ${all.some(([, one]) => failed(one)) ? "those that failed most first, then " : ""}the slowest first; unit, function and address.${listed}`),
     table("Polls", [...(several ? ["link"] : []), "~poll", "device", ">asked", ">every s", ">± ms", ">p50 ms", ">p95 ms", ">most ms", ">exceptions", ">no answer", ">line"], rows, false));
 }
 
@@ -750,7 +754,7 @@ const haystack = (at) => {
 let found = rows.map((_, at) => at), first = 0, here = -1;
 const HEADS = ["#number", ...(isTimed ? [".time (UTC)"] : []), ...(several ? ["link"] : []), ">unit", "=request", "+result", ".outcome", ">ms", ".findings"];
 const body = el("tbody", { role: "rowgroup" });
-const told = el("span", { class: "soft", role: "status" });
+const told = el("span", { class: "soft", role: "status" }), onPaper = el("p", { class: "soft printed" });
 const field = el("input", { type: "search", on: { input: () => { filter(); first = 0; draw(); } } });
 const turn = (by) => el("button", { type: "button", on: { click: () => { first = Math.min(Math.max(first + by * PAGE_ROWS, 0), Math.max(found.length - 1, 0)); draw(); } } }, by < 0 ? "Earlier" : "Later");
 const earlier = turn(-1), later = turn(1);
@@ -767,16 +771,43 @@ function matching(text) {
   return some;
 }
 const filter = () => { found = matching(field.value); };
-function draw() {
-  const page = found.slice(first, first + PAGE_ROWS);
-  const outcomeClass = (outcome) => (outcome === "ok" || outcome === "broadcast" ? "nowrap" : "nowrap bad-text");
+const isTrouble = (row) => hasFailed(row) || texts[row[CODES]] !== "";
+const hasFailed = (row) => !["ok", "broadcast"].includes(texts[row[OUTCOME]]);
+function fill(page) {
   body.replaceChildren(...page.map((at) => {
     const row = rows[at], outcome = texts[row[OUTCOME]];
     const cells = [el("a", { href: `#t${Number(row[NUMBER])}`, "aria-label": `${count(row[NUMBER])}: transaction` }, count(row[NUMBER])),
       ...(isTimed ? [el("span", { class: "mono" }, rowTime(row))] : []), ...(several ? [texts[row[LINK]]] : []), String(row[UNIT]), texts[row[WHAT]], texts[row[RESULT]],
-      el("span", { class: outcomeClass(outcome) }, outcome), row[LATENCY] < 0 ? "" : digits(row[LATENCY] / 1000), texts[row[CODES]]];
+      el("span", { class: hasFailed(row) ? "nowrap bad-text" : "nowrap" }, outcome), row[LATENCY] < 0 ? "" : digits(row[LATENCY] / 1000), texts[row[CODES]]];
     return tableRow(HEADS, cells, true, { id: `t${row[NUMBER]}`, class: at === here ? "here" : null, tabindex: "-1" });
   }));
+}
+/* On paper stand what the reader searched, or else the rows that failed or have a finding, of each
+   kind alike many, each behind the row before it; without any, the first ones. */
+function troubled() {
+  const kinds = new Map(), chosen = new Set();
+  rows.forEach((row, at) => {
+    if (!isTrouble(row)) return;
+    const kind = [LINK, UNIT, OUTCOME, CODES].map((place) => row[place]).join();
+    kinds.set(kind, [...(kinds.get(kind) ?? []), at].slice(0, PRINTED_TRANSACTIONS));
+  });
+  for (let turn = 0; turn < PRINTED_TRANSACTIONS; turn++) for (const list of kinds.values()) {
+    const at = list[turn], hasBefore = at > 0 && rows[at - 1][NUMBER] === rows[at][NUMBER] - 1;
+    const more = at === undefined ? [] : hasBefore ? [at - 1, at] : [at];
+    if (chosen.size + more.length <= PRINTED_TRANSACTIONS) more.forEach((one) => chosen.add(one));
+  }
+  return [...chosen].sort((a, b) => a - b);
+}
+function rowsToPaper() {
+  const bad = field.value || rows.length <= PRINTED_TRANSACTIONS ? [] : troubled(), page = bad.length ? bad : found.slice(first, first + PRINTED_TRANSACTIONS);
+  const isSome = page.filter((at) => isTrouble(rows[at])).length < data.transactions.with_trouble;
+  const which = bad.length ? `: ${isSome ? "some of each kind of " : ""}those that failed or have a finding, each with the one before` : field.value ? `, found by ${field.value}` : "";
+  fill(page);
+  onPaper.textContent = page.length === data.transactions.transactions ? "" : clean(`On paper ${plural(page.length, "transaction")}${which}.`);
+}
+function draw() {
+  const page = found.slice(first, first + PAGE_ROWS);
+  fill(page);
   const last = Math.min(first + PAGE_ROWS, found.length);
   told.textContent = found.length ? `${count(first + 1)} to ${count(last)} of ${count(found.length)}` : "nothing fits";
   earlier.disabled = first === 0;
@@ -836,8 +867,7 @@ function transactions() {
     soft(`${out ? `${count(rows.length)} of ${count(all.transactions)} transactions: the first ones${all.late ? ", late answers" : ""} and ${lost ? `${count(all.kept_with_trouble)} of the ${count(all.with_trouble)}` : "all"} that failed or have a finding. ${count(out)} are left out; mbtool report --all puts them all into the page.` : `All ${plural(all.transactions, "transaction")}.`} ${isTimed ? `Times are UTC${oneDay ? `, on ${day(beginUs)}` : ""}.` : "The capture has no times."}`),
     el("div", { class: "tools" }, el("label", {}, "Search transactions", field), earlier, later, told),
     el("p", { class: "soft screen" }, "Words must all occur; unit:5 and #12 are exact. Also: no-answer, exception, a code such as MB-401, a time, ms>400."),
-    frame("Transactions", HEADS, body, true, false),
-    rows.length > PRINTED_TRANSACTIONS ? el("p", { class: "soft printed" }, `On paper at most ${PRINTED_TRANSACTIONS} rows of those on the screen.`) : null);
+    onPaper, frame("Transactions", HEADS, body, true, false));
   draw();
 }
 
