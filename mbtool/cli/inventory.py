@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
     from mbtool.overview.baseline import InventoryChange
     from mbtool.overview.inventory_rows import InventoryDocument
+    from mbtool.workflows.inventory import InventoryRun
 
 
 class InventoryFormat(StrEnum):
@@ -122,7 +123,10 @@ def inventory(
             run.reading.demand_readable()
             new = changes_since(baseline, document, options, say) if baseline else None
         with opened(path, lambda: None, overwrite=overwrite) as (file, name), told_as_lost(name):
-            _write(file, chosen, document, new, __version__, everything=each)
+            if chosen is InventoryFormat.JSON:
+                file.write(_json(run, document, new, __version__))
+            else:
+                _write(file, chosen, document, new, __version__, everything=each)
             file.flush()
     say_if_empty(run.reading)
     say(_sentence(document, new) + ("" if path is None else f" -> {path}"))
@@ -134,6 +138,20 @@ def inventory(
         raise typer.Exit(exit_codes.NO)
 
 
+def _json(
+    run: InventoryRun,
+    document: InventoryDocument,
+    new: Sequence[InventoryChange] | None,
+    version: str,
+) -> str:
+    """Return the inventory and the changes since the baseline (None: no baseline) as JSON."""
+    from mbtool.views.inventory_documents import inventory_json
+
+    rest = [str(one) for one in (run.reading.why_empty, run.error) if one is not None]
+    remarks = [*run.reading.remarks, *rest]
+    return inventory_json(document, version, new, remarks=remarks, is_whole=run.error is None)
+
+
 def _write(
     file: TextIO,
     format_: InventoryFormat,
@@ -143,7 +161,7 @@ def _write(
     *,
     everything: bool,
 ) -> None:
-    """Write the inventory in one of the formats to `file`.
+    """Write the inventory in one of the formats but JSON to `file`.
 
     `new` are the changes since the baseline, None without a baseline. With a baseline, a table or
     CSV has only the changes. `everything` lets the table show all rows.
@@ -151,7 +169,7 @@ def _write(
     from mbtool.cli.console import PipeConsole
     from mbtool.views.inventory_changes import print_changes
     from mbtool.views.inventory_cyclonedx import inventory_cyclonedx
-    from mbtool.views.inventory_documents import changes_csv, inventory_csv, inventory_json
+    from mbtool.views.inventory_documents import changes_csv, inventory_csv
     from mbtool.views.inventory_graph import inventory_dot
     from mbtool.views.inventory_table import print_inventory
 
@@ -160,8 +178,6 @@ def _write(
             print_changes(PipeConsole(file=file), new)
         case InventoryFormat.TABLE:
             print_inventory(PipeConsole(file=file), document, everything=everything)
-        case InventoryFormat.JSON:
-            file.write(inventory_json(document, version, new))
         case InventoryFormat.CSV:
             file.write(inventory_csv(document) if new is None else changes_csv(new))
         case InventoryFormat.DOT:

@@ -116,8 +116,13 @@ class _Shown:
     as_json: bool
     top: int | None
 
-    def print(self, statistics: Statistics) -> None:
-        """Print the statistics to standard output. Raises OutputError if it cannot be written."""
+    def print(
+        self, statistics: Statistics, remarks: Sequence[str] = (), *, is_whole: bool = True
+    ) -> None:
+        """Print the statistics to standard output. Raises OutputError if it cannot be written.
+
+        `remarks` are lines about the files. `is_whole` is False if a part of them was not read.
+        """
         from mbtool.cli.console import PipeConsole
         from mbtool.cli.output import told_as_lost
         from mbtool.overview.statistics_report import report
@@ -128,7 +133,12 @@ class _Shown:
         with told_as_lost("standard output"):
             if self.as_json:
                 text = statistics_document(
-                    statistics, links, sources=[*map(shown_name, self.sources)], where=self.where
+                    statistics,
+                    links,
+                    sources=[*map(shown_name, self.sources)],
+                    where=self.where,
+                    remarks=remarks,
+                    is_whole=is_whole,
                 )
                 sys.stdout.write(text)
             elif statistics.transactions or any(link.connections for link in links):
@@ -171,9 +181,11 @@ def _read(shown: _Shown, options: ReadingOptions) -> None:
         try:
             for _ in with_progress(reading, interrupt.breakable(run.run())):
                 pass
+            reading.demand_readable()
         except InputError as error:
             broken = error
-        shown.print(run.statistics)
+        rest = [str(one) for one in (reading.why_empty, broken) if one is not None]
+        shown.print(run.statistics, [*run.remarks, *rest], is_whole=broken is None)
     for remark in run.remarks:
         say(remark)
     if broken is not None:

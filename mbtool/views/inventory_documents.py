@@ -1,7 +1,8 @@
 """Writes an inventory (the hosts, units and masters of a capture) as JSON or CSV."""
 
-# The JSON has the fields of InventoryDocument (overview/inventory_rows.py), the program's version
-# and, if the user names an older inventory as baseline, the changes since it. mbtool can read this
+# The JSON has the fields of InventoryDocument (overview/inventory_rows.py), the program's version,
+# whether the files could be read to their ends, remarks about them and, if the user names an older
+# inventory as baseline, the changes since it. mbtool can read this
 # JSON again as a baseline.
 #
 # A row of CSV is a unit of a host, or a master; a master's row has no unit. Several values in a
@@ -40,11 +41,18 @@ _ONE_LINE = str.maketrans("\r\n\t", "   ")
 
 
 def inventory_json(
-    document: InventoryDocument, version: str, changes: Sequence[InventoryChange] | None = None
+    document: InventoryDocument,
+    version: str,
+    changes: Sequence[InventoryChange] | None = None,
+    *,
+    remarks: Sequence[str] = (),
+    is_whole: bool = True,
 ) -> str:
     """Return the inventory as JSON, with a line end.
 
     `version` is that of mbtool. `changes` are those since a baseline, None without a baseline.
+    `remarks` are lines for the user about the files. `is_whole` is False if a part of the files
+    could not be read.
     """
     fields: dict[str, Any] = {"mbtool": version, **msgspec.to_builtins(document)}
     for row in (*fields.get("slaves", ()), *fields.get("masters", ())):
@@ -52,6 +60,7 @@ def inventory_json(
             iso_time(row.get("first_ns", 0)),
             iso_time(row.get("last_ns", 0)),
         )
+    fields |= {"is_whole": is_whole, "remarks": list(remarks)}
     if changes is not None:
         fields["changes"] = msgspec.to_builtins(changes)
     text = msgspec.json.format(msgspec.json.encode(fields), indent=2).decode()

@@ -44,15 +44,20 @@ def statistics_document(
     *,
     sources: Sequence[str],
     where: str | None,
+    remarks: Sequence[str] = (),
+    is_whole: bool = True,
 ) -> str:
     """Return the document as JSON.
 
-    `sources` are the files or links, `where` is the user's filter.
+    `sources` are the files or links, `where` is the user's filter. `remarks` are lines for the user
+    about the files. `is_whole` is False if a part of the files could not be read.
     """
     document = {
         "schema": SCHEMA,
         "sources": list(sources),
         "where": where,
+        "is_whole": is_whole,
+        "remarks": list(remarks),
         "transactions": statistics.transactions,
         "polls_seen": statistics.polls_seen,
         "polls_listed": len(statistics.polls),

@@ -65,9 +65,11 @@ def document(page: Path) -> dict[str, Any]:
 
 
 def differences(page: Any, stats: Any, at: str = "") -> list[str]:
-    """Where the page's figures are not those of stats; histograms of single polls are left out."""
+    """Where the page's figures are not those of stats; histograms of single polls
+    and remarks are left out."""
     if isinstance(stats, dict) and isinstance(page, dict):
-        keys = [key for key in stats if not (key == "histogram" and ".polls" in at)]
+        left_out = {"histogram"} if ".polls" in at else {"is_whole", "remarks"}
+        keys = [key for key in stats if key not in left_out]
         return [
             one for key in keys for one in differences(page.get(key), stats[key], f"{at}.{key}")
         ]

@@ -53,6 +53,18 @@ def test_a_line_is_a_table_too_with_the_profile_that_its_log_names(mbtool: Comma
     assert told.lines[2].strip().startswith("rtu, seen 2026-11-21 ")
 
 
+def test_json_says_if_a_capture_is_cut(mbtool: CommandLine, tmp_path: Path) -> None:
+    cut = tmp_path / "cut.pcap"
+    cut.write_bytes(FA3.read_bytes()[:-5])
+    told = mbtool("inventory", cut, "--format", "json")
+    document = json.loads(told.out)
+    (remark,) = document["remarks"]
+    assert not document["is_whole"]
+    assert told.err.endswith(f"mbtool: {remark}\n")
+    document = json.loads(mbtool("inventory", FA3, "--format", "json").out)
+    assert (document["is_whole"], document["remarks"]) == (True, [])
+
+
 def test_the_format_follows_the_name_of_the_output(mbtool: CommandLine, tmp_path: Path) -> None:
     for name, begin in (
         ("a.json", "{"),

@@ -51,6 +51,7 @@ def test_the_document_says_what_was_asked_for(mbtool: CommandLine) -> None:
     document = json.loads(mbtool("stats", NETWORK, "--json", "--where", "function == 3").out)
     assert (document["schema"], document["sources"]) == (1, [str(NETWORK)])
     assert (document["where"], document["transactions"]) == ("function == 3", 10)
+    assert (document["is_whole"], document["remarks"]) == (True, [])
     (link,) = document["links"]
     assert (link["link"], link["transport"], link["settings"]) == ("127.0.0.1:39745", "tcp", None)
     assert link["load"] is None
@@ -88,6 +89,11 @@ def test_a_cut_capture_is_counted_up_to_its_end(
     assert told.code == exit_codes.UNREADABLE
     assert told.lines[0].startswith("tcp ")
     assert told.err.endswith("whole packets\n")
+    told = mbtool("stats", cut, "--json")
+    document = json.loads(told.out)
+    (remark,) = document["remarks"]
+    assert not document["is_whole"]
+    assert told.err == f"mbtool: {remark}\n"
 
 
 def test_two_captures_of_one_line_have_no_time_between_them(mbtool: CommandLine) -> None:

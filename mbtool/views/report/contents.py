@@ -146,6 +146,7 @@ def _statistics(contents: ReportContents) -> dict[str, Any]:
         contents.statistics, contents.links, sources=contents.sources, where=None
     )
     document: dict[str, Any] = json.loads(text)
+    del document["is_whole"], document["remarks"]  # The key `capture` has all remarks.
     for link in document["links"]:
         link["polls"] = sorted(
             sorted(link["polls"], key=lambda poll: -poll["transactions"])[:MAX_POLLS],
