@@ -147,8 +147,8 @@ def _json(
     """Return the inventory and the changes since the baseline (None: no baseline) as JSON."""
     from mbtool.views.inventory_documents import inventory_json
 
-    rest = [str(one) for one in (run.reading.why_empty, run.error) if one is not None]
-    remarks = [*run.reading.remarks, *rest]
+    why = run.reading.why_empty if run.error is None else str(run.error)
+    remarks = [*run.reading.remarks, *([] if why is None else [why])]
     return inventory_json(document, version, new, remarks=remarks, is_whole=run.error is None)
 
 

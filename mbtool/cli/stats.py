@@ -184,8 +184,9 @@ def _read(shown: _Shown, options: ReadingOptions) -> None:
             reading.demand_readable()
         except InputError as error:
             broken = error
-        rest = [str(one) for one in (reading.why_empty, broken) if one is not None]
-        shown.print(run.statistics, [*run.remarks, *rest], is_whole=broken is None)
+        why = reading.why_empty if broken is None else str(broken)
+        remarks = [*run.remarks, *([] if why is None else [why])]
+        shown.print(run.statistics, remarks, is_whole=broken is None)
     for remark in run.remarks:
         say(remark)
     if broken is not None:
