@@ -20,6 +20,8 @@ from mbtool.modbus.adu import Transport, Verdict
 
 _WITH_UNIT = re.compile(r"(?P<host>.+)/(?P<unit>[0-9]{1,3})")
 _WITH_PORT = re.compile(r"[^:]+:[0-9]+|\[.*\]:[0-9]+")
+WRONG_CRC = 'a response with a wrong CRC or LRC is found among outcome == "no-answer"'
+"""For the user who looks for such responses."""
 
 
 class ValueKind(StrEnum):
@@ -114,7 +116,9 @@ def _why_never_equal(left: Term, right: Term) -> str | None:
             fits = not any(_why_never_equal(other, item) for item in one.items)
             return _unlike(left, right, f"write {other.text} in {one.text}" if fits else None)
         if one.choices and other.constant is not None and other.constant not in one.choices:
-            return f"{one.text} is never {other.text}; it is {_either(one.choices)}"
+            is_check = re.search("[cl]rc", other.constant, re.IGNORECASE) is not None
+            instead = WRONG_CRC if is_check else f"it is {_either(one.choices)}"
+            return f"{one.text} is never {other.text}; {instead}"
         if one.is_host and other.constant is not None and _WITH_PORT.fullmatch(other.constant):
             whole = "source" if one.text == "master" else "destination"
             return f"{one.text} has no port; write {whole} == {other.text}"

@@ -32,8 +32,10 @@ from typing import TYPE_CHECKING, Any
 
 from mbtool.core import UsageError
 from mbtool.core.moments import parse_iso
+from mbtool.query.mistakes import find_mistake
 from mbtool.query.terms import (
     NAMES,
+    WRONG_CRC,
     Term,
     ValueKind,
     is_at,
@@ -103,7 +105,9 @@ def parse_where(text: str) -> Where:
             source = _WORDS_AND_TEXTS.sub(_as_call, text)
             tree = ast.parse(source, mode="eval")
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-        raise UsageError(f"--where {_short(text)!r} is not an expression; {_EXAMPLE}") from error
+        mistake = find_mistake(text)
+        why = f"; {_EXAMPLE}" if mistake is None else f": {mistake.told}"
+        raise UsageError(f"--where {_short(text)!r} is not an expression{why}") from error
     return _Compiler(text, source).condition(tree.body, MAX_DEPTH)
 
 
@@ -250,6 +254,7 @@ class _Compiler:
         match node:
             case ast.Name(id=name):
                 if name not in NAMES:
+                    self._refuse_unquoted(name)
                     near = difflib.get_close_matches(name, NAMES, n=1)
                     meant = f", did you mean {near[0]!r}?" if near else ";"
                     raise self._wrong(
@@ -268,9 +273,19 @@ class _Compiler:
             case ast.UnaryOp(op=ast.USub(), operand=ast.Constant(value=int() | float() as number)):
                 return self._number(node, -number)
             case _:
+                self._refuse_unquoted(ast.unparse(node).replace(" ", ""))
                 raise self._refused(
                     f"{self._source(node)!r} is neither a name, a number nor a text"
                 )
+
+    def _refuse_unquoted(self, text: str) -> None:
+        """Raise UsageError if `text` is one that a name can have, or a date, but lacks quotes."""
+        if any(text in term.choices for term in NAMES.values()):
+            raise self._wrong(f'{text!r} is a text; write "{text}"')
+        if "crc" in text.lower() or "lrc" in text.lower():
+            raise self._wrong(f"there is no {_short(text)!r}; {WRONG_CRC}")
+        if parse_iso(text) is not None:
+            raise self._wrong(f'{text!r} is a moment; write "{text}"')
 
     def _number(self, node: ast.expr, number: float) -> Term:
         # Show the number as the user wrote it, because Python would write 1e999 as 1e309, and 1e5

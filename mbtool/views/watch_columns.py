@@ -139,6 +139,29 @@ def fitted(
     return result
 
 
+def left_out(
+    columns: Sequence[WatchColumn],
+    shown: Sequence[FittedColumn],
+    width: int,
+    widest: Mapping[str, int],
+) -> dict[str, str]:
+    """Return why usual or chosen columns are not seen on a screen of `width` characters, by name.
+
+    `shown` is the result of `fitted` for that width, and `widest` as there.
+    """
+    end, seen = 0, set()
+    for one in shown:
+        end += one.width + (1 if end else 0)
+        if end <= width:
+            seen.add(one.column.name)
+    names = {one.column.name for one in shown} | {one.name for one in columns if one.is_usual}
+    return {
+        one.name: "empty" if _is_empty(one, widest) else f"no room in {width} columns"
+        for one in columns
+        if one.name in names - seen
+    }
+
+
 def _needed(columns: Sequence[WatchColumn], widest: Mapping[str, int]) -> Mapping[str, int]:
     """Return the width that a column's widest cell needs, by name, where it is known."""
     return {

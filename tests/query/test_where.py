@@ -180,7 +180,7 @@ def test_a_comparison_that_can_be_true_is_accepted(expression: str) -> None:
     [
         ("", "--where '' is not an expression"),
         ("unit =", "--where 'unit =' is not an expression"),
-        ("unit = 5", "--where 'unit = 5' is not an expression"),
+        ("unit = 5", "--where 'unit = 5' is not an expression: write =="),
         ("unit == 5 and", "--where 'unit == 5 and' is not an expression"),
         ("unit == 1\0", "is not an expression"),
         ("unit", "'unit' is not a comparison"),
@@ -205,6 +205,34 @@ def test_everything_but_comparisons_is_an_error_with_an_example(
     with pytest.raises(UsageError, match=re.escape(problem)) as caught:
         parse_where(expression)
     assert "unit" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("expression", "told"),
+    [
+        ("unit=5", "not an expression: write =="),
+        ("unit == 5 && function == 3", "not an expression: write and"),
+        ("unit == 5 AND function = 3", "not an expression: write and"),
+        ("unit => 5", "not an expression: write >="),
+        ("!(unit == 5)", "not an expression: write not"),
+        ("unit 17", "not an expression: write unit == 17"),
+        ("link == 'a = b' and link 'c'", "not an expression: write link == 'c'"),
+        ("outcome ok", 'not an expression: write outcome == "ok"'),
+        ("reference like HR4*", "not an expression: write the text behind like in quotes"),
+        ("time > 14:15:00", 'write a time in quotes: "2026-11-22T09:14:03"'),
+        ("time > 2026-09-21T14:15", 'write a time in quotes: "2026-11-22T09:14:03"'),
+        ("time > 2026-11-22", "'2026-11-22' is a moment; write \"2026-11-22\""),
+        ("outcome == ok", "'ok' is a text; write \"ok\""),
+        ("outcome == no-answer", "'no-answer' is a text; write \"no-answer\""),
+        ("outcome == wrong-crc", "there is no 'wrong-crc'; a response with a wrong CRC or LRC is"),
+        ("outcome == 'crc'", "outcome is never 'crc'; a response with a wrong CRC or LRC is found"),
+        ("link == 'a = b' and", "is not an expression; for example"),
+        ("reference like reference", "is not an expression: write the text behind like"),
+    ],
+)
+def test_the_usual_mistakes_are_told_what_to_write(expression: str, told: str) -> None:
+    with pytest.raises(UsageError, match=re.escape(told)):
+        parse_where(expression)
 
 
 @pytest.mark.parametrize(

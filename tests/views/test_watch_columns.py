@@ -10,6 +10,7 @@ from mbtool.views.watch_columns import (
     WatchColumn,
     cut_spans,
     fitted,
+    left_out,
     row_spans,
     row_text,
     title_spans,
@@ -77,6 +78,18 @@ def test_chosen_columns_stay_in_their_order_however_narrow() -> None:
         "more",
         "rare",
     ]
+
+
+def test_columns_that_are_not_seen_are_told_with_the_reason() -> None:
+    def told(width: int, chosen: list[str] | None = None, **widest: int) -> dict[str, str]:
+        shown = fitted(SLAVE_COLUMNS, width, chosen, widest=widest)
+        return left_out(SLAVE_COLUMNS, shown, width, widest)
+
+    assert told(160) == {}
+    assert told(160, device=0) == {"device": "empty"}
+    assert told(50)["max"] == "no room in 50 columns"
+    assert "state" not in told(50)
+    assert "state" in told(40, [one.name for one in SLAVE_COLUMNS])
 
 
 def test_no_choice_that_exists_gives_the_first_column() -> None:

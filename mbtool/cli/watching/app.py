@@ -12,6 +12,7 @@ from mbtool.cli.watching.choices import AS_IT_COMES, ColumnChoice, SortChoice
 from mbtool.cli.watching.help_window import HelpWindow, key_name
 from mbtool.cli.watching.prompted_app import PromptedApp
 from mbtool.cli.watching.watch_views import VIEWS
+from mbtool.views.watch_columns import left_out
 from mbtool.workflows.watch import FileFeed
 
 if TYPE_CHECKING:
@@ -151,8 +152,10 @@ class WatchApp(PromptedApp):
 
     def action_columns(self) -> None:
         chosen = self.settings.columns.get(self.view.name)
-        names = [one.name for one in self.view.columns if one.is_usual]
-        self.push_screen(ColumnChoice(self.view.columns, chosen or names), self._choose)
+        columns = self.view.columns
+        names = [one.name for one in columns if one.is_usual]
+        unseen = left_out(columns, self.table.columns, self.size.width, self._widest[self.view_at])
+        self.push_screen(ColumnChoice(columns, chosen or names, unseen), self._choose)
 
     def _choose(self, names: list[str] | None) -> None:
         if names is None:

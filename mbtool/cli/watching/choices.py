@@ -12,7 +12,7 @@ from textual.widgets import OptionList, Static
 from textual.widgets.option_list import Option
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
+    from collections.abc import Collection, Mapping, Sequence
 
     from textual.app import ComposeResult
 
@@ -41,9 +41,18 @@ class ColumnChoice(ModalScreen[list[str] | None]):
         Binding("u", "usual", "The usual columns"),
     ]
 
-    def __init__(self, columns: Sequence[WatchColumn], shown: Collection[str]) -> None:
+    def __init__(
+        self,
+        columns: Sequence[WatchColumn],
+        wanted: Collection[str],
+        left_out: Mapping[str, str] | None = None,
+    ) -> None:
+        """`wanted` are the names of columns that are on; `left_out` says by name why some of them
+        are not seen all the same.
+        """
         super().__init__()
-        self._columns, self._shown = columns, set(shown)
+        self._columns, self._wanted = columns, set(wanted)
+        self._before, self._left_out = frozenset(wanted), left_out or {}
 
     def compose(self) -> ComposeResult:
         with Vertical():
@@ -52,17 +61,20 @@ class ColumnChoice(ModalScreen[list[str] | None]):
 
     def _line(self, column: WatchColumn) -> Text:
         # The sign shows the state without colour, too.
-        return Text(f"{'[x]' if column.name in self._shown else '[ ]'} {column.name}")
+        line = Text(f"{'[x]' if column.name in self._wanted else '[ ]'} {column.name}")
+        why = self._left_out.get(column.name) if column.name in self._before else None
+        return line if why is None else line.append(f"  {why}", "dim")
 
     def action_turn(self) -> None:
         options = self.query_one(OptionList)
         at = options.highlighted
         if at is not None:
-            self._shown ^= {self._columns[at].name}
+            self._wanted ^= {self._columns[at].name}
             options.replace_option_prompt_at_index(at, self._line(self._columns[at]))
 
     def action_take(self) -> None:
-        self.dismiss([one.name for one in self._columns if one.name in self._shown])
+        names = [one.name for one in self._columns if one.name in self._wanted]
+        self.dismiss(None if self._wanted == self._before else names)
 
     def action_usual(self) -> None:
         self.dismiss([])

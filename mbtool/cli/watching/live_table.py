@@ -57,7 +57,8 @@ class LiveTable(Widget, can_focus=True):
     def __init__(self) -> None:
         super().__init__()
         self.rows: Sequence[Any] = ()
-        self._columns: Sequence[FittedColumn] = ()
+        self.columns: Sequence[FittedColumn] = ()
+        """The columns that are drawn; those at the end may lie beyond the screen."""
         self._drawing = DrawContext()
         self._sorted_by: tuple[str | None, bool] = (None, False)
         self._empty = ""
@@ -95,7 +96,7 @@ class LiveTable(Widget, can_focus=True):
         self, columns: Sequence[FittedColumn], context: DrawContext, *, empty: str = ""
     ) -> None:
         """Draw the rows, or the text `empty` if there are none."""
-        self._columns, self._drawing, self._empty = columns, context, empty
+        self.columns, self._drawing, self._empty = columns, context, empty
         self.refresh()
 
     @property
@@ -147,14 +148,14 @@ class LiveTable(Widget, can_focus=True):
         width = self.size.width
         if y == 0:
             name, descending = self._sorted_by
-            strip = strip_of(title_spans(self._columns, name, descending=descending), width)
+            strip = strip_of(title_spans(self.columns, name, descending=descending), width)
             return strip.apply_style(self._base)
         index = self._top + y - 1
         if not self.rows and y == 2:
             return strip_of([(f"  {self._empty}", "dim")], width).apply_style(self._base)
         if index >= len(self.rows):
             return Strip.blank(width, self._base)
-        strip = strip_of(row_spans(self.rows[index], self._columns, self._drawing), width)
+        strip = strip_of(row_spans(self.rows[index], self.columns, self._drawing), width)
         strip = strip.apply_style(self._base)
         if index == self._cursor and self.has_focus:
             return _under_cursor(strip, width)

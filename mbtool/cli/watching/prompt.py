@@ -11,6 +11,7 @@ from textual.message import Message
 from textual.widgets import Input
 
 from mbtool.core import UsageError
+from mbtool.query.mistakes import find_mistake
 from mbtool.query.where import parse_where
 
 if TYPE_CHECKING:
@@ -92,6 +93,9 @@ def why_wrong(text: str, error: UsageError) -> tuple[int, str]:
     if "did you mean" in reason:
         reason = f"{reason.partition('?')[0]}?"  # The list of all names has no room.
     cause = error.__cause__
+    mistake = find_mistake(text) if cause is not None else None
+    if mistake is not None:
+        return mistake
     if isinstance(cause, SyntaxError):
         # If an expression ends too early, Python reports no offset, or the first one.
         offset = (cause.offset or 0) - 1

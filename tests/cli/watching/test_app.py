@@ -297,6 +297,21 @@ def test_c_chooses_columns_and_they_are_remembered(config_folder: Path) -> None:
     assert (config_folder / "mbtool" / "watch.json").exists()
 
 
+def test_c_says_which_columns_have_no_room_and_enter_alone_changes_nothing() -> None:
+    async def test() -> None:
+        values = [40_000 + at for at in range(60)]
+        async with screen(GivenFeed([read(0, *values)]), (64, 24)) as seen:
+            await seen.press("c")
+            await seen.pilot.pause()
+            assert "[x] trend  no room in 64 columns" in seen.text
+            assert "[x] values " in seen.text
+            await seen.press("enter")
+            await seen.pilot.pause()
+            assert seen.app.settings.columns == {}
+
+    run(test)
+
+
 def test_damaged_settings_are_told_in_the_screen(config_folder: Path) -> None:
     (config_folder / "mbtool").mkdir()
     (config_folder / "mbtool" / "watch.json").write_text("{")

@@ -18,6 +18,8 @@ from mbtool.core import UsageError
         ("unit ==", 7, "not complete"),
         ("unit == 1 and", 13, "not complete"),
         ("unit == 1 and )", 14, "not an expression from here"),
+        ("link == '=' and unit = 5", 21, "write =="),
+        ("outcome == no-answer", 11, 'write "no-answer"'),
     ],
 )
 def test_an_error_has_a_place_in_the_text(text: str, place: int, reason: str) -> None:
