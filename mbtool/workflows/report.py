@@ -147,7 +147,9 @@ class ReportRun:
                 self._values.add(named)
                 # Before the statistics, which may tell at once that its request is a retry.
                 self._rows.add(named, _codes_of(named, findings))
-            self.statistics.add(record)
+            poll = self.statistics.add(record)
+            if poll is not None and not isinstance(named, WireEvent):
+                self._rows.pauses.note(poll.key, self._rows.transactions, named)
             self._history.add(named)
         if one.rows is not None:
             self._note_capture()
@@ -166,6 +168,11 @@ class ReportRun:
         if not self._values.add_reads(reads):
             for named in rows.transactions(len(rows)):
                 self._values.add(named)
+        self._rows.pauses.note_run(
+            answered,
+            self._rows.transactions,
+            lambda place: next(rows.behind(place).transactions(1)),
+        )
         wanted = self._rows.first_of(len(rows))
         for named in rows.transactions(wanted):
             self._rows.add(named, ())
@@ -176,6 +183,7 @@ class ReportRun:
         if self.reading.captures != self._captures:
             self._captures = self.reading.captures
             self.statistics.begin_capture()
+            self._rows.pauses.begin_capture()
 
     def _note_event(self, record: object) -> None:
         if not isinstance(record, WireEvent):

@@ -142,6 +142,41 @@ def test_late_answers_are_rows_both_ways(tmp_path: Path) -> None:
     ]
 
 
+def polling_with_pauses() -> bytes:
+    """Two masters poll a slave each, one of them with 7 pauses of 3.2 to 9.2 s."""
+    packets = []
+    for host in (1, 2):
+        talk = Talk(ts_ns=START_NS)
+        talk.slave.host = f"10.0.0.{host}"
+        packets += talk.handshake()
+        for number in range(400):
+            part = number // 50 if host == 1 else 0
+            paused_s = sum(range(2, 2 + part)) + part
+            talk.ts_ns = START_NS + (number * 200 + paused_s * 1000 + host) * 1_000_000
+            packets.append(talk.request(mbap_adu(number, host, READ)))
+            answer = encode_pdu(3, Direction.RESPONSE, values=(number,))
+            packets.append(talk.response(mbap_adu(number, host, answer)))
+    return pcap(sorted(packets, key=lambda one: one.ts_ns))
+
+
+def test_transactions_beside_the_longest_pauses_are_rows_both_ways(tmp_path: Path) -> None:
+    path = tmp_path / "pauses.pcap"
+    path.write_bytes(polling_with_pauses())
+    with patch.object(transaction_rows, "FIRST", 30):
+        assert demand_equal(path) > 100
+        document = page_of(path, 0)[0]
+    told = document["transactions"]
+    (trouble,) = document["verdict"]["troubles"]
+    assert "7 times" in trouble["text"]
+    assert trouble["cases_title"] == "the 5 longest:"
+    beside = told["rows"][30:]
+    assert told["beside_pauses"] == len(beside) == 10
+    values = [told["texts"][row[5]] for row in beside]
+    assert values == [str(50 * part + at) for part in range(3, 8) for at in (-1, 0)]
+    begins = {told["begin_us"] + row[1] for row in beside[::2]}
+    assert begins == {at_us for at_us, _ in trouble["cases"]}
+
+
 @pytest.mark.parametrize(
     "limit",
     [

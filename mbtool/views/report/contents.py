@@ -121,6 +121,7 @@ def report_document(contents: ReportContents) -> dict[str, Any]:
                     "text": one.text,
                     "who": one.who,
                     "search": one.search,
+                    "cases_title": one.cases_title,
                     "cases": [[at_ns // 1000, text] for at_ns, text in one.cases],
                     "rank": one.rank.name.lower(),
                     "is_rule": one.is_rule,
@@ -135,7 +136,9 @@ def report_document(contents: ReportContents) -> dict[str, Any]:
         "values": _values(contents.values, bins.begin_ns),
         "inventory": _inventory(contents.inventory),
         "findings": _findings(contents),
-        "transactions": contents.rows.document(verdict.late_ns),
+        "transactions": contents.rows.document(
+            verdict.late_ns, {at_ns for one in verdict.troubles for at_ns, _ in one.cases}
+        ),
         "capture": _capture(contents),
         "against": None if contents.comparison is None else _comparison(contents.comparison),
     }

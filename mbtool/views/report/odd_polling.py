@@ -31,6 +31,7 @@ def odd_troubles(
 def _trouble(some: Sequence[Oddity[Unit]], name_of: Callable[[Unit], str]) -> VerdictTrouble:
     worst = some[0]
     cases: tuple[tuple[int, str], ...] = ()
+    title = ""
     if isinstance(worst, LateUnit):
         who = name_of(worst.unit)
         search = f"{link_word(worst.unit[0])}unit:{worst.unit[1]} ms>={worst.late_ns // _MS}"
@@ -39,6 +40,9 @@ def _trouble(some: Sequence[Oddity[Unit]], name_of: Callable[[Unit], str]) -> Ve
         search = link_word(worst.link).strip()
     if isinstance(worst, PollingPause):
         cases = tuple((begin_ns, f"for {duration(ns)}") for ns, begin_ns in worst.cases)
+        if sum(one.number for one in some if isinstance(one, PollingPause)) > len(cases):
+            of = f" of {who}" if len(some) > 1 else ""
+            title = f"the longest{of}:" if len(cases) == 1 else f"the {len(cases)} longest{of}:"
     return VerdictTrouble(
         rank=Rank.ODD,
         text=oddities_text(some, name_of),
@@ -46,5 +50,6 @@ def _trouble(some: Sequence[Oddity[Unit]], name_of: Callable[[Unit], str]) -> Ve
         who=who,
         search=search,
         cases=cases,
+        cases_title=title,
         units=frozenset(UnitRow(*one.unit) for one in some if isinstance(one, LateUnit)),
     )

@@ -1,4 +1,6 @@
-"""Collects the rows of a report's table of transactions: the first, failed and late ones."""
+"""Collects the rows of a report's table of transactions: the first, failed and late ones, and those
+beside pauses.
+"""
 
 # A row is a list of integers, to keep the page small:
 #
@@ -9,7 +11,7 @@
 # occur often. New texts are cut shorter as the page grows (ROOM), so that it stays below 3 MB.
 #
 # Memory: the first FIRST rows, and of later ones at most MORE with a failure or a finding, at most
-# OF_KIND of each kind for one unit; and the late answers that LateAnswers keeps. With `everything`
+# OF_KIND of each kind for one unit; and what LateAnswers and BesidePauses keep. With `everything`
 # there is no limit.
 
 from __future__ import annotations
@@ -23,11 +25,12 @@ from mbtool.modbus import Outcome
 from mbtool.modbus.damaged_answers import DamagedAnswers
 from mbtool.series.history import UnitRow
 from mbtool.views.cells import result_text, transaction_text
+from mbtool.views.report.beside_pauses import BesidePauses
 from mbtool.views.report.late_answers import LateAnswers
 from mbtool.views.tables import printable
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Collection, Iterable, Mapping
 
     from mbtool.core import WireEvent
     from mbtool.devices import NamedTransaction
@@ -60,6 +63,8 @@ class TransactionRows:
         self._kinds: Counter[tuple[str, int, str]] = Counter()
         self._more = 0
         self._late = LateAnswers()
+        self.pauses = BesidePauses()
+        """Takes all transactions apart from `add`, as only the statistics know their polls."""
         self._by_time: dict[tuple[str, int | None, int], tuple[list[int], dict[str, None]]] = {}
         """Each kept row and the codes of its findings, by the transaction's link, unit and start
         in ns since 1970; `mark` looks up the row of a finding here. A transaction whose response
@@ -137,21 +142,32 @@ class TransactionRows:
             change = self._retries.add if number > 0 else self._retries.discard
             change(found[0][_NUMBER])
 
-    def document(self, late_ns: Mapping[UnitRow, int]) -> dict[str, Any]:
+    def document(
+        self, late_ns: Mapping[UnitRow, int], pauses_ns: Collection[int] = ()
+    ) -> dict[str, Any]:
         """Return rows, texts and counts as JSON data for the page.
 
         `late_ns` has the latency (ns) from which an answer of a unit is late, for units that have
-        late answers. They become rows.
+        late answers. They become rows, and so do the transactions beside pauses that begin at the
+        times `pauses_ns` (UTC ns).
         """
-        late = [self._row(number, one, one.findings) for number, one in self._late.late(late_ns)]
+        late = dict(self._late.late(late_ns))
+        kept = {row[_NUMBER] for row in self.rows} | late.keys()
+        beside = {
+            number: one
+            for number, one in self.pauses.beside(pauses_ns).items()
+            if number not in kept
+        }
+        more = [self._row(number, one, one.findings) for number, one in (late | beside).items()]
         return {
             "begin_us": 0 if self.begin_ns is None else self.begin_ns // 1000,
             "texts": self._texts,
-            "rows": sorted([*map(self._with_retry, self.rows), *late], key=lambda row: row[0]),
+            "rows": sorted([*map(self._with_retry, self.rows), *more], key=lambda row: row[0]),
             "transactions": self.transactions,
             "with_trouble": self.with_trouble,
             "kept_with_trouble": self.kept_with_trouble,
             "late": len(late),
+            "beside_pauses": len(beside),
         }
 
     def _is_wanted(self, one: NamedTransaction, codes: dict[str, None]) -> bool:

@@ -39,6 +39,8 @@ class VerdictTrouble:
     cases: tuple[tuple[int, str], ...] = ()
     """The begin (UTC ns) of each of the worst cases, and a text about it such as `for 7.25 s`;
     empty if `search` finds them."""
+    cases_title: str = ""
+    """A line above the cases that says which they are; empty if they are all there are."""
     units: frozenset[UnitRow] = frozenset()
     is_refusal: bool = False
     is_rule: bool = False

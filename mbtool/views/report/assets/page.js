@@ -418,11 +418,11 @@ function findings() {
    transactions, or its longest ones. Of more failures than the table holds, the last is not known. */
 function casesOf(one) {
   const line = (at, text) => el("div", { class: "soft" }, at, " ", text ? el("span", { class: "nowrap" }, text) : null);
-  if (one.cases.length) return one.cases.map(([us, text]) => line(exactly(us), text));
+  if (one.cases.length) return [one.cases_title ? line(one.cases_title, "") : null, ...one.cases.map(([us, text]) => line(exactly(us), text))];
   const words = one.search.split(" ").filter((word) => word && !word.startsWith("unit:") && !stats.links.some((link) => link.link === word));
   if (one.rank !== "dead" && !words.length) return null;
   const all = matching(one.search), of = (at, text) => line(linkTo(at, moment(usOf(rows[at]))), text);
-  if (words.some((word) => word.startsWith("ms"))) return all.sort((a, b) => rows[b][LATENCY] - rows[a][LATENCY]).slice(0, LONGEST).map((at) => of(at, `after ${digits(rows[at][LATENCY] / 1000)} ms`));
+  if (words.some((word) => word.startsWith("ms"))) return [all.length > LONGEST ? line(`the ${LONGEST} longest:`, "") : null, ...all.sort((a, b) => rows[b][LATENCY] - rows[a][LATENCY]).slice(0, LONGEST).map((at) => of(at, `after ${digits(rows[at][LATENCY] / 1000)} ms`))];
   const isAll = data.transactions.kept_with_trouble === data.transactions.with_trouble;
   return all.length > 1 ? [of(all[0], "the first"), isAll ? of(all[all.length - 1], "the last") : null] : all.map((at) => of(at, ""));
 }
@@ -864,7 +864,7 @@ function transactions() {
   const all = data.transactions, out = all.transactions - rows.length;
   const lost = all.with_trouble - all.kept_with_trouble;
   show("transactions", count(all.transactions),
-    soft(`${out ? `${count(rows.length)} of ${count(all.transactions)} transactions: the first ones${all.late ? ", late answers" : ""} and ${lost ? `${count(all.kept_with_trouble)} of the ${count(all.with_trouble)}` : "all"} that failed or have a finding. ${count(out)} are left out; mbtool report --all puts them all into the page.` : `All ${plural(all.transactions, "transaction")}.`} ${isTimed ? `Times are UTC${oneDay ? `, on ${day(beginUs)}` : ""}.` : "The capture has no times."}`),
+    soft(`${out ? `${count(rows.length)} of ${count(all.transactions)} transactions: the first ones${all.late ? ", late answers" : ""}${all.beside_pauses ? ", those beside the longest pauses" : ""} and ${lost ? `${count(all.kept_with_trouble)} of the ${count(all.with_trouble)}` : "all"} that failed or have a finding. ${count(out)} are left out; mbtool report --all puts them all into the page.` : `All ${plural(all.transactions, "transaction")}.`} ${isTimed ? `Times are UTC${oneDay ? `, on ${day(beginUs)}` : ""}.` : "The capture has no times."}`),
     el("div", { class: "tools" }, el("label", {}, "Search transactions", field), earlier, later, told),
     el("p", { class: "soft screen" }, "Words must all occur; unit:5 and #12 are exact. Also: no-answer, exception, a code such as MB-401, a time, ms>400."),
     onPaper, frame("Transactions", HEADS, body, true, false));
