@@ -131,7 +131,7 @@ def test_help_has_every_option_of_the_readme(mbtool: CommandLine) -> None:
         (["decode", "a", "--port", "70000"], "Invalid value for '--port'"),
         (
             ["decode", "a", "--where", "unit ="],
-            "--where 'unit =' is not an expression; for example",
+            "--where 'unit =' is not an expression: write ==",
         ),
         (["decode", "a", "--device", "5"], "device '5': write WHO=PROFILE, for example"),
         (["decode", "a", "--device", "x=fa3-at1m8x"], "device 'x': WHO is 5, "),
