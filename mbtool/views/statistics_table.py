@@ -76,7 +76,7 @@ _CONNECTIONS = (
     StatisticsColumn("joined", 6, 2),
     StatisticsColumn("reset", 6),
     StatisticsColumn("refused", 7),
-    StatisticsColumn("at once", 7, 1),
+    StatisticsColumn("most open", 9, 1),
     StatisticsColumn("keep-alive", 10),
 )
 
@@ -203,7 +203,7 @@ def _function_text(one: FunctionReport) -> str:
 
 def _polls(links: Sequence[LinkReport], width: int | None, top: int) -> list[StyledLine]:
     found = [(link, one) for link in links for one in link.polls]
-    found.sort(key=lambda one: -one[1].poll.tally.latency.percentile(95))
+    found.sort(key=lambda one: _by_failures(one[1].poll.tally))
     rows = [
         StatisticsRow(
             _of_master(link, one) + _prefix(link, links) + poll_text(one.poll),
@@ -215,8 +215,19 @@ def _polls(links: Sequence[LinkReport], width: int | None, top: int) -> list[Sty
     if not rows:
         return []
     columns = _POLLS if any(link.load is not None for link in links) else _POLLS[:-1]
-    lines = table_lines("polls, slowest first", columns, rows, width)
+    has_failed = _failed(found[0][1].poll.tally) > 0
+    title = "polls: failed, slowest" if has_failed else "polls, slowest first"
+    lines = table_lines(title, columns, rows, width)
     return lines + more_line(len(found), top, "polls")
+
+
+def _by_failures(tally: RequestTally) -> tuple[int, int]:
+    """Return the sort key of a poll: those that failed most first, then the slowest."""
+    return -_failed(tally), -tally.latency.percentile(95)
+
+
+def _failed(tally: RequestTally) -> int:
+    return sum(map(tally.count, (Outcome.NO_ANSWER, Outcome.EXCEPTION, Outcome.MALFORMED)))
 
 
 def _of_master(link: LinkReport, one: PollReport) -> str:

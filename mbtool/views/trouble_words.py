@@ -133,7 +133,7 @@ def oddity_text(
 ) -> str:
     """Return what is odd in the polling. `name_of` returns a unit as text.
 
-    With `is_short`, the text leaves out what is usual.
+    With `is_short`, the text leaves out what is usual, and the link whose polling paused.
     """
     match one:
         case LateUnit():
@@ -145,7 +145,7 @@ def oddity_text(
             longest = duration(one.longest_ns)
             how = f"{one.number:,} times, for up to {longest}"
             how = f"for {longest}" if one.number == 1 else how
-            of = f" of {one.link}" if one.master else ""
+            of = f" of {one.link}" if one.master and not is_short else ""
             text = f"{one.master or one.link} paused its polling{of} {how}"
             usual = f"usually a request every {duration(one.usual_ns)}"
         case ShortConnections():

@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 _MORE = " more: key 5"
 """Ends the line on slaves with troubles, after the number of those that had no room in it. The key
 5 opens the table of slaves."""
+_MORE_ODD = " more: key 6"
+"""Ends the line on odd polling likewise. The key 6 opens the statistics, which name all."""
 
 
 def slave_trouble(row: WatchedSlaveRow, *, is_short: bool = False) -> str:
@@ -124,16 +126,18 @@ def trouble_line(judgement: BoardJudgement, width: int) -> TroubleLine:
 
 def _odd_line(judgement: BoardJudgement, width: int) -> str:
     """Return what is odd in the polling, the worst first; as much as fits `width` characters, and
-    the worst in any case.
+    the worst in any case. It says how much more there is.
     """
     several = len({row.link for row in judgement.slaves}) > 1
     told = joined_oddities(judgement.odd)
 
     def line(number: int, *, is_short: bool) -> str:
-        return "; ".join(
+        texts = [
             oddities_text(some, lambda unit: unit_name(unit, several=several), is_short=is_short)
             for some in told[:number]
-        )
+        ]
+        left = len(told) - number
+        return "; ".join([*texts, f"{left}{_MORE_ODD}"] if left else texts)
 
     lines = [line(len(told), is_short=False)]
     lines += [line(number, is_short=True) for number in range(len(told), 0, -1)]

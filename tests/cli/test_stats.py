@@ -26,7 +26,7 @@ def test_the_verdict_comes_first_and_tables_have_fixed_widths(mbtool: CommandLin
         "",
         "line: busy 9.9 %, waits for slaves 2.5 %, for missing answers 87 %, free 0.8 %",
         "",
-        "polls, slowest first                       asked every s  +-ms p50 ms   p95   p99   max"
+        "polls: failed, slowest                     asked every s  +-ms p50 ms   p95   p99   max"
         "  exc miss   line",
         "1 03 HR400001..400002                          4  varies     -    2.8   3.0   3.0   3.0"
         "         1 99.2 %",

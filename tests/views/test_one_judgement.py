@@ -235,7 +235,23 @@ def test_the_line_of_watch_shortens_what_is_odd() -> None:
     text, is_grave = trouble_line(judge(board), 78)
     assert text == f"{pause}; unit 1 gives 1 answer late, after 990 ms"
     assert not is_grave
-    assert trouble_line(judge(board), 20).text == pause
+    assert trouble_line(judge(board), 50).text == f"{pause}; 1 more: key 6"
+    assert trouble_line(judge(board), 20).text == f"{pause}; 1 more: key 6"
+
+
+def test_the_line_of_watch_leaves_out_the_link_of_a_pause_if_there_is_no_room() -> None:
+    link, master = "192.168.43.149", "192.168.43.148"
+    board = board_of(
+        [
+            request(
+                250 * at + (7000 if at > 60 else 0), link=link, source=f"{master}:50000",
+                latency_ns=990 * MS if at == 40 else MS, transport=Transport.TCP,
+            )
+            for at in range(100)
+        ]
+    )  # fmt: skip
+    text = f"{master} paused its polling for 7.25 s; 1 more: key 6"
+    assert trouble_line(judge(board), 78).text == text
 
 
 def test_few_failures_are_a_small_thing_to_all(monkeypatch: pytest.MonkeyPatch) -> None:

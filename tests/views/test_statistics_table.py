@@ -125,7 +125,7 @@ def test_the_polls_that_keep_a_line_most_are_whole(plant: list[LinkReport]) -> N
 
 def test_a_pipe_has_all_sections(plant: list[LinkReport]) -> None:
     text = "\n".join(line.text for line in statistics_lines(plant, width=None))
-    for title in ("line: busy", "polls, slowest first", "poll cycles", "latency of all"):
+    for title in ("line: busy", "polls: failed, slowest", "poll cycles", "latency of all"):
         assert title in text
     assert "in no cycle: 1 03 " in text
     assert "more than once a cycle: 1 03 " in text
@@ -206,6 +206,21 @@ def test_a_document_is_one_of_plain_ascii_whatever_a_log_says() -> None:
     assert text.isascii()
     assert "\x1b" not in text
     assert json.loads(text)["links"][0]["polls"][0]["reference"].startswith("\x1b[2J")
+
+
+def test_polls_that_failed_most_come_first_and_the_title_says_so() -> None:
+    statistics = Statistics(lambda _: LINE)
+    for at in range(0, 5000, 1000):
+        statistics.add(request(at, 1, reference="A", latency_ns=3_000_000))
+        statistics.add(request(at + 100, 2, reference="B", latency_ns=40_000_000))
+        statistics.add(unanswered(at + 200, 3, reference="C"))
+        statistics.add(unanswered(at + 700, 4, reference="D"))
+        statistics.add(unanswered(at + 900, 4, reference="D"))
+    lines = [line.text for line in statistics_lines(report(statistics), width=None)]
+    first = next(at for at, line in enumerate(lines) if line.startswith("polls: failed, slowest"))
+    assert [line.split()[2] for line in lines[first + 1 : first + 5]] == [
+        "D", "C", "B", "A",
+    ]  # fmt: skip
 
 
 def test_damaged_answers_are_told_and_cost_no_waiting() -> None:

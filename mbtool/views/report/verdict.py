@@ -201,8 +201,10 @@ def _unit_troubles(unit: _Unit, usual: float | None, slower: Slower | None) -> l
     found = []
     if never_answers(tally):
         what = "gives no answer with a right CRC" if are_damaged(tally) else "never answers"
-        never = f"{name} {what} ({counted(asked, 'request', ',')})"
-        return [unit.trouble(Rank.DEAD, never, asked)]
+        lacking = asked - tally.unanswered
+        cut = f", and {lacking:,} not captured whole" if lacking else ""
+        never = f"{name} {what} ({counted(tally.unanswered, 'request', ',')}{cut})"
+        return [unit.trouble(Rank.DEAD, never, tally.unanswered)]
     if (missing := missing_share(tally, unit.times)) is not None:
         found.append(_unanswered(unit, missing))
     if (refused := refused_share(tally, unit.times)) is not None:

@@ -93,6 +93,11 @@ def test_many_units_that_became_slower_are_told_as_one_and_are_no_small_thing() 
     )
 
 
+def test_a_dead_unit_is_told_with_what_the_capture_cuts() -> None:
+    told = judged([*polled(20, range(20)), asked(20, 1, Outcome.NOT_CAPTURED, None)])
+    assert told.sentence == "Unit 1 never answers (20 requests, and 1 not captured whole)."
+
+
 def test_many_slow_units_are_told_as_one() -> None:
     records = [
         asked(at, unit, latency_ms=90 if unit < 4 else 5) for at in range(20) for unit in range(16)

@@ -612,7 +612,7 @@ function load() {
 function everyText(period) {
   if (!period) return ["–", "–"];
   if (period.jitter_ms <= period.p50_ms) return [seconds(period.p50_ms / 1000), period.count > 1 ? digits(period.jitter_ms) : "–"];
-  return [period.mean_ms > 2 * period.p50_ms ? "in bursts" : "varies", "–"];
+  return ["varies", "–"];
 }
 function polls() {
   const all = stats.links.flatMap((link) => link.polls.map((poll) => [link, poll]));
