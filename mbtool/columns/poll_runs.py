@@ -205,10 +205,18 @@ def run_of(rows: PlainRows, kinds: KindsOfRows, begin: int, end: int) -> Answere
     ends = np.cumsum(counts)
     starts = ends - counts
     latencies = (response_ns - request_ns)[order].tolist()
+    times = request_ns[order].tolist()
     first_ns = np.minimum.reduceat(request_ns[order], starts)
     last_ns = np.maximum.reduceat(response_ns[order], starts)
     alike = [
-        AlikeRequests(kinds.likes[which], stop - start, begin_ns, end_ns, latencies[start:stop])
+        AlikeRequests(
+            kinds.likes[which],
+            stop - start,
+            begin_ns,
+            end_ns,
+            times[start:stop],
+            latencies[start:stop],
+        )
         for which, start, stop, begin_ns, end_ns in zip(
             found[by_first].tolist(),
             starts.tolist(),

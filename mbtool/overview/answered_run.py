@@ -28,6 +28,8 @@ class AlikeRequests:
     """The time (UTC ns) of the earliest request of the group."""
     end_ns: int
     """The time (UTC ns) of the latest response of the group."""
+    request_ns: list[int]
+    """The time (UTC ns) of each request of the group, in the order of the responses."""
     latencies: list[int]
     """The latency (ns) of each request of the group, in the order of the responses."""
 

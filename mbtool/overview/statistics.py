@@ -317,12 +317,8 @@ class Statistics:
 
 def _count_asked(run: AnsweredRun, polls: list[PollStatistics]) -> None:
     """Count the requests of a batch with their units; `polls[i]` is the poll of `run.kinds[i]`."""
-    of_kinds = [
-        (poll.times, poll.times.bins.add, kind.like.outcome)
-        for kind, poll in zip(run.kinds, polls, strict=True)
-    ]
-    for index, begin_ns, end_ns in zip(run.kind, run.request_ns, run.response_ns, strict=True):
-        times, add, outcome = of_kinds[index]
-        add(begin_ns, end_ns - begin_ns)
-        if outcome is not Outcome.OK:
-            times.note_failure(outcome, begin_ns)
+    for kind, poll in zip(run.kinds, polls, strict=True):
+        poll.times.bins.add_answered(kind.request_ns, kind.latencies)
+        if kind.like.outcome is not Outcome.OK:
+            poll.times.note_failure(kind.like.outcome, min(kind.request_ns))
+            poll.times.note_failure(kind.like.outcome, max(kind.request_ns))

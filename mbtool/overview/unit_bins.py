@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from typing import NamedTuple
 
 MAX_BINS = 64
@@ -44,6 +45,27 @@ class UnitBins:
         if latency_ns is not None:
             counts[1] += 1
             counts[2] += latency_ns
+
+    def add_answered(self, times_ns: list[int], latencies_ns: list[int]) -> None:
+        """Count requests that were answered, sent at `times_ns` (UTC ns). It costs less for each
+        than `add` if the times are sorted.
+        """
+        if times_ns != sorted(times_ns):
+            for at_ns, latency_ns in zip(times_ns, latencies_ns, strict=True):
+                self.add(at_ns, latency_ns)
+            return
+        begin = 0
+        while begin < len(times_ns):
+            at_ns = times_ns[begin]
+            counts = self._counts.get(at_ns >> self._shift)
+            if counts is None:
+                counts = self._new_bin(at_ns)
+            end_ns = ((at_ns >> self._shift) + 1) << self._shift
+            end = bisect_left(times_ns, end_ns, begin)
+            counts[0] += end - begin
+            counts[1] += end - begin
+            counts[2] += sum(latencies_ns[begin:end])
+            begin = end
 
     def bins(self) -> list[UnitBin]:
         """Return the bins that have requests, sorted by time."""
