@@ -5,7 +5,7 @@ beside pauses.
 # A row is a list of integers, to keep the page small:
 #
 #     number, microseconds since the first row, link, unit, request, result, outcome,
-#     latency in microseconds or -1, codes of findings
+#     latency in microseconds or -1, codes of findings, and 1 if the request is a retry
 #
 # Link, request, result, outcome and codes are indices into the list `texts`, because the same texts
 # occur often. New texts are cut shorter as the page grows (ROOM), so that it stays below 3 MB.
@@ -46,7 +46,7 @@ to `most` characters."""
 _SHORTEST = 12
 _ARROW = " -> "
 _WELL = frozenset((Outcome.OK, Outcome.BROADCAST))
-_NUMBER, _REQUEST, _OUTCOME, _CODES = 0, 4, 6, 8
+_NUMBER, _OUTCOME, _CODES = 0, 6, 8
 """The indices of some fields in a row."""
 _DAMAGED = "wrong CRC"
 """The result of a request whose response came with a wrong CRC or LRC, as `watch` has it."""
@@ -181,11 +181,8 @@ class TransactionRows:
         return True
 
     def _with_retry(self, row: list[int]) -> list[int]:
-        """Return a row, with `(retry)` behind its request if that is a retry."""
-        if row[_NUMBER] not in self._retries:
-            return row
-        text = self._place(f"{self._texts[row[_REQUEST]]} (retry)")
-        return [*row[:_REQUEST], text, *row[_REQUEST + 1 :]]
+        """Return a row, with a 1 at its end if its request is a retry."""
+        return [*row, 1] if row[_NUMBER] in self._retries else row
 
     def _row(
         self,

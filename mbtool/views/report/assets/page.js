@@ -742,14 +742,15 @@ function inventory() {
 /* ---- transactions ---- */
 
 const { rows, texts, begin_us: beginUs } = data.transactions;
-const [NUMBER, US, LINK, UNIT, WHAT, RESULT, OUTCOME, LATENCY, CODES] = Array(9).keys();
+const [NUMBER, US, LINK, UNIT, WHAT, RESULT, OUTCOME, LATENCY, CODES, IS_RETRY] = Array(10).keys();
+const whatOf = (row) => `${texts[row[WHAT]]}${row[IS_RETRY] ? " (retry)" : ""}`;
 const usOf = (row) => beginUs + row[US];
 const oneDay = rows.every((row) => day(usOf(row)) === day(beginUs));
 const rowTime = (row) => (oneDay ? clock(usOf(row)) : moment(usOf(row)));
 const haystacks = [];
 const haystack = (at) => {
   const row = rows[at];
-  return (haystacks[at] ??= ` ${texts[row[LINK]]} unit:${row[UNIT]} #${row[NUMBER]} ${texts[row[WHAT]]} ${texts[row[RESULT]]} ${texts[row[OUTCOME]]} ${texts[row[CODES]]} ${clock(usOf(row))} `.toLowerCase());
+  return (haystacks[at] ??= ` ${texts[row[LINK]]} unit:${row[UNIT]} #${row[NUMBER]} ${whatOf(row)} ${texts[row[RESULT]]} ${texts[row[OUTCOME]]} ${texts[row[CODES]]} ${clock(usOf(row))} `.toLowerCase());
 };
 let found = rows.map((_, at) => at), first = 0, here = -1;
 const HEADS = ["#number", ...(isTimed ? [".time (UTC)"] : []), ...(several ? ["link"] : []), ">unit", "=request", "+result", ".outcome", ">ms", ".findings"];
@@ -777,7 +778,7 @@ function fill(page) {
   body.replaceChildren(...page.map((at) => {
     const row = rows[at], outcome = texts[row[OUTCOME]];
     const cells = [el("a", { href: `#t${Number(row[NUMBER])}`, "aria-label": `${count(row[NUMBER])}: transaction` }, count(row[NUMBER])),
-      ...(isTimed ? [el("span", { class: "mono" }, rowTime(row))] : []), ...(several ? [texts[row[LINK]]] : []), String(row[UNIT]), texts[row[WHAT]], texts[row[RESULT]],
+      ...(isTimed ? [el("span", { class: "mono" }, rowTime(row))] : []), ...(several ? [texts[row[LINK]]] : []), String(row[UNIT]), whatOf(row), texts[row[RESULT]],
       el("span", { class: hasFailed(row) ? "nowrap bad-text" : "nowrap" }, outcome), row[LATENCY] < 0 ? "" : digits(row[LATENCY] / 1000), texts[row[CODES]]];
     return tableRow(HEADS, cells, true, { id: `t${row[NUMBER]}`, class: at === here ? "here" : null, tabindex: "-1" });
   }));
@@ -866,7 +867,7 @@ function transactions() {
   show("transactions", count(all.transactions),
     soft(`${out ? `${count(rows.length)} of ${count(all.transactions)} transactions: the first ones${all.late ? ", late answers" : ""}${all.beside_pauses ? ", those beside the longest pauses" : ""} and ${lost ? `${count(all.kept_with_trouble)} of the ${count(all.with_trouble)}` : "all"} that failed or have a finding. ${count(out)} are left out; mbtool report --all puts them all into the page.` : `All ${plural(all.transactions, "transaction")}.`} ${isTimed ? `Times are UTC${oneDay ? `, on ${day(beginUs)}` : ""}.` : "The capture has no times."}`),
     el("div", { class: "tools" }, el("label", {}, "Search transactions", field), earlier, later, told),
-    el("p", { class: "soft screen" }, "Words must all occur; unit:5 and #12 are exact. Also: no-answer, exception, a code such as MB-401, a time, ms>400."),
+    el("p", { class: "soft screen" }, "Words must all occur; unit:5 and #12 are exact. Also: no-answer, wrong CRC, retry, exception, a code such as MB-401, a time, ms>400."),
     onPaper, frame("Transactions", HEADS, body, true, false));
   draw();
 }
