@@ -50,7 +50,8 @@ MOST_IMPORTANT = 3
 _ALIKE = 0.7
 _BAR = 30
 _EATERS = 3
-_LEAST_OF_HISTOGRAM = 20
+LEAST_OF_HISTOGRAM = 20
+"""Fewer latencies than this make no histogram."""
 _FINEST_NS = 100_000
 """The histogram shows all latencies below this limit, in ns, in one line."""
 
@@ -319,7 +320,7 @@ def _longest_polls(link: LinkReport, width: int | None) -> list[StyledLine]:
 
 def _histogram(links: Sequence[LinkReport]) -> list[StyledLine]:
     latency = merged([link.tally for link in links]).latency
-    if latency.count < _LEAST_OF_HISTOGRAM:
+    if latency.count < LEAST_OF_HISTOGRAM:
         return []
     buckets = _joined_below(_FINEST_NS, latency.histogram())
     most = max(one.number for one in buckets)

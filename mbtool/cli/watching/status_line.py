@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import Enum
 from pathlib import PurePath
 from typing import TYPE_CHECKING
 
@@ -40,9 +41,18 @@ _FILE_KEYS = (
     ("<>", "ends"),
     (".", "step"),
 )
-_CUT = 4
-"""The number of characters at the end of the line above the table that may be lost as the place,
-which is the last text of it, is cut."""
+_LONG_PLACE = 4
+"""A place is long if it takes more than one in so many characters of the line."""
+
+
+class Brevity(Enum):
+    """How short the line above the table is, from the longest to the shortest."""
+
+    NONE = 0
+    SOME = 1
+    """Without the number of events."""
+    MOST = 2
+    """And without a number of transactions of its own."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,16 +91,23 @@ def status_text(state: ScreenState, width: int) -> Spans:
     """Return the line above the table, cut to `width` characters.
 
     It says what is watched, how many transactions and events were heard, and the filter. Under a
-    filter, where that has no room, the number of events is left out and the words are fewer.
+    filter, where that has no room, the number of events is left out and the words are fewer; in the
+    end the filter is cut, unless the name of what is watched is long.
     """
-    spans = _status_spans(state, is_short=False)
-    if state.where and sum(len(text) for text, _ in spans) > width - _CUT:
-        spans = _status_spans(state, is_short=True)
-    return cut_spans([*spans, (f"  {printable(state.place)}", "")], width)
+    place: Spans = [(f"  {printable(state.place)}", "")]
+    room = width - len(place[0][0])
+    for brevity in Brevity if state.where else (Brevity.NONE,):
+        spans = _status_spans(state, brevity)
+        if sum(len(text) for text, _ in spans) <= room:
+            return cut_spans([*spans, *place], width)
+    if state.where and len(place[0][0]) <= width // _LONG_PLACE:
+        return [*cut_spans(spans, room), *place]
+    return cut_spans([*spans, *place], width)
 
 
-def _status_spans(state: ScreenState, *, is_short: bool) -> Spans:
-    board = state.feed.watched.whole
+def _status_spans(state: ScreenState, brevity: Brevity) -> Spans:
+    watched = state.feed.watched
+    board = watched.whole
     spans: Spans = []
     if state.is_frozen:
         spans.append((" FROZEN ", "bold reverse"))
@@ -100,29 +117,36 @@ def _status_spans(state: ScreenState, *, is_short: bool) -> Spans:
     if isinstance(state.feed, FileFeed):
         spans.append((f"{_position(state.feed)}  ", "bold"))
     heard = counted(board.transactions, "transaction", ",")
-    if not is_short:
+    if brevity is Brevity.NONE:
         heard = f"{heard}, {counted(board.events, 'event', ',')}"
-    spans.append((heard, ""))
-    marked = len(state.feed.watched.marked)
+    is_passing = bool(state.where) and state.filter_is_on and watched.filtered is not None
+    is_joined = is_passing and brevity is Brevity.MOST and not watched.unfiltered
+    if not is_joined:
+        spans.append((heard, ""))
+    marked = len(watched.marked)
     if marked:
-        spans.append((f", {marked} marked", "green"))
-    if state.where:
-        if state.filter_is_on and state.feed.watched.filtered is not None:
-            passing = _passing(state.feed.watched, is_short=is_short)
-            spans.append((f"  {passing}: {state.where}", "bold cyan"))
-        else:
-            spans.append((f"  filter off: {state.where}", "dim"))
+        spans.append((f"{'' if is_joined else ', '}{marked} marked", "green"))
+    if is_passing:
+        before = "" if is_joined and not marked else "  "
+        spans.append((f"{before}{_passing(watched, brevity)}: {state.where}", "bold cyan"))
+    elif state.where:
+        spans.append((f"  filter off: {state.where}", "dim"))
     return spans
 
 
-def _passing(watched: Watched, *, is_short: bool) -> str:
-    """Return how many transactions pass the filter, and of how many if it has not seen all."""
+def _passing(watched: Watched, brevity: Brevity) -> str:
+    """Return how many transactions pass the filter, and of how many if it has not seen all.
+
+    With the greatest brevity also of how many if it has, as their number stands nowhere else then.
+    """
     passed = 0 if watched.filtered is None else watched.filtered.transactions
     word = "passes" if passed == 1 else "pass"
-    if not watched.unfiltered:
-        return f"{passed:,} {word}"
-    seen = watched.whole.transactions - watched.unfiltered
-    return f"{passed:,} of {'' if is_short else 'the '}last {seen:,} {word}"
+    if watched.unfiltered:
+        seen = watched.whole.transactions - watched.unfiltered
+        return f"{passed:,} of {'the ' * (brevity is Brevity.NONE)}last {seen:,} {word}"
+    if brevity is Brevity.MOST:
+        return f"{passed:,} of {watched.whole.transactions:,} {word}"
+    return f"{passed:,} {word}"
 
 
 def keys_line(width: int, *, is_of_files: bool) -> Spans:

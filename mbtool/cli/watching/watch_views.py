@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from mbtool.overview.statistics_report import report
-from mbtool.views.statistics_table import statistics_lines
+from mbtool.views.statistics_table import LEAST_OF_HISTOGRAM, statistics_lines
 from mbtool.views.watch_columns import WatchColumn
 from mbtool.views.watch_polls import POINT_COLUMNS, POLL_COLUMNS
 from mbtool.views.watch_records import RECORD_COLUMNS, SLAVE_COLUMNS, TROUBLE_COLUMNS
@@ -65,11 +65,17 @@ _MORE_POLLS, _ALL_POLLS = " more polls", ": key 1 lists all"
 
 
 def _line_rows(board: Board, width: int) -> list[LineRow]:
-    lines = statistics_lines(report(board.statistics), width=width, top=_MOST_ROWS, option="")
-    return [
+    links = report(board.statistics)
+    lines = statistics_lines(links, width=width, top=_MOST_ROWS, option="")
+    rows = [
         LineRow(at, f"{line.text}{_ALL_POLLS * line.text.endswith(_MORE_POLLS)}", line.style)
         for at, line in enumerate(lines)
     ]
+    latencies = sum(link.tally.latency.count for link in links)
+    if board.transactions and latencies < LEAST_OF_HISTOGRAM:
+        text = f"latency of all: shown from {LEAST_OF_HISTOGRAM} answers on; here {latencies}"
+        rows.append(LineRow(len(rows), text, "dim"))
+    return rows
 
 
 _LINES = (

@@ -166,6 +166,37 @@ def test_a_filter_that_comes_too_late_for_some_says_of_how_many_it_counts() -> N
     run(test)
 
 
+def test_what_is_watched_is_seen_beside_a_filter() -> None:
+    async def test() -> None:
+        feed = GivenFeed([read(at, 1, unit=1 + at % 3) for at in range(60)])
+        async with screen(feed) as seen:
+            long = "unit == 2 and address >= 0 and outcome"
+            longer = "unit == 2 and address >= 0 and function in (1, 2, 3, 4)"
+            for where, told in (
+                ("unit == 2", "60 transactions, 0 events  20 pass: unit == 2  line"),
+                (f'{long} == "ok"', f'60 transactions  20 pass: {long} == "ok"  line'),
+                (longer, f"20 of 60 pass: {longer}  line"),
+            ):
+                seen.app.apply_filter(where)
+                assert seen.lines[1] == told
+            seen.app.apply_filter(f"{longer} and unit == 2")
+            assert seen.lines[1] == f"{f'20 of 60 pass: {longer} …':<74}  line"
+
+    run(test)
+
+
+def test_the_view_of_the_bus_says_why_it_has_no_histogram() -> None:
+    async def test() -> None:
+        async with screen(line()) as seen:
+            await seen.press("6")
+            assert seen.rows[-1].text == "latency of all: shown from 20 answers on; here 3"
+        async with screen(GivenFeed()) as seen:
+            await seen.press("6")
+            assert [row.text for row in seen.rows] == ["no transactions so far"]
+
+    run(test)
+
+
 def test_a_wrong_filter_says_where_and_leaves_the_rows_as_they_are() -> None:
     async def test() -> None:
         async with screen(line()) as seen:
