@@ -56,7 +56,8 @@ def became_slower(bins: Sequence[UnitBin]) -> Slower | None:
     bins = [one for one in bins if one.answered]
     if len(bins) < _ENOUGH_BINS:
         return None
-    usual_ns, late_ns = _mean(bins[: len(bins) // 2]), _mean(bins[-len(bins) // 4 :])
+    half = len(bins) // 2
+    usual_ns, late_ns = _mean(bins[:half]), _mean(bins[-len(bins) // 4 :])
     if late_ns < max(SLOWER * usual_ns, usual_ns + SLOW_NS):
         return None
     middle_ns = (usual_ns + late_ns) / 2
@@ -76,7 +77,8 @@ def became_slower(bins: Sequence[UnitBin]) -> Slower | None:
     if bins[first - 1].end_ns == since[0].begin_ns == since_ns:
         since_ns -= slow_ns(bins[first - 1])
     is_long = bins[-1].end_ns - bins[0].begin_ns >= _DAY_NS
-    return Slower(since_ns, _mean(since), _mean(bins[:first]), is_long)
+    before = bins[: min(first, half)]  # Later ones may have single late answers.
+    return Slower(since_ns, _mean(since), _mean(before), is_long)
 
 
 def _mean(bins: Sequence[UnitBin]) -> float:
