@@ -60,8 +60,8 @@ setTimeout(() => {
 """
 
 SENTENCE = (
-    "On paper 40 transactions: some of each kind of those that failed or have a finding, "
-    "each with the one before."
+    "On paper 40 transactions: some of each kind of those that failed or that the findings name, "
+    "with the one before."
 )
 
 

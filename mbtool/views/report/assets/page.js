@@ -772,7 +772,6 @@ function matching(text) {
   return some;
 }
 const filter = () => { found = matching(field.value); };
-const isTrouble = (row) => hasFailed(row) || texts[row[CODES]] !== "";
 const hasFailed = (row) => !["ok", "broadcast"].includes(texts[row[OUTCOME]]);
 function fill(page) {
   body.replaceChildren(...page.map((at) => {
@@ -783,26 +782,32 @@ function fill(page) {
     return tableRow(HEADS, cells, true, { id: `t${row[NUMBER]}`, class: at === here ? "here" : null, tabindex: "-1" });
   }));
 }
-/* On paper stand what the reader searched, or else the rows that failed or have a finding, of each
-   kind alike many, each behind the row before it; without any, the first ones. */
+/* The rows of a trouble that neither fail nor have a code: late answers, and those beside pauses. */
+function oddRows(one) {
+  if (one.cases.length) return one.cases.map(([us]) => rowAt(us)).filter((at) => at >= 0).flatMap((at) => [at, at + 1]).filter((at) => at < rows.length);
+  return /(^| )ms>/.test(one.search) ? matching(one.search) : [];
+}
+/* On paper stand what the reader searched, or else the rows that failed or that the findings name, of
+   each kind alike many, each behind the row before it; without any, the first ones. */
 function troubled() {
   const kinds = new Map(), chosen = new Set();
   rows.forEach((row, at) => {
-    if (!isTrouble(row)) return;
+    if (!hasFailed(row) && !texts[row[CODES]]) return;
     const kind = [LINK, UNIT, OUTCOME, CODES].map((place) => row[place]).join();
-    kinds.set(kind, [...(kinds.get(kind) ?? []), at].slice(0, PRINTED_TRANSACTIONS));
+    kinds.set(kind, [...(kinds.get(kind) ?? []), at].slice(0, PRINTED_TRANSACTIONS + 1));
   });
+  for (const one of data.verdict.troubles) kinds.set(one.text, oddRows(one));
   for (let turn = 0; turn < PRINTED_TRANSACTIONS; turn++) for (const list of kinds.values()) {
     const at = list[turn], hasBefore = at > 0 && rows[at - 1][NUMBER] === rows[at][NUMBER] - 1;
     const more = at === undefined ? [] : hasBefore ? [at - 1, at] : [at];
     if (chosen.size + more.length <= PRINTED_TRANSACTIONS) more.forEach((one) => chosen.add(one));
   }
-  return [...chosen].sort((a, b) => a - b);
+  const isSome = data.transactions.kept_with_trouble < data.transactions.with_trouble || [...kinds.values()].flat().some((at) => !chosen.has(at));
+  return [[...chosen].sort((a, b) => a - b), isSome];
 }
 function rowsToPaper() {
-  const bad = field.value || rows.length <= PRINTED_TRANSACTIONS ? [] : troubled(), page = bad.length ? bad : found.slice(first, first + PRINTED_TRANSACTIONS);
-  const isSome = page.filter((at) => isTrouble(rows[at])).length < data.transactions.with_trouble;
-  const which = bad.length ? `: ${isSome ? "some of each kind of " : ""}those that failed or have a finding, each with the one before` : field.value ? `, found by ${field.value}` : "";
+  const [bad, isSome] = field.value || rows.length <= PRINTED_TRANSACTIONS ? [[], false] : troubled(), page = bad.length ? bad : found.slice(first, first + PRINTED_TRANSACTIONS);
+  const which = bad.length ? `: ${isSome ? "some of each kind of " : ""}those that failed or that the findings name, with the one before` : field.value ? `, found by ${field.value}` : "";
   fill(page);
   onPaper.textContent = page.length === data.transactions.transactions ? "" : clean(`On paper ${plural(page.length, "transaction")}${which}.`);
 }
@@ -849,8 +854,9 @@ function jump(us, code) {
 }
 const linkTo = (at, text) => el("a", { href: `#t${Number(rows[at][NUMBER])}` }, text);
 /* A time, as a link if the table has the transaction that began then. */
+const rowAt = (us) => rows.findIndex((row) => Math.abs(usOf(row) - us) <= 2);
 function exactly(us) {
-  const at = rows.findIndex((row) => Math.abs(usOf(row) - us) <= 2);
+  const at = rowAt(us);
   return at < 0 ? el("span", {}, moment(us)) : linkTo(at, moment(us));
 }
 function byHash() {
