@@ -119,7 +119,8 @@ def more_line(number: int, top: int, what: str) -> list[StyledLine]:
     """
     if number <= top:
         return []
-    text = f"  ... {number - top:,} more {what}"
+    left = number - top
+    text = f"  ... {left:,} more {what if left > 1 else what.removesuffix('s')}"
     return [StyledLine(text, "dim", hint=f"{number} shows all")]
 
 

@@ -138,7 +138,7 @@ def _step_lines(
         )
         for step in one.steps[:top]
     ]
-    return table_lines(title, _STEP, rows, width) + more_line(len(one.steps), top, "polls")
+    return table_lines(title, _STEP, rows, width) + more_line(len(one.steps), top, "steps")
 
 
 def _repeated_line(one: PollList[PollStatistics], width: int | None) -> list[StyledLine]:

@@ -34,9 +34,9 @@ from mbtool.views.trouble_words import (
     since_text,
     slow_text,
     slower_text,
-    stray_frames_text,
     unit_name,
     units_text,
+    worst_stray_frames,
 )
 
 if TYPE_CHECKING:
@@ -225,15 +225,12 @@ def _malformed(units: _Units) -> list[StyledLine]:
 
 
 def _stray_frames(links: Sequence[LinkReport]) -> list[StyledLine]:
-    worst = sorted(links, key=lambda link: -link.stray_frames)[:_MOST_UNITS]
-    return [
-        StyledLine(
-            f"! {stray_frames_text(link.name, link.stray_frames)}",
-            _BAD if is_grave(link.stray_frames, link.tally.transactions) else _DOUBT,
-        )
-        for link in worst
-        if link.stray_frames > 0
-    ]
+    of_links = [link for link in links if link.stray_frames > 0]
+    texts = worst_stray_frames(
+        {link.name: link.stray_frames for link in of_links}, most=_MOST_UNITS
+    )
+    grave = any(is_grave(link.stray_frames, link.tally.transactions) for link in of_links)
+    return [StyledLine(f"! {text}", _BAD if grave else _DOUBT) for text in texts]
 
 
 def _unasked(total: RequestTally) -> list[StyledLine]:

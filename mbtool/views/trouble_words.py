@@ -12,7 +12,7 @@ from mbtool.views.cells import clock_time, day
 from mbtool.views.statistics_words import duration, in_ms
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Sequence
+    from collections.abc import Callable, Collection, Mapping, Sequence
 
     from mbtool.overview.refusals import JointRefusals
     from mbtool.overview.request_tally import RequestTally
@@ -126,6 +126,16 @@ def exception_text(code: int, name: str) -> str:
 def stray_frames_text(link: str, number: int) -> str:
     frames = counted(number, "frame", ",")
     return f"{link} has {frames} with a wrong CRC that no unit can be blamed for"
+
+
+def worst_stray_frames(frames: Mapping[str, int], *, most: int) -> list[str]:
+    """Return texts on the `most` links with most damaged frames of no known unit, and a last one on
+    how many more links have some. `frames` has their numbers by link.
+    """
+    worst = sorted(frames.items(), key=lambda one: -one[1])
+    texts = [stray_frames_text(link, number) for link, number in worst[:most]]
+    more = len(worst) - len(texts)
+    return [*texts, f"{counted(more, 'more link', ',')} with such frames"] if more > 0 else texts
 
 
 def oddity_text(

@@ -14,8 +14,8 @@ from mbtool.views.trouble_words import (
     joint_refusals_text,
     moment_text,
     oddities_text,
-    stray_frames_text,
     unit_name,
+    worst_stray_frames,
 )
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ def slave_trouble(row: WatchedSlaveRow, *, is_short: bool = False) -> str:
     elif row.refused_share is not None:
         parts.append(_share_text(row.refused_share, "refused", is_short=is_short))
     if row.malformed:
-        parts.append(f"{percent(row.malformed / row.asked)} malformed")
+        parts.append(f"{percent(row.malformed / (row.asked or row.malformed))} malformed")
     if row.usual_ns is not None:
         others = "" if is_short else f" (others {in_ms(row.usual_ns)})"
         parts.append(f"slow, {in_ms(row.median_ns)} ms{others}")
@@ -92,7 +92,7 @@ class TroubleLine(NamedTuple):
     text: str
     """Empty if all is well."""
     is_grave: bool
-    """False if all requests are answered, but something in the polling is odd."""
+    """False if all requests are answered, but some slaves are slow, or the polling is odd."""
 
 
 def trouble_line(judgement: BoardJudgement, width: int) -> TroubleLine:
@@ -118,10 +118,10 @@ def trouble_line(judgement: BoardJudgement, width: int) -> TroubleLine:
     line = _line(sick, network, width, is_short=False)
     if _MORE in line:
         line = _line(sick, network, width, is_short=True)
-    stray = judgement.stray_frames
-    parts = [line, joined, *(stray_frames_text(link, number) for link, number in stray.items())]
-    text = "; ".join(filter(None, parts))
-    return TroubleLine(text or _odd_line(judgement, width), is_grave=bool(text))
+    stray = worst_stray_frames(judgement.stray_frames, most=1)
+    text = "; ".join(filter(None, [line, joined, *stray]))
+    is_grave = bool(stray) or any(row.is_failing for row in rows)
+    return TroubleLine(text or _odd_line(judgement, width), is_grave)
 
 
 def _odd_line(judgement: BoardJudgement, width: int) -> str:

@@ -61,7 +61,7 @@ class WatchView:
 
 _MOST_ROWS = 50
 """A section of the view `bus` has at most so many rows."""
-_MORE_POLLS, _ALL_POLLS = " more polls", ": key 1 lists all"
+_MORE_POLLS, _ALL_POLLS = (" more poll", " more polls"), ": key 1 lists all"
 
 
 def _line_rows(board: Board, width: int) -> list[LineRow]:

@@ -21,7 +21,7 @@ from mbtool.core import WireEvent
 from mbtool.devices import Difference
 from mbtool.devices.checking.rules import Severity, rule_of
 from mbtool.overview.inventory_rows import InventoryDocument, Role, iso_time
-from mbtool.overview.statistics import Statistics
+from mbtool.overview.statistics import OTHER_UNITS, Statistics
 from mbtool.overview.statistics_report import LinkReport
 from mbtool.series.history import History, LinkSum, UnitRow, UnitSum
 from mbtool.series.time_bins import GREATEST, REQUESTS_IN_BIN, TimeBins
@@ -171,7 +171,10 @@ def _bars(links: Sequence[LinkReport]) -> list[dict[str, Any]]:
         all_units: list[tuple[int | None, int | None, Distribution]] = [
             (None, None, link.tally.latency)
         ]
-        all_units += [(one.unit, one.function, one.tally.latency) for one in link.functions]
+        all_units += [
+            (None if one.unit == OTHER_UNITS else one.unit, one.function, one.tally.latency)
+            for one in link.functions
+        ]
         for unit, function, latency in all_units[: MAX_BARS - len(found)]:
             bars, beyond = latency.bars()
             found.append(

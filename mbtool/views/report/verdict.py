@@ -18,6 +18,7 @@ from mbtool.overview.poll_statistics import PollStatistics
 from mbtool.overview.request_tally import RequestTally, merged
 from mbtool.overview.slow_units import are_many, slow_units
 from mbtool.overview.slower_units import Slower, slower_units
+from mbtool.overview.statistics import OTHER_UNITS
 from mbtool.overview.statistics_report import odd_polling, unit_polls, unit_tallies, unit_times
 from mbtool.overview.unit_times import FailedShare, UnitTimes, missing_share, refused_share
 from mbtool.series.history import UnitRow
@@ -80,22 +81,29 @@ class ReportVerdict:
     late_ns: dict[UnitRow, int] = field(default_factory=dict)
     """The latency (ns) from which an answer is late, for the units that have late answers."""
 
+    is_answered: bool = False
+    """True if a request of the capture was answered."""
+
     @property
     def level(self) -> str:
-        """Return `well` without troubles, `bad` if one is worse than Rank.RULE, else `doubt`."""
+        """Return `bad` if a trouble is worse than Rank.RULE, `well` if there is none and requests
+        were answered, else `doubt`.
+        """
         worst = min((one.rank for one in self.troubles), default=None)
         if worst is None:
-            return "well"
+            return "well" if self.is_answered else "doubt"
         return "bad" if worst < Rank.RULE else "doubt"
 
 
 def report_verdict(links: Sequence[LinkReport], findings: Summaries) -> ReportVerdict:
     """Judge a capture by its statistics and its findings (broken rules)."""
     tallies = unit_tallies(links)
-    units = {UnitRow(*unit): tally for unit, tally in tallies.items()}
-    total = merged(list(units.values()))
+    total = merged(list(tallies.values()))
+    units = {UnitRow(*unit): tally for unit, tally in tallies.items() if unit[1] != OTHER_UNITS}
     if not total.transactions and not findings:
-        return ReportVerdict("There is no transaction in the capture.")
+        some = "There are only broadcasts, which no unit answers, in the capture."
+        none = "There is no transaction in the capture."
+        return ReportVerdict(some if any(link.tally.transactions for link in links) else none)
     names = {row: unit_name(row, several=len(links) > 1) for row in units}
     slow = slow_units({row: one.latency for row, one in units.items()})
     polls = {UnitRow(*unit): some for unit, some in unit_polls(links).items()}
@@ -115,15 +123,15 @@ def report_verdict(links: Sequence[LinkReport], findings: Summaries) -> ReportVe
     troubles = _joined_slow(troubles, slower, len(units))
     grave = sum(one.rank < Rank.RULE for one in troubles)
     told = min(grave or len(troubles), IN_SENTENCE)
-    sentence = _sentence(troubles, units, total)
+    sentence = _sentence(troubles, tallies, total)
     late_ns = {
         UnitRow(*one.unit): one.late_ns for kind in odd for one in kind if isinstance(one, LateUnit)
     }
-    return ReportVerdict(sentence, troubles, told, late_ns)
+    return ReportVerdict(sentence, troubles, told, late_ns, is_answered=_answered(total) > 0)
 
 
 def _sentence(
-    troubles: Sequence[VerdictTrouble], units: dict[UnitRow, RequestTally], total: RequestTally
+    troubles: Sequence[VerdictTrouble], units: Collection[tuple[str, int]], total: RequestTally
 ) -> str:
     grave = [one for one in troubles if one.rank < Rank.RULE]
     minor = [one for one in troubles if one.rank >= Rank.RULE]
@@ -146,16 +154,20 @@ def _sentence(
     return f"Nothing grave, but worth a look: {text}."
 
 
-def _all_well(units: dict[UnitRow, RequestTally], total: RequestTally) -> str:
+def _answered(total: RequestTally) -> int:
+    return sum(map(total.count, (Outcome.OK, Outcome.EXCEPTION, Outcome.MALFORMED)))
+
+
+def _all_well(units: Collection[tuple[str, int]], total: RequestTally) -> str:
     """Return a sentence without troubles: which units answer how many requests.
 
     What the capture lacks is no trouble of a unit, but is not said to be well, either.
     """
     lacking = total.count(Outcome.NOT_CAPTURED)
-    answered = sum(map(total.count, (Outcome.OK, Outcome.EXCEPTION, Outcome.MALFORMED)))
+    answered = _answered(total)
     lacks = f"the capture lacks parts of {counted(lacking, 'transaction', ',')}"
-    if not answered and lacking:
-        return f"No trouble shows, but {lacks}."
+    if not answered:
+        return f"No trouble shows, but {lacks if lacking else 'no request is answered'}."
     who = "the unit answers" if len(units) == 1 else f"{units_text(units)} answer"
     usual = total.latency.percentile(50)
     half = f", half of them within {in_ms(usual)} ms" if usual else ""

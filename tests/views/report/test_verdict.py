@@ -184,3 +184,10 @@ def test_an_error_of_a_rule_is_no_alarm() -> None:
 
 def test_an_empty_capture_is_said() -> None:
     assert judged([]).sentence == "There is no transaction in the capture."
+    assert judged([]).level == "doubt"
+    broadcast = asked(0, 0, Outcome.BROADCAST, None)
+    assert judged([broadcast]).sentence.startswith("There are only broadcasts")
+    unasked = msgspec.structs.replace(asked(0), outcome=Outcome.UNSOLICITED, request_ns=None)
+    verdict = judged([unasked])
+    assert verdict.sentence == "No trouble shows, but no request is answered."
+    assert verdict.level == "doubt"

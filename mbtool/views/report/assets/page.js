@@ -340,7 +340,7 @@ const total = (column) => column.reduce((sum, one) => sum + one, 0);
 
 function verdict() {
   const { level, sentence, troubles } = data.verdict;
-  get("verdict").classList.add(stats.transactions ? level : "doubt");
+  get("verdict").classList.add(level);
   get("sentence").textContent = together(clean(sentence));
   const names = stats.sources.map(baseName), shownNames = names.length > 4 ? `${names.slice(0, 3).join(", ")} and ${count(names.length - 3)} more files` : names.join(", ");
   document.title = clean(`mbtool report: ${shownNames}`);
@@ -462,7 +462,7 @@ function failures() {
   const rows = stats.links.flatMap((link) => link.functions.map((one) => [link, one]))
     .filter(([, one]) => one.no_answer || one.exception || one.malformed || one.unsolicited || one.not_captured || one.repetitions)
     .sort(([, a], [, b]) => b.no_answer + b.exception - a.no_answer - a.exception)
-    .map(([link, one]) => [...(several ? [link.link] : []), String(one.unit), `${hex(one.function)} ${one.function_name}`, count(one.transactions), some(one.no_answer), some(one.wrong_crc), some(one.exception),
+    .map(([link, one]) => [...(several ? [link.link] : []), one.unit === null ? "other" : String(one.unit), functionText(one), count(one.transactions), some(one.no_answer), some(one.wrong_crc), some(one.exception),
       one.exceptions.map((each) => `${hex(each.code)} ${each.name} ×${count(each.count)}`).join(", "), some(one.repetitions), some(one.malformed), some(one.unsolicited), some(one.not_captured)]);
   const sumOf = (name) => total(stats.links.flatMap((link) => link.functions.map((one) => one[name] ?? 0))), damaged = sumOf("wrong_crc");
   const sums = FAILURES.map(([, label, , name]) => (name === "wrong_crc" ? "" : sumOf(name) && `${count(sumOf(name))} ${label}${name === "no_answer" && damaged ? `, of these ${count(damaged)} with a wrong CRC` : ""}`)).filter(Boolean);
@@ -483,7 +483,7 @@ function latency() {
   const sources = stats.links.flatMap((link) => [
     ...(link.latency ? [[several ? link.link : "all units", link.latency, barsOf(link.link, null, null)]] : []),
     ...link.functions.filter((one) => one.latency && link.functions.length > 1)
-      .map((one) => [`${unitName(link.link, one.unit)}, ${hex(one.function)} ${one.function_name}`, one.latency, barsOf(link.link, one.unit, one.function)])]);
+      .map((one) => [[unitName(link.link, one.unit), functionText(one)].filter(Boolean).join(", "), one.latency, barsOf(link.link, one.unit, one.function)])]);
   if (!sources.length) return;
   const ms = (column) => column.filter((one) => one !== null);
   const overTime = (title, key, height) => {
@@ -524,6 +524,7 @@ function histogram(name, one, bars) {
 }
 
 const pollOf = (link, at) => link.polls.find((poll) => poll.number === at);
+const functionText = (one) => (one.unit === null ? "" : `${hex(one.function)} ${one.function_name}`);
 const pollText = (poll) => (poll ? `${poll.unit} ${hex(poll.function)} ${poll.reference || poll.function_name}${poll.sub_function !== null && !poll.reference ? ` ${hex(poll.sub_function)}` : ""}` : "a poll that is not listed");
 function cycle() {
   const made = [];
