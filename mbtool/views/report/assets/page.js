@@ -469,7 +469,7 @@ function failures() {
   show("failures", sums.length ? sums.join("; ") : "none", failing.length > 1 ? choice : null, place, whole || rows.length ? null : soft("No request failed."),
     rows.length ? table("Failures by unit and function", [...(several ? ["link"] : []), ">unit", "~function", ">asked", ">no answer", ">of these wrong CRC", ">exceptions", "+which", ">retries", ">malformed", ">unasked", ">not captured"], rows) : null,
     rows.some((row) => row[row.length - 1]) ? soft("What was not captured is the capture’s loss, and no device’s fault.") : null,
-    bins.units_left_out ? soft(`Of single units there are charts of the ${count(bins.units.length)} that were asked most; ${plural(bins.units_left_out, "unit")} left out.`) : null);
+    bins.units_left_out ? soft(`Of single units there are charts of the ${count(bins.units.length)} that were asked most; ${plural(unitsSeen() - bins.units.length, "unit")} left out.`) : null);
 }
 
 function chooser(label, names, choose) {
