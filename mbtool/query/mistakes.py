@@ -19,6 +19,8 @@ _WORD = re.compile(r"\b(?:AND|OR|NOT|IN|LIKE|MATCHES)\b")
 _TIME = re.compile(r"\b(?:[0-9]{4}-[0-9]{2}-[0-9]{2}|[0-9]{1,2}:[0-9]{2})")
 _PATTERN = re.compile(r"\b(?P<word>like|matches)\s+(?![\s_]|r_)")
 _NO_OPERATOR = re.compile(rf"\b(?P<name>{'|'.join(NAMES)})\s+(?P<value>[0-9][\w.]*|_{{2,}}|[\w-]+)")
+_LONGEST = 60
+"""A value that is longer, in characters, is not shown again."""
 
 
 class Mistake(NamedTuple):
@@ -59,6 +61,8 @@ def _of_pattern(match: re.Match[str]) -> Mistake:
 def _of_names(match: re.Match[str], text: str) -> Mistake | None:
     """Tell of a name with a value behind it, but no operator between them."""
     name, value = match["name"], text[match.start("value") : match.end("value")]
+    if len(value) > _LONGEST or not value.isprintable():
+        return None
     if not value[0].isdigit() and value[0] not in "\"'":
         if value not in NAMES[name].choices:
             return None

@@ -156,7 +156,7 @@ def left_out(
             seen.add(one.column.name)
     names = {one.column.name for one in shown} | {one.name for one in columns if one.is_usual}
     return {
-        one.name: "empty" if _is_empty(one, widest) else f"no room in {width} columns"
+        one.name: "empty" if _is_empty(one, widest) else "no room at this width"
         for one in columns
         if one.name in names - seen
     }

@@ -87,7 +87,7 @@ def test_columns_that_are_not_seen_are_told_with_the_reason() -> None:
 
     assert told(160) == {}
     assert told(160, device=0) == {"device": "empty"}
-    assert told(50)["max"] == "no room in 50 columns"
+    assert told(50)["max"] == "no room at this width"
     assert "state" not in told(50)
     assert "state" in told(40, [one.name for one in SLAVE_COLUMNS])
 

@@ -121,7 +121,8 @@ class WatchApp(PromptedApp):
     def action_mark(self) -> None:
         row = self.table.row
         if self.view_at != _TRANSACTIONS or row is None:
-            self.tell("marks are for transactions: key 3")
+            is_here = self.view_at == _TRANSACTIONS
+            self.tell("nothing to mark" if is_here else "marks are for transactions: key 3")
             return
         if not self.feed.watched.mark(row.kept):
             self.tell("no more can be marked; save these first")

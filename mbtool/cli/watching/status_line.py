@@ -52,7 +52,7 @@ class Brevity(Enum):
     SOME = 1
     """Without the number of events."""
     MOST = 2
-    """And without a number of transactions of its own."""
+    """And without a number of transactions of its own, if nothing is marked."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -106,8 +106,6 @@ def status_text(state: ScreenState, width: int) -> Spans:
 
 
 def _status_spans(state: ScreenState, brevity: Brevity) -> Spans:
-    watched = state.feed.watched
-    board = watched.whole
     spans: Spans = []
     if state.is_frozen:
         spans.append((" FROZEN ", "bold reverse"))
@@ -116,22 +114,26 @@ def _status_spans(state: ScreenState, brevity: Brevity) -> Spans:
         spans.append((f"rec {printable(PurePath(state.recording).name)}  ", "bold red"))
     if isinstance(state.feed, FileFeed):
         spans.append((f"{_position(state.feed)}  ", "bold"))
-    heard = counted(board.transactions, "transaction", ",")
+    return [*spans, *_count_spans(state, brevity)]
+
+
+def _count_spans(state: ScreenState, brevity: Brevity) -> Spans:
+    """Return how much was heard and how much is marked, then the filter and how much passes it."""
+    watched = state.feed.watched
+    heard = counted(watched.whole.transactions, "transaction", ",")
     if brevity is Brevity.NONE:
-        heard = f"{heard}, {counted(board.events, 'event', ',')}"
-    is_passing = bool(state.where) and state.filter_is_on and watched.filtered is not None
-    is_joined = is_passing and brevity is Brevity.MOST and not watched.unfiltered
-    if not is_joined:
-        spans.append((heard, ""))
-    marked = len(watched.marked)
-    if marked:
-        spans.append((f"{'' if is_joined else ', '}{marked} marked", "green"))
-    if is_passing:
-        before = "" if is_joined and not marked else "  "
-        spans.append((f"{before}{_passing(watched, brevity)}: {state.where}", "bold cyan"))
-    elif state.where:
-        spans.append((f"  filter off: {state.where}", "dim"))
-    return spans
+        heard = f"{heard}, {counted(watched.whole.events, 'event', ',')}"
+    counts: Spans = [(heard, "")]
+    if watched.marked:
+        counts.append((f", {len(watched.marked)} marked", "green"))
+    if not state.where:
+        return counts
+    if not state.filter_is_on or watched.filtered is None:
+        return [*counts, (f"  filter off: {state.where}", "dim")]
+    passing = (f"{_passing(watched, brevity)}: {state.where}", "bold cyan")
+    if brevity is Brevity.MOST and not watched.unfiltered and not watched.marked:
+        return [passing]
+    return [*counts, ("  ", ""), passing]
 
 
 def _passing(watched: Watched, brevity: Brevity) -> str:

@@ -334,7 +334,7 @@ def test_c_says_which_columns_have_no_room_and_enter_alone_changes_nothing() -> 
         async with screen(GivenFeed([read(0, *values)]), (64, 24)) as seen:
             await seen.press("c")
             await seen.pilot.pause()
-            assert "[x] trend  no room in 64 columns" in seen.text
+            assert "[x] trend  no room at this width" in seen.text
             assert "[x] values " in seen.text
             await seen.press("enter")
             await seen.pilot.pause()
