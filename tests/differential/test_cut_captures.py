@@ -142,7 +142,7 @@ def test_one_line_tells_how_many_packets_are_cut(
     noun = "packet is" if expected == 1 else "packets are"
     said = command_line("decode", file, "--format", format_)
     lines = [line for line in said.err.splitlines() if "cut (" in line]
-    assert lines == [f"{expected} {noun} cut (snaplen 62)"]
+    assert lines == [f"{expected:,} {noun} cut (snaplen 62)"]
 
 
 @pytest.mark.skipif(shutil.which("editcap") is None, reason="needs editcap")
