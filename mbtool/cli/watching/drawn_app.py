@@ -63,7 +63,7 @@ class DrawnApp(App[int]):
     TITLE = "mbtool watch"
     ENABLE_COMMAND_PALETTE = True
     CSS = """
-    #detail { height: 10; display: none; border-top: solid $accent; }
+    #detail { height: 10; max-height: 50%; display: none; border-top: solid $accent; }
     #detail.open { display: block; }
     #detail-text { height: auto; }
     #troubles { display: none; }
