@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
-from mbtool.overview.slow_units import ENOUGH_ANSWERS, SLOW_NS
+from mbtool.overview.slow_units import ENOUGH_ANSWERS, SLOW_NS, slow_units
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
+    from mbtool.overview.distribution import Distribution
     from mbtool.overview.unit_bins import UnitBin
     from mbtool.overview.unit_times import UnitTimes
 
@@ -40,12 +41,17 @@ class Slower(NamedTuple):
         return self.mean_ns / (self.before_ns or 1)
 
 
-def slower_units(times: Mapping[K, UnitTimes], slow: Collection[K]) -> dict[K, Slower]:
-    """Find the units that became slower, but not those of `slow`, which always were."""
-    found = {
-        unit: became_slower(one.bins.bins()) for unit, one in times.items() if unit not in slow
-    }
-    return {unit: one for unit, one in found.items() if one is not None}
+def slow_and_slower_units(
+    latencies: Mapping[K, Distribution], times: Mapping[K, UnitTimes]
+) -> tuple[dict[K, float], dict[K, Slower]]:
+    """Return the units that always were slow, as slow_units does, and those that became slower.
+
+    `latencies` and `times` have the latencies and the times of the requests of each unit.
+    """
+    found = {unit: became_slower(one.bins.bins()) for unit, one in times.items()}
+    slower = {unit: one for unit, one in found.items() if one is not None and unit in latencies}
+    slow = slow_units(latencies)
+    return {unit: usual for unit, usual in slow.items() if unit not in slower}, slower
 
 
 def became_slower(bins: Sequence[UnitBin]) -> Slower | None:

@@ -9,8 +9,7 @@ from mbtool.modbus import Outcome
 from mbtool.overview.failure_limits import are_damaged, is_grave, never_answers
 from mbtool.overview.refusals import always_refused, joint_refusals
 from mbtool.overview.request_tally import RequestTally, merged
-from mbtool.overview.slow_units import slow_units
-from mbtool.overview.slower_units import slower_units
+from mbtool.overview.slower_units import slow_and_slower_units
 from mbtool.overview.statistics_report import (
     is_counted_together,
     odd_polling,
@@ -262,7 +261,9 @@ def _slow(units: _Units) -> list[StyledLine]:
     """Return a line on each slow unit, then on each that became slower; if one of these are many
     (JOINED), one line on the worst of them.
     """
-    slow = slow_units({unit: tally.latency for unit, tally in units.tallies.items()})
+    slow, became_slower = slow_and_slower_units(
+        {unit: tally.latency for unit, tally in units.tallies.items()}, units.times
+    )
     medians = {unit: units.tallies[unit].latency.percentile(50) for unit in slow}
     texts = [
         slow_text(units.name(unit), medians[unit], slow[unit])
@@ -270,7 +271,7 @@ def _slow(units: _Units) -> list[StyledLine]:
     ]
     if len(texts) >= JOINED:
         texts = [many_slow_text(len(texts), len(units.tallies), texts[0])]
-    slower = sorted(slower_units(units.times, slow).items(), key=lambda one: -one[1].factor)
+    slower = sorted(became_slower.items(), key=lambda one: -one[1].factor)
     others = [slower_text(units.name(unit), one) for unit, one in slower]
     if len(others) >= JOINED:
         others = [many_slower_text(len(others), len(units.tallies), others[0])]

@@ -10,8 +10,7 @@ from mbtool.core import WireEvent
 from mbtool.modbus import Outcome
 from mbtool.overview.failure_limits import are_damaged, is_grave, never_answers
 from mbtool.overview.refusals import always_refused
-from mbtool.overview.slow_units import slow_units
-from mbtool.overview.slower_units import Slower, slower_units
+from mbtool.overview.slower_units import Slower, slow_and_slower_units
 from mbtool.overview.unit_times import FailedShare, UnitTimes, missing_share, refused_share
 from mbtool.watching.watched_rows import KeptRecord, errors_of
 
@@ -231,9 +230,10 @@ def _record_row(
 def slave_rows(board: Board) -> list[WatchedSlaveRow]:
     """Return the slaves, sorted by link and unit."""
     every = {} if board.whole is board else {row.key: row for row in slave_rows(board.whole)}
-    slow = slow_units({key: slave.tally.latency for key, slave in board.slaves.items()})
     times = _times(board)
-    slower = slower_units(times, slow)
+    slow, slower = slow_and_slower_units(
+        {key: slave.tally.latency for key, slave in board.slaves.items()}, times
+    )
     polls = polls_of_slaves(board)
     return [
         _slave_row(

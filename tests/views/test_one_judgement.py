@@ -189,6 +189,16 @@ def test_the_same_units_of_a_line_with_all_troubles(monkeypatch: pytest.MonkeyPa
     assert told.sentence.startswith("Unit 3 never answers (60 requests); unit 5 refuses 50 % of ")
 
 
+def test_a_unit_that_is_slow_most_of_the_time_is_told_with_its_beginning(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    well = [request(1000 * at, unit=2, latency_ns=6 * MS) for at in range(100)]
+    slow = [request(1000 * at, latency_ns=(6 if at < 40 else 80) * MS) for at in range(100)]
+    told = told_of([*well, *slow], monkeypatch)
+    compare(told)
+    assert "unit 1 answers slower since 00:00:" in told.lines[0]
+
+
 def test_a_unit_that_became_slower_is_told_by_all(monkeypatch: pytest.MonkeyPatch) -> None:
     well = [request(1000 * at + 500, unit=2, latency_ns=9 * MS) for at in range(100)]
     slower = [request(1000 * at, latency_ns=(6 if at < 60 else 26) * MS) for at in range(100)]

@@ -16,8 +16,8 @@ from mbtool.overview.failure_limits import FEW, are_damaged, never_answers
 from mbtool.overview.odd_polling import LateUnit
 from mbtool.overview.poll_statistics import PollStatistics
 from mbtool.overview.request_tally import RequestTally, merged
-from mbtool.overview.slow_units import are_many, slow_units
-from mbtool.overview.slower_units import Slower, slower_units
+from mbtool.overview.slow_units import are_many
+from mbtool.overview.slower_units import Slower, slow_and_slower_units
 from mbtool.overview.statistics import OTHER_UNITS
 from mbtool.overview.statistics_report import odd_polling, unit_polls, unit_tallies, unit_times
 from mbtool.overview.unit_times import FailedShare, UnitTimes, missing_share, refused_share
@@ -40,6 +40,7 @@ from mbtool.views.trouble_words import (
 )
 
 if TYPE_CHECKING:
+    from mbtool.overview.distribution import Distribution
     from mbtool.overview.statistics_report import LinkReport
     from mbtool.views.findings_table import Summaries
 
@@ -105,10 +106,12 @@ def report_verdict(links: Sequence[LinkReport], findings: Summaries) -> ReportVe
         none = "There is no transaction in the capture."
         return ReportVerdict(some if any(link.tally.transactions for link in links) else none)
     names = {row: unit_name(row, several=len(links) > 1) for row in units}
-    slow = slow_units({row: one.latency for row, one in units.items()})
     polls = {UnitRow(*unit): some for unit, some in unit_polls(links).items()}
     times = unit_times(links)
-    slower = slower_units(times, slow)
+    latencies: dict[tuple[str, int], Distribution] = {
+        row: one.latency for row, one in units.items()
+    }
+    slow, slower = slow_and_slower_units(latencies, times)
     odd = odd_polling(links, tallies)
     troubles = [
         *line_troubles(links),
