@@ -70,7 +70,7 @@ def _version(wanted: bool) -> None:
         raise typer.Exit
 
 
-_NEW_OBJECTS = 20_000
+NEW_OBJECTS = 20_000
 """The garbage collector runs when there are this many more objects that can be part of a cycle."""
 
 
@@ -115,7 +115,7 @@ def main() -> None:
         join_words(os.environ)
         completion_init()
         get_command(app).main(prog_name="mbtool")
-    gc.set_threshold(_NEW_OBJECTS, *gc.get_threshold()[1:])
+    gc.set_threshold(NEW_OBJECTS, *gc.get_threshold()[1:])
     _open_standard_descriptors()
     # If a stream was closed before the program began, it is None; its output is dropped.
     sys.stdout = sys.stdout or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115

@@ -14,6 +14,7 @@ the screen. Absolute figures are the machine's; the ratio is what counts.
 from __future__ import annotations
 
 import argparse
+import gc
 import json
 import os
 import pty
@@ -28,6 +29,7 @@ from pathlib import Path
 from threading import Thread
 from typing import TYPE_CHECKING, NamedTuple
 
+from mbtool.cli.main import NEW_OBJECTS
 from mbtool.cli.watching.app import WatchApp
 from mbtool.core import Chunk, Connection, Direction, Endpoint
 from mbtool.core.evidence import Stamp
@@ -123,6 +125,7 @@ class PacedFeed(WatchFeed):
 
 def run_screen(rate: int, seconds: float, view: int, out: str) -> None:
     """Measure in this process, whose standard streams are a terminal."""
+    gc.set_threshold(NEW_OBJECTS, *gc.get_threshold()[1:])  # As the program does.
     chunks = traffic(round(rate * seconds), rate)
     before_s = _decoding_s(chunks, rate)
     feed = PacedFeed(chunks, rate)

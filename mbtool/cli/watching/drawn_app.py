@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from mbtool.workflows.watch import WatchFeed
     from mbtool.workflows.watch_saving import Saver
 
-DRAWS_PER_S = 5
+DRAWS_PER_S = 4
 _SHARE = 8
 """The pause after drawing the screen is at least this many times as long as drawing took."""
 _LONGEST_PAUSE_S = 2.0
