@@ -53,7 +53,7 @@ class FunctionUse(msgspec.Struct, kw_only=True):
     """Each of `ranges` in the notation of the unit's profile; "" for one that it has no notation
     for. The list is empty if nobody named the unit's profile."""
     refused_references: list[str] = []
-    """The same for `refused`."""
+    """Each of `refused` in that notation; the list is empty in the same case."""
     unsupported: int = 0
     """The number of requests that were answered with exception code 01, illegal function."""
     left_out: int = 0

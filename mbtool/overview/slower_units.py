@@ -24,7 +24,7 @@ _DAY_NS = 86_400_000_000_000
 
 
 class Slower(NamedTuple):
-    """Since when a unit answers slower, and by how much."""
+    """The time from which a unit answers slower, and its mean latencies before and since."""
 
     since_ns: int
     """The time (UTC ns), exact to a bin."""
@@ -37,7 +37,7 @@ class Slower(NamedTuple):
 
     @property
     def factor(self) -> float:
-        """How many times as long as before the answers take."""
+        """The mean latency since then, divided by that before."""
         return self.mean_ns / (self.before_ns or 1)
 
 

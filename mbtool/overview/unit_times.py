@@ -22,7 +22,7 @@ _DAY_NS = 86_400_000_000_000
 
 
 class FailedShare(NamedTuple):
-    """How many requests to a unit failed in one way, of how many, and in which time."""
+    """The number of requests to a unit that failed in one way, and of all requests in that time."""
 
     failed: int
     asked: int
@@ -44,7 +44,7 @@ class FailedShare(NamedTuple):
 
 
 class FailureSpan(NamedTuple):
-    """From when to when requests to a unit failed in one way. Times are in ns since 1970."""
+    """The first and the last failed request of one kind to a unit; times in ns since 1970."""
 
     first_ns: int
     last_ns: int

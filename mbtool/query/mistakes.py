@@ -29,7 +29,7 @@ class Mistake(NamedTuple):
     at: int
     """The index of its first character in the text."""
     told: str
-    """What to write instead, for the user."""
+    """Advice to the user what to write instead."""
 
 
 def find_mistake(text: str) -> Mistake | None:

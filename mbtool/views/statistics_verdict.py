@@ -197,7 +197,7 @@ def _exceptions(
     failing = units.failing(refused_share)
     for unit, share in failing.shares.items():
         if always_refused(polls.get(unit, ()), units.tallies[unit]):
-            # Since when tells nothing of requests that the unit would always have refused.
+            # No beginning is told of requests that the unit refuses each time.
             failing.shares[unit] = share._replace(since_ns=None, until_ns=None)
     by_count = sorted(total.exceptions.items(), key=lambda one: -one[1])
     codes = ", ".join(

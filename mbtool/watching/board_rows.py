@@ -122,7 +122,7 @@ class WatchedSlaveRow(NamedTuple):
     usual_ns: float | None
     """The median latency of the other units in ns, if this unit is much slower; else None."""
     slower: Slower | None
-    """Since when the unit is slower; None if it is not, or always was slow."""
+    """The time from which the unit is slower; None if it is not, or always was slow."""
     slowest_ns: int
     first_ns: int
     last_ns: int

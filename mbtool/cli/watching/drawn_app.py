@@ -105,13 +105,13 @@ class DrawnApp(App[int]):
         self._is_asked_to_end = is_asked_to_end
         self._found = ""
         self._saving: str | None = None
-        """What is told while a file is being saved; else None."""
+        """The text on the screen while a file is being saved; else None."""
         self.unsaid: str | None = None
-        """What a save told that is not on the screen, as the user has left it; else None."""
+        """The result of a save whose prompt the user has left, until it is shown; else None."""
         self._before_typing = where
         self._typed_at = 0
         self._notes: Sequence[str] = ()
-        """What the present view does not show, in several lengths; see WatchView."""
+        """Texts on what the present view does not show, in several lengths; see WatchView."""
         self._contexts = [DrawContext() for _ in VIEWS]
         self._widest: list[dict[str, int]] = [{} for _ in VIEWS]
         """By view, the width in characters of the widest cell so far of some columns."""

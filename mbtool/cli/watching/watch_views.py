@@ -43,7 +43,7 @@ class WatchView:
 
     name: str
     what: str
-    """What it shows, for a view without rows, such as `requests to slaves`."""
+    """The plural noun in the text of a view without rows, such as `requests to slaves`."""
     row_noun: str
     """The plural noun for its rows, such as `slaves`."""
     columns: Sequence[WatchColumn]
