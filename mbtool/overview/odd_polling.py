@@ -47,7 +47,7 @@ _MS = 1_000_000
 
 @dataclass(frozen=True, slots=True)
 class PollingPause:
-    """The times (ns) for which a master did not poll a link."""
+    """The times (ns) for which a master did not send its most frequent regular poll of a link."""
 
     link: str
     master: str

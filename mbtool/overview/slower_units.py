@@ -83,7 +83,9 @@ def became_slower(bins: Sequence[UnitBin]) -> Slower | None:
     if bins[first - 1].end_ns == since[0].begin_ns == since_ns:
         since_ns -= slow_ns(bins[first - 1])
     is_long = bins[-1].end_ns - bins[0].begin_ns >= _DAY_NS
-    before = bins[: min(first, half)]  # Later ones may have single late answers.
+    # The unit may have become slower within the bin before the first slow one, and later bins may
+    # have single late answers.
+    before = bins[: max(min(first - 1, half), 1)]
     return Slower(since_ns, _mean(since), _mean(before), is_long)
 
 

@@ -2,7 +2,8 @@
 
 # If the slave has a profile, the values of its points are collected; otherwise the numbers in
 # registers and bits. A poll is a series of equal requests. A transaction with the same values as
-# the last one of its poll changes nothing, and is left out at once.
+# the last one of its poll changes nothing, and is left out at once; not so if another poll reads or
+# writes some of the same registers or points, as it may have changed them.
 #
 # Memory: MAX_SERIES points and registers (value_series.py); at most MAX_OF_POLL registers of one
 # poll; the last values of MAX_POLLS polls. `left_out` counts the points and registers beyond these
@@ -47,9 +48,11 @@ class _FollowedPoll:
     registers or points are added to.
     """
 
-    __slots__ = ("names", "series", "values")
+    __slots__ = ("is_shared", "names", "series", "values")
 
     def __init__(self) -> None:
+        self.is_shared = False
+        """True if another poll reads or writes some of the same registers or points."""
         self.values: list[int] | None = None
         self.series: list[ValueSeries | None] = []
         self.names: list[str] = []
@@ -63,6 +66,8 @@ class Values:
         self.series: dict[SeriesKey, ValueSeries] = {}
         self._left_out: set[SeriesKey] = set()
         self._polls: dict[tuple[object, ...], _FollowedPoll] = {}
+        self._first_polls: dict[ValueSeries, _FollowedPoll] = {}
+        """The poll that was the first to follow a series."""
 
     @property
     def left_out(self) -> int:
@@ -82,33 +87,38 @@ class Values:
         key = (one.link, one.unit, one.function, one.address, one.quantity, one.write_address)
         poll = self._poll(key)
         before, poll.values = poll.values, values
-        if before == values:
+        if before == values and not poll.is_shared:
             return
         at_ns = one.response_ns or one.start_ns
         if one.points:
             self._add_points(one, poll, at_ns)
         elif one.address is not None:
             self._follow(poll, one, function.table, len(values))
-            _add_changes(poll.series, values, before or (), at_ns)
+            _add_changes(poll.series, values, () if poll.is_shared else before or (), at_ns)
 
     def add_reads(self, reads: Sequence[AnsweredReads]) -> bool:
         """Take many reads of slaves without profiles, with the same result as `add` for each.
 
-        Returns False, and takes none, if there may be no room for their polls.
+        Returns False, and takes no values, if there may be no room for their polls, or if polls
+        share registers.
         """
         if len(self._polls) + len(reads) > MAX_POLLS:
             return False
-        found: dict[ValueSeries, list[ValueChanges]] = {}
+        polls = []
         for one in reads:
-            function = FUNCTIONS[one.function]
-            if function.table is None:
-                continue
-            key = (one.link, one.unit, one.function, one.address, one.quantity, None)
-            poll = self._poll(key)
+            table = FUNCTIONS[one.function].table
+            if table is not None:
+                key = (one.link, one.unit, one.function, one.address, one.quantity, None)
+                poll = self._poll(key)
+                self._follow(poll, one, table, one.quantity)
+                polls.append((poll, one))
+        if any(poll.is_shared for poll, _ in polls):
+            return False
+        found: dict[ValueSeries, list[ValueChanges]] = {}
+        for poll, one in polls:
             before, poll.values = poll.values, one.values.last()
             if before is not None and len(before) != one.quantity:
                 before = None
-            self._follow(poll, one, function.table, one.quantity)
             for place, series in enumerate(poll.series):
                 if series is not None:
                     found.setdefault(series, []).append(one.values.changes(before, place))
@@ -131,12 +141,22 @@ class Values:
         """Make sure that the registers or bits of a poll have their series of values."""
         if len(poll.series) != min(count, MAX_OF_POLL):
             poll.series = self._registers(one, table, count)
+            self._note_sharing(poll)
+
+    def _note_sharing(self, poll: _FollowedPoll) -> None:
+        """Mark the poll, and another one that follows one of its series."""
+        for series in poll.series:
+            if series is not None:
+                first = self._first_polls.setdefault(series, poll)
+                if first is not poll:
+                    first.is_shared = poll.is_shared = True
 
     def _add_points(self, one: NamedTransaction, poll: _FollowedPoll, at_ns: int) -> None:
         names = [point.name for point in one.points]
         if names != poll.names:
             poll.names = names
             poll.series = [self._series(SeriesKey(one.link, one.unit, name)) for name in names]
+            self._note_sharing(poll)
         for point, series in zip(one.points, poll.series, strict=True):
             if series is not None:
                 series.reference, series.unit = point.reference, point.unit or ""

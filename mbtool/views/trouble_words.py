@@ -156,8 +156,8 @@ def oddity_text(
             how = f"{one.number:,} times, for up to {longest}"
             how = f"for {longest}" if one.number == 1 else how
             of = f" of {one.link}" if one.master and not is_short else ""
-            text = f"{one.master or one.link} paused its polling{of} {how}"
-            usual = f"usually a request every {duration(one.usual_ns)}"
+            text = f"{one.master or one.link} paused a poll{of} {how}"
+            usual = f"usually every {duration(one.usual_ns)}"
         case ShortConnections():
             text = f"{one.master or 'masters'} opened {one.opened:,} TCP connections to "
             text += f"{one.link} for {counted(one.requests, 'request', ',')}"

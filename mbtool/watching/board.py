@@ -237,7 +237,8 @@ class Board:
         if one.outcome is not Outcome.OK and one.outcome is not Outcome.BROADCAST:
             return
         values = one.request_values if one.response_values is None else one.response_values
-        if values is None or (values == poll.values and one.function != _READ_WRITE):
+        is_same = values == poll.values and one.function != _READ_WRITE
+        if values is None or (is_same and not poll.shares_points):
             return
         if poll.values is not None:
             _note_changes(poll, values, at_ns)
@@ -277,7 +278,8 @@ class Board:
                 one.link, one.unit, one.device, point.reference, name, None, None, poll
             )
         before = row.text
-        row.poll, row.value_unit = poll, point.unit
+        _take_over(row, poll)
+        row.value_unit = point.unit
         row.set(point.value, point.text, at_ns, written=point in one.written_points)
         if before and row.changed_ns == at_ns:
             poll.points_changed_ns[point.name] = at_ns
@@ -302,7 +304,7 @@ class Board:
                 row = self.points[key] = self._raw_point(poll, one, table, address)
             elif row.value == value and row.poll is poll and row.is_written is written:
                 continue
-            row.poll = poll
+            _take_over(row, poll)
             row.set(value, str(value), at_ns, written=written)
 
     def _raw_point(
@@ -367,6 +369,13 @@ class Board:
 def _is_cut_off(record: Record) -> bool:
     """True for a request whose response may have come after the capture's end."""
     return not isinstance(record, WireEvent) and Verdict.CAPTURE_END in record.verdicts
+
+
+def _take_over(row: WatchedPoint, poll: WatchedPoll) -> None:
+    """Let `poll` be the one that gave the last value of a point."""
+    if row.poll is not poll:
+        row.poll.shares_points = poll.shares_points = True
+        row.poll = poll
 
 
 def _note_changes(poll: WatchedPoll, values: Sequence[int], at_ns: int) -> None:

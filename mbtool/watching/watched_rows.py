@@ -73,6 +73,9 @@ class WatchedPoll:
     """False if the times between two requests differ widely, by the rule of the statistics."""
     retries: int = 0
     """The number of retries, by the rule of the statistics."""
+    shares_points: bool = False
+    """True if another poll gives or gave values of the same points, so that a value may have
+    changed though this poll reads the same as before."""
     _period_at: int = 0
 
     def refresh_period(self) -> None:

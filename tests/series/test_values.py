@@ -43,6 +43,14 @@ def test_reads_and_writes_of_a_register_are_one_series() -> None:
     assert samples(values, "holding 11") == [(1, 8)]
 
 
+def test_a_value_that_a_write_changed_changes_back_when_it_is_read_as_before() -> None:
+    values = Values()
+    for at_ns in range(0, 40, 20):
+        values.add(seen(at_ns + 1, 1, [0]))
+        values.add(seen(at_ns + 11, 5, [1]))
+    assert samples(values, "coil 10") == [(1, 0), (11, 1), (21, 0), (31, 1)]
+
+
 def test_bits_are_marked_as_bits() -> None:
     values = Values()
     values.add(seen(1, 1, [1, 0]))

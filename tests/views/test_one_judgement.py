@@ -231,7 +231,7 @@ def test_what_is_odd_in_the_polling_is_told_by_all(monkeypatch: pytest.MonkeyPat
     times = [250 * at + (7000 if at > 60 else 0) for at in range(100)]
     polls = [request(at, latency_ns=990 * MS if at == 10_000 else 2 * MS) for at in times]
     told = told_of(polls, monkeypatch)
-    pause = "line paused its polling for 7.25 s (usually a request every 250 ms)"
+    pause = "line paused a poll for 7.25 s (usually every 250 ms)"
     late = "unit 1 gives 1 answer late, after 990 ms (usually 2.0 ms)"
     assert told.lines[-2:] == [f"! {pause}", f"! {late}"]
     assert told.sentence == f"Nothing grave, but worth a look: {pause}; {late}."
@@ -241,7 +241,7 @@ def test_what_is_odd_in_the_polling_is_told_by_all(monkeypatch: pytest.MonkeyPat
 def test_the_line_of_watch_shortens_what_is_odd() -> None:
     times = [250 * at + (7000 if at > 60 else 0) for at in range(100)]
     board = board_of([request(at, latency_ns=990 * MS if at == 10_000 else MS) for at in times])
-    pause = "line paused its polling for 7.25 s"
+    pause = "line paused a poll for 7.25 s"
     text, is_grave = trouble_line(judge(board), 78)
     assert text == f"{pause}; unit 1 gives 1 answer late, after 990 ms"
     assert not is_grave
@@ -260,7 +260,7 @@ def test_the_line_of_watch_leaves_out_the_link_of_a_pause_if_there_is_no_room() 
             for at in range(100)
         ]
     )  # fmt: skip
-    text = f"{master} paused its polling for 7.25 s; 1 more: key 6"
+    text = f"{master} paused a poll for 7.25 s; 1 more: key 6"
     assert trouble_line(judge(board), 78).text == text
 
 

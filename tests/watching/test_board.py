@@ -183,6 +183,19 @@ def test_a_read_and_write_gives_what_it_reads_and_what_it_writes() -> None:
     assert rows == {"holding 1": ("7", False), "holding 5": ("9", True)}
 
 
+def test_a_value_that_another_request_changed_is_the_last_one_though_a_poll_reads_as_before() -> (
+    None
+):
+    written = {"function": 5, "request_values": [1], "response_values": None}
+    board = board_of(
+        read(0, 0, function=1), read(10, 1, **written), read(20, 0, function=1),
+        read(30, 1, **written), read(40, 0, function=1),
+    )  # fmt: skip
+    (row,) = point_rows(board)
+    assert (row.text, row.changes, row.is_written) == ("0", 4, False)
+    assert row.last_ns == START_NS + 40 * MS
+
+
 def test_a_slave_is_silent_since_the_first_request_without_answer() -> None:
     board = board_of(read(0, 1), unanswered(100), unanswered(200))
     (row,) = slave_rows(board)
@@ -293,7 +306,7 @@ def test_a_poll_that_was_not_asked_for_longest_gives_way(monkeypatch: pytest.Mon
 
 def test_a_steady_poll_costs_few_calls() -> None:
     board = Board(lambda _: LINE)
-    records = [kept_record(n, n, read(n, *range(10), address=n % 20)) for n in range(1, 1101)]
+    records = [kept_record(n, n, read(n, *range(10), address=n % 20 * 10)) for n in range(1, 1101)]
     for kept in records[:100]:
         board.add(kept)
     calls = 0

@@ -53,18 +53,17 @@ def test_answers_a_little_slower_than_usual_are_none_of_it() -> None:
 def test_a_long_pause_of_polling_is_told_with_the_usual_period() -> None:
     told = judged([asked(at / 4 + (7 if at > 60 else 0)) for at in range(100)])
     assert told.sentence == (
-        "Nothing grave, but worth a look: rs485 paused its polling for 7.25 s "
-        "(usually a request every 250 ms)."
+        "Nothing grave, but worth a look: rs485 paused a poll for 7.25 s (usually every 250 ms)."
     )
     assert told.troubles[0].cases_title == ""
     told = judged([on_network(at / 4 + 7 * (at > 30) + 9 * (at > 60)) for at in range(100)])
-    assert "10.0.0.1 paused its polling of 10.0.0.9 2 times, for up to 9.25 s (" in told.sentence
+    assert "10.0.0.1 paused a poll of 10.0.0.9 2 times, for up to 9.25 s (" in told.sentence
 
 
 def test_the_longest_pauses_have_their_begins_and_lengths() -> None:
     records = [asked(at / 4 + 4 * (at // 20) + (at > 139)) for at in range(200)]
     (pauses,) = judged(records).troubles
-    assert "paused its polling 9 times" in pauses.text
+    assert "paused a poll 9 times" in pauses.text
     assert pauses.cases_title == "the 5 longest:"
     begins = [139, 19, 39, 59, 79]
     assert pauses.cases == tuple(

@@ -283,7 +283,7 @@ function asTable(spec) {
     if (!details.open || details.childElementCount > 1) return;
     const rows = spec.data[0].map((x, at) => [spec.at ? spec.at(x) : moment(x * 1e6),
       ...spec.series.map((one, place) => { const v = spec.data[place + 1][at]; return v === null || v === undefined ? "" : one.text ? one.text(v) : number(v); })])
-      .filter((row) => row.slice(1).some((cell) => cell !== "" && cell !== "0"));
+      .filter((row) => row.slice(1).some((cell) => cell !== "" && (spec.held || cell !== "0")));
     details.append(table(spec.caption ?? spec.title, [spec.head || "time (UTC)", ...spec.series.map((one) => `>${one.label}`)], rows, true, 0));
   }, { passive: true });
   return details;
@@ -652,18 +652,19 @@ function values() {
   });
   const grid = el("div", { class: "grid" });
   const more = el("button", { type: "button" }, "");
-  const tools = el("div", { class: "tools" }, more);
+  const tools = el("div", { class: "tools" }, more), unprinted = el("p", { class: "soft on-paper" });
   let drawn = 0;
   const draw = () => {
     grid.append(...specs.slice(drawn, drawn + CHARTS_AT_ONCE).map((make) => make()));
     drawn = Math.min(drawn + CHARTS_AT_ONCE, specs.length);
-    more.textContent = `Show ${Math.min(CHARTS_AT_ONCE, specs.length - drawn)} more of ${specs.length - drawn} charts`;
-    tools.hidden = drawn >= specs.length;
+    more.textContent = `Show ${Math.min(CHARTS_AT_ONCE, specs.length - drawn)} more charts (${drawn} of ${specs.length} are shown)`;
+    tools.hidden = unprinted.hidden = drawn >= specs.length;
+    unprinted.textContent = `${drawn} of ${specs.length} charts of values are printed: those that were shown on the screen.`;
   };
   more.addEventListener("click", draw);
   draw();
   show("values", `${count(series.length)} changed`, soft(`${plural(series.length, "value")} changed, ${count(constant.length)} did not. A value holds until the next one is read or written.`),
-    ...(hasTimeline ? [grid, tools, ...bands] : [series.length && table("Values that changed", [...(several ? ["link"] : []), ">unit", "~name", "+values"],
+    ...(hasTimeline ? [grid, tools, unprinted, ...bands] : [series.length && table("Values that changed", [...(several ? ["link"] : []), ">unit", "~name", "+values"],
       series.map((one) => [...(several ? [one.link] : []), String(one.unit), title(one), one.samples.map(([, value]) => new Map(one.texts).get(value) ?? number(value)).slice(0, 8).join(", ")]))]),
     constant.length ? table("Values that never changed", [...(several ? ["link"] : []), ">unit", "~name", "address", "+value"],
       constant.map(([link, unit, name, reference, value]) => [...(several ? [link] : []), String(unit), name, reference, value])) : null,
