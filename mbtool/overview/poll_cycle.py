@@ -220,16 +220,18 @@ def _without_repetitions(asked: Sequence[Asked[P]], timeout_ns: int) -> list[Pol
     if not any(one.is_missing for one in asked):
         return [PollStart(*one[:4]) for one in asked]
     starts: list[PollStart[P]] = []
-    was_missing = False
+    was_missing = was_damaged = False
     for one in asked:
         is_waited_for = one.is_missing and not one.is_damaged
         end_ns = one.end_ns + (timeout_ns if is_waited_for else 0)
-        is_soon = bool(starts) and one.begin_ns - starts[-1].end_ns <= _SOON * timeout_ns
+        # After a damaged response, masters repeat at once or when the timeout is over.
+        soon_ns = (_SOON + was_damaged) * timeout_ns
+        is_soon = bool(starts) and one.begin_ns - starts[-1].end_ns <= soon_ns
         if was_missing and is_soon and starts[-1].poll == one.poll:
             starts[-1] = starts[-1]._replace(end_ns=end_ns)
         else:
             starts.append(PollStart(one.poll, one.begin_ns, end_ns, one.is_missing))
-        was_missing = one.is_missing
+        was_missing, was_damaged = one.is_missing, one.is_damaged
     return starts
 
 

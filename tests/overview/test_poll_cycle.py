@@ -149,6 +149,18 @@ def test_a_missing_answer_costs_the_cycle_a_timeout_and_a_retry() -> None:
     assert find_lists(master.run(200)).timeout_ns == pytest.approx(400 * MS, rel=0.02)
 
 
+def test_a_request_repeated_after_a_damaged_answer_is_in_its_cycle() -> None:
+    master = Master(tasks=[Task(polls="abcd", pause_ms=200)], loss=0.1, retries=3, timeout_ms=400)
+    asked = master.run(200)
+    damaged = [
+        one._replace(is_damaged=one.is_missing and at % 2 == 0) for at, one in enumerate(asked)
+    ]
+    assert any(one.is_damaged for one in damaged)
+    (found,), (expected,) = find_lists(damaged).lists, find_lists(asked).lists
+    assert found.cycles == expected.cycles
+    assert [one.missing for one in found.steps] == [one.missing for one in expected.steps]
+
+
 def test_a_dead_unit_says_how_long_it_keeps_the_master() -> None:
     master = Master(
         tasks=[Task(polls="abc", pause_ms=500)], dead=frozenset("b"), retries=2, timeout_ms=300
