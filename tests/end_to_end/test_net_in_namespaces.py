@@ -97,9 +97,8 @@ def test_what_mbpoll_asks_is_logged_at_both_ends(
     # On every interface at once: the cable is the only one that carries anything.
     with listening(ends, tmp_path, "net:any", slave, ("--port", str(PORT))) as sniffers:
         for options, values in steps:
-            command = (
-                mbpoll, "-m", "tcp", "-p", str(PORT), "-o", "10", "-1", "-q", *options, host, *values
-            )  # fmt: skip
+            once = ("-m", "tcp", "-p", str(PORT), "-o", "10", "-1", "-q")
+            command = (mbpoll, *once, *options, host, *values)
             with Program(*ends.within(ends.master, *command)) as program:
                 assert program.wait() == 0, program.said.text + program.printed.text
         logs = sniffers.end_after(len(steps))
