@@ -107,20 +107,36 @@ def test_the_page_of_mixed_polls_is_the_same_both_ways(seed: int, tmp_path: Path
         assert demand_equal(path, everything=seed == 3) > 100
 
 
-def steady_with_late_answers() -> bytes:
-    """Two masters poll a slave each; every 50th answer is late, some of them by the same time."""
+def two_masters(
+    sent_ns: Callable[[int, int], int],
+    late_ns: Callable[[int], int] = lambda _: 0,
+    value: Callable[[int], int] = lambda _: 7,
+) -> bytes:
+    """Return a capture of two masters that poll a slave each, 400 times.
+
+    `sent_ns` gives the time of a request (ns behind START_NS) by host (1 or 2) and number,
+    `late_ns` and `value` the delay of its answer in ns and the register in it, by number.
+    """
     packets = []
     for host in (1, 2):
         talk = Talk(ts_ns=START_NS)
         talk.slave.host = f"10.0.0.{host}"
         packets += talk.handshake()
         for number in range(400):
-            talk.ts_ns = START_NS + (number + 1) * 1_000_000_000 + host * 1000
+            talk.ts_ns = START_NS + sent_ns(host, number)
             packets.append(talk.request(mbap_adu(number, host, READ)))
-            talk.ts_ns += number % 150 * 1_000_000 + 99_000_000 if number % 50 == 49 else 0
-            answer = encode_pdu(3, Direction.RESPONSE, values=(7,))
+            talk.ts_ns += late_ns(number)
+            answer = encode_pdu(3, Direction.RESPONSE, values=(value(number),))
             packets.append(talk.response(mbap_adu(number, host, answer)))
     return pcap(sorted(packets, key=lambda one: one.ts_ns))
+
+
+def steady_with_late_answers() -> bytes:
+    """Every 50th answer is late, some of them by the same time."""
+    return two_masters(
+        lambda host, number: (number + 1) * 1_000_000_000 + host * 1000,
+        lambda number: number % 150 * 1_000_000 + 99_000_000 if number % 50 == 49 else 0,
+    )
 
 
 def test_late_answers_are_rows_both_ways(tmp_path: Path) -> None:
@@ -143,20 +159,14 @@ def test_late_answers_are_rows_both_ways(tmp_path: Path) -> None:
 
 
 def polling_with_pauses() -> bytes:
-    """Two masters poll a slave each, one of them with 7 pauses of 3.2 to 9.2 s."""
-    packets = []
-    for host in (1, 2):
-        talk = Talk(ts_ns=START_NS)
-        talk.slave.host = f"10.0.0.{host}"
-        packets += talk.handshake()
-        for number in range(400):
-            part = number // 50 if host == 1 else 0
-            paused_s = sum(range(2, 2 + part)) + part
-            talk.ts_ns = START_NS + (number * 200 + paused_s * 1000 + host) * 1_000_000
-            packets.append(talk.request(mbap_adu(number, host, READ)))
-            answer = encode_pdu(3, Direction.RESPONSE, values=(number,))
-            packets.append(talk.response(mbap_adu(number, host, answer)))
-    return pcap(sorted(packets, key=lambda one: one.ts_ns))
+    """One of two masters makes 7 pauses of 3.2 to 9.2 s."""
+
+    def sent_ns(host: int, number: int) -> int:
+        part = number // 50 if host == 1 else 0
+        paused_s = sum(range(2, 2 + part)) + part
+        return (number * 200 + paused_s * 1000 + host) * 1_000_000
+
+    return two_masters(sent_ns, value=lambda number: number)
 
 
 def test_transactions_beside_the_longest_pauses_are_rows_both_ways(tmp_path: Path) -> None:

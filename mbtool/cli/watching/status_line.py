@@ -46,13 +46,14 @@ _LONG_PLACE = 4
 
 
 class Brevity(Enum):
-    """How short the line above the table is, from the longest to the shortest."""
+    """The lengths of the line above the table, from the longest to the shortest."""
 
     NONE = 0
+    """The whole line."""
     SOME = 1
-    """Without the number of events."""
+    """The line without the number of events."""
     MOST = 2
-    """And without a number of transactions of its own, if nothing is marked."""
+    """The line also without the number of transactions, if nothing is marked."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
