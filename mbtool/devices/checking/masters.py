@@ -137,16 +137,15 @@ class MasterRules:
 
     def _new_master(self, masters: dict[str, _Master], host: str, at_ns: int) -> _Master:
         since_ns = at_ns - self._writes.window_ns
-        predecessors = (
-            one.host for one in masters.values() if one.first_ns <= since_ns <= one.last_ns
-        )
+        hosts = (one.host for one in masters.values() if one.first_ns <= since_ns <= one.last_ns)
+        predecessor = next(hosts, None)
         if len(masters) >= MAX_MASTERS:
             del masters[min(masters, key=lambda one: masters[one].last_ns)]
         masters[host] = _Master(
             host,
             at_ns,
             at_ns,
-            next(predecessors, None),
+            predecessor,
             SlidingWindow(self._writes),
             deque(maxlen=self._writes.number),
         )

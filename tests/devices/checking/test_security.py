@@ -80,6 +80,14 @@ def polls(
 # A second master.
 
 
+def test_a_slave_may_have_more_masters_than_are_remembered() -> None:
+    hosts = [f"10.0.1.{number}" for number in range(1, 40)]
+    records = [
+        said(at_ms=number * SECOND, master=host) for number, host in enumerate([*hosts, *hosts])
+    ]
+    assert messages(records) == []
+
+
 def test_a_host_that_comes_later_and_writes_is_a_second_master() -> None:
     attack = [*polls(times=61), said(*WRITE, master=B, at_ms=60_500), *polls(times=61)]
     assert messages(attack) == [
