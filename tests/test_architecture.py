@@ -37,7 +37,8 @@ PAGES = sorted(
 MAX_LINES = 450
 PURE_ROOMS = (
     "core", "modbus", "packets", "framing", "devices", "serial_line", "decode", "query",
-    "overview", "series", "replay", "watching", "slave/device", "slave/families", "slave/faults",
+    "ledger", "values", "troubles", "replay", "watching",
+    "slave/device", "slave/families", "slave/faults",
 )  # fmt: skip
 
 ROOMS_OF_TESTS_ONLY = {

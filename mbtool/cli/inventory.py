@@ -20,8 +20,8 @@ from mbtool.cli.options import (
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from mbtool.overview.baseline import InventoryChange
-    from mbtool.overview.inventory_rows import InventoryDocument
+    from mbtool.ledger.baseline import InventoryChange
+    from mbtool.ledger.inventory_rows import InventoryDocument
     from mbtool.workflows.inventory import InventoryRun
 
 
@@ -192,7 +192,7 @@ def _sentence(document: InventoryDocument, new: Sequence[InventoryChange] | None
     `new` are the changes since the baseline, which are counted first; None without a baseline.
     """
     from mbtool.core.wording import counted
-    from mbtool.overview.inventory_rows import Role
+    from mbtool.ledger.inventory_rows import Role
 
     quiet = sum(row.role in (Role.SILENT, Role.UNHEARD) for row in document.slaves)
     rows = [row for row in document.slaves if row.role not in (Role.SILENT, Role.UNHEARD)]

@@ -105,7 +105,7 @@ def plot(
     if not values.series and not as_json and run.reading.why_empty is None:
         say("no value was read or written")
     if values.left_out:
-        from mbtool.series.values import MAX_LEFT_OUT
+        from mbtool.values.values import MAX_LEFT_OUT
 
         least = "at least " if values.left_out >= MAX_LEFT_OUT else ""
         say(f"{least}{values.left_out:,} more values are left out; name those that you want")

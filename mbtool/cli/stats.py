@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 
     from mbtool.cli.talk import Interrupt
     from mbtool.core import SerialFormat
-    from mbtool.overview.statistics import Statistics
-    from mbtool.overview.statistics_report import LinkReport
+    from mbtool.ledger.statistics import Statistics
+    from mbtool.ledger.statistics_report import LinkReport
     from mbtool.workflows.shared.reading import ReadingOptions
     from mbtool.workflows.stats import LiveStatistics
 
@@ -125,7 +125,7 @@ class _Shown:
         """
         from mbtool.cli.console import PipeConsole
         from mbtool.cli.output import told_as_lost
-        from mbtool.overview.statistics_report import report
+        from mbtool.ledger.statistics_report import report
         from mbtool.sources.files import shown_name
         from mbtool.views.statistics_document import statistics_document
 
@@ -291,7 +291,7 @@ def _view(shown: _Shown, statistics: Statistics) -> Iterator[Callable[[], None]]
     from rich.live import Live
     from rich.text import Text
 
-    from mbtool.overview.statistics_report import report
+    from mbtool.ledger.statistics_report import report
 
     with Live(console=console, auto_refresh=False, transient=True) as view:
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbtool.series.answered_reads import ValueChanges
+from mbtool.ledger.answered_reads import ValueChanges
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

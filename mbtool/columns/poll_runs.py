@@ -22,7 +22,7 @@ from mbtool.columns.plain_transactions import origin_fields, plain_transaction
 from mbtool.columns.sunspec_rows import SunSpecRows
 from mbtool.columns.usual_rows import UsualRows
 from mbtool.devices import Namer
-from mbtool.overview.answered_run import AlikeRequests, AnsweredRun
+from mbtool.ledger.answered_run import AlikeRequests, AnsweredRun
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator

@@ -23,8 +23,8 @@ from mbtool.columns.usual_values import UsualValues
 from mbtool.devices import Namer
 from mbtool.devices.checking.connections import MAX_RECENT
 from mbtool.devices.checking.quiet_run import QuietConnection, QuietPoll, QuietRun
+from mbtool.ledger.answered_reads import AnsweredReads, SlowRead
 from mbtool.modbus.functions import READ_BITS, READ_REGISTERS
-from mbtool.series.answered_reads import AnsweredReads, SlowRead
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Iterator, Sequence
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from mbtool.columns.poll_runs import KindsOfRows
     from mbtool.decode.decoder import Record
     from mbtool.devices import NamedTransaction
-    from mbtool.overview.answered_run import AnsweredRun
+    from mbtool.ledger.answered_run import AnsweredRun
 
 _READS = [*READ_BITS, *READ_REGISTERS - {0x17}]
 FEWEST = 64

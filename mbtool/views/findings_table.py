@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-    from mbtool.overview.failed_requests import FailedRequests
+    from mbtool.ledger.failed_requests import FailedRequests
 
 
 MAX_PLACES = 5

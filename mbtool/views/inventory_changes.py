@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from rich.text import Text
 
-from mbtool.overview.baseline import ChangeKind
+from mbtool.ledger.baseline import ChangeKind
 from mbtool.views.tables import printable
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-    from mbtool.overview.baseline import InventoryChange
+    from mbtool.ledger.baseline import InventoryChange
 
 _KIND_WIDTH = max(len(kind.value) for kind in ChangeKind)
 _WIDEST_PLACE = 40

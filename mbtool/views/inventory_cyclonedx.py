@@ -14,15 +14,15 @@ import json
 import uuid
 from typing import TYPE_CHECKING, Any
 
-from mbtool.overview.inventory_ranges import MAX_RANGES, ranges_text
-from mbtool.overview.inventory_rows import Role, iso_time
+from mbtool.ledger.inventory_ranges import MAX_RANGES, ranges_text
+from mbtool.ledger.inventory_rows import Role, iso_time
 from mbtool.views.inventory_table import UNKNOWN, function_label
 from mbtool.views.tables import printable
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from mbtool.overview.inventory_rows import InventoryDocument, MasterRow, SlaveRow
+    from mbtool.ledger.inventory_rows import InventoryDocument, MasterRow, SlaveRow
 
 SPEC_VERSION = "1.6"
 _QUIET = (Role.SILENT, Role.UNHEARD)

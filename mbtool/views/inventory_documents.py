@@ -1,6 +1,6 @@
 """Writes an inventory (the hosts, units and masters of a capture) as JSON or CSV."""
 
-# The JSON has the fields of InventoryDocument (overview/inventory_rows.py), the program's version,
+# The JSON has the fields of InventoryDocument (ledger/inventory_rows.py), the program's version,
 # whether the files could be read to their ends, remarks about them and, if the user names an older
 # inventory as baseline, the changes since it. mbtool can read this
 # JSON again as a baseline.
@@ -17,16 +17,16 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from mbtool.overview.inventory_ranges import MAX_RANGES, ranges_text
-from mbtool.overview.inventory_rows import Role, iso_time
+from mbtool.ledger.inventory_ranges import MAX_RANGES, ranges_text
+from mbtool.ledger.inventory_rows import Role, iso_time
 from mbtool.views.inventory_table import UNKNOWN, function_label, identity_text
 from mbtool.views.tables import printable_json
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from mbtool.overview.baseline import InventoryChange
-    from mbtool.overview.inventory_rows import InventoryDocument, MasterRow, SlaveRow
+    from mbtool.ledger.baseline import InventoryChange
+    from mbtool.ledger.inventory_rows import InventoryDocument, MasterRow, SlaveRow
 
 INVENTORY_COLUMNS = (
     "host", "port", "unit", "role", "macs", "makers", "identity", "device", "profile", "score",

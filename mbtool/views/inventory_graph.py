@@ -10,14 +10,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mbtool.overview.inventory_rows import Role
+from mbtool.ledger.inventory_rows import Role
 from mbtool.views.inventory_table import identity_text, mac_text, profile_text
 from mbtool.views.tables import printable
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from mbtool.overview.inventory_rows import InventoryDocument, SlaveRow
+    from mbtool.ledger.inventory_rows import InventoryDocument, SlaveRow
 
 _QUIET = (Role.SILENT, Role.UNHEARD)
 _MAX_UNITS = 24

@@ -20,15 +20,15 @@ from rich.text import Text
 
 from mbtool.core.wording import counted
 from mbtool.devices.model import READ_AND_WRITE
-from mbtool.modbus import FUNCTIONS, Transport, exception_name
-from mbtool.overview.inventory_ranges import (
+from mbtool.ledger.inventory_ranges import (
     MAX_RANGES,
     AddressRange,
     AddressRanges,
     listed,
     ranges_text,
 )
-from mbtool.overview.inventory_rows import Role, iso_time
+from mbtool.ledger.inventory_rows import Role, iso_time
+from mbtool.modbus import FUNCTIONS, Transport, exception_name
 from mbtool.views.tables import printable
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-    from mbtool.overview.inventory_rows import (
+    from mbtool.ledger.inventory_rows import (
         FunctionUse,
         InventoryDocument,
         MasterRow,

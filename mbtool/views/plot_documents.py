@@ -13,8 +13,8 @@ from mbtool.views.watch_words import sparkline
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from mbtool.series.value_series import ValueSeries
-    from mbtool.series.values import SeriesKey
+    from mbtool.values.value_series import ValueSeries
+    from mbtool.values.values import SeriesKey
     from mbtool.views.statistics_columns import StyledLine
 
 _BARS = 16

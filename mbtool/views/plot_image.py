@@ -11,8 +11,8 @@ from mbtool.views.plot_lines import series_title
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from mbtool.series.value_series import ValueSeries
-    from mbtool.series.values import SeriesKey
+    from mbtool.values.value_series import ValueSeries
+    from mbtool.values.values import SeriesKey
 
 _TIMES = ["%Y", "%b", "%d", "%H:%M", "%H:%M", "%H:%M:%S.%f"]
 _BEGINS = ["", "%Y", "%b", "%b %d", "%H:%M", "%H:%M:%S"]

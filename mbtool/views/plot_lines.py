@@ -16,8 +16,8 @@ from mbtool.views.tables import printable
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from mbtool.series.value_series import SeriesSample, ValueSeries
-    from mbtool.series.values import SeriesKey
+    from mbtool.values.value_series import SeriesSample, ValueSeries
+    from mbtool.values.values import SeriesKey
 
 LEAST_ROWS, MOST_ROWS = 3, 12
 _MOST_LABEL = 16

@@ -18,9 +18,9 @@ from mbtool.views.statistics_words import counted, duration, in_ms, in_s, poll_t
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from mbtool.overview.poll_cycle import PollList
-    from mbtool.overview.poll_statistics import PollStatistics
-    from mbtool.overview.statistics_report import LinkReport, MasterReport
+    from mbtool.ledger.poll_cycle import PollList
+    from mbtool.ledger.poll_statistics import PollStatistics
+    from mbtool.ledger.statistics_report import LinkReport, MasterReport
 
 _LIST = (
     StatisticsColumn("polls", 5),

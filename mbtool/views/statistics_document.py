@@ -9,21 +9,21 @@ import json
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
+from mbtool.ledger.statistics import OTHER_UNITS
+from mbtool.ledger.statistics_report import is_counted_together
 from mbtool.modbus import Outcome
-from mbtool.overview.statistics import OTHER_UNITS
-from mbtool.overview.statistics_report import is_counted_together
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from mbtool.overview.bus_load import BusLoad
-    from mbtool.overview.distribution import Distribution
-    from mbtool.overview.poll_cycle import PollList, PollLists
-    from mbtool.overview.poll_statistics import PollStatistics
-    from mbtool.overview.request_tally import RequestTally
-    from mbtool.overview.statistics import Statistics
-    from mbtool.overview.statistics_connections import ConnectionTally
-    from mbtool.overview.statistics_report import LinkReport, MasterReport, PollReport
+    from mbtool.ledger.bus_load import BusLoad
+    from mbtool.ledger.distribution import Distribution
+    from mbtool.ledger.poll_cycle import PollList, PollLists
+    from mbtool.ledger.poll_statistics import PollStatistics
+    from mbtool.ledger.request_tally import RequestTally
+    from mbtool.ledger.statistics import Statistics
+    from mbtool.ledger.statistics_connections import ConnectionTally
+    from mbtool.ledger.statistics_report import LinkReport, MasterReport, PollReport
 
 SCHEMA = 1
 

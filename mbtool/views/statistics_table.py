@@ -10,10 +10,10 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from mbtool.core.wording import plural
+from mbtool.ledger.distribution import Bucket
+from mbtool.ledger.request_tally import RequestTally, merged
+from mbtool.ledger.statistics import OTHER_UNITS
 from mbtool.modbus import Outcome, short_name
-from mbtool.overview.distribution import Bucket
-from mbtool.overview.request_tally import RequestTally, merged
-from mbtool.overview.statistics import OTHER_UNITS
 from mbtool.views.cells import clock_time, day
 from mbtool.views.statistics_columns import (
     StatisticsColumn,
@@ -39,8 +39,8 @@ from mbtool.views.statistics_words import (
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from mbtool.overview.statistics_connections import ConnectionTally
-    from mbtool.overview.statistics_report import FunctionReport, LinkReport, PollReport
+    from mbtool.ledger.statistics_connections import ConnectionTally
+    from mbtool.ledger.statistics_report import FunctionReport, LinkReport, PollReport
 
 FEWEST = 3
 """Each section keeps this many rows, however small the terminal is."""

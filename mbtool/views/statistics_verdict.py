@@ -5,19 +5,19 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.core.wording import counted, plural
-from mbtool.modbus import Outcome
-from mbtool.overview.failure_limits import are_damaged, is_grave, never_answers
-from mbtool.overview.refusals import always_refused, joint_refusals
-from mbtool.overview.request_tally import RequestTally, merged
-from mbtool.overview.slower_units import slow_and_slower_units
-from mbtool.overview.statistics_report import (
+from mbtool.ledger.request_tally import RequestTally, merged
+from mbtool.ledger.statistics_report import (
     is_counted_together,
-    odd_polling,
     unit_polls,
     unit_tallies,
     unit_times,
 )
-from mbtool.overview.unit_times import FailedShare, missing_share, refused_share
+from mbtool.modbus import Outcome
+from mbtool.troubles.failed_shares import FailedShare, missing_share, refused_share
+from mbtool.troubles.failure_limits import are_damaged, is_grave, never_answers
+from mbtool.troubles.odd_polling import odd_polling
+from mbtool.troubles.refusals import always_refused, joint_refusals
+from mbtool.troubles.slower_units import slow_and_slower_units
 from mbtool.views.statistics_columns import StyledLine
 from mbtool.views.statistics_words import duration, per_second, percent
 from mbtool.views.trouble_words import (
@@ -41,8 +41,8 @@ from mbtool.views.trouble_words import (
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from mbtool.overview.statistics_report import LinkReport
-    from mbtool.overview.unit_times import UnitTimes
+    from mbtool.ledger.statistics_report import LinkReport
+    from mbtool.ledger.unit_times import UnitTimes
 
     ShareOf = Callable[[RequestTally, UnitTimes | None], FailedShare | None]
 

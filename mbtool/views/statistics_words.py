@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from mbtool.modbus import short_name
 
 if TYPE_CHECKING:
-    from mbtool.overview.poll_statistics import PollStatistics
+    from mbtool.ledger.poll_statistics import PollStatistics
 
 _MINUTE_S, _HOUR_S, _DAY_S = 60, 3600, 86_400
 

@@ -5,19 +5,19 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from mbtool.core.wording import counted
+from mbtool.ledger.statistics import MAX_GROUPS, MAX_LINKS, OTHER_UNITS
 from mbtool.modbus import Outcome
-from mbtool.overview.odd_polling import LateUnit, Oddity, PollingPause, ShortConnections
-from mbtool.overview.statistics import MAX_GROUPS, MAX_LINKS, OTHER_UNITS
+from mbtool.troubles.odd_polling import LateUnit, Oddity, PollingPause, ShortConnections
 from mbtool.views.cells import clock_time, day
 from mbtool.views.statistics_words import duration, in_ms
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping, Sequence
 
-    from mbtool.overview.refusals import JointRefusals
-    from mbtool.overview.request_tally import RequestTally
-    from mbtool.overview.slower_units import Slower
-    from mbtool.overview.unit_times import FailedShare
+    from mbtool.ledger.request_tally import RequestTally
+    from mbtool.troubles.failed_shares import FailedShare
+    from mbtool.troubles.refusals import JointRefusals
+    from mbtool.troubles.slower_units import Slower
 
 Unit = tuple[str, int]
 """Link and unit."""

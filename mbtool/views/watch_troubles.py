@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from mbtool.overview.failure_limits import ENOUGH
-from mbtool.overview.slow_units import are_many
+from mbtool.troubles.failure_limits import ENOUGH
+from mbtool.troubles.slow_units import are_many
 from mbtool.views.cells import clock_time
 from mbtool.views.place_columns import common_network
 from mbtool.views.statistics_words import in_ms, percent
@@ -21,8 +21,8 @@ from mbtool.views.trouble_words import (
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from mbtool.overview.slower_units import Slower
-    from mbtool.overview.unit_times import FailedShare
+    from mbtool.troubles.failed_shares import FailedShare
+    from mbtool.troubles.slower_units import Slower
     from mbtool.watching.board_judgement import BoardJudgement
     from mbtool.watching.board_rows import WatchedSlaveRow
 

@@ -5,7 +5,7 @@
 # its poll. Rows are made only when a view is drawn (board_rows.py).
 #
 # Memory: MAX_KEPT records and as many events of connections, MAX_POINTS points, MAX_SLAVES slaves,
-# MAX_TROUBLES kinds of events and findings, and MAX_POLLS polls (overview/statistics.py). A new
+# MAX_TROUBLES kinds of events and findings, and MAX_POLLS polls (ledger/statistics.py). A new
 # record replaces the oldest one, and a new poll the one that was not sent for longest; further
 # points, slaves and kinds are only counted in `left_out`.
 
@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind, WireEvent
 from mbtool.devices.references import write_reference
+from mbtool.ledger.statistics import MAX_POLLS, Statistics
 from mbtool.modbus import FUNCTIONS, Outcome, Verdict
 from mbtool.modbus.damaged_answers import MAX_FRAMES, DamagedAnswers
-from mbtool.overview.statistics import MAX_POLLS, Statistics
 from mbtool.watching.watched_rows import (
     NEVER_NS,
     KeptRecord,
@@ -33,8 +33,8 @@ if TYPE_CHECKING:
 
     from mbtool.core import SerialFormat
     from mbtool.devices import NamedTransaction, PointValue, Profile
+    from mbtool.ledger.poll_statistics import PollStatistics
     from mbtool.modbus import Table
-    from mbtool.overview.poll_statistics import PollStatistics
     from mbtool.watching.watched_rows import Record
 
 MAX_KEPT = 10_000

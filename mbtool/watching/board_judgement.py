@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections import Counter
 from typing import TYPE_CHECKING, NamedTuple
 
-from mbtool.overview.failure_limits import is_grave
-from mbtool.overview.odd_polling import Oddity, late_units, pauses, short_connections
-from mbtool.overview.refusals import JointRefusals, joint_refusals
+from mbtool.troubles.failure_limits import is_grave
+from mbtool.troubles.odd_polling import Oddity, late_units, pauses, short_connections
+from mbtool.troubles.refusals import JointRefusals, joint_refusals
 from mbtool.watching.board_rows import WatchedSlaveRow, polls_of_slaves, slave_rows
 
 if TYPE_CHECKING:

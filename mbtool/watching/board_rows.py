@@ -8,17 +8,18 @@ from typing import TYPE_CHECKING, NamedTuple, overload
 
 from mbtool.core import WireEvent
 from mbtool.modbus import Outcome
-from mbtool.overview.failure_limits import are_damaged, is_grave, never_answers
-from mbtool.overview.refusals import always_refused
-from mbtool.overview.slower_units import Slower, slow_and_slower_units
-from mbtool.overview.unit_times import FailedShare, UnitTimes, missing_share, refused_share
+from mbtool.troubles.failed_shares import FailedShare, missing_share, refused_share
+from mbtool.troubles.failure_limits import are_damaged, is_grave, never_answers
+from mbtool.troubles.refusals import always_refused
+from mbtool.troubles.slower_units import Slower, slow_and_slower_units
 from mbtool.watching.watched_rows import KeptRecord, errors_of
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Hashable, Mapping
 
+    from mbtool.ledger.poll_statistics import PollKey, PollStatistics
+    from mbtool.ledger.unit_times import UnitTimes
     from mbtool.modbus import Table
-    from mbtool.overview.poll_statistics import PollKey, PollStatistics
     from mbtool.watching.board import Board, RetryKey
     from mbtool.watching.watched_rows import (
         WatchedPoint,

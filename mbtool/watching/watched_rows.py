@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 from mbtool.core import WireEvent
 from mbtool.devices.named_transaction import NamedTransaction
+from mbtool.ledger.poll_statistics import PollStatistics
+from mbtool.ledger.request_tally import RequestTally
 from mbtool.modbus import Outcome, Table
-from mbtool.overview.poll_statistics import PollStatistics
-from mbtool.overview.request_tally import RequestTally
 
 Record = NamedTransaction | WireEvent
 

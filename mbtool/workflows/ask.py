@@ -14,9 +14,9 @@ from mbtool.core.wording import milliseconds
 from mbtool.decode.connections import skipped_event
 from mbtool.decode.transactions import Ends, broadcast, no_answer, with_response
 from mbtool.devices import Assignment, Assignments, Namer, PointValue, Who, write_reference
+from mbtool.ledger.distribution import Distribution
 from mbtool.modbus import FUNCTIONS, Outcome
 from mbtool.modbus.adu import Transport
-from mbtool.overview.distribution import Distribution
 from mbtool.ports.clock import steady_clock
 
 if TYPE_CHECKING:

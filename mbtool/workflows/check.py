@@ -23,7 +23,7 @@ from mbtool.devices.checking.finding import Finding, event_finding
 from mbtool.devices.checking.rules import RULES
 from mbtool.devices.checking.security_limits import SecurityLimits
 from mbtool.devices.profile_checks import finding_prefix
-from mbtool.overview.failed_requests import FailedRequests
+from mbtool.ledger.failed_requests import FailedRequests
 from mbtool.sources.files import STANDARD_INPUT
 from mbtool.workflows.shared.log_records import profiles_of_logs
 from mbtool.workflows.shared.model_hints import ModelHints

@@ -13,11 +13,11 @@ import msgspec
 from mbtool.core import InputError, WireEvent
 from mbtool.decode.decoder import Record
 from mbtool.devices import NamedTransaction, builtin_profiles, load_profile
-from mbtool.overview.answered_run import AnsweredRun
-from mbtool.overview.baseline import changes
-from mbtool.overview.identification import identify
-from mbtool.overview.inventory import Inventory
-from mbtool.overview.inventory_rows import INVENTORY_FORMAT, InventoryDocument
+from mbtool.ledger.answered_run import AnsweredRun
+from mbtool.ledger.baseline import changes
+from mbtool.ledger.identification import identify
+from mbtool.ledger.inventory import Inventory
+from mbtool.ledger.inventory_rows import INVENTORY_FORMAT, InventoryDocument
 from mbtool.sources.files import shown_name
 from mbtool.sources.makers import maker
 from mbtool.workflows.shared.read_all import unwatched
@@ -25,7 +25,7 @@ from mbtool.workflows.shared.reading import Reading, ReadingOptions
 from mbtool.workflows.shared.reading_choice import part_reading
 
 if TYPE_CHECKING:
-    from mbtool.overview.baseline import InventoryChange
+    from mbtool.ledger.baseline import InventoryChange
 
 WatchParts = Callable[[Reading, Iterator[Record | AnsweredRun]], Iterator[Record | AnsweredRun]]
 """A function that yields the items it gets from a reading unchanged, and may show a progress

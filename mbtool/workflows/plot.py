@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.core import InputError, UsageError, WireEvent
 from mbtool.devices.spans import names_table
-from mbtool.series.chosen_values import ChosenValues, NamedAddresses
-from mbtool.series.values import SeriesKey, Values
+from mbtool.values.chosen_values import ChosenValues, NamedAddresses
+from mbtool.values.values import SeriesKey, Values
 from mbtool.workflows.shared.questions import Wording
 from mbtool.workflows.shared.read_all import unwatched
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from mbtool.devices import NamedTransaction, Profile
-    from mbtool.series.value_series import ValueSeries
+    from mbtool.values.value_series import ValueSeries
     from mbtool.workflows.shared.read_all import Watch
     from mbtool.workflows.shared.time_window import TimeWindow
 

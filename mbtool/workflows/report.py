@@ -11,16 +11,16 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind, InputError, WireEvent
 from mbtool.devices import builtin_profiles, load_profile
-from mbtool.overview.identification import identify
-from mbtool.overview.inventory import Inventory
-from mbtool.overview.odd_polling import LATE_NS
-from mbtool.overview.statistics import Statistics
-from mbtool.overview.statistics_report import is_counted_together, report
+from mbtool.ledger.history import History, UnitRow
+from mbtool.ledger.identification import identify
+from mbtool.ledger.inventory import Inventory
+from mbtool.ledger.statistics import Statistics
+from mbtool.ledger.statistics_report import is_counted_together, report
 from mbtool.ports.clock import now_ns
-from mbtool.series.history import History, UnitRow
-from mbtool.series.values import Values
 from mbtool.sources.files import shown_name
 from mbtool.sources.makers import maker
+from mbtool.troubles.odd_polling import LATE_NS
+from mbtool.values.values import Values
 from mbtool.version import __version__
 from mbtool.views.findings_table import Summaries
 from mbtool.views.report.contents import (
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from mbtool.core import SerialFormat
     from mbtool.devices import NamedTransaction
     from mbtool.devices.checking.finding import Finding
-    from mbtool.overview.poll_statistics import PollStatistics
+    from mbtool.ledger.poll_statistics import PollStatistics
     from mbtool.workflows.check import CheckedRecord, CodeFilter
     from mbtool.workflows.shared.reading import Reading, ReadingOptions
     from mbtool.workflows.shared.time_window import TimeWindow

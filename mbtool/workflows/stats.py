@@ -8,8 +8,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from mbtool.core import InputError, WireEvent
-from mbtool.overview.answered_run import AnsweredRun
-from mbtool.overview.statistics import Statistics
+from mbtool.ledger.answered_run import AnsweredRun
+from mbtool.ledger.statistics import Statistics
 from mbtool.workflows.shared.model_hints import ModelHints
 from mbtool.workflows.shared.unreadable_lines import UnreadableLines
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from mbtool.cli import exit_codes
-from mbtool.series.values import Values
+from mbtool.values.values import Values
 from tests.cli.test_stats import LINE
 
 if TYPE_CHECKING:

@@ -16,13 +16,13 @@ from mbtool.columns.poll_runs import PollRuns
 from mbtool.core import Direction, InputError, WireEvent
 from mbtool.decode.decoder import Decoder
 from mbtool.devices import Namer
+from mbtool.ledger import distribution, inventory, poll_statistics, request_order, statistics
+from mbtool.ledger.answered_run import AnsweredRun
+from mbtool.ledger.inventory import Inventory
+from mbtool.ledger.statistics import Statistics
+from mbtool.ledger.statistics_report import report
+from mbtool.ledger.unit_times import UnitTimes
 from mbtool.modbus import encode_pdu, exception_pdu
-from mbtool.overview import distribution, inventory, poll_statistics, request_order, statistics
-from mbtool.overview.answered_run import AnsweredRun
-from mbtool.overview.inventory import Inventory
-from mbtool.overview.statistics import Statistics
-from mbtool.overview.statistics_report import report
-from mbtool.overview.unit_times import UnitTimes
 from mbtool.packets import read_capture
 from mbtool.views.inventory_documents import inventory_json
 from mbtool.views.statistics_document import statistics_document

@@ -18,7 +18,7 @@ from collections import defaultdict
 from typing import TYPE_CHECKING
 
 from mbtool.core import CutError, WireEvent
-from mbtool.overview.inventory import Inventory
+from mbtool.ledger.inventory import Inventory
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
 from tests.captures import FOLDER, public_folder
 from tests.differential.truth import PORTS
@@ -26,7 +26,7 @@ from tests.differential.truth import PORTS
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from mbtool.overview.inventory_rows import InventoryDocument
+    from mbtool.ledger.inventory_rows import InventoryDocument
 
 Slave = tuple[str, int, int]
 """Host, port and unit."""

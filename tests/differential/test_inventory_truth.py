@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from mbtool.devices import builtin_profiles, load_profile
-from mbtool.overview.identification import FITS, identify
+from mbtool.ledger.identification import FITS, identify
 from tests.captures import FOLDER, public_folder
 from tests.differential.inventory_truth import (
     EXPLAINED,

@@ -2,8 +2,8 @@ from __future__ import annotations
 
 from mbtool.core import EventKind, WireEvent
 from mbtool.modbus.damaged_answers import DamagedAnswers
-from tests.overview.masters import MS, START_NS
-from tests.overview.requests import request, unanswered
+from tests.ledger.masters import MS, START_NS
+from tests.ledger.requests import request, unanswered
 
 
 def damaged(at_ms: float, link: str = "line") -> WireEvent:

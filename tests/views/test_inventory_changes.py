@@ -6,7 +6,7 @@ import io
 
 from rich.console import Console
 
-from mbtool.overview.baseline import ChangeKind, InventoryChange
+from mbtool.ledger.baseline import ChangeKind, InventoryChange
 from mbtool.views.inventory_changes import print_changes
 
 CHANGES = [

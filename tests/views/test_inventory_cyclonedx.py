@@ -11,11 +11,11 @@ import jsonschema
 import pytest
 from referencing import Registry, Resource
 
+from mbtool.ledger.inventory_rows import InventoryDocument, MasterRow, SlaveRow
 from mbtool.modbus import Outcome, mbap_adu
-from mbtool.overview.inventory_rows import InventoryDocument, MasterRow, SlaveRow
 from mbtool.views.inventory_cyclonedx import inventory_cyclonedx
 from tests.captures import public_folder
-from tests.overview.plant import asked, inventory_of, plant
+from tests.ledger.plant import asked, inventory_of, plant
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

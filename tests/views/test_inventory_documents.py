@@ -8,8 +8,8 @@ import json
 import msgspec
 import pytest
 
-from mbtool.overview.baseline import changes
-from mbtool.overview.inventory_rows import InventoryDocument
+from mbtool.ledger.baseline import changes
+from mbtool.ledger.inventory_rows import InventoryDocument
 from mbtool.views.inventory_documents import (
     CHANGE_COLUMNS,
     INVENTORY_COLUMNS,
@@ -18,7 +18,7 @@ from mbtool.views.inventory_documents import (
     inventory_json,
     spreadsheet_cell,
 )
-from tests.overview.plant import asked, inventory_of, named, plant
+from tests.ledger.plant import asked, inventory_of, named, plant
 
 
 def test_json_has_every_field_and_can_be_read_again() -> None:

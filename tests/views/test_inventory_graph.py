@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import re
 
+from mbtool.ledger.inventory_rows import InventoryDocument, SlaveRow
 from mbtool.modbus import Outcome
-from mbtool.overview.inventory_rows import InventoryDocument, SlaveRow
 from mbtool.views.inventory_graph import inventory_dot
-from tests.overview.plant import asked, inventory_of, plant
+from tests.ledger.plant import asked, inventory_of, plant
 
 # A statement in the language of Graphviz, as far as it is used: a node, an arrow or an attribute.
 STRING = r'"(?:[^"\\]|\\.)*"'

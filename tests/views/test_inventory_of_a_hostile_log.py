@@ -10,19 +10,19 @@ from typing import TYPE_CHECKING
 import pytest
 from rich.console import Console
 
+from mbtool.ledger.baseline import changes
 from mbtool.modbus import mbap_adu
-from mbtool.overview.baseline import changes
 from mbtool.views.inventory_changes import print_changes
 from mbtool.views.inventory_cyclonedx import inventory_cyclonedx
 from mbtool.views.inventory_documents import changes_csv, inventory_csv, inventory_json
 from mbtool.views.inventory_graph import inventory_dot
 from mbtool.views.inventory_table import print_inventory
-from tests.overview.plant import asked, inventory_of, plant
+from tests.ledger.plant import asked, inventory_of, plant
 from tests.views.test_inventory_graph import statements
 
 if TYPE_CHECKING:
     from mbtool.devices import NamedTransaction
-    from mbtool.overview.inventory_rows import InventoryDocument
+    from mbtool.ledger.inventory_rows import InventoryDocument
 
 EVIL = '=cmd|"\x1b]0;x\x07\r\n\\"];\u202e['
 

@@ -10,11 +10,11 @@ from msgspec.structs import replace
 from rich.console import Console
 
 from mbtool.devices import load_profile
+from mbtool.ledger.inventory import Inventory
+from mbtool.ledger.inventory_rows import InventoryDocument, MasterRow, ProfileFit, SlaveRow
 from mbtool.modbus import Outcome
-from mbtool.overview.inventory import Inventory
-from mbtool.overview.inventory_rows import InventoryDocument, MasterRow, ProfileFit, SlaveRow
 from mbtool.views.inventory_table import print_inventory, seen_text, slave_lines
-from tests.overview.plant import GATEWAY, START_NS, asked, inventory_of, named, plant
+from tests.ledger.plant import GATEWAY, START_NS, asked, inventory_of, named, plant
 
 
 def printed(

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import pytest
 
 from mbtool.core import EventKind, SerialFormat, WireEvent
+from mbtool.ledger.history import UnitRow
+from mbtool.ledger.statistics_report import report
 from mbtool.modbus import Outcome, Transport
-from mbtool.overview.statistics_report import report
-from mbtool.series.history import UnitRow
 from mbtool.views import statistics_verdict, trouble_words
 from mbtool.views.findings_table import Summaries
 from mbtool.views.report import verdict
@@ -22,8 +22,8 @@ from mbtool.watching.board_judgement import judge
 from mbtool.watching.watched_rows import kept_record
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
 from tests.captures import public_folder
-from tests.overview.masters import MS, START_NS
-from tests.overview.requests import request, unanswered
+from tests.ledger.masters import MS, START_NS
+from tests.ledger.requests import request, unanswered
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

@@ -1,7 +1,7 @@
 from __future__ import annotations
 
-from mbtool.series.value_series import ValueSeries
-from mbtool.series.values import SeriesKey
+from mbtool.values.value_series import ValueSeries
+from mbtool.values.values import SeriesKey
 from mbtool.views.plot_documents import values_lines
 
 

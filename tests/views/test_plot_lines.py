@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from mbtool.series.value_series import SeriesSample, ValueSeries
-from mbtool.series.values import SeriesKey
+from mbtool.values.value_series import SeriesSample, ValueSeries
+from mbtool.values.values import SeriesKey
 from mbtool.views.plot_lines import PlotSize, extents, plot_lines
 
 KEY = SeriesKey("rs485", 5, "x")

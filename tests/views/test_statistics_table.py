@@ -6,15 +6,15 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from mbtool.core import CONNECTION_OPENED, EventKind, WireEvent
+from mbtool.ledger import master_tape
+from mbtool.ledger import statistics as limits
+from mbtool.ledger.statistics import Statistics
+from mbtool.ledger.statistics_report import LinkReport, report
 from mbtool.modbus import Outcome, Transport
-from mbtool.overview import master_tape
-from mbtool.overview import statistics as limits
-from mbtool.overview.statistics import Statistics
-from mbtool.overview.statistics_report import LinkReport, report
 from mbtool.views.statistics_document import statistics_document
 from mbtool.views.statistics_table import statistics_lines
-from tests.overview.masters import START_NS, Master, Task
-from tests.overview.requests import LINE, request, requests_of, unanswered
+from tests.ledger.masters import START_NS, Master, Task
+from tests.ledger.requests import LINE, request, requests_of, unanswered
 
 if TYPE_CHECKING:
     from mbtool.devices.named_transaction import NamedTransaction

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from mbtool.devices import PointValue, describe_points
 from mbtool.views.watch_names import cut_name, with_short_names
-from tests.overview.requests import request
+from tests.ledger.requests import request
 
 if TYPE_CHECKING:
     from mbtool.views.watch_columns import Spans

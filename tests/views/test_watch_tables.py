@@ -35,8 +35,8 @@ from mbtool.watching.board_judgement import judge
 from mbtool.watching.board_rows import point_rows, poll_rows, record_rows, slave_rows, trouble_rows
 from mbtool.watching.value_formats import ValueFormat
 from mbtool.watching.watched_rows import kept_record
-from tests.overview.masters import MS, START_NS
-from tests.overview.requests import LINE, request, unanswered
+from tests.ledger.masters import MS, START_NS
+from tests.ledger.requests import LINE, request, unanswered
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -13,8 +13,8 @@ from mbtool.watching import board as limits
 from mbtool.watching.board import Board
 from mbtool.watching.board_rows import point_rows, poll_rows, record_rows, slave_rows, trouble_rows
 from mbtool.watching.watched_rows import kept_record
-from tests.overview.masters import MS, START_NS
-from tests.overview.requests import LINE, request, unanswered
+from tests.ledger.masters import MS, START_NS
+from tests.ledger.requests import LINE, request, unanswered
 
 if TYPE_CHECKING:
     import pytest

@@ -11,8 +11,8 @@ from mbtool.core import EventKind, WireEvent
 from mbtool.watching import watched as limits
 from mbtool.watching.board_rows import poll_rows, record_rows, slave_rows
 from mbtool.watching.watched import Watched
-from tests.overview.masters import MS, START_NS
-from tests.overview.requests import LINE, request, unanswered
+from tests.ledger.masters import MS, START_NS
+from tests.ledger.requests import LINE, request, unanswered
 
 if TYPE_CHECKING:
     from mbtool.watching.watched_rows import Record

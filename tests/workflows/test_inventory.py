@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from mbtool.core import CutError, InputError
+from mbtool.ledger.baseline import ChangeKind
 from mbtool.modbus import mbap_adu
-from mbtool.overview.baseline import ChangeKind
 from mbtool.views.inventory_documents import inventory_json
 from mbtool.workflows.inventory import InventoryOptions, InventoryRun, changes_since
 from mbtool.workflows.shared.reading import ReadingOptions

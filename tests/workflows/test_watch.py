@@ -13,8 +13,8 @@ from mbtool.modbus import Transport
 from mbtool.watching.watched import Watched
 from mbtool.workflows import watch as feeds
 from mbtool.workflows.watch import FileFeed, LinkFeed
-from tests.overview.masters import MS, START_NS
-from tests.overview.requests import request
+from tests.ledger.masters import MS, START_NS
+from tests.ledger.requests import request
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

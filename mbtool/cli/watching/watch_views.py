@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from mbtool.overview.statistics_report import report
+from mbtool.ledger.statistics_report import report
 from mbtool.views.statistics_table import LEAST_OF_HISTOGRAM, statistics_lines
 from mbtool.views.watch_columns import WatchColumn
 from mbtool.views.watch_polls import POINT_COLUMNS, POLL_COLUMNS

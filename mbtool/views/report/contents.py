@@ -20,13 +20,13 @@ import msgspec
 from mbtool.core import WireEvent
 from mbtool.devices import Difference
 from mbtool.devices.checking.rules import Severity, rule_of
-from mbtool.overview.inventory_rows import InventoryDocument, Role, iso_time
-from mbtool.overview.statistics import OTHER_UNITS, Statistics
-from mbtool.overview.statistics_report import LinkReport
-from mbtool.series.history import History, LinkSum, UnitRow, UnitSum
-from mbtool.series.time_bins import GREATEST, REQUESTS_IN_BIN, TimeBins
-from mbtool.series.value_series import thinned
-from mbtool.series.values import Values
+from mbtool.ledger.history import History, LinkSum, UnitRow, UnitSum
+from mbtool.ledger.inventory_rows import InventoryDocument, Role, iso_time
+from mbtool.ledger.statistics import OTHER_UNITS, Statistics
+from mbtool.ledger.statistics_report import LinkReport
+from mbtool.ledger.time_bins import GREATEST, REQUESTS_IN_BIN, TimeBins
+from mbtool.values.value_series import thinned
+from mbtool.values.values import Values
 from mbtool.views.differences import what_text
 from mbtool.views.findings_table import Summaries, where
 from mbtool.views.inventory_table import mac_text, profile_text, seen_text, slave_lines
@@ -36,8 +36,8 @@ from mbtool.views.statistics_document import statistics_document
 
 if TYPE_CHECKING:
     from mbtool.devices.checking.finding import Finding
-    from mbtool.overview.distribution import Distribution
-    from mbtool.series.value_series import ValueSeries
+    from mbtool.ledger.distribution import Distribution
+    from mbtool.values.value_series import ValueSeries
 
 MAX_UNITS = 24
 MAX_SAMPLES = 40_000

@@ -13,7 +13,7 @@ from mbtool.views.trouble_words import stray_frames_text
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from mbtool.overview.statistics_report import LinkReport
+    from mbtool.ledger.statistics_report import LinkReport
     from mbtool.views.findings_table import Summaries
 
 

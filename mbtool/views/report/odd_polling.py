@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mbtool.overview.odd_polling import LateUnit, PollingPause
-from mbtool.series.history import UnitRow
+from mbtool.ledger.history import UnitRow
+from mbtool.troubles.odd_polling import LateUnit, PollingPause
 from mbtool.views.report.troubles import Rank, VerdictTrouble, link_word
 from mbtool.views.statistics_words import duration
 from mbtool.views.trouble_words import joined_oddities, oddities_text
@@ -13,7 +13,7 @@ from mbtool.views.trouble_words import joined_oddities, oddities_text
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from mbtool.overview.odd_polling import Oddity
+    from mbtool.troubles.odd_polling import Oddity
     from mbtool.views.trouble_words import Unit
 
 _MS = 1_000_000

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from mbtool.core.wording import counted
 from mbtool.modbus import Outcome
-from mbtool.overview.refusals import always_refused, joint_refusals
+from mbtool.troubles.refusals import always_refused, joint_refusals
 from mbtool.views.report.troubles import Rank, VerdictTrouble
 from mbtool.views.statistics_words import request_text
 from mbtool.views.trouble_words import codes_text, joint_refusals_text
@@ -15,9 +15,9 @@ from mbtool.views.trouble_words import codes_text, joint_refusals_text
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from mbtool.overview.poll_statistics import PollStatistics
-    from mbtool.overview.request_tally import RequestTally
-    from mbtool.series.history import UnitRow
+    from mbtool.ledger.history import UnitRow
+    from mbtool.ledger.poll_statistics import PollStatistics
+    from mbtool.ledger.request_tally import RequestTally
 
 _NAMED = 2
 """At most so many requests of a unit that it always refuses are named."""

@@ -21,9 +21,9 @@ from typing import TYPE_CHECKING, Any
 
 from msgspec.structs import replace
 
+from mbtool.ledger.history import UnitRow
 from mbtool.modbus import Outcome
 from mbtool.modbus.damaged_answers import DamagedAnswers
-from mbtool.series.history import UnitRow
 from mbtool.views.cells import result_text, transaction_text
 from mbtool.views.report.beside_pauses import BesidePauses
 from mbtool.views.report.late_answers import LateAnswers
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from mbtool.core import WireEvent
     from mbtool.devices import NamedTransaction
     from mbtool.devices.checking.finding import Finding
-    from mbtool.series.answered_reads import SlowRead
+    from mbtool.ledger.answered_reads import SlowRead
 
 FIRST = 5000
 MORE = 8000

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import IntEnum
 
-from mbtool.overview.failure_limits import is_grave
-from mbtool.series.history import UnitRow
+from mbtool.ledger.history import UnitRow
+from mbtool.troubles.failure_limits import is_grave
 
 
 class Rank(IntEnum):
@@ -53,5 +53,5 @@ def link_word(link: str) -> str:
 
 
 def rank_of(grave: Rank, failed: int, asked: int) -> Rank:
-    """Return `grave` if enough of the requests failed (overview/failure_limits.py), else MINOR."""
+    """Return `grave` if enough of the requests failed (troubles/failure_limits.py), else MINOR."""
     return grave if is_grave(failed, asked) else Rank.MINOR

@@ -1,7 +1,7 @@
 """Writes the first sentence of a report: which unit has which trouble since when."""
 
 # A trouble belongs to a unit, a link or a host. Failures that came late, or have ended, are told
-# with their time, and their share is of the requests in it (overview/unit_times.py). A unit can
+# with their time, and their share is of the requests in it (ledger/unit_times.py). A unit can
 # have several troubles; the worst come first.
 
 from __future__ import annotations
@@ -11,17 +11,18 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from mbtool.core.wording import counted
+from mbtool.ledger.history import UnitRow
+from mbtool.ledger.poll_statistics import PollStatistics
+from mbtool.ledger.request_tally import RequestTally, merged
+from mbtool.ledger.statistics import OTHER_UNITS
+from mbtool.ledger.statistics_report import unit_polls, unit_tallies, unit_times
+from mbtool.ledger.unit_times import UnitTimes
 from mbtool.modbus import Outcome
-from mbtool.overview.failure_limits import FEW, are_damaged, never_answers
-from mbtool.overview.odd_polling import LateUnit
-from mbtool.overview.poll_statistics import PollStatistics
-from mbtool.overview.request_tally import RequestTally, merged
-from mbtool.overview.slow_units import are_many
-from mbtool.overview.slower_units import Slower, slow_and_slower_units
-from mbtool.overview.statistics import OTHER_UNITS
-from mbtool.overview.statistics_report import odd_polling, unit_polls, unit_tallies, unit_times
-from mbtool.overview.unit_times import FailedShare, UnitTimes, missing_share, refused_share
-from mbtool.series.history import UnitRow
+from mbtool.troubles.failed_shares import FailedShare, missing_share, refused_share
+from mbtool.troubles.failure_limits import FEW, are_damaged, never_answers
+from mbtool.troubles.odd_polling import LateUnit, odd_polling
+from mbtool.troubles.slow_units import are_many
+from mbtool.troubles.slower_units import Slower, slow_and_slower_units
 from mbtool.views.report.line_troubles import finding_troubles, line_troubles
 from mbtool.views.report.odd_polling import odd_troubles
 from mbtool.views.report.refusals import joined_refusals, refused_polls
@@ -40,8 +41,8 @@ from mbtool.views.trouble_words import (
 )
 
 if TYPE_CHECKING:
-    from mbtool.overview.distribution import Distribution
-    from mbtool.overview.statistics_report import LinkReport
+    from mbtool.ledger.distribution import Distribution
+    from mbtool.ledger.statistics_report import LinkReport
     from mbtool.views.findings_table import Summaries
 
 IN_SENTENCE = 3

@@ -20,7 +20,7 @@ from mbtool.columns.usual_runs import UsualRuns
 from mbtool.core import InputError, WireEvent
 from mbtool.decode.usual_run import UsualRun
 from mbtool.devices import Namer
-from mbtool.overview.answered_run import AnsweredRun
+from mbtool.ledger.answered_run import AnsweredRun
 from mbtool.packets import serial_pieces
 from mbtool.sources.files import open_capture
 from mbtool.workflows.shared.capture_parts import Part

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from mbtool.decode.decoder import Record
-    from mbtool.overview.answered_run import AnsweredRun
+    from mbtool.ledger.answered_run import AnsweredRun
 
 
 class PartReading(Reading):

@@ -11,7 +11,7 @@ from mbtool.cli.watching.app import WatchApp
 from mbtool.watching.board import MAX_KEPT
 from mbtool.watching.watched import Watched
 from mbtool.workflows.watch import WatchFeed
-from tests.overview.masters import MS, START_NS
+from tests.ledger.masters import MS, START_NS
 
 if TYPE_CHECKING:
     from collections.abc import AsyncIterator, Awaitable, Callable, Iterable

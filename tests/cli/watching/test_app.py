@@ -13,8 +13,8 @@ from mbtool.core import EventKind, OutputError, WireEvent
 from mbtool.devices import PointValue
 from mbtool.watching.value_formats import ValueFormat
 from tests.cli.watching.screens import GivenFeed, run, screen
-from tests.overview.masters import MS, START_NS
-from tests.overview.requests import LINE, request, unanswered
+from tests.ledger.masters import MS, START_NS
+from tests.ledger.requests import LINE, request, unanswered
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -11,7 +11,7 @@ from mbtool.watching.watched import Watched
 from mbtool.workflows.watch import FileFeed
 from tests.cli.watching.key_log import DECLARED, KeyLog, bound_keys, presses
 from tests.cli.watching.screens import GivenFeed, NotingSaver, Screen, screen
-from tests.overview.requests import request
+from tests.ledger.requests import request
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

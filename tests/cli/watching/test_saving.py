@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import OutputError
 from tests.cli.watching.screens import GivenFeed, NotingSaver, run, screen
-from tests.overview.requests import request
+from tests.ledger.requests import request
 
 if TYPE_CHECKING:
     import pytest

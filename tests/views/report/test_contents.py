@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from mbtool.overview.distribution import Bucket, Distribution
-from mbtool.overview.statistics import Statistics
-from mbtool.overview.statistics_report import report
+from mbtool.ledger.distribution import Bucket, Distribution
+from mbtool.ledger.statistics import Statistics
+from mbtool.ledger.statistics_report import report
 from mbtool.views.report import contents
-from tests.series.test_history import asked
+from tests.ledger.test_history import asked
 
 if TYPE_CHECKING:
     import pytest

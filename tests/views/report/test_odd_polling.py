@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from mbtool.core import CONNECTION_OPENED, EventKind, WireEvent
+from mbtool.ledger import statistics
 from mbtool.modbus import Outcome
 from mbtool.modbus.adu import Transport
-from mbtool.overview import statistics
-from tests.series.test_history import START, asked
+from tests.ledger.test_history import START, asked
 from tests.views.report.test_verdict import judged, polled
 
 if TYPE_CHECKING:

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 import msgspec
 import pytest
 
+from mbtool.ledger import statistics
+from mbtool.ledger.history import UnitRow
+from mbtool.ledger.request_tally import RequestTally
 from mbtool.modbus import Outcome
-from mbtool.overview import statistics
-from mbtool.overview.request_tally import RequestTally
-from mbtool.series.history import UnitRow
 from mbtool.views.report.refusals import joined_refusals
 from mbtool.views.report.troubles import Rank, VerdictTrouble
-from tests.series.test_history import asked
+from tests.ledger.test_history import asked
 from tests.views.report.test_verdict import judged
 
 if TYPE_CHECKING:

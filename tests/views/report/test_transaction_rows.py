@@ -5,13 +5,13 @@ from functools import partial
 from msgspec.structs import replace
 
 from mbtool.devices.checking.finding import Finding
+from mbtool.ledger.history import UnitRow
 from mbtool.modbus import Outcome
-from mbtool.overview.odd_polling import LATE_NS
-from mbtool.series.history import UnitRow
+from mbtool.troubles.odd_polling import LATE_NS
 from mbtool.views.report import transaction_rows
 from mbtool.views.report.late_answers import MAX_UNITS, OF_UNIT, LateAnswers
 from mbtool.views.report.transaction_rows import FIRST, MORE, OF_KIND, TransactionRows
-from tests.series.test_history import asked
+from tests.ledger.test_history import asked
 
 FAILED = asked(1, outcome=Outcome.NO_ANSWER, latency_ms=None)
 

@@ -9,13 +9,13 @@ import pytest
 
 from mbtool.core import EventKind, SerialFormat
 from mbtool.devices.checking.finding import Finding
+from mbtool.ledger.statistics import Statistics
+from mbtool.ledger.statistics_report import report
 from mbtool.modbus import Outcome
-from mbtool.overview.statistics import Statistics
-from mbtool.overview.statistics_report import report
 from mbtool.views.findings_table import Summaries
 from mbtool.views.report.troubles import Rank
 from mbtool.views.report.verdict import ReportVerdict, report_verdict
-from tests.series.test_history import asked, event
+from tests.ledger.test_history import asked, event
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

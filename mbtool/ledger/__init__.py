@@ -1,0 +1,1 @@
+"""One account of a capture: statistics, inventory and counts over time; without I/O and clock."""

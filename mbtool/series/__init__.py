@@ -1,1 +1,0 @@
-"""Collects counts and values over time in bounded memory; does no I/O and reads no clock."""

@@ -1,0 +1,96 @@
+"""Tells which share of the requests to a unit failed, and from when to when."""
+
+# The share is of the requests in the time of the failures. Their number is taken from bins of time
+# (ledger/unit_bins.py), so it can be wrong by a part of a bin.
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+from mbtool.modbus import Outcome
+from mbtool.troubles.failure_limits import ENOUGH, is_grave, time_of_failures
+
+if TYPE_CHECKING:
+    from mbtool.ledger.request_tally import RequestTally
+    from mbtool.ledger.unit_times import FailureSpan, UnitTimes
+
+_SHORTEST_NS = 2_000_000_000
+"""No time of failures is told of a unit that was heard for less than this (ns), as times have
+whole seconds."""
+_DAY_NS = 86_400_000_000_000
+
+
+class FailedShare(NamedTuple):
+    """The number of requests to a unit that failed in one way, and of all requests in that time."""
+
+    failed: int
+    asked: int
+    """The number of requests in the time from `since_ns` to `until_ns`."""
+    since_ns: int | None = None
+    """The time (ns since 1970) of the first failure; None if it was there from the beginning."""
+    until_ns: int | None = None
+    """The time (ns since 1970) of the last failure; None if the failures have not ended."""
+    is_long: bool = False
+    """True if the unit was asked for a day or longer, so that times need a date."""
+
+    @property
+    def share(self) -> float:
+        return self.failed / max(self.asked, self.failed)
+
+    @property
+    def is_grave(self) -> bool:
+        return is_grave(self.failed, max(self.asked, self.failed))
+
+
+def missing_share(tally: RequestTally, times: UnitTimes | None) -> FailedShare | None:
+    """Return which share of a unit's requests got no answer; None if all got one.
+
+    If the failures came late or have ended, the share is of the requests from the first failure to
+    the last one or the end. Else, and without `times`, it is of all. If that is a small thing, but
+    the unit is silent in the end, the share is of the requests since.
+    """
+    share = _share(tally.unanswered, tally, times, None if times is None else times.missing)
+    if share is None or times is None:
+        return share
+    is_silent = times.silent_since_ns > times.answered_ns
+    if is_silent and share.failed == times.silent and share.since_ns is not None:
+        return share._replace(asked=share.failed)
+    if share.is_grave:
+        return share
+    silence_ns = times.last_ns - times.silent_since_ns
+    if is_silent and times.silent >= ENOUGH and silence_ns >= _SHORTEST_NS:
+        return FailedShare(
+            times.silent, times.silent, times.silent_since_ns, is_long=_is_long(times)
+        )
+    return share
+
+
+def refused_share(tally: RequestTally, times: UnitTimes | None) -> FailedShare | None:
+    """Return which share of a unit's requests was refused; None if none was. As missing_share."""
+    number = tally.count(Outcome.EXCEPTION)
+    return _share(number, tally, times, None if times is None else times.refused)
+
+
+def _share(
+    failed: int, tally: RequestTally, times: UnitTimes | None, span: FailureSpan | None
+) -> FailedShare | None:
+    if not failed:
+        return None
+    if times is None or span is None or failed < ENOUGH:
+        return FailedShare(failed, tally.requests)
+    is_late, is_over = time_of_failures(times.first_ns, span.first_ns, span.last_ns, times.last_ns)
+    if times.last_ns - times.first_ns < _SHORTEST_NS or not (is_late or is_over):
+        return FailedShare(failed, tally.requests)
+    before = times.bins.asked_before(span.first_ns) if is_late else 0
+    end = times.bins.asked_before(span.last_ns) + 1 if is_over else tally.requests
+    return FailedShare(
+        failed,
+        max(end - before, failed),
+        span.first_ns if is_late else None,
+        span.last_ns if is_over else None,
+        is_long=_is_long(times),
+    )
+
+
+def _is_long(times: UnitTimes) -> bool:
+    return times.last_ns - times.first_ns >= _DAY_NS

@@ -1,0 +1,60 @@
+"""Finds the units that respond much slower than the other units."""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from typing import TYPE_CHECKING, TypeVar
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from mbtool.ledger.distribution import Distribution
+
+K = TypeVar("K")
+
+SLOW = 3
+"""A unit is slow if its median latency is at least this many times the usual one. The usual one is
+the median of the other units' median latencies. The latency must also be at least SLOW_NS."""
+SLOW_NS = 10_000_000
+"""The least median latency of a slow unit, in ns."""
+ENOUGH_ANSWERS = 5
+"""Units with fewer responses than this are ignored, as their median latency is not reliable."""
+
+_MANY = 3
+_FEW = 0.25
+
+
+def are_many(slow: int, units: int) -> bool:
+    """True if `slow` of `units` are so many that they are probably another kind of device and not
+    faulty: at least 3, and more than 25 %.
+    """
+    return slow >= _MANY and slow > units * _FEW
+
+
+def slow_units(latencies: Mapping[K, Distribution]) -> dict[K, float]:
+    """Find the slow units; `latencies` has the latencies of each unit.
+
+    The result has the slow units as keys. The values are the medians (ns) of the other units'
+    median latencies, for comparison.
+    """
+    medians = {
+        unit: one.percentile(50) for unit, one in latencies.items() if one.count >= ENOUGH_ANSWERS
+    }
+    in_order = sorted(medians.values())
+    slow = {}
+    for unit, own in medians.items():
+        usual = _middle_without(in_order, bisect_left(in_order, own))
+        if usual and own >= max(SLOW * usual, SLOW_NS):
+            slow[unit] = usual
+    return slow
+
+
+def _middle_without(in_order: list[int], left_out: int) -> float:
+    """The median of sorted numbers without the one at index `left_out`; 0 if there is no other
+    number.
+    """
+    count = len(in_order) - 1
+    if not count:
+        return 0
+    below, above = (count - 1) // 2, count // 2
+    return sum(in_order[at + (at >= left_out)] for at in (below, above)) / 2

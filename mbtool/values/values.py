@@ -1,0 +1,219 @@
+"""Collects the values over time of all points and registers that transactions read and write."""
+
+# If the slave has a profile, the values of its points are collected; otherwise the numbers in
+# registers and bits. A poll is a series of equal requests. A transaction with the same values as
+# the last one of its poll changes nothing, and is left out at once; not so if another poll reads or
+# writes some of the same registers or points, as it may have changed them.
+#
+# Memory: MAX_SERIES points and registers (value_series.py); at most MAX_OF_POLL registers of one
+# poll; the last values of MAX_POLLS polls. `left_out` counts the points and registers beyond these
+# limits, up to MAX_LEFT_OUT.
+
+from __future__ import annotations
+
+from itertools import chain
+from typing import TYPE_CHECKING, NamedTuple
+
+from mbtool.devices.references import write_reference
+from mbtool.ledger.answered_reads import ValueChanges
+from mbtool.modbus import FUNCTIONS
+from mbtool.values.value_series import ValueSeries
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from mbtool.devices import NamedTransaction
+    from mbtool.ledger.answered_reads import AnsweredReads
+    from mbtool.modbus.tables import Table
+
+MAX_SERIES = 256
+MAX_OF_POLL = 64
+MAX_POLLS = 2048
+MAX_LEFT_OUT = 65_536
+"""The names of so many points and registers take 13 MB."""
+_MASK_WRITE = 0x16
+
+
+class SeriesKey(NamedTuple):
+    """Identifies the series of one value: the slave (link and unit), and its point or register."""
+
+    link: str
+    unit: int
+    name: str
+    """The name of the point; for a register, its reference, such as `holding 12`."""
+
+
+class _FollowedPoll:
+    """The last values of a poll (a series of equal requests), and the series of values that its
+    registers or points are added to.
+    """
+
+    __slots__ = ("is_shared", "names", "series", "values")
+
+    def __init__(self) -> None:
+        self.is_shared = False
+        """True if another poll reads or writes some of the same registers or points."""
+        self.values: list[int] | None = None
+        self.series: list[ValueSeries | None] = []
+        self.names: list[str] = []
+
+
+class Values:
+    """Collects the values over time of all points and registers, at most `most` of them."""
+
+    def __init__(self, most: int = MAX_SERIES) -> None:
+        self._most = most
+        self.series: dict[SeriesKey, ValueSeries] = {}
+        self._left_out: set[SeriesKey] = set()
+        self._polls: dict[tuple[object, ...], _FollowedPoll] = {}
+        self._first_polls: dict[ValueSeries, _FollowedPoll] = {}
+        """The poll that was the first to follow a series."""
+
+    @property
+    def left_out(self) -> int:
+        """Number of points and registers whose values are not collected, because of `most` or of
+        MAX_OF_POLL; MAX_LEFT_OUT stands for this number and more.
+        """
+        return len(self._left_out - self.series.keys())
+
+    def add(self, one: NamedTransaction) -> None:
+        function = FUNCTIONS.get(one.function)
+        if function is None or function.table is None or not one.took_effect:
+            return
+        only_writes = function.writes and one.write_address is None
+        values = one.request_values if only_writes else one.response_values
+        if values is None or one.function == _MASK_WRITE:
+            return
+        key = (one.link, one.unit, one.function, one.address, one.quantity, one.write_address)
+        poll = self._poll(key)
+        before, poll.values = poll.values, values
+        if before == values and not poll.is_shared:
+            return
+        at_ns = one.response_ns or one.start_ns
+        if one.points:
+            self._add_points(one, poll, at_ns)
+        elif one.address is not None:
+            self._follow(poll, one, function.table, len(values))
+            _add_changes(poll.series, values, () if poll.is_shared else before or (), at_ns)
+
+    def add_reads(self, reads: Sequence[AnsweredReads]) -> bool:
+        """Take many reads of slaves without profiles, with the same result as `add` for each.
+
+        Returns False, and takes no values, if there may be no room for their polls, or if polls
+        share registers.
+        """
+        if len(self._polls) + len(reads) > MAX_POLLS:
+            return False
+        polls = []
+        for one in reads:
+            table = FUNCTIONS[one.function].table
+            if table is not None:
+                key = (one.link, one.unit, one.function, one.address, one.quantity, None)
+                poll = self._poll(key)
+                self._follow(poll, one, table, one.quantity)
+                polls.append((poll, one))
+        if any(poll.is_shared for poll, _ in polls):
+            return False
+        found: dict[ValueSeries, list[ValueChanges]] = {}
+        for poll, one in polls:
+            before, poll.values = poll.values, one.values.last()
+            if before is not None and len(before) != one.quantity:
+                before = None
+            for place, series in enumerate(poll.series):
+                if series is not None:
+                    found.setdefault(series, []).append(one.values.changes(before, place))
+        for series, changes in found.items():
+            _, times_ns, values = changes[0] if len(changes) == 1 else _joined(changes)
+            series.add_all(times_ns, values)
+        return True
+
+    def _poll(self, key: tuple[object, ...]) -> _FollowedPoll:
+        poll = self._polls.get(key)
+        if poll is None:
+            poll = _FollowedPoll()
+            if len(self._polls) < MAX_POLLS:
+                self._polls[key] = poll
+        return poll
+
+    def _follow(
+        self, poll: _FollowedPoll, one: NamedTransaction | AnsweredReads, table: Table, count: int
+    ) -> None:
+        """Make sure that the registers or bits of a poll have their series of values."""
+        if len(poll.series) != min(count, MAX_OF_POLL):
+            poll.series = self._registers(one, table, count)
+            self._note_sharing(poll)
+
+    def _note_sharing(self, poll: _FollowedPoll) -> None:
+        """Mark the poll, and another one that follows one of its series."""
+        for series in poll.series:
+            if series is not None:
+                first = self._first_polls.setdefault(series, poll)
+                if first is not poll:
+                    first.is_shared = poll.is_shared = True
+
+    def _add_points(self, one: NamedTransaction, poll: _FollowedPoll, at_ns: int) -> None:
+        names = [point.name for point in one.points]
+        if names != poll.names:
+            poll.names = names
+            poll.series = [self._series(SeriesKey(one.link, one.unit, name)) for name in names]
+            self._note_sharing(poll)
+        for point, series in zip(one.points, poll.series, strict=True):
+            if series is not None:
+                series.reference, series.unit = point.reference, point.unit or ""
+                series.add(at_ns, point.value, point.text)
+
+    def _registers(
+        self, one: NamedTransaction | AnsweredReads, table: Table, count: int
+    ) -> list[ValueSeries | None]:
+        """Return the series of values for the registers or bits of a poll, in address order.
+
+        `count` is the number of the poll's registers; series are made for at most MAX_OF_POLL. None
+        stands for a register that is not collected, as there are too many others.
+        """
+        first = one.address or 0
+        addresses = range(first, first + min(count, MAX_OF_POLL))
+        names = (write_reference(None, table, address) for address in addresses)
+        keys = (SeriesKey(one.link, one.unit, name) for name in names)
+        self._leave_out(one, table, range(addresses.stop, first + count))
+        return [self._series(key, is_bit=table.is_bits) for key in keys]
+
+    def _leave_out(
+        self, one: NamedTransaction | AnsweredReads, table: Table, addresses: Iterable[int]
+    ) -> None:
+        for address in addresses:
+            if len(self._left_out) >= MAX_LEFT_OUT:
+                return
+            name = write_reference(None, table, address)
+            self._left_out.add(SeriesKey(one.link, one.unit, name))
+
+    def _series(self, key: SeriesKey, *, is_bit: bool = False) -> ValueSeries | None:
+        series = self.series.get(key)
+        if series is None:
+            if len(self.series) >= self._most:
+                if len(self._left_out) < MAX_LEFT_OUT:
+                    self._left_out.add(key)
+                return None
+            series = self.series[key] = ValueSeries(key.name, bit=is_bit)
+        return series
+
+
+def _joined(several: Iterable[ValueChanges]) -> ValueChanges:
+    """Return the changes of a register that several polls read, in the order of the responses."""
+    in_order = sorted(chain.from_iterable(zip(*one, strict=True) for one in several))
+    rows, times_ns, values = ([one[place] for one in in_order] for place in range(3))
+    return ValueChanges(rows, times_ns, values)
+
+
+def _add_changes(
+    followed: Sequence[ValueSeries | None], values: Sequence[int], before: Sequence[int], at_ns: int
+) -> None:
+    """Add to the series in `followed` those values that differ from `before`.
+
+    The three sequences are in the order of the poll's addresses. `before` has the values of the
+    last response; if its length differs, all values are added.
+    """
+    if len(before) != len(values):
+        before = [-1] * len(values)
+    for series, value, last in zip(followed, values, before, strict=False):
+        if value != last and series is not None:
+            series.add(at_ns, value)
