@@ -16,10 +16,11 @@ from typing import TYPE_CHECKING, Any, Self
 
 from mbtool.core import LinkError, TcpLink, UsageError, WireEvent, parse_link
 from mbtool.core.link_spec import ANSWERED
+from mbtool.core.wording import clock_time
 from mbtool.devices import Span, find_span
 from mbtool.modbus import FUNCTIONS, Outcome
 from mbtool.slave.shells import TcpSlave, slave_link
-from mbtool.views.cells import clock_time, event_text, transaction_text
+from mbtool.views.cells import event_text, transaction_text
 from mbtool.workflows.shared.fault_switch import FaultSwitch
 from mbtool.workflows.shared.slave_monitor import SlaveMonitor
 

@@ -6,7 +6,6 @@
 
 from __future__ import annotations
 
-from datetime import date
 from itertools import groupby
 from typing import TYPE_CHECKING
 
@@ -46,8 +45,6 @@ _SHORT_EXCEPTIONS = {
 address, illegal data value, server device failure, server device busy, gateway path unavailable,
 gateway target failed to respond."""
 
-_EPOCH = date(1970, 1, 1).toordinal()
-_DAY_S = 86_400
 _MASK_WRITE, _READ_WRITE = 0x16, 0x17
 _VERBS = {
     code: "write" if one.writes else "read"
@@ -277,28 +274,6 @@ def _folded(texts: Iterable[str]) -> list[str]:
         count = len(list(run))
         folded += [f"{text} x{count}"] if count >= FOLDED else [text] * count
     return folded
-
-
-def clock_time(ts_ns: int) -> str:
-    """Write the time of day in UTC, with milliseconds: `09:14:03.300`.
-
-    Never raises: a capture may have any integer as its time.
-    """
-    seconds, milliseconds = divmod(ts_ns // 1_000_000, 1000)
-    minutes, second = divmod(seconds % _DAY_S, 60)
-    return f"{minutes // 60:02d}:{minutes % 60:02d}:{second:02d}.{milliseconds:03d}"
-
-
-def day(ts_ns: int) -> str:
-    """Write the date in UTC: `2026-11-21`.
-
-    Outside the years 1 to 9999 it is the number of days since 1970.
-    """
-    days = ts_ns // (_DAY_S * 1_000_000_000)
-    try:
-        return date.fromordinal(_EPOCH + days).isoformat()
-    except (ValueError, OverflowError):
-        return f"day {days}"
 
 
 def _values(transaction: NamedTransaction, values: list[int], *, in_hex: bool) -> str:

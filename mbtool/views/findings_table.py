@@ -18,11 +18,10 @@ from typing import TYPE_CHECKING
 
 from rich.text import Text
 
-from mbtool.core.wording import counted
+from mbtool.core.wording import clock_time, counted, day
 from mbtool.devices.checking.finding import Finding
 from mbtool.devices.checking.rules import Severity
 from mbtool.modbus import Outcome
-from mbtool.views.cells import clock_time, day
 from mbtool.views.place_columns import host_of
 from mbtool.views.tables import printable
 

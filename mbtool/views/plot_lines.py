@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from mbtool.views.cells import clock_time, day
+from mbtool.core.wording import clock_time, day
 from mbtool.views.statistics_columns import StyledLine
 from mbtool.views.tables import printable
 

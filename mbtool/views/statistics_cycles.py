@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from mbtool.core.wording import counted as counted_words
+from mbtool.core.wording import duration, in_ms, in_s
 from mbtool.views.statistics_columns import (
     StatisticsColumn,
     StatisticsRow,
@@ -13,7 +14,7 @@ from mbtool.views.statistics_columns import (
     shortened,
     table_lines,
 )
-from mbtool.views.statistics_words import counted, duration, in_ms, in_s, poll_text
+from mbtool.views.statistics_words import counted, poll_text
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

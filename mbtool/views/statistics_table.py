@@ -9,12 +9,11 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from mbtool.core.wording import plural
+from mbtool.core.wording import clock_time, day, duration, in_ms, in_s, percent, plural
 from mbtool.ledger.distribution import Bucket
 from mbtool.ledger.request_tally import RequestTally, merged
 from mbtool.ledger.statistics import OTHER_UNITS
 from mbtool.modbus import Outcome, short_name
-from mbtool.views.cells import clock_time, day
 from mbtool.views.statistics_columns import (
     StatisticsColumn,
     StatisticsRow,
@@ -26,15 +25,7 @@ from mbtool.views.statistics_columns import (
 )
 from mbtool.views.statistics_cycles import cycle_lines
 from mbtool.views.statistics_verdict import verdict
-from mbtool.views.statistics_words import (
-    counted,
-    duration,
-    in_ms,
-    in_s,
-    per_second,
-    percent,
-    poll_text,
-)
+from mbtool.views.statistics_words import counted, per_second, poll_text
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from mbtool.core.wording import counted, plural
+from mbtool.core.wording import counted, duration, percent, plural
 from mbtool.ledger.request_tally import RequestTally, merged
 from mbtool.ledger.statistics_report import (
     is_counted_together,
@@ -19,7 +19,7 @@ from mbtool.troubles.odd_polling import odd_polling
 from mbtool.troubles.refusals import always_refused, joint_refusals
 from mbtool.troubles.slower_units import slow_and_slower_units
 from mbtool.views.statistics_columns import StyledLine
-from mbtool.views.statistics_words import duration, per_second, percent
+from mbtool.views.statistics_words import per_second
 from mbtool.views.trouble_words import (
     JOINED,
     TOGETHER_TEXT,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from mbtool.views.cells import clock_time, day
+from mbtool.core.wording import clock_time, day
 from mbtool.views.table_options import TimeStyle
 
 

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mbtool.core.wording import counted
+from mbtool.core.wording import clock_time, counted, day, duration, in_ms
 from mbtool.ledger.statistics import MAX_GROUPS, MAX_LINKS, OTHER_UNITS
 from mbtool.modbus import Outcome
 from mbtool.troubles.odd_polling import LateUnit, Oddity, PollingPause, ShortConnections
-from mbtool.views.cells import clock_time, day
-from mbtool.views.statistics_words import duration, in_ms
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping, Sequence

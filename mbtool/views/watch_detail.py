@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 from msgspec.structs import replace
 
 from mbtool.core import Direction, WireEvent
+from mbtool.core.wording import clock_time, day, in_ms, percent
 from mbtool.devices import finding_text
 from mbtool.modbus import Transport
 from mbtool.modbus.adu import DirectionBy, Verdict
-from mbtool.views.cells import clock_time, day, result_text, transaction_text
-from mbtool.views.statistics_words import in_ms, percent
+from mbtool.views.cells import result_text, transaction_text
 from mbtool.views.tables import printable
 from mbtool.watching.adu_parts import adu_parts
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from mbtool.core import WireEvent
+from mbtool.core.wording import in_ms
 from mbtool.devices import describe_points
 from mbtool.modbus import FUNCTIONS, Outcome
 from mbtool.views.cells import GROUP, MANY_BITS, result_text, transaction_text
-from mbtool.views.statistics_words import in_ms
 from mbtool.views.watch_columns import LEAST_REST, DrawContext, Spans, WatchColumn
 from mbtool.views.watch_names import cut_name, with_short_names
 from mbtool.views.watch_words import (

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind, WireEvent
+from mbtool.core.wording import clock_time, in_ms, percent
 from mbtool.devices import finding_text
 from mbtool.modbus import Outcome
-from mbtool.views.cells import ARROW, clock_time, event_text, result_text, transaction_text
+from mbtool.views.cells import ARROW, event_text, result_text, transaction_text
 from mbtool.views.place_columns import host_of
-from mbtool.views.statistics_words import in_ms, percent
 from mbtool.views.watch_columns import LEAST_REST, DrawContext, Spans, WatchColumn, cut_spans
 from mbtool.views.watch_names import with_short_names
 from mbtool.views.watch_troubles import slave_trouble

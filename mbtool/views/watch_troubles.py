@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
+from mbtool.core.wording import clock_time, in_ms, percent
 from mbtool.troubles.failure_limits import ENOUGH
 from mbtool.troubles.slow_units import are_many
-from mbtool.views.cells import clock_time
 from mbtool.views.place_columns import common_network
-from mbtool.views.statistics_words import in_ms, percent
 from mbtool.views.trouble_words import (
     joined_oddities,
     joint_refusals_text,

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 from mbtool.core import InputError, UsageError
 from mbtool.core.errors import reason_of
 from mbtool.core.replacing import replacing
+from mbtool.core.wording import clock_time, day
 from mbtool.logs.creating import demand_unlocked
 from mbtool.logs.opening import check_log_path
 from mbtool.logs.recovery import LogLoss, Recovered, Recovery
 from mbtool.sources.files import STANDARD_INPUT, CaptureFile, CaptureKind, open_capture
-from mbtool.views.cells import clock_time, day
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -10,11 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mbtool.core import EventKind, WireEvent
+from mbtool.core.wording import clock_time, day
 from mbtool.devices import PointValue, load_profile
 from mbtool.modbus import FUNCTIONS, Outcome, Verdict, function_name
 from mbtool.views.cells import (
-    clock_time,
-    day,
     event_text,
     finding_texts,
     function_text,

@@ -2,7 +2,8 @@ from __future__ import annotations
 
 import pytest
 
-from mbtool.views.statistics_words import duration, in_ms, in_s, per_second, percent
+from mbtool.core.wording import duration, in_ms, in_s, percent
+from mbtool.views.statistics_words import per_second
 
 MS, S = 1e6, 1e9
 

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from mbtool.core import EventKind, WireEvent
+from mbtool.core.wording import clock_time
 from mbtool.devices import PointValue
 from mbtool.modbus import Outcome, Transport, Verdict, ascii_adu
-from mbtool.views.cells import clock_time
 from mbtool.views.watch_columns import (
     DrawContext,
     FittedColumn,

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from mbtool.core.wording import duration
 from mbtool.ledger.history import UnitRow
 from mbtool.troubles.odd_polling import LateUnit, PollingPause
 from mbtool.views.report.troubles import Rank, VerdictTrouble, link_word
-from mbtool.views.statistics_words import duration
 from mbtool.views.trouble_words import joined_oddities, oddities_text
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
-from mbtool.core.wording import counted
+from mbtool.core.wording import counted, in_ms, percent
 from mbtool.ledger.history import UnitRow
 from mbtool.ledger.poll_statistics import PollStatistics
 from mbtool.ledger.request_tally import RequestTally, merged
@@ -27,7 +27,6 @@ from mbtool.views.report.line_troubles import finding_troubles, line_troubles
 from mbtool.views.report.odd_polling import odd_troubles
 from mbtool.views.report.refusals import joined_refusals, refused_polls
 from mbtool.views.report.troubles import Rank, VerdictTrouble, link_word, rank_of
-from mbtool.views.statistics_words import in_ms, percent
 from mbtool.views.trouble_words import (
     JOINED,
     codes_text,

@@ -17,7 +17,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind, InputError, WireEvent
-from mbtool.core.wording import counted
+from mbtool.core.wording import clock_time, counted, day
 from mbtool.logs.links import SPEC
 from mbtool.logs.undecoded import (
     MAX_LOOKED_THROUGH,
@@ -26,7 +26,6 @@ from mbtool.logs.undecoded import (
     undecoded_pieces,
 )
 from mbtool.sources.files import place_of
-from mbtool.views.cells import clock_time, day
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence, Set

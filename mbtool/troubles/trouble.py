@@ -1,0 +1,158 @@
+"""A trouble: what is wrong with a link, a unit or a master, why, what to do, and the evidence."""
+
+# Text and figures are apart: words.py has one row for each code, with the cause and the remedy as
+# templates; a rule makes a Trouble with the figures that stand in them. So every command shows the
+# same words, and decides only how many troubles and how long.
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import TYPE_CHECKING
+
+from mbtool.core.wording import clock_time, counted, day
+from mbtool.devices.checking.rules import Severity
+from mbtool.troubles.words import WORDS
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from mbtool.core import WireEvent
+    from mbtool.modbus.transaction import Transaction
+
+MAX_EVIDENCE = 100
+"""A trouble keeps at most so many cases; its `count` counts all of them."""
+MAX_OTHERS = 1000
+
+
+class Sureness(StrEnum):
+    """How sure the cause of a trouble is."""
+
+    CERTAIN = "certain"
+    """The recording proves it."""
+    LIKELY = "likely"
+    """No other cause that is known fits the recording as well."""
+    POSSIBLE = "possible"
+    """Other causes fit, too; the page of the trouble says how to make sure."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Evidence:
+    """One case of a trouble: its time, and where its bytes stand in the recording."""
+
+    ts_ns: int
+    """The time of the request, or of the event, in ns since 1970."""
+    text: str = ""
+    """What happened, in a few words; empty if the trouble says it."""
+    file: str | None = None
+    packets: tuple[int, ...] = ()
+    """The numbers of the packets in the file, from 1, as Wireshark counts them."""
+    offsets: tuple[int, ...] = ()
+    """In a file of the bytes of a serial line, the numbers of bytes before request and response."""
+
+    @classmethod
+    def of(cls, one: Transaction, text: str = "") -> Evidence:
+        packets = (one.request_packet, one.response_packet)
+        offsets = (one.request_offset, one.response_offset)
+        return cls(
+            ts_ns=one.start_ns,
+            text=text,
+            file=one.file,
+            packets=tuple(number for number in packets if number is not None),
+            offsets=tuple(number for number in offsets if number is not None),
+        )
+
+    @classmethod
+    def of_event(cls, event: WireEvent, text: str = "") -> Evidence:
+        return cls(ts_ns=event.ts_ns, text=text or event.message)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trouble:
+    """One thing that is wrong."""
+
+    code: str
+    """A row of words.py, such as LINE-LATE. A code never changes its meaning."""
+    link: str
+    unit: int | None = None
+    """The unit that has the trouble; None if it is the line's or a master's."""
+    master: str = ""
+    """The master's host, where the trouble is a master's; empty on a serial line."""
+    count: int = 1
+    """How many requests, frames or connections have the trouble."""
+    of: int = 0
+    """Out of how many in the same time; 0 if there is nothing to compare with."""
+    since_ns: int | None = None
+    """The time of the first case (ns since 1970); None if it was there from the beginning."""
+    until_ns: int | None = None
+    """The time of the last case (ns since 1970); None if it has not ended."""
+    is_long: bool = False
+    """True if the recording takes a day or longer, so that times need a date."""
+    is_small: bool = False
+    """True if so few are concerned that it is a note, whatever the code's severity is."""
+    figures: Mapping[str, str] = field(default_factory=dict)
+    """The texts for the names in the templates of the code's words."""
+    weight: float = 0.0
+    """Troubles of one code are sorted by this number, the greatest first."""
+    sureness: Sureness = Sureness.CERTAIN
+    evidence: tuple[Evidence, ...] = ()
+    """The first cases, at most MAX_EVIDENCE."""
+    search: str = ""
+    """The filter that finds the cases in the table of a report; empty for the link's or unit's."""
+    others: tuple[Trouble, ...] = ()
+    """The same trouble of other units, links or masters, the worst first."""
+    names_link: bool = False
+    """True if the recording has several links, so that `who` needs the link."""
+
+    @property
+    def severity(self) -> Severity:
+        return Severity.NOTE if self.is_small else WORDS[self.code].severity
+
+    @property
+    def who(self) -> str:
+        """Return the unit, master or link that has the trouble: `unit 4`, `unit 4 at 10.0.0.2`."""
+        if self.unit is None:
+            return self.master or self.link
+        name = f"unit {self.unit}" if self.unit >= 0 else "other units"
+        return f"{name} at {self.link or 'other links'}" if self.names_link else name
+
+    @property
+    def cause(self) -> str:
+        """Return what is wrong as a clause, with who, how often, and since when."""
+        words = WORDS[self.code]
+        text = words.cause.format(**self._figures()) + self.when
+        if not self.others:
+            return text
+        return f"{counted(1 + len(self.others), words.noun, ',')} {words.many}; the worst: {text}"
+
+    @property
+    def remedy(self) -> str:
+        """Return what to do about it, as a clause in the imperative."""
+        return WORDS[self.code].remedy.format(**self._figures())
+
+    @property
+    def sentence(self) -> str:
+        """Return cause and remedy: `unit 2 answers after 0.70 s, ...: raise the time-out`."""
+        return f"{self.cause}: {self.remedy}"
+
+    @property
+    def when(self) -> str:
+        """Return the time of the cases: ` since 10:43:02`, ` from 10:43:02 to 10:51:10` or empty."""
+        since, until = (
+            None if ns is None else moment_text(ns, is_long=self.is_long)
+            for ns in (self.since_ns, self.until_ns)
+        )
+        if until is None:
+            return "" if since is None else f" since {since}"
+        return f" until {until}" if since is None else f" from {since} to {until}"
+
+    def _figures(self) -> dict[str, str]:
+        figures = {"who": self.who, "link": self.link, "count": f"{self.count:,}"}
+        return {**figures, "of": f"{self.of:,}", **self.figures}
+
+
+def moment_text(ns: int, *, is_long: bool) -> str:
+    """Return a time of day with seconds; if the recording `is_long`, with the date, to the
+    minute.
+    """
+    return f"{day(ns)} {clock_time(ns)[:5]}" if is_long else clock_time(ns)[:8]
