@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import TYPE_CHECKING
@@ -15,8 +16,6 @@ from mbtool.devices.checking.rules import Severity
 from mbtool.troubles.words import WORDS
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from mbtool.core import WireEvent
     from mbtool.modbus.transaction import Transaction
 
@@ -137,7 +136,7 @@ class Trouble:
 
     @property
     def when(self) -> str:
-        """Return the time of the cases: ` since 10:43:02`, ` from 10:43:02 to 10:51:10` or empty."""
+        """Return the time of the cases as text: ` since 10:43:02`; empty if it is all the time."""
         since, until = (
             None if ns is None else moment_text(ns, is_long=self.is_long)
             for ns in (self.since_ns, self.until_ns)
