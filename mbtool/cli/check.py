@@ -22,6 +22,8 @@ from mbtool.cli.options import (
 )
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from mbtool.workflows.check import CheckRun, FileFinding
 
 
@@ -95,10 +97,11 @@ def check(
     source: SourceOptions,
     silences: SilenceOptions,
 ) -> None:
-    """Find what breaks a rule of Modbus or of a device's manual.
+    """Find what is wrong, why, and what to do; and what breaks a rule of Modbus or of a manual.
 
     Rules of a device are held where --device, or the log itself, says which stands where. Exit code
-    1 means that there are findings, 0 that there are none. docs/findings.md explains each code.
+    1 means that something is wrong, 0 that nothing is. docs/troubles.md explains the codes of
+    troubles, docs/findings.md those of broken rules.
     """
     from mbtool.cli import exit_codes
     from mbtool.cli.output import opened, say_if_empty, told_as_lost, verdict_kept
@@ -122,7 +125,7 @@ def check(
     broken: InputError | None = None
     stays = is_old(path)
     with (
-        verdict_kept(lambda: bool(run.counts)),
+        verdict_kept(lambda: run.is_anything_wrong),
         opened(path, run.reading.demand_files, overwrite=overwrite) as (file, name),
         told_as_lost(name),
         interruptible() as interrupt,
@@ -146,7 +149,7 @@ def check(
     if broken is not None:
         raise broken
     say_if_empty(run.reading)
-    if run.counts:
+    if run.is_anything_wrong:
         raise typer.Exit(exit_codes.NO)
 
 
@@ -221,7 +224,7 @@ def _printer(format_: CheckFormat, file: TextIO, files: list[str], *, each: bool
 
 class _FindingsTablePrinter(_Printer):
     def __init__(self, file: TextIO, *, names_files: bool) -> None:
-        from mbtool.views.findings_table import Summaries
+        from mbtool.troubles.broken_rules import Summaries
 
         self._file = file
         self._names_files = names_files
@@ -234,7 +237,9 @@ class _FindingsTablePrinter(_Printer):
         from mbtool.cli.console import PipeConsole
         from mbtool.views.findings_table import print_summaries
 
-        print_summaries(PipeConsole(file=self._file), self._summaries)
+        console = PipeConsole(file=self._file)
+        _print_troubles(console, run)
+        print_summaries(console, self._summaries)
 
 
 class _EachPrinter(_Printer):
@@ -247,6 +252,21 @@ class _EachPrinter(_Printer):
         from mbtool.views.findings_table import finding_line
 
         self._console.print(finding_line(found.finding), soft_wrap=True)
+
+    def end(self, run: CheckRun, why_partial: str | None) -> None:
+        _print_troubles(self._console, run)
+
+
+def _print_troubles(console: Console, run: CheckRun) -> None:
+    """Print the troubles, except for broken rules, which stand among the findings."""
+    from rich.text import Text
+
+    from mbtool.troubles.words import WORDS
+    from mbtool.views.trouble_lines import STYLES, trouble_text
+
+    for one in run.judgement().troubles:
+        if one.code in WORDS:
+            console.print(Text(f"! {trouble_text(one)}", STYLES[one.severity]), soft_wrap=True)
 
 
 class _DocumentPrinter(_Printer):
@@ -272,6 +292,7 @@ class _DocumentPrinter(_Printer):
             self._document.end(
                 run.transactions,
                 run.failed.counts(),
+                judgement=run.judgement(),
                 remarks=remarks,
                 is_whole=why_partial is None,
             )
@@ -281,36 +302,25 @@ class _DocumentPrinter(_Printer):
 def _sum_up(run: CheckRun, path: str | None, files: list[str]) -> None:
     from mbtool.cli.talk import say
 
+    del files
     say(_sentence(run) + ("" if path is None else f" -> {path}"))
-    if failed := _failed(run, files):
-        say(failed)
 
 
 def _sentence(run: CheckRun) -> str:
     """Sum up a run: `14 findings of 3 codes in 8,120 transactions; docs/findings.md ...`."""
     from mbtool.core.wording import counted
+    from mbtool.troubles.words import WORDS
 
+    judgement = run.judgement()
     number, codes = run.counts.total(), len(run.counts)
     transactions = counted(run.transactions, "transaction")
-    if not number:
+    troubles = sum(one.code in WORDS for one in judgement.troubles)
+    parts = [counted(troubles, "trouble", ",")] if troubles else []
+    if number:
+        of_codes = "" if number == 1 else f" of {counted(codes, 'code')}"
+        parts.append(f"{counted(number, 'finding')}{of_codes}")
+    if parts:
+        return f"{', '.join(parts)} in {transactions}; docs/findings.md explains each code"
+    if not run.transactions:
         return f"no findings in {transactions}"
-    of_codes = "" if number == 1 else f" of {counted(codes, 'code')}"
-    findings = f"{counted(number, 'finding')}{of_codes}"
-    return f"{findings} in {transactions}; docs/findings.md explains each code"
-
-
-def _failed(run: CheckRun, files: list[str]) -> str:
-    """Return what no rule may forbid: `but 4 requests got an exception: ... tells more`.
-
-    The text is empty if all requests got a good answer.
-    """
-    from shlex import quote
-
-    from mbtool.views.findings_table import failed_text
-
-    text = failed_text(run.failed)
-    if not text:
-        return ""
-    but = "" if run.counts else "but "
-    file = quote(files[0]) if len(files) == 1 else "FILE..."
-    return f"{but}{text}: `mbtool stats {file}` tells more"
+    return f"no findings in {transactions}. {judgement.summary}"

@@ -94,7 +94,7 @@ def inventory(
     """
     from mbtool.cli import exit_codes
     from mbtool.cli.options import condition
-    from mbtool.cli.output import opened, say_if_empty, told_as_lost
+    from mbtool.cli.output import opened, say_if_empty, say_troubles, told_as_lost
     from mbtool.cli.output_file import kept_told, left_told
     from mbtool.cli.output_path import chosen_format, demand_new, demand_other_file, named_file
     from mbtool.cli.progress import with_progress
@@ -129,6 +129,8 @@ def inventory(
                 _write(file, chosen, document, new, __version__, everything=each)
             file.flush()
     say_if_empty(run.reading)
+    if document.transactions:
+        say_troubles(run.judgement())
     say(_sentence(document, new) + ("" if path is None else f" -> {path}"))
     for what, count in document.left_out.items():
         say(f"mbtool: {count:,} {what}: there are more than are kept at once")
@@ -149,7 +151,14 @@ def _json(
 
     why = run.reading.why_empty if run.error is None else str(run.error)
     remarks = [*run.reading.remarks, *([] if why is None else [why])]
-    return inventory_json(document, version, new, remarks=remarks, is_whole=run.error is None)
+    return inventory_json(
+        document,
+        version,
+        new,
+        judgement=run.judgement(),
+        remarks=remarks,
+        is_whole=run.error is None,
+    )
 
 
 def _write(

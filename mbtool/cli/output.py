@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from mbtool.columns.table_counts import TransactionCounts
     from mbtool.decode.decoder import Record
     from mbtool.query.where import Where
+    from mbtool.troubles.judge import Judgement
     from mbtool.workflows.shared.reading import Reading
 
     MakeOutput = Callable[
@@ -361,6 +362,15 @@ def say_if_empty(reading: Reading) -> None:
     reading.demand_readable()
     if reading.why_empty is not None:
         say(reading.why_empty)
+
+
+def say_troubles(judgement: Judgement) -> None:
+    """Print the worst troubles to standard error, a line for each; nothing if there is none."""
+    from mbtool.views.trouble_lines import trouble_lines
+
+    if judgement.troubles:
+        for line in trouble_lines(judgement):
+            say(line.text)
 
 
 @contextmanager

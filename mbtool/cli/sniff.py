@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from mbtool.workflows.shared.heartbeat import StatusLog
     from mbtool.workflows.shared.recorder import Log
     from mbtool.workflows.sniff import Sniffer
+    from mbtool.workflows.stats import LiveStatistics
 
 
 @takes_groups
@@ -132,7 +133,7 @@ def sniff(
     from mbtool.cli.listening import allowed_networks, heard_ports, read_only_taps, sniffer_of
     from mbtool.cli.live_output import LiveOutput
     from mbtool.cli.options import assignments, condition
-    from mbtool.cli.output import open_output
+    from mbtool.cli.output import open_output, say_troubles
     from mbtool.cli.service import ServiceRun
     from mbtool.cli.talk import Interrupted, interruptible, never_suspended, never_waiting, say
     from mbtool.core import UsageError, parse_link
@@ -144,6 +145,7 @@ def sniff(
     from mbtool.workflows.shared.checked_log import begin_checked
     from mbtool.workflows.shared.evidence_only import begin_evidence_only
     from mbtool.workflows.sniff import serial_lines, with_settings
+    from mbtool.workflows.stats import LiveStatistics
 
     if rotate is not None and write is None:
         raise UsageError("--rotate needs a log to rotate: name one with -w FILE.mcap")
@@ -230,9 +232,15 @@ def sniff(
             if run is not None:
                 run.begin(sniffer)
             ends = _end(interrupt, out, duration, tell_suspension, run)
-            _show(sniffer, out, devices, serial_lines(specs), ends, is_hurried)
+            heard = serial_lines(specs)
+            formats = {name: timing.format_of(line) for name, line in heard.items()}
+            live = LiveStatistics(formats.get, None, devices)
+            _show(sniffer, out, live, devices, heard, ends, is_hurried)
+            live.close()
             if run is not None:
                 run.end()
+        if not service:
+            say_troubles(live.judgement())
         if write is not None:
             first = next(iter(parts_of(Path(write))), write)
             say(f"log: {write if rotation is None else f'{first} and those behind it'}")
@@ -270,6 +278,7 @@ def _end(
 def _show(
     sniffer: Sniffer,
     out: RecordOutput,
+    live: LiveStatistics,
     devices: Assignments,
     lines: Mapping[str, SerialLink],
     ends: Callable[[int], bool],
@@ -277,7 +286,7 @@ def _show(
 ) -> None:
     """Print records as they come, and remarks on device models and on lines that cannot be read.
 
-    `devices` are the profiles of --device, and `lines` the serial lines by the name of their link.
+    `live` counts and judges them. `devices` are the profiles of --device, and `lines` the serial lines by the name of their link.
     """
     from mbtool.cli.talk import say
     from mbtool.workflows.shared.model_hints import ModelHints
@@ -289,5 +298,6 @@ def _show(
         for remark in (hints.note(record), unreadable.note(record)):
             if remark is not None:
                 say(f"mbtool: {remark}")
+        live.add(record)
         if not out.is_full:
             out.add(record)

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from mbtool.cli.talk import Interrupt
     from mbtool.core import SerialFormat
     from mbtool.ledger.statistics import Statistics
-    from mbtool.ledger.statistics_report import LinkReport
+    from mbtool.troubles.judge import Judgement
     from mbtool.workflows.shared.reading import ReadingOptions
     from mbtool.workflows.stats import LiveStatistics
 
@@ -117,7 +117,12 @@ class _Shown:
     top: int | None
 
     def print(
-        self, statistics: Statistics, remarks: Sequence[str] = (), *, is_whole: bool = True
+        self,
+        statistics: Statistics,
+        judgement: Judgement,
+        remarks: Sequence[str] = (),
+        *,
+        is_whole: bool = True,
     ) -> None:
         """Print the statistics to standard output. Raises OutputError if it cannot be written.
 
@@ -125,29 +130,27 @@ class _Shown:
         """
         from mbtool.cli.console import PipeConsole
         from mbtool.cli.output import told_as_lost
-        from mbtool.ledger.statistics_report import report
         from mbtool.sources.files import shown_name
         from mbtool.views.statistics_document import statistics_document
 
-        links = report(statistics)
         with told_as_lost("standard output"):
             if self.as_json:
                 text = statistics_document(
                     statistics,
-                    links,
+                    judgement,
                     sources=[*map(shown_name, self.sources)],
                     where=self.where,
                     remarks=remarks,
                     is_whole=is_whole,
                 )
                 sys.stdout.write(text)
-            elif statistics.transactions or any(link.connections for link in links):
+            elif statistics.transactions or any(one.connections for one in judgement.links):
                 console = PipeConsole(file=sys.stdout)
-                for line in self.lines(links, console):
+                for line in self.lines(judgement, console):
                     console.print(line, soft_wrap=True)
             sys.stdout.flush()
 
-    def lines(self, links: Sequence[LinkReport], console: Console) -> list[Text]:
+    def lines(self, judgement: Judgement, console: Console) -> list[Text]:
         """Return the lines of the table; on a terminal, they are fitted to its width and height."""
         from rich.text import Text
 
@@ -155,7 +158,7 @@ class _Shown:
 
         is_terminal = console.is_terminal
         lines = statistics_lines(
-            links,
+            judgement,
             width=console.width if is_terminal else None,
             height=console.height if is_terminal else None,
             top=self.top,
@@ -170,29 +173,29 @@ def _read(shown: _Shown, options: ReadingOptions) -> None:
     from mbtool.cli.progress import with_progress
     from mbtool.cli.talk import interruptible, interruption_told, say
     from mbtool.core import InputError
-    from mbtool.workflows.shared.reading_choice import part_reading
-    from mbtool.workflows.stats import FileStatistics
+    from mbtool.workflows.check import CheckRun
 
-    reading = part_reading(shown.sources, options, is_filtered=shown.where is not None)
-    run = FileStatistics(reading, condition(shown.where))
+    wanted = None if shown.where is None else condition(shown.where)
+    run = CheckRun(shown.sources, options, wanted=wanted)
+    reading = run.reading
     reading.demand_files()
     broken: InputError | None = None
     with interruption_told(), interruptible() as interrupt:
         try:
-            for _ in with_progress(reading, interrupt.breakable(run.run())):
+            for _ in interrupt.breakable(run.findings(with_progress)):
                 pass
             reading.demand_readable()
         except InputError as error:
             broken = error
         why = reading.why_empty if broken is None else str(broken)
         remarks = [*run.remarks, *([] if why is None else [why])]
-        shown.print(run.statistics, remarks, is_whole=broken is None)
+        shown.print(run.ledger, run.judgement(), remarks, is_whole=broken is None)
     for remark in run.remarks:
         say(remark)
     if broken is not None:
         raise broken
     say_if_empty(reading)
-    if not run.statistics.transactions and reading.why_empty is None:
+    if not run.ledger.transactions and reading.why_empty is None:
         say(_none(shown))
 
 
@@ -222,10 +225,11 @@ def _listen(
     from mbtool.workflows.sniff import serial_lines, with_settings
     from mbtool.workflows.stats import LiveStatistics
 
-    wanted = condition(shown.where)
+    wanted = None if shown.where is None else condition(shown.where)
     specs = [parse_link(link, HEARD) for link in shown.sources]
     allowed, tcp_ports = allowed_networks(specs, allow), heard_ports(specs, ports)
-    timing = LineTiming(assignments(device), *silences.read())
+    devices = assignments(device)
+    timing = LineTiming(devices, *silences.read())
     serial_lines(specs)
     specs = timing.given(with_settings(specs, say))
     lines = serial_lines(specs)
@@ -233,15 +237,15 @@ def _listen(
     def format_of(link: str) -> SerialFormat | None:
         return timing.format_of(lines[link]) if link in lines else None
 
-    live = LiveStatistics(format_of, wanted)
+    live = LiveStatistics(format_of, wanted, devices)
     with interruptible() as interrupt, sniffer_of(specs, timing, tcp_ports, allowed) as sniffer:
         say(f"listening on {', '.join(sniffer.places)}; Ctrl-C ends")
-        with _view(shown, live.statistics) as refresh:
+        with _view(shown, live) as refresh:
             ends = _end(interrupt, duration_s, live, refresh)
             for record in sniffer.records(ends, lambda: interrupt.asked):
                 live.add(record)
-    live.statistics.settle()
-    shown.print(live.statistics)
+    live.close()
+    shown.print(live.statistics, live.judgement())
     if not live.statistics.transactions:
         say(_none(shown))
     if interrupt.asked:
@@ -277,7 +281,7 @@ def _end(
 
 
 @contextmanager
-def _view(shown: _Shown, statistics: Statistics) -> Iterator[Callable[[], None]]:
+def _view(shown: _Shown, live: LiveStatistics) -> Iterator[Callable[[], None]]:
     """Show live figures on the terminal while the context is open; yield a function to redraw them.
 
     With --json or without a terminal, nothing is shown and the function does nothing.
@@ -291,12 +295,10 @@ def _view(shown: _Shown, statistics: Statistics) -> Iterator[Callable[[], None]]
     from rich.live import Live
     from rich.text import Text
 
-    from mbtool.ledger.statistics_report import report
-
     with Live(console=console, auto_refresh=False, transient=True) as view:
 
         def refresh() -> None:
-            lines = shown.lines(report(statistics), console)[: console.height - 1]
+            lines = shown.lines(live.judgement(), console)[: console.height - 1]
             view.update(Text("\n").join(lines), refresh=True)
 
         yield refresh

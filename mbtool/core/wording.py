@@ -89,3 +89,10 @@ def day(ts_ns: int) -> str:
         return date.fromordinal(_EPOCH + days).isoformat()
     except (ValueError, OverflowError):
         return f"day {days}"
+
+
+def host_of(address: str | None) -> str:
+    """Return the host of an address with a port: `fe80::1` for `[fe80::1]:502`; "" for None."""
+    if address is None:
+        return ""
+    return address.rpartition(":")[0].strip("[]")

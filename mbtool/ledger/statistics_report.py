@@ -14,12 +14,14 @@ from mbtool.ledger.request_tally import RequestTally, merged
 from mbtool.ledger.statistics import OTHER_LINKS, OTHER_UNITS
 from mbtool.ledger.statistics_connections import ConnectionTally
 from mbtool.ledger.unit_times import UnitTimes
-from mbtool.modbus import function_name
+from mbtool.modbus import Transport, function_name
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from mbtool.ledger.statistics import Statistics
+
+_SERIAL = frozenset(str(one) for one in Transport if one.is_serial)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,13 +94,21 @@ class LinkReport:
     units: dict[int, UnitTimes]
     """The times of the requests to each unit; empty if the capture has no times."""
 
+    @property
+    def is_serial(self) -> bool:
+        return self.transport in _SERIAL
+
     def rate(self, count: int) -> float | None:
         """Return `count` divided by the watched time in seconds; None if that time is 0."""
         return count * 1e9 / self.watched_ns if self.watched_ns else None
 
 
-def report(statistics: Statistics) -> list[LinkReport]:
-    """Return a report for each link, in the order in which the links first appeared."""
+def report(statistics: Statistics, *, with_cycles: bool = True) -> list[LinkReport]:
+    """Return a report for each link, in the order in which the links first appeared.
+
+    Without `with_cycles` it takes less time, and lacks the poll cycles, and the load of a line,
+    which needs the master's time-out from them.
+    """
     polls: dict[str, list[PollStatistics]] = {}
     for poll in statistics.polls.values():
         polls.setdefault(poll.key.link, []).append(poll)
@@ -115,6 +125,7 @@ def report(statistics: Statistics) -> list[LinkReport]:
             sorted(polls.get(name, ()), key=lambda one: one.number),
             groups.get(name, []),
             units.get(name, {}),
+            with_cycles=with_cycles,
         )
         for name in statistics.links
     ]
@@ -163,14 +174,21 @@ def _link_report(
     polls: list[PollStatistics],
     groups: list[tuple[int, int, RequestTally]],
     units: dict[int, UnitTimes],
+    *,
+    with_cycles: bool,
 ) -> LinkReport:
     link = statistics.links[name]
-    tapes = {master: tape for (of, master), tape in statistics.tapes.items() if of == name}
+    tapes = {
+        master: tape
+        for (of, master), tape in statistics.tapes.items()
+        if of == name and with_cycles
+    }
     lists = {master: tape.lists() for master, tape in tapes.items()}
     timeouts = {master: found.timeout_ns or 0 for master, found in lists.items()}
     functions = _functions(statistics, name, polls, groups)
     tally = merged([one.tally for one in functions])
-    load = bus_load(tally, link, max(timeouts.values(), default=0))
+    timeout_ns = max(timeouts.values(), default=0)
+    load = bus_load(tally, link, timeout_ns) if with_cycles else None
     begin_ns, end_ns = link.whole_span()
     return LinkReport(
         name=name,

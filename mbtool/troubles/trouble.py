@@ -7,13 +7,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING
 
 from mbtool.core.wording import clock_time, counted, day
-from mbtool.devices.checking.rules import Severity
-from mbtool.troubles.words import WORDS
+from mbtool.devices.checking.finding import Finding
+from mbtool.devices.checking.rules import Severity, rule_of
+from mbtool.troubles.words import WORDS, Words
 
 if TYPE_CHECKING:
     from mbtool.core import WireEvent
@@ -104,8 +105,13 @@ class Trouble:
     """True if the recording has several links, so that `who` needs the link."""
 
     @property
+    def words(self) -> Words:
+        """Return the code's row of words.py; for a broken rule a row made of the rule."""
+        return WORDS.get(self.code) or _of_rule(self.code)
+
+    @property
     def severity(self) -> Severity:
-        return Severity.NOTE if self.is_small else WORDS[self.code].severity
+        return Severity.NOTE if self.is_small else self.words.severity
 
     @property
     def who(self) -> str:
@@ -117,22 +123,49 @@ class Trouble:
 
     @property
     def cause(self) -> str:
-        """Return what is wrong as a clause, with who, how often, and since when."""
-        words = WORDS[self.code]
-        text = words.cause.format(**self._figures()) + self.when
+        """Return what is wrong as a clause, with who, how often, and since when.
+
+        If others have the same trouble, it is that of the worst one, and the number of the others.
+        """
+        text = self.words.cause.format(**self._figures()) + self.when
         if not self.others:
             return text
-        return f"{counted(1 + len(self.others), words.noun, ',')} {words.many}; the worst: {text}"
+        return f"{text}; {counted(len(self.others), f'more {self.words.noun}', ',')} likewise"
 
     @property
     def remedy(self) -> str:
         """Return what to do about it, as a clause in the imperative."""
-        return WORDS[self.code].remedy.format(**self._figures())
+        return self.words.remedy.format(**self._figures())
 
     @property
     def sentence(self) -> str:
         """Return cause and remedy: `unit 2 answers after 0.70 s, ...: raise the time-out`."""
         return f"{self.cause}: {self.remedy}"
+
+    @property
+    def short(self) -> str:
+        """Return what is wrong in a few words, without who: `33 % refused since 10:43:02`."""
+        short = self.words.short
+        return short.format(**self._figures()) + self.when if short else self.code
+
+    @property
+    def finding(self) -> Finding:
+        """Return the trouble as a finding, for the log."""
+        first_ns = self.evidence[0].ts_ns if self.evidence else 0
+        return Finding(
+            code=self.code,
+            message=self.sentence,
+            ts_ns=first_ns if self.since_ns is None else self.since_ns,
+            link=self.link,
+            unit=self.unit,
+            count=self.count,
+            level=self.severity,
+        )
+
+    @property
+    def all(self) -> tuple[Trouble, ...]:
+        """Return the trouble of the worst one, and those of the others, each for itself."""
+        return (replace(self, others=()), *self.others)
 
     @property
     def when(self) -> str:
@@ -155,3 +188,16 @@ def moment_text(ns: int, *, is_long: bool) -> str:
     minute.
     """
     return f"{day(ns)} {clock_time(ns)[:5]}" if is_long else clock_time(ns)[:8]
+
+
+def _of_rule(code: str) -> Words:
+    """Return the words of a broken rule of `check` (devices/checking/rules.py)."""
+    rule = rule_of(code)
+    meaning = "a rule that this version does not know" if rule is None else rule.meaning.rstrip(".")
+    return Words(
+        code,
+        Severity.WARNING if rule is None else rule.severity,
+        f"{meaning[:1].lower()}{meaning[1:]} ({code}, {{times}} at {{place}})",
+        f"see docs/findings.md, section {code if rule is None else rule.code}",
+        "place",
+    )

@@ -2,7 +2,8 @@
 
 # docs/troubles.md has a section for each row, with a picture of the bytes or packets; a test
 # compares the two. In the templates, {who}, {link}, {count} and {of} are those of the Trouble; the
-# other names are its figures. The order of the rows is the order in which troubles are told.
+# other names are its figures. The order of the rows is the order in which troubles of equal
+# severity are told.
 
 from __future__ import annotations
 
@@ -23,20 +24,99 @@ class Words:
     """What to do, in the imperative; a template."""
     noun: str = "unit"
     """What several troubles of the kind are counted by: unit, link, master."""
-    many: str = "have this trouble"
-    """What several of them do, for a sentence such as `12 units never answer`."""
+    short: str = ""
+    """What is wrong in a few words, for the row of a unit or link; a template. Empty for the
+    code."""
     explains: tuple[str, ...] = ()
-    """The codes of broken rules that this trouble is the cause of; they are told no second time."""
+    """The codes of broken rules, and of other troubles, that this trouble is the cause of; they are
+    told no second time."""
 
 
 _E, _W, _N = Severity.ERROR, Severity.WARNING, Severity.NOTE
 
 _ROWS = (
-    # Nothing can be read, or only one side.
+    # The serial line.
     Words(
         "LINE-SETTINGS", _E,
         "of {bytes} bytes of {link} {read} can be read{settings}: the settings are wrong",
-        "{advice}", "line", "are unreadable", ("RTU-202", "RTU-201", "RTU-204"),
+        "{advice}", "line", "settings wrong",
+        ("RTU-202", "RTU-201", "RTU-204", "LINE-STRAY", "UNIT-SILENT", "UNIT-MISSING"),
+    ),
+    # The network.
+    # Units.
+    Words(
+        "UNIT-SILENT", _E,
+        "{who} never answers ({requests})",
+        "{check}; poll it more rarely until then, as each request costs the master's time-out",
+        "unit", "never answers", ("MB-401",),
+    ),
+    Words(
+        "UNIT-BAD-CRC", _E,
+        "{who} answers {requests} with a wrong CRC",
+        "check the cable, shield, termination and ground to this unit, and its baud rate",
+        "unit", "{percent} wrong CRC", ("RTU-201", "MB-401"),
+    ),
+    Words(
+        "UNIT-MISSING", _E,
+        "{who} leaves {requests} without an answer",
+        "{check}; look at what was sent before each case",
+        "unit", "{percent} unanswered", ("MB-401", "MB-402"),
+    ),
+    Words(
+        "UNIT-MALFORMED", _E,
+        "{who} gives {requests} a malformed answer",
+        "ask the maker of the device; what it sends does not have the form of the function",
+        "unit", "{percent} malformed", ("MB-202", "MB-203"),
+    ),
+    Words(
+        "UNIT-REFUSES", _W,
+        "{who} refuses {requests}, {codes}",
+        "{advice}",
+        "unit", "{percent} refused",
+    ),
+    Words(
+        "NET-SCANNED", _W,
+        "{units} refuse {requests}, {codes}: {different} different ones, as in a scan{by}",
+        "find out what runs there, and if it may ask",
+        "link", "scanned",
+    ),
+    Words(
+        "UNIT-SLOW", _W,
+        "{who} is slow: half of its answers take {median} or more, those of the others {usual}",
+        "give it a time-out of its own, poll it more rarely, or ask less in one request",
+        "unit", "slow, {median}",
+    ),
+    Words(
+        "UNIT-SLOWER", _W,
+        "{who} answers slower{since}: in {mean} on average, before in {before}",
+        "find out what changed then in the device or behind it: load, firmware, a gateway's line",
+        "unit", "slower{since}, {mean}",
+    ),
+    # Polling.
+    Words(
+        "POLL-LATE", _W,
+        "{who} gives {late} late, {longest} (usually {usual})",
+        "look at what the unit does then; a master's time-out must be longer than that",
+        "unit", "{late} late",
+    ),
+    Words(
+        "POLL-PAUSED", _W,
+        "{who} paused a poll{of_link} {paused} (usually every {usual})",
+        "look at what the master did then: a restart, other work, or waiting for another slave",
+        "master", "paused",
+    ),
+    Words(
+        "NET-SHORT", _W,
+        "{who} opened {opened} TCP connections to {link} for {requests}",
+        "let the master keep one connection open",
+        "link", "a connection for each poll",
+    ),
+    # What no unit can be blamed for.
+    Words(
+        "LINE-STRAY", _W,
+        "{link} has {frames} with a wrong CRC that no unit can be blamed for",
+        "check cable, termination, bias and ground; listen at another place of the line",
+        "line", "wrong CRC", ("RTU-201",),
     ),
 )  # fmt: skip
 

@@ -11,19 +11,22 @@
 from __future__ import annotations
 
 import sys
-from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any, Protocol
 from urllib.parse import quote
 
 import msgspec
 
 from mbtool.devices.checking.rules import rule_of
+from mbtool.troubles.words import WORDS
 from mbtool.views.tables import printable_json
+from mbtool.views.trouble_lines import trouble_document, trouble_documents, trouble_text, utc_text
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from mbtool.devices.checking.finding import Finding
+    from mbtool.troubles.judge import Judgement
+    from mbtool.troubles.trouble import Trouble
 
 DOCUMENTATION = "docs/findings.md"
 SARIF_SCHEMA = (
@@ -43,13 +46,15 @@ class Document(Protocol):
         transactions: int,
         failed: Mapping[str, int],
         *,
+        judgement: Judgement,
         remarks: Sequence[str] = (),
         is_whole: bool = True,
     ) -> str:
         """Return the last piece.
 
-        `failed` has the numbers of requests without a good answer, `remarks` are lines about the
-        files. `is_whole` is False if a part of the files was not checked.
+        `failed` has the numbers of requests without a good answer. `judgement` says what is wrong.
+        `remarks` are lines about the files. `is_whole` is False if a part of the files was not
+        checked.
         """
         ...
 
@@ -77,6 +82,7 @@ class JsonDocument:
         transactions: int,
         failed: Mapping[str, int],
         *,
+        judgement: Judgement,
         remarks: Sequence[str] = (),
         is_whole: bool = True,
     ) -> str:
@@ -84,6 +90,7 @@ class JsonDocument:
             "rules": self._rules,
             "transactions": transactions,
             "failed_requests": failed,
+            **trouble_documents(judgement),
             "is_whole": is_whole,
             "remarks": list(remarks),
         }
@@ -118,6 +125,7 @@ class SarifDocument:
         transactions: int,
         failed: Mapping[str, int],
         *,
+        judgement: Judgement,
         remarks: Sequence[str] = (),
         is_whole: bool = True,
     ) -> str:
@@ -126,13 +134,41 @@ class SarifDocument:
             "version": self._version,
             "rules": list(self._rules.values()),
         }
+        troubles = [one for one in judgement.troubles if one.code in WORDS]
+        results = "".join(self._trouble(one) for one in troubles)
         rest = {
             "tool": {"driver": driver},
             "invocations": [_invocation(remarks, is_whole=is_whole)],
             "columnKind": "unicodeCodePoints",
             "properties": {"transactions": transactions, "failed_requests": failed},
         }
-        return f"\n],{_json(rest)[1:-1]}}}]}}\n"
+        return f"{results}\n],{_json(rest)[1:-1]}}}]}}\n"
+
+    def _trouble(self, one: Trouble) -> str:
+        """Return a trouble as a result; the list of those that have it stands in its properties."""
+        if one.code not in self._indices:
+            self._indices[one.code] = len(self._rules)
+            help_ = f"docs/troubles.md, section {one.code}"
+            self._rules[one.code] = {
+                "id": one.code,
+                "shortDescription": {"text": one.code},
+                "help": {"text": help_},
+                "defaultConfiguration": {"level": one.words.severity.value},
+            }
+        joint, self._joint = self._joint, ",\n"
+        place = "/".join([one.link, *([] if one.unit is None else [f"unit {one.unit}"])])
+        location = {"name": one.who, "fullyQualifiedName": place, "kind": "resource"}
+        return joint + _json(
+            {
+                "ruleId": one.code,
+                "ruleIndex": self._indices[one.code],
+                "level": one.severity.value,
+                "message": {"text": trouble_text(one)},
+                "locations": [{"logicalLocations": [location]}],
+                "occurrenceCount": one.count,
+                "properties": trouble_document(one),
+            }
+        )
 
     def _rule(self, finding: Finding) -> dict[str, Any]:
         rule = rule_of(finding.code)
@@ -191,7 +227,7 @@ def _fields(finding: Finding) -> dict[str, Any]:
         "severity": finding.severity.value,
         "message": finding.message,
         "ts_ns": finding.ts_ns,
-        "time": _time(finding.ts_ns),
+        "time": utc_text(finding.ts_ns),
         "link": finding.link,
         "source": finding.source,
         "destination": finding.destination,
@@ -207,16 +243,6 @@ def _fields(finding: Finding) -> dict[str, Any]:
 def _rule_texts(code: str) -> dict[str, str]:
     rule = rule_of(code)
     return {} if rule is None else {"meaning": rule.meaning, "source": rule.source}
-
-
-def _time(ts_ns: int) -> str | None:
-    """Write a time in UTC, with microseconds; None outside the years 1 to 9999."""
-    seconds, ns = divmod(ts_ns, 1_000_000_000)
-    try:
-        time = datetime.fromtimestamp(seconds, UTC).replace(microsecond=ns // 1000)
-    except (ValueError, OverflowError, OSError):
-        return None
-    return time.isoformat().replace("+00:00", "Z")
 
 
 def _uri(file: str) -> str:

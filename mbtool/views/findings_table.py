@@ -12,104 +12,29 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
 from textwrap import wrap
 from typing import TYPE_CHECKING
 
 from rich.text import Text
 
 from mbtool.core.wording import clock_time, counted, day
-from mbtool.devices.checking.finding import Finding
 from mbtool.devices.checking.rules import Severity
 from mbtool.modbus import Outcome
-from mbtool.views.place_columns import host_of
+from mbtool.troubles.broken_rules import where
 from mbtool.views.tables import printable
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from rich.console import Console
 
+    from mbtool.devices.checking.finding import Finding
     from mbtool.ledger.failed_requests import FailedRequests
+    from mbtool.troubles.broken_rules import PlaceSummary, Summaries
 
 
-MAX_PLACES = 5
-"""A summary shows at most this many places for each code; a scan of all addresses would give
-many."""
 _INDENT = "    "
 _NARROWEST = 20
 _ORDER = tuple(Severity)
 _STYLES = {Severity.ERROR: "red", Severity.WARNING: "yellow", Severity.NOTE: "cyan"}
-
-
-@dataclass(slots=True)
-class PlaceSummary:
-    """Counts the findings (broken rules) with one code at one place; keeps the first and last one.
-
-    A place is link, unit and device, and also the file if several files are checked.
-    """
-
-    place: str
-    first: Finding
-    last: Finding
-    number: int = 0
-
-    def add(self, finding: Finding) -> None:
-        self.number += finding.count
-        if finding.ts_ns < self.first.ts_ns:
-            self.first = finding
-        if finding.ts_ns >= self.last.ts_ns:
-            self.last = finding
-
-
-class CodeSummary:
-    """Counts the findings (broken rules) with one code at each of at most MAX_PLACES places."""
-
-    def __init__(self, severity: Severity) -> None:
-        self.severity = severity
-        self._places: dict[tuple[str, str], PlaceSummary] = {}
-        self.number_elsewhere = 0
-        """Number of findings at further places, which have no entry of their own."""
-
-    def add(self, finding: Finding, file: str) -> None:
-        place = _place(finding, file)
-        # For an attack it matters who makes it, so each source address gets an entry of its own.
-        is_attack = finding.code.startswith("SEC")
-        key = (place, host_of(finding.source) if is_attack else "")
-        summary = self._places.get(key)
-        if summary is None:
-            if len(self._places) == MAX_PLACES:
-                self.number_elsewhere += finding.count
-                return
-            summary = self._places[key] = PlaceSummary(place, finding, finding)
-        summary.add(finding)
-
-    def places(self) -> list[PlaceSummary]:
-        """Return the summaries of at most MAX_PLACES places, the one with most findings first."""
-        return sorted(self._places.values(), key=lambda one: -one.number)
-
-
-class Summaries:
-    """Counts findings (broken rules) by code and place; keeps the first and last of each place."""
-
-    def __init__(self) -> None:
-        self._by_code: dict[str, CodeSummary] = {}
-
-    def add(self, finding: Finding, file: str = "") -> None:
-        """Add a finding. `file` names the capture file; empty if only one file is checked."""
-        code = self._by_code.get(finding.code)
-        if code is None:
-            code = self._by_code[finding.code] = CodeSummary(finding.severity)
-        code.add(finding, file)
-
-    def __bool__(self) -> bool:
-        return bool(self._by_code)
-
-    def __iter__(self) -> Iterator[tuple[str, CodeSummary]]:
-        """Yield each code with its summary: errors first, then warnings and notes, each by code."""
-        return iter(
-            sorted(self._by_code.items(), key=lambda one: (_ORDER.index(one[1].severity), one[0]))
-        )
 
 
 def print_summaries(console: Console, summaries: Summaries) -> None:
@@ -184,20 +109,6 @@ def finding_line(finding: Finding) -> Text:
     line.append(f"{finding.code:<9}", _STYLES[finding.severity])
     line.append(printable(f"  {where(finding)}: {finding.message}{times}"))
     return line
-
-
-def _place(finding: Finding, file: str) -> str:
-    """Return the place of a finding as text: link, unit, device, and `file` unless it is empty."""
-    device = f", {finding.device}" if finding.device else ""
-    return f"{where(finding)}{device}{', ' * bool(file)}{file}"
-
-
-def where(finding: Finding) -> str:
-    """Return the link and the unit of a finding as text; only the link if it has no unit."""
-    text = finding.link
-    if finding.unit is not None:
-        text += f" unit {finding.unit}"
-    return text
 
 
 def _time(finding: Finding) -> str:

@@ -21,12 +21,14 @@ from mbtool.ledger.inventory_ranges import MAX_RANGES, ranges_text
 from mbtool.ledger.inventory_rows import Role, iso_time
 from mbtool.views.inventory_table import UNKNOWN, function_label, identity_text
 from mbtool.views.tables import printable_json
+from mbtool.views.trouble_lines import trouble_documents
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from mbtool.ledger.baseline import InventoryChange
     from mbtool.ledger.inventory_rows import InventoryDocument, MasterRow, SlaveRow
+    from mbtool.troubles.judge import Judgement
 
 INVENTORY_COLUMNS = (
     "host", "port", "unit", "role", "macs", "makers", "identity", "device", "profile", "score",
@@ -45,12 +47,14 @@ def inventory_json(
     version: str,
     changes: Sequence[InventoryChange] | None = None,
     *,
+    judgement: Judgement | None = None,
     remarks: Sequence[str] = (),
     is_whole: bool = True,
 ) -> str:
     """Return the inventory as JSON, with a line end.
 
     `version` is that of mbtool. `changes` are those since a baseline, None without a baseline.
+    `judgement` says what is wrong; None if nobody judged.
     `remarks` are lines for the user about the files. `is_whole` is False if a part of the files
     could not be read.
     """
@@ -61,6 +65,8 @@ def inventory_json(
             iso_time(row.get("last_ns", 0)),
         )
     fields |= {"is_whole": is_whole, "remarks": list(remarks)}
+    if judgement is not None:
+        fields |= trouble_documents(judgement)
     if changes is not None:
         fields["changes"] = msgspec.to_builtins(changes)
     text = msgspec.json.format(msgspec.json.encode(fields), indent=2).decode()

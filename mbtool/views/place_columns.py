@@ -12,6 +12,7 @@ from collections import deque
 from typing import TYPE_CHECKING
 
 from mbtool.core import WireEvent
+from mbtool.core.wording import host_of
 from mbtool.views.table_options import TableColumn
 
 if TYPE_CHECKING:
@@ -135,10 +136,3 @@ def places_of(record: Record) -> Places:
     if isinstance(record, WireEvent):
         return record.link, "", ""
     return record.link, host_of(record.source), str(record.unit)
-
-
-def host_of(address: str | None) -> str:
-    """Return the host of an address with a port: `fe80::1` for `[fe80::1]:502`; "" for None."""
-    if address is None:
-        return ""
-    return address.rpartition(":")[0].strip("[]")

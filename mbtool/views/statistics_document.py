@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from mbtool.ledger.statistics import OTHER_UNITS
 from mbtool.ledger.statistics_report import is_counted_together
 from mbtool.modbus import Outcome
+from mbtool.views.trouble_lines import trouble_documents
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from mbtool.ledger.statistics import Statistics
     from mbtool.ledger.statistics_connections import ConnectionTally
     from mbtool.ledger.statistics_report import LinkReport, MasterReport, PollReport
+    from mbtool.troubles.judge import Judgement
 
 SCHEMA = 1
 
@@ -40,7 +42,7 @@ _COUNTED = (
 
 def statistics_document(
     statistics: Statistics,
-    links: Sequence[LinkReport],
+    judgement: Judgement,
     *,
     sources: Sequence[str],
     where: str | None,
@@ -52,6 +54,7 @@ def statistics_document(
     `sources` are the files or links, `where` is the user's filter. `remarks` are lines for the user
     about the files. `is_whole` is False if a part of the files could not be read.
     """
+    links = judgement.links
     document = {
         "schema": SCHEMA,
         "sources": list(sources),
@@ -64,6 +67,7 @@ def statistics_document(
         "out_of_order": statistics.late,
         "watched_s": statistics.watched_ns / 1e9,
         "is_counted_together": is_counted_together(links),
+        **trouble_documents(judgement),
         "links": [_link(link) for link in links],
     }
     return json.dumps(document, indent=2, ensure_ascii=True) + "\n"

@@ -24,7 +24,7 @@ from mbtool.views.statistics_columns import (
     wrapped,
 )
 from mbtool.views.statistics_cycles import cycle_lines
-from mbtool.views.statistics_verdict import verdict
+from mbtool.views.statistics_summary import summary_lines
 from mbtool.views.statistics_words import counted, per_second, poll_text
 
 if TYPE_CHECKING:
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
     from mbtool.ledger.statistics_connections import ConnectionTally
     from mbtool.ledger.statistics_report import FunctionReport, LinkReport, PollReport
+    from mbtool.troubles.judge import Judgement
 
 FEWEST = 3
 """Each section keeps this many rows, however small the terminal is."""
@@ -74,7 +75,7 @@ _CONNECTIONS = (
 
 
 def statistics_lines(
-    links: Sequence[LinkReport],
+    judgement: Judgement,
     *,
     width: int | None,
     height: int | None = None,
@@ -88,12 +89,12 @@ def statistics_lines(
     set `top`; empty if that is not possible.
     """
     if top is not None or height is None:
-        return _joined(_sections(links, width, top or USUAL), (), width, option)
+        return _joined(_sections(judgement, width, top or USUAL), (), width, option)
     for fewer in range(USUAL, FEWEST, -1):
-        lines = _joined(_sections(links, width, fewer), (), width, option)
+        lines = _joined(_sections(judgement, width, fewer), (), width, option)
         if len(lines) < height:
             return lines
-    sections = _sections(links, width, FEWEST)
+    sections = _sections(judgement, width, FEWEST)
     left_out: list[str] = []
     while (
         len(lines := _joined(sections, left_out, width, option)) >= height
@@ -134,14 +135,15 @@ def _hinted(line: StyledLine, option: str) -> StyledLine:
 
 
 def _sections(
-    links: Sequence[LinkReport], width: int | None, top: int
+    judgement: Judgement, width: int | None, top: int
 ) -> list[tuple[str, list[StyledLine]]]:
     """Return name and lines of each section that has lines, the most important section first.
 
     `width` is the terminal's in characters, None on a pipe. `top` limits the rows of a section.
     """
+    links = judgement.links
     sections = [
-        ("verdict", [line for one in verdict(links) for line in wrapped(one, width)]),
+        ("verdict", [line for one in summary_lines(judgement) for line in wrapped(one, width)]),
         ("line", _load(links, width)),
         ("links", _links(links, width, top)),
         ("polls", _polls(links, width, top)),

@@ -5,14 +5,13 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind, WireEvent
-from mbtool.core.wording import clock_time, in_ms, percent
+from mbtool.core.wording import clock_time, host_of, in_ms, percent
 from mbtool.devices import finding_text
+from mbtool.devices.checking.rules import Severity
 from mbtool.modbus import Outcome
 from mbtool.views.cells import ARROW, event_text, result_text, transaction_text
-from mbtool.views.place_columns import host_of
 from mbtool.views.watch_columns import LEAST_REST, DrawContext, Spans, WatchColumn, cut_spans
 from mbtool.views.watch_names import with_short_names
-from mbtool.views.watch_troubles import slave_trouble
 from mbtool.views.watch_words import age, count, in_table_words
 from mbtool.watching.value_formats import ValueFormat
 
@@ -211,11 +210,14 @@ def slave_state(row: WatchedSlaveRow, _: DrawContext) -> Spans:
     Under a filter that tells of all records, as the line of troubles does.
     """
     row = row.whole or row
-    trouble = slave_trouble(row)
-    if not trouble:
+    if row.silent_since_ns is not None and row.damaged * 2 <= row.missing:
+        silent = f"no answer since {clock_time(row.silent_since_ns)[:8]}"
+        return [("never answers" if row.answered_ns is None else silent, "bold red")]
+    if not row.troubles:
         return [("answers", "green") if row.answered else ("", "")]
-    is_silent = row.silent_since_ns is not None or row.answered_ns is None
-    return [(trouble, "bold red" if is_silent else "yellow")]
+    is_grave = any(one.severity is Severity.ERROR for one in row.troubles)
+    text = ", ".join(one.short for one in row.troubles)
+    return [(text, "bold red" if is_grave else "yellow")]
 
 
 def _failures(name: str, title: str) -> WatchColumn:

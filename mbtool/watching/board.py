@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from mbtool.devices import NamedTransaction, PointValue, Profile
     from mbtool.ledger.poll_statistics import PollStatistics
     from mbtool.modbus import Table
+    from mbtool.troubles.judge import Judgement
     from mbtool.watching.watched_rows import Record
 
 MAX_KEPT = 10_000
@@ -106,6 +107,8 @@ class Board:
         self.slaves: dict[tuple[str, int], WatchedSlave] = {}
         self.troubles: dict[tuple[str, str, int | None], WatchedTrouble] = {}
         self.transactions = self.events = self.left_out = 0
+        self.judgement: Judgement | None = None
+        """What is wrong, as it was last judged; None before that, and on a board for a filter."""
         self.last_ns = 0
         """The latest start of a transaction, or time of an event, so far; in ns since 1970."""
 

@@ -8,18 +8,14 @@ from typing import TYPE_CHECKING, NamedTuple, overload
 
 from mbtool.core import WireEvent
 from mbtool.modbus import Outcome
-from mbtool.troubles.failed_shares import FailedShare, missing_share, refused_share
-from mbtool.troubles.failure_limits import are_damaged, is_grave, never_answers
-from mbtool.troubles.refusals import always_refused
-from mbtool.troubles.slower_units import Slower, slow_and_slower_units
 from mbtool.watching.watched_rows import KeptRecord, errors_of
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Hashable, Mapping
 
-    from mbtool.ledger.poll_statistics import PollKey, PollStatistics
-    from mbtool.ledger.unit_times import UnitTimes
+    from mbtool.ledger.poll_statistics import PollKey
     from mbtool.modbus import Table
+    from mbtool.troubles.trouble import Trouble
     from mbtool.watching.board import Board, RetryKey
     from mbtool.watching.watched_rows import (
         WatchedPoint,
@@ -115,43 +111,19 @@ class WatchedSlaveRow(NamedTuple):
     missing: int
     damaged: int
     """The number of missing responses that came, but with a wrong CRC or LRC."""
-    is_damaged: bool
-    """True if most of the missing responses came, but with a wrong CRC or LRC."""
     malformed: int
     retries: int
     median_ns: int
-    usual_ns: float | None
-    """The median latency of the other units in ns, if this unit is much slower; else None."""
-    slower: Slower | None
-    """The time from which the unit is slower; None if it is not, or always was slow."""
     slowest_ns: int
     first_ns: int
     last_ns: int
-    never_answers: bool
-    missing_share: FailedShare | None
-    refused_share: FailedShare | None
     answered_ns: int | None
     silent_since_ns: int | None
     findings: int
-    refused_polls: int
-    """The number of polls (repeated requests) that the unit refuses each time, if all its refusals
-    are of these; else 0."""
-    polls: int
     whole: WatchedSlaveRow | None
     """Under a filter, the row of the same unit for all records, by which it is judged."""
-
-    @property
-    def is_failing(self) -> bool:
-        """True if requests to the unit fail, and that is more than a small thing."""
-        return self.fails_otherwise or (
-            self.refused_share is not None and self.refused_share.is_grave
-        )
-
-    @property
-    def fails_otherwise(self) -> bool:
-        """True if requests to the unit fail other than by refusals."""
-        is_missing = self.missing_share is not None and self.missing_share.is_grave
-        return self.never_answers or is_missing or is_grave(self.malformed, self.asked)
+    troubles: tuple[Trouble, ...]
+    """What is wrong with the unit, the worst first."""
 
 
 class TroubleRow(NamedTuple):
@@ -229,43 +201,19 @@ def _record_row(
 
 
 def slave_rows(board: Board) -> list[WatchedSlaveRow]:
-    """Return the slaves, sorted by link and unit."""
+    """Return the slaves, sorted by link and unit, with their troubles when `judge` was last
+    asked.
+    """
     every = {} if board.whole is board else {row.key: row for row in slave_rows(board.whole)}
-    times = _times(board)
-    slow, slower = slow_and_slower_units(
-        {key: slave.tally.latency for key, slave in board.slaves.items()}, times
-    )
-    polls = polls_of_slaves(board)
+    troubles: dict[tuple[str, int], list[Trouble]] = {}
+    for trouble in () if board.whole.judgement is None else board.whole.judgement.troubles:
+        for one in trouble.all:
+            if one.unit is not None:
+                troubles.setdefault((one.link, one.unit), []).append(one)
     return [
-        _slave_row(
-            slave,
-            slow.get(key),
-            slower.get(key),
-            polls.get(key, ()),
-            times.get(key),
-            every.get(key),
-        )
+        _slave_row(slave, every.get(key), tuple(troubles.get(key, ())))
         for key, slave in sorted(board.slaves.items())
     ]
-
-
-def _times(board: Board) -> dict[tuple[str, int], UnitTimes]:
-    """Return the times of the requests to each unit; without links that have no times."""
-    links = board.statistics.links
-    return {
-        (link, unit): times
-        for (link, unit), times in board.statistics.units.items()
-        if link in links and links[link].has_times
-    }
-
-
-def polls_of_slaves(board: Board) -> dict[tuple[str, int], list[PollStatistics]]:
-    """Return the polls (repeated requests) of each slave; the key is link and unit."""
-    polls: dict[tuple[str, int], list[PollStatistics]] = {}
-    for poll in board.polls.values():
-        key = poll.statistics.key
-        polls.setdefault((key.link, key.unit), []).append(poll.statistics)
-    return polls
 
 
 def trouble_rows(board: Board) -> list[TroubleRow]:
@@ -340,11 +288,8 @@ def _pair(point: WatchedPoint) -> tuple[int, int] | None:
 
 def _slave_row(
     slave: WatchedSlave,
-    usual_ns: float | None,
-    slower: Slower | None,
-    polls: Sequence[PollStatistics],
-    times: UnitTimes | None,
     whole: WatchedSlaveRow | None,
+    troubles: tuple[Trouble, ...],
 ) -> WatchedSlaveRow:
     tally = slave.tally
     return WatchedSlaveRow(
@@ -358,22 +303,15 @@ def _slave_row(
         exceptions=tally.count(Outcome.EXCEPTION),
         missing=tally.unanswered,
         damaged=tally.damaged,
-        is_damaged=are_damaged(tally),
         malformed=tally.count(Outcome.MALFORMED),
         retries=slave.retries,
         median_ns=tally.latency.percentile(50),
-        usual_ns=usual_ns,
-        slower=slower,
         slowest_ns=tally.latency.greatest,
         first_ns=slave.first_ns,
         last_ns=slave.last_ns,
-        never_answers=never_answers(tally),
-        missing_share=missing_share(tally, times),
-        refused_share=refused_share(tally, times),
         answered_ns=slave.answered_ns,
         silent_since_ns=slave.silent_since_ns,
         findings=slave.findings,
-        refused_polls=len(always_refused(polls, tally)),
-        polls=len(polls),
         whole=whole,
+        troubles=troubles,
     )

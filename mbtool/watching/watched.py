@@ -14,6 +14,9 @@ from operator import attrgetter
 from typing import TYPE_CHECKING
 
 from mbtool.core import WireEvent
+from mbtool.devices.checking.capture_context import CaptureContext
+from mbtool.ledger.statistics_report import report
+from mbtool.troubles.judge import Judge
 from mbtool.watching.board import MAX_KEPT, Board
 from mbtool.watching.watched_rows import kept_record
 
@@ -22,6 +25,7 @@ if TYPE_CHECKING:
 
     from mbtool.core import SerialFormat
     from mbtool.devices import NamedTransaction, Profile
+    from mbtool.troubles.judge import Judgement
     from mbtool.watching.watched_rows import KeptRecord, Record
 
     Wanted = Callable[[NamedTransaction], bool]
@@ -37,15 +41,21 @@ class Watched:
         self,
         format_of: Callable[[str], SerialFormat | None] = lambda _: None,
         profile_for: Callable[[NamedTransaction], Profile | None] = lambda _: None,
+        context: CaptureContext | None = None,
         *,
         kept: int = MAX_KEPT,
     ) -> None:
+        """Take functions that return the character format of a link by its name, and the profile of
+        a transaction's slave. `context` has the facts that rules need beside the records.
+        """
         self._format_of, self._profile_for, self._kept = format_of, profile_for, kept
+        self._context = context or CaptureContext(line_of=format_of)
         self.wanted: Wanted | None = None
         """The user's filter; None if every record passes."""
         self._order = self._numbers = 0
         self._settled_ns: int | None = 0
         self.whole = self._board()
+        self._judge = Judge(self.whole.statistics, self._context)
         self.filtered: Board | None = None
         """The board of the records that pass the filter; None without a filter."""
         self.unfiltered = 0
@@ -62,8 +72,17 @@ class Watched:
             self._numbers += 1
         kept = kept_record(self._order, None if is_event else self._numbers, record)
         self.whole.add(kept)
+        self._judge.hear(record)
+        for finding in self._judge.check(record):
+            self._judge.note(finding)
         if self.filtered is not None:
             self._add_filtered(self.filtered, kept)
+
+    def judge(self) -> Judgement:
+        """Judge all records so far; the judgement stands on the board, too."""
+        links = report(self.whole.statistics, with_cycles=False)
+        self.whole.judgement = self._judge.judgement(links)
+        return self.whole.judgement
 
     def advance(self, before_ns: int | None) -> None:
         """Let the statistics count the requests from before `before_ns` (ns since 1970).
@@ -83,6 +102,7 @@ class Watched:
         """
         self._order = self._numbers = self.unfiltered = 0
         self.whole = self._board()
+        self._judge = Judge(self.whole.statistics, self._context)
         if self.filtered is not None:
             self.filtered = self.whole.part = self._board(self.whole)
 

@@ -11,20 +11,21 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.core import EventKind, InputError, UsageError, WireEvent
 from mbtool.core.link_spec import MODBUS_PORT
 from mbtool.devices import NamedTransaction, Namer, builtin_profiles, load_profile
 from mbtool.devices.checking.capture_context import CaptureContext
-from mbtool.devices.checking.checker import Checker
 from mbtool.devices.checking.finding import Finding, event_finding
-from mbtool.devices.checking.rules import RULES
+from mbtool.devices.checking.rules import RULES, Severity
 from mbtool.devices.checking.security_limits import SecurityLimits
 from mbtool.devices.profile_checks import finding_prefix
 from mbtool.ledger.failed_requests import FailedRequests
+from mbtool.ledger.statistics import Statistics
 from mbtool.sources.files import STANDARD_INPUT
+from mbtool.troubles.judge import Judge
 from mbtool.workflows.shared.log_records import profiles_of_logs
 from mbtool.workflows.shared.model_hints import ModelHints
 from mbtool.workflows.shared.read_all import unwatched
@@ -40,6 +41,10 @@ if TYPE_CHECKING:
     from mbtool.core import SerialFormat
     from mbtool.decode.decoder import Record
     from mbtool.devices import Profile
+    from mbtool.ledger.answered_run import AnsweredRun
+    from mbtool.ledger.poll_statistics import PollStatistics
+    from mbtool.query.where import Where
+    from mbtool.troubles.judge import Judgement
     from mbtool.workflows.shared.reading import ReadingOptions
 
     WatchRows = Callable[[Reading, Iterator[Record | BlockRows]], Iterator[Record | BlockRows]]
@@ -125,6 +130,13 @@ class CheckedRecord(NamedTuple):
     findings: list[FileFinding]
     rows: BlockRows | None = None
     """Many answered reads that were checked together, instead of a record; otherwise None."""
+    answered: AnsweredRun | None = None
+    """The same reads grouped by poll; None if there is no `rows`."""
+    poll: PollStatistics | None = None
+    """The poll that the transaction belongs to, in the account; None if it has none."""
+
+    is_left_out: bool = False
+    """True for a transaction that the user's filter leaves out of the account."""
 
     @property
     def row_count(self) -> int:
@@ -145,21 +157,44 @@ class CheckRun:
         codes: CodeFilter | None = None,
         limits: SecurityLimits | None = None,
         window: TimeWindow | None = None,
+        *,
+        wanted: Where | None = None,
+        on_retry: Callable[[PollStatistics, int, int], None] = lambda *_: None,
     ) -> None:
+        """Prepare to read. `codes` chooses the findings, `limits` are those of attacks and scans,
+        `window` the time that is checked.
+
+        `wanted` returns True for the transactions to count, and to report findings of; None for
+        all. `on_retry` is that of Statistics.
+        """
+        self._wanted = wanted
         self._codes = codes or CodeFilter()
         self._limits = limits or SecurityLimits()
         self._window = window or TimeWindow(None, None)
         self._paths = paths
         self._options = options
         self._line = options.line
-        self._columns = column_reading(paths, options, at_least=LARGE)
+        self._columns = column_reading(paths, options, at_least=LARGE) if wanted is None else None
         self.reading: Reading = self._columns or Reading(paths, options)
         self._ports: frozenset[int] | None = None
         if options.any_port:
             self._ports = frozenset((*options.ports, *options.rtu_ports, MODBUS_PORT))
-        self._checker: Checker | None = None
-        """The rules, with what they remember of the current capture; None before the first and
-        after the last record of a capture."""
+        self.ledger = Statistics(self._format_of, on_retry)
+        """The account of all files."""
+        self._judge = Judge(
+            self.ledger,
+            CaptureContext(
+                self.reading.assignments,
+                self._format_of,
+                lambda link: self.reading.exact_times.is_exact(link),
+                self._ports,
+                self._limits,
+            ),
+        )
+        self._judged: Judgement | None = None
+        """What `judgement` returned last."""
+        self._is_open = False
+        """True between the first and the last record of a capture."""
         self._lines: UnreadableLines | None = None
         """Finds the serial lines in the current capture whose bytes are mostly unreadable; None
         outside of a capture."""
@@ -171,7 +206,6 @@ class CheckRun:
         name."""
         self._captures = 0
         self._file = ""
-        self._remarks: list[str] = []
         self.problem: str | None = None
         """The error that ended the reading before the end of the files; None if there was none."""
         self._hints = ModelHints(self.reading.profile_for)
@@ -199,7 +233,7 @@ class CheckRun:
         them.
         """
         outside = self._window.why_empty
-        remarks = [*self.reading.remarks, *self._remarks, *self._hints.remarks]
+        remarks = [*self.reading.remarks, *self._judge.remarks, *self._hints.remarks]
         return remarks if outside is None else [*remarks, outside]
 
     @property
@@ -235,7 +269,7 @@ class CheckRun:
         try:
             self._find_first_request()
             for part in parts:
-                if self._checker is None or self.reading.captures != self._captures:
+                if not self._is_open or self.reading.captures != self._captures:
                     yield CheckedRecord(None, None, list(self._end_capture()))
                     self._begin_capture()
                 self._file = self.reading.file
@@ -246,8 +280,10 @@ class CheckRun:
         except InputError as error:
             self.problem = str(error)
             yield CheckedRecord(None, None, list(self._end_capture()))
+            self.ledger.settle()
             raise
         yield CheckedRecord(None, None, list(self._end_capture()))
+        self.ledger.settle()
 
     def _find_first_request(self) -> None:
         """Read the files up to the first request, if --start or --end count from it."""
@@ -266,7 +302,8 @@ class CheckRun:
         self._formats = {}
         self._lines = UnreadableLines(lambda link: reading.line_of(link))
         self._namer = Namer(reading.assignments) if reading.is_log else None
-        self._checker = Checker(
+        self._is_open = True
+        self._judge.begin_capture(
             CaptureContext(
                 reading.assignments,
                 self._format_of,
@@ -281,40 +318,43 @@ class CheckRun:
         if lines is not None:
             unreadable = lines.unreadable()
             yield from self._chosen(event_finding("RTU-204", *each) for each in unreadable)
-        checker, self._checker = self._checker, None
-        if checker is not None:
-            yield from self._chosen(checker.close())
-            self._remarks += checker.remarks
+        self._is_open = False
+        yield from self._chosen(self._judge.end_capture())
 
     def _check_rows(self, rows: BlockRows) -> Iterator[CheckedRecord]:
-        if self._checker is None:
-            return
         self.transactions += len(rows)
-        for some, found in self._checker.feed_rows(rows):
+        for some, found in self._judge.check_rows(rows):
             findings = list(self._chosen(found))
             if isinstance(some, NamedTransaction):
-                yield CheckedRecord(some, some, findings)
+                yield CheckedRecord(some, some, findings, poll=self._judge.count(some))
             else:
-                yield CheckedRecord(None, None, findings, some)
+                answered = some.answered()
+                self._judge.count_run(answered)
+                yield CheckedRecord(None, None, findings, some, answered)
 
     def _check(self, record: Record) -> CheckedRecord:
-        if self._checker is None or self._lines is None:
+        if self._lines is None:
             return NOTHING
         if record not in self._window:
             # Rules about connections need to know which are open when the checked time begins.
             if isinstance(record, WireEvent) and record.kind in _CONNECTIONS:
-                for _ in self._checker.feed(record):
+                for _ in self._judge.check(record):
                     pass
             return NOTHING
         self._lines.note(record)
         self.failed.note(record)
         named = record
+        is_wanted = True
         if not isinstance(record, WireEvent):
+            is_wanted = self._wanted is None or self._wanted(record)
             self.transactions += 1
             self._hints.note(record)
             if self._namer is not None:
                 named = self._namer.name(record)
-        return CheckedRecord(record, named, list(self._chosen(self._checker.feed(named))))
+        poll = self._judge.count(named, is_wanted=is_wanted)
+        found = list(self._judge.check(named))
+        chosen = list(self._chosen(found if is_wanted else ()))
+        return CheckedRecord(record, named, chosen, poll=poll, is_left_out=not is_wanted)
 
     def _format_of(self, link: str) -> SerialFormat | None:
         """Return the baud rate and character format of a line in the current capture; None if they
@@ -329,10 +369,26 @@ class CheckRun:
                 self._formats[link] = format_
         return format_
 
-    def _chosen(self, findings: Iterator[Finding]) -> Iterator[FileFinding]:
+    @property
+    def is_anything_wrong(self) -> bool:
+        """True if there are findings, or troubles that are more than a note."""
+        if self.counts:
+            return True
+        return any(one.severity is not Severity.NOTE for one in self.judgement().troubles)
+
+    def judgement(self) -> Judgement:
+        """Judge what was read so far: the troubles whose codes the filter chooses."""
+        if self._judged is None or self._is_open:
+            found = self._judge.judgement()
+            chosen = [one for one in found.troubles if self._codes.takes(one.code)]
+            self._judged = replace(found, troubles=chosen)
+        return self._judged
+
+    def _chosen(self, findings: Iterable[Finding]) -> Iterator[FileFinding]:
         for finding in findings:
             if self._codes.takes(finding.code) and not self._window.is_before_ns(finding.ts_ns):
                 self.counts[finding.code] += finding.count
+                self._judge.note(finding, self._file if len(self._paths) > 1 else "")
                 yield FileFinding(finding, self._file)
 
 

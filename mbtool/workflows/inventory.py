@@ -10,24 +10,23 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from mbtool.core import InputError, WireEvent
-from mbtool.decode.decoder import Record
+from mbtool.core import InputError
 from mbtool.devices import NamedTransaction, builtin_profiles, load_profile
-from mbtool.ledger.answered_run import AnsweredRun
 from mbtool.ledger.baseline import changes
 from mbtool.ledger.identification import identify
 from mbtool.ledger.inventory import Inventory
 from mbtool.ledger.inventory_rows import INVENTORY_FORMAT, InventoryDocument
 from mbtool.sources.files import shown_name
 from mbtool.sources.makers import maker
+from mbtool.workflows.check import CheckedRecord, CheckRun
 from mbtool.workflows.shared.read_all import unwatched
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
-from mbtool.workflows.shared.reading_choice import part_reading
 
 if TYPE_CHECKING:
     from mbtool.ledger.baseline import InventoryChange
+    from mbtool.troubles.judge import Judgement
 
-WatchParts = Callable[[Reading, Iterator[Record | AnsweredRun]], Iterator[Record | AnsweredRun]]
+WatchParts = Callable[[Reading, Iterator[CheckedRecord]], Iterator[CheckedRecord]]
 """A function that yields the items it gets from a reading unchanged, and may show a progress
 bar."""
 _DOCUMENT_BEGINS = b"{"
@@ -51,11 +50,15 @@ class InventoryRun:
     def __init__(self, files: Sequence[str], options: InventoryOptions) -> None:
         self._files = files
         self._options = options
-        is_filtered = options.wanted is not None
-        self.reading = part_reading(files, options.reading, is_filtered=is_filtered)
+        self._check = CheckRun(files, options.reading, wanted=options.wanted)
+        self.reading = self._check.reading
         self.error: InputError | None = None
         """The error of a file that could be read only in part; None if all files were read to their
         ends."""
+
+    def judgement(self) -> Judgement:
+        """Judge what was read."""
+        return self._check.judgement()
 
     def take(
         self, on_remark: Callable[[str], None] = lambda _: None, watch: WatchParts = unwatched
@@ -67,18 +70,17 @@ class InventoryRun:
         transaction.
         """
         inventory = Inventory()
-        wanted = self._options.wanted
         try:
-            for record in watch(self.reading, self.reading.parts()):
-                if isinstance(record, AnsweredRun):
-                    inventory.add_run(record)
-                elif not isinstance(record, WireEvent) and (wanted is None or wanted(record)):
-                    inventory.add(record)
+            for one in watch(self.reading, self._check.checked()):
+                if one.answered is not None:
+                    inventory.add_run(one.answered)
+                elif isinstance(one.record, NamedTransaction) and not one.is_left_out:
+                    inventory.add(one.record)
         except InputError as error:
             if not inventory.transactions:
                 raise
             self.error = error
-        for remark in self.reading.remarks:
+        for remark in self._check.remarks:
             on_remark(remark)
         profiles = {one.name: one for one in map(load_profile, builtin_profiles())}
         profiles |= {one.name: one for one in self.reading.assignments.profiles}

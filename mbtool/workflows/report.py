@@ -14,15 +14,14 @@ from mbtool.devices import builtin_profiles, load_profile
 from mbtool.ledger.history import History, UnitRow
 from mbtool.ledger.identification import identify
 from mbtool.ledger.inventory import Inventory
-from mbtool.ledger.statistics import Statistics
-from mbtool.ledger.statistics_report import is_counted_together, report
+from mbtool.ledger.statistics_report import is_counted_together
 from mbtool.ports.clock import now_ns
 from mbtool.sources.files import shown_name
 from mbtool.sources.makers import maker
-from mbtool.troubles.odd_polling import LATE_NS
+from mbtool.troubles.broken_rules import Summaries
+from mbtool.troubles.polling import LATE_NS, late_units
 from mbtool.values.values import Values
 from mbtool.version import __version__
-from mbtool.views.findings_table import Summaries
 from mbtool.views.report.contents import (
     ComparisonWith,
     FileOrigin,
@@ -33,7 +32,7 @@ from mbtool.views.report.contents import (
 from mbtool.views.report.late_answers import OF_UNIT
 from mbtool.views.report.page import page
 from mbtool.views.report.transaction_rows import TransactionRows
-from mbtool.views.trouble_words import TOGETHER_TEXT
+from mbtool.views.statistics_summary import TOGETHER_TEXT
 from mbtool.workflows.check import CheckRun
 from mbtool.workflows.diff import DiffOptions, compare
 from mbtool.workflows.shared.read_all import unwatched
@@ -42,9 +41,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from mbtool.columns.quiet_rows import BlockRows
-    from mbtool.core import SerialFormat
     from mbtool.devices import NamedTransaction
     from mbtool.devices.checking.finding import Finding
+    from mbtool.ledger.answered_run import AnsweredRun
     from mbtool.ledger.poll_statistics import PollStatistics
     from mbtool.workflows.check import CheckedRecord, CodeFilter
     from mbtool.workflows.shared.reading import Reading, ReadingOptions
@@ -77,9 +76,9 @@ class ReportRun:
         """
         self._files = files
         self._options = options
-        self._check = CheckRun(files, options, codes, window=window)
+        self._check = CheckRun(files, options, codes, window=window, on_retry=self._add_retry)
         self.reading = self._check.reading
-        self.statistics = Statistics(self._format_of, self._add_retry)
+        self.statistics = self._check.ledger
         self._inventory = Inventory()
         self._history = History()
         self._values = Values()
@@ -110,7 +109,6 @@ class ReportRun:
             if not self.statistics.transactions:
                 raise
             self.error = error
-        self.statistics.settle()
 
     def page(
         self, against: str | None = None, on_remark: Callable[[str], None] = lambda _: None
@@ -147,22 +145,20 @@ class ReportRun:
                 self._values.add(named)
                 # Before the statistics, which may tell at once that its request is a retry.
                 self._rows.add(named, _codes_of(named, findings))
-            poll = self.statistics.add(record)
-            if poll is not None and not isinstance(named, WireEvent):
-                self._rows.pauses.note(poll.key, self._rows.transactions, named)
+            if one.poll is not None and not isinstance(named, WireEvent):
+                self._rows.pauses.note(one.poll.key, self._rows.transactions, named)
             self._history.add(named)
-        if one.rows is not None:
+        if one.rows is not None and one.answered is not None:
             self._note_capture()
-            self._add_rows(one.rows)
+            self._add_rows(one.rows, one.answered)
         for finding in findings:
             self._rows.mark(finding)
 
-    def _add_rows(self, rows: BlockRows) -> None:
+    def _add_rows(self, rows: BlockRows, answered: AnsweredRun) -> None:
         """Count answered reads without findings together; only the first ones of the capture need a
         row of the table.
         """
-        answered, reads = rows.answered(), rows.reads()
-        self.statistics.add_run(answered)
+        reads = rows.reads()
         self._inventory.add_run(answered)
         self._history.add_reads(reads)
         if not self._values.add_reads(reads):
@@ -182,7 +178,6 @@ class ReportRun:
     def _note_capture(self) -> None:
         if self.reading.captures != self._captures:
             self._captures = self.reading.captures
-            self.statistics.begin_capture()
             self._rows.pauses.begin_capture()
 
     def _note_event(self, record: object) -> None:
@@ -198,13 +193,16 @@ class ReportRun:
         profiles = {one.name: one for one in map(load_profile, builtin_profiles())}
         profiles |= {one.name: one for one in self.reading.assignments.profiles}
         names = [*map(shown_name, self._files)]
-        links = report(self.statistics)
+        judgement = self._check.judgement()
+        links = judgement.links
+        late = late_units(poll.poll for link in links for poll in link.polls)
         return ReportContents(
             version=__version__,
             made_ns=now_ns(),
             sources=names,
             statistics=self.statistics,
-            links=links,
+            judgement=judgement,
+            late_ns={UnitRow(*one.unit): one.late_ns for one in late},
             inventory=self._inventory.document(
                 names, partial(identify, profiles=list(profiles.values())), maker, profiles
             ),
@@ -241,9 +239,6 @@ class ReportRun:
         unit = UnitRow(poll.key.link, poll.key.unit)
         self._history.add_retry(unit, at_ns, number)
         self._rows.mark_retry(unit, at_ns, number)
-
-    def _format_of(self, link: str) -> SerialFormat | None:
-        return self.reading.format_of(link)
 
 
 def _codes_of(one: NamedTransaction, findings: list[Finding]) -> list[str]:

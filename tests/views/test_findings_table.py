@@ -6,13 +6,8 @@ from typing import Any
 from rich.console import Console
 
 from mbtool.devices.checking.finding import Finding
-from mbtool.views.findings_table import (
-    MAX_PLACES,
-    Summaries,
-    finding_line,
-    print_summaries,
-    where,
-)
+from mbtool.troubles.broken_rules import MAX_PLACES, Summaries, where
+from mbtool.views.findings_table import finding_line, print_summaries
 
 NOON_NS = 1_767_268_800_000_000_000
 """2026-01-01 12:00 UTC."""

@@ -12,8 +12,8 @@ from mbtool.core import EventKind, SerialFormat, WireEvent
 from mbtool.ledger.history import UnitRow
 from mbtool.ledger.statistics_report import report
 from mbtool.modbus import Outcome, Transport
+from mbtool.troubles.broken_rules import Summaries
 from mbtool.views import statistics_verdict, trouble_words
-from mbtool.views.findings_table import Summaries
 from mbtool.views.report import verdict
 from mbtool.views.report.troubles import Rank
 from mbtool.views.watch_troubles import trouble_line

@@ -23,11 +23,10 @@ from mbtool.cli.watching.status_line import ScreenState, keys_line, status_text,
 from mbtool.cli.watching.watch_settings import load_settings, save_settings
 from mbtool.cli.watching.watch_views import VIEWS
 from mbtool.core import MbtoolError
+from mbtool.views.trouble_lines import watch_text
 from mbtool.views.watch_columns import DrawContext, fitted, widest_cells
 from mbtool.views.watch_detail import record_detail, slave_detail, trouble_detail
 from mbtool.views.watch_places import place_columns
-from mbtool.views.watch_troubles import TroubleLine, trouble_line
-from mbtool.watching.board_judgement import judge
 from mbtool.watching.board_rows import TroubleRow, WatchedSlaveRow
 from mbtool.workflows.watch import FileFeed
 
@@ -118,7 +117,8 @@ class DrawnApp(App[int]):
         self._next_draw_s = 0.0
         self.drawings = 0
         """The number of times that the screen was drawn."""
-        self._troubles = TroubleLine("", is_grave=False)
+        self._troubles = "", ""
+        """The line of troubles and its style."""
         self._next_look_s = 0.0
         self._frozen_ns = 0
         self._note_stays = False
@@ -257,7 +257,7 @@ class DrawnApp(App[int]):
         began_s = time.perf_counter()
         if began_s < self._next_look_s:
             return
-        self._troubles = trouble_line(judge(self.feed.watched.whole), width - 2)
+        self._troubles = watch_text(self.feed.watched.judge(), width - 2)
         took_s = time.perf_counter() - began_s
         self._next_look_s = began_s + max(_LOOK_S, _LOOK_SHARE * took_s)
 
@@ -283,9 +283,9 @@ class DrawnApp(App[int]):
         base.query_one("#tabs", OneLine).show(tabs_text(VIEWS, self.view_at, self._notes, width))
         base.query_one("#status", OneLine).show(status_text(state, width))
         troubles = base.query_one("#troubles", OneLine)
-        style = "bold red" if self._troubles.is_grave else "yellow"
-        troubles.show([(f"! {self._troubles.text}", style)])
-        troubles.set_class(bool(self._troubles.text), "told")
+        text, style = self._troubles
+        troubles.show([(f"! {text}", style)])
+        troubles.set_class(bool(text), "told")
         keys = keys_line(width, is_of_files=not self.feed.is_live)
         base.query_one("#keys", OneLine).show(keys)
 

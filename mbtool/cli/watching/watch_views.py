@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from mbtool.ledger.statistics_report import report
+from mbtool.troubles.judge import Judgement
 from mbtool.views.statistics_table import LEAST_OF_HISTOGRAM, statistics_lines
 from mbtool.views.watch_columns import WatchColumn
 from mbtool.views.watch_polls import POINT_COLUMNS, POLL_COLUMNS
@@ -66,7 +67,8 @@ _MORE_POLLS, _ALL_POLLS = (" more poll", " more polls"), ": key 1 lists all"
 
 def _line_rows(board: Board, width: int) -> list[LineRow]:
     links = report(board.statistics)
-    lines = statistics_lines(links, width=width, top=_MOST_ROWS, option="")
+    troubles = () if board.whole.judgement is None else board.whole.judgement.troubles
+    lines = statistics_lines(Judgement(troubles, links), width=width, top=_MOST_ROWS, option="")
     rows = [
         LineRow(at, f"{line.text}{_ALL_POLLS * line.text.endswith(_MORE_POLLS)}", line.style)
         for at, line in enumerate(lines)

@@ -34,9 +34,12 @@ class Finding:
     count: int = 1
     """Number of cases that the finding summarises."""
 
+    level: Severity | None = None
+    """The severity of a trouble that is no broken rule; None for that of the code's rule."""
+
     @property
     def severity(self) -> Severity:
-        return severity_of(self.code)
+        return self.level or severity_of(self.code)
 
 
 def transaction_finding(

@@ -1,7 +1,7 @@
 """Keeps the transactions before and after the longest pauses of each poll, for the report's table.
 
 A poll is all equal requests of one master. Which of its pauses are told is known at the end only
-(troubles/odd_polling.py).
+(troubles/polling.py).
 """
 
 # Memory: the last transaction of each of at most MAX_POLLS polls, and two transactions for each of
@@ -12,10 +12,10 @@ from __future__ import annotations
 from heapq import heappush, heappushpop
 from typing import TYPE_CHECKING, NamedTuple
 
+from mbtool.core.wording import host_of
 from mbtool.ledger.poll_statistics import LONGEST, PollKey, poll_key
 from mbtool.ledger.statistics import MAX_POLLS
-from mbtool.troubles.odd_polling import PAUSE_NS
-from mbtool.views.place_columns import host_of
+from mbtool.troubles.polling import PAUSE_NS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection

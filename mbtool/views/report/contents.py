@@ -23,20 +23,23 @@ from mbtool.devices.checking.rules import Severity, rule_of
 from mbtool.ledger.history import History, LinkSum, UnitRow, UnitSum
 from mbtool.ledger.inventory_rows import InventoryDocument, Role, iso_time
 from mbtool.ledger.statistics import OTHER_UNITS, Statistics
-from mbtool.ledger.statistics_report import LinkReport
 from mbtool.ledger.time_bins import GREATEST, REQUESTS_IN_BIN, TimeBins
+from mbtool.troubles.broken_rules import Summaries, where
+from mbtool.troubles.judge import Judgement
+from mbtool.troubles.words import WORDS
 from mbtool.values.value_series import thinned
 from mbtool.values.values import Values
 from mbtool.views.differences import what_text
-from mbtool.views.findings_table import Summaries, where
 from mbtool.views.inventory_table import mac_text, profile_text, seen_text, slave_lines
 from mbtool.views.report.transaction_rows import TransactionRows
-from mbtool.views.report.verdict import report_verdict
 from mbtool.views.statistics_document import statistics_document
+from mbtool.views.trouble_lines import trouble_text
 
 if TYPE_CHECKING:
     from mbtool.devices.checking.finding import Finding
     from mbtool.ledger.distribution import Distribution
+    from mbtool.ledger.statistics_report import LinkReport
+    from mbtool.troubles.trouble import Trouble
     from mbtool.values.value_series import ValueSeries
 
 MAX_UNITS = 24
@@ -45,6 +48,7 @@ LEAST_SAMPLES = 100
 MOST_SAMPLES = 800
 MAX_POLLS = 300
 MAX_ROWS = 1000
+MAX_CASES = 5
 MAX_BARS = 200
 """Histograms beyond this have the coarse steps of `stats --json`."""
 _FAILURES = {
@@ -88,7 +92,9 @@ class ReportContents:
     made_ns: int
     sources: Sequence[str]
     statistics: Statistics
-    links: Sequence[LinkReport]
+    judgement: Judgement
+    late_ns: Mapping[UnitRow, int]
+    """The latency (ns) from which an answer of a unit is late, for units with late answers."""
     inventory: InventoryDocument
     findings: Summaries
     number_of_findings: int
@@ -108,48 +114,77 @@ def report_document(contents: ReportContents) -> dict[str, Any]:
 
     Texts from the wire are not escaped here: the page shows them as text nodes only.
     """
-    verdict = report_verdict(contents.links, contents.findings)
     bins = contents.history.bins.coarser(contents.statistics.transactions // REQUESTS_IN_BIN)
     return {
         "version": contents.version,
         "made": iso_time(contents.made_ns),
-        "verdict": {
-            "level": verdict.level,
-            "sentence": verdict.sentence,
-            "troubles": [
-                {
-                    "text": one.text,
-                    "who": one.who,
-                    "search": one.search,
-                    "cases_title": one.cases_title,
-                    "cases": [[at_ns // 1000, text] for at_ns, text in one.cases],
-                    "rank": one.rank.name.lower(),
-                    "is_rule": one.is_rule,
-                    "told": place < verdict.told,
-                }
-                for place, one in enumerate(verdict.troubles[:MAX_ROWS])
-            ],
-        },
+        "verdict": _verdict(contents.judgement),
         "stats": _statistics(contents),
         "bins": _bins(contents, bins),
-        "bars": _bars(contents.links),
+        "bars": _bars(contents.judgement.links),
         "values": _values(contents.values, bins.begin_ns),
         "inventory": _inventory(contents.inventory),
         "findings": _findings(contents),
         "transactions": contents.rows.document(
-            verdict.late_ns, {at_ns for one in verdict.troubles for at_ns, _ in one.cases}
+            contents.late_ns,
+            {
+                each.ts_ns
+                for one in contents.judgement.troubles
+                if one.code == "POLL-PAUSED"
+                for each in one.evidence
+            },
         ),
         "capture": _capture(contents),
         "against": None if contents.comparison is None else _comparison(contents.comparison),
     }
 
 
+def _verdict(judgement: Judgement) -> dict[str, Any]:
+    """Return what is wrong: the first sentence of the page, and all troubles, the worst first.
+
+    `others` are the units, links or masters that have the same trouble.
+    """
+    troubles = judgement.troubles
+    sentence = judgement.summary
+    if troubles:
+        first = trouble_text(troubles[0])
+        sentence = f"{first[:1].upper()}{first[1:]}."
+    return {
+        "level": judgement.level,
+        "sentence": sentence,
+        "troubles": [_trouble(one, is_told=not at) for at, one in enumerate(troubles[:MAX_ROWS])],
+    }
+
+
+def _trouble(one: Trouble, *, is_told: bool = False) -> dict[str, Any]:
+    link = "" if " " in one.link else one.link
+    place = " ".join(filter(None, [link, "" if one.unit is None else f"unit:{one.unit}"]))
+    is_rule = one.code not in WORDS
+    return {
+        "text": trouble_text(one),
+        "code": one.code,
+        "severity": one.severity.value,
+        "who": one.code if is_rule else one.who,
+        "search": one.code if is_rule else " ".join(filter(None, [place, one.search])),
+        "cases": [[each.ts_ns // 1000, each.text] for each in one.evidence[:MAX_CASES]],
+        "cases_of": one.count,
+        "is_rule": is_rule,
+        "told": is_told,
+        "others": [
+            {"who": each.who, "text": each.cause, "search": _trouble(each)["search"]}
+            for each in one.others[:MAX_ROWS]
+        ],
+    }
+
+
 def _statistics(contents: ReportContents) -> dict[str, Any]:
     text = statistics_document(
-        contents.statistics, contents.links, sources=contents.sources, where=None
+        contents.statistics, contents.judgement, sources=contents.sources, where=None
     )
     document: dict[str, Any] = json.loads(text)
-    del document["is_whole"], document["remarks"]  # The key `capture` has all remarks.
+    # The keys `capture` and `verdict` have these.
+    for key in ("is_whole", "remarks", "level", "troubles"):
+        del document[key]
     for link in document["links"]:
         link["polls"] = sorted(
             sorted(link["polls"], key=lambda poll: -poll["transactions"])[:MAX_POLLS],
@@ -196,9 +231,15 @@ def _bins(contents: ReportContents, bins: TimeBins) -> dict[str, Any]:
     bin, is in seconds. `count` is the number of bins. `all` has the failures of all units that
     were counted, `counted` the number of these units.
     """
-    timed = {link.name for link in contents.links if link.has_times}
+    timed = {link.name for link in contents.judgement.links if link.has_times}
     known = [row for row in bins.rows if isinstance(row, UnitRow) and row.link in timed]
-    known.sort(key=lambda row: _rank(bins, row), reverse=True)
+    sick = {
+        UnitRow(each.link, each.unit): -place
+        for place, one in reversed([*enumerate(contents.judgement.troubles, 1)])
+        for each in one.all
+        if each.unit is not None
+    }
+    known.sort(key=lambda row: (sick.get(row, -MAX_ROWS), *_rank(bins, row)), reverse=True)
     return {
         "begin": bins.begin_ns / 1e9,
         "width": bins.width_ns / 1e9,
@@ -206,17 +247,19 @@ def _bins(contents: ReportContents, bins: TimeBins) -> dict[str, Any]:
         "units_left_out": max(len(known) - MAX_UNITS, 0),
         "counted": len(known),
         "all": {name: _added(bins, known, place) for name, place in _FAILURES.items()},
-        "units": [_unit_columns(bins, row) for row in sorted(known[:MAX_UNITS])],
+        "units": [_unit_columns(bins, row) for row in known[:MAX_UNITS]],
         "links": [
             _link_columns(contents, bins, link)
-            for link in contents.links[:MAX_UNITS]
+            for link in contents.judgement.links[:MAX_UNITS]
             if link.has_times
         ],
     }
 
 
 def _rank(bins: TimeBins, row: UnitRow) -> tuple[int, int]:
-    """Return the requests of a unit and its failures; charts have the units with the most."""
+    """Return the requests of a unit and its failures. Charts have the sick units first, then those
+    with the most requests.
+    """
     failures = (sum(bins.column(row, place)) for place in _FAILURES.values())
     return sum(bins.column(row, UnitSum.TRANSACTIONS)), sum(failures)
 

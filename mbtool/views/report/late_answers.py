@@ -1,6 +1,6 @@
 """Keeps the slowest answers of each unit until a report knows which of them were late."""
 
-# An answer is late if it takes many times the median of its unit (troubles/odd_polling.py). The
+# An answer is late if it takes many times the median of its unit (troubles/polling.py). The
 # median is known at the end only, so the longest answers from LATE_NS on are kept until then.
 #
 # Memory: OF_UNIT transactions for each of MAX_UNITS units.
@@ -10,7 +10,7 @@ from __future__ import annotations
 from heapq import heappush, heapreplace
 from typing import TYPE_CHECKING
 
-from mbtool.troubles.odd_polling import LATE_NS
+from mbtool.troubles.polling import LATE_NS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

@@ -7,12 +7,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Protocol
 
 from mbtool.core import WireEvent
 from mbtool.devices import NamedTransaction
 from mbtool.devices.checking.capture_context import CaptureContext
-from mbtool.devices.checking.checker import Checker
+from mbtool.ledger.statistics import Statistics
+from mbtool.troubles.judge import Judge
+from mbtool.troubles.words import WORDS
 from mbtool.workflows.shared.recorder import Log
 
 if TYPE_CHECKING:
@@ -22,6 +25,7 @@ if TYPE_CHECKING:
     from mbtool.decode.line_timing import LineTiming
     from mbtool.devices.checking.finding import Finding
     from mbtool.logs.messages import DecodingMark, LogItem
+    from mbtool.troubles.judge import Judgement
 
 
 class FindingsLog(Log, Protocol):
@@ -50,7 +54,7 @@ class CheckedLog:
 
     def __init__(self, log: FindingsLog, context: CaptureContext) -> None:
         self._log = log
-        self._checker = Checker(context)
+        self._judge = Judge(Statistics(context.line_of), context)
         self._last_ns = 0
 
     def write(self, item: LogItem | DecodingMark) -> None:
@@ -67,17 +71,29 @@ class CheckedLog:
         else:
             return
         self._last_ns = max(self._last_ns, known_ns)
-        self._add((one for one in self._checker.feed(item) if one.code not in written), known_ns)
+        self._judge.count(item)
+        self._add((one for one in self._judge.check(item) if one.code not in written), known_ns)
 
     def tick(self, now_ns: int) -> None:
         self._log.tick(now_ns)
 
     def close(self, final: Mapping[str, str]) -> None:
         try:
-            self._add(self._checker.close(), self._last_ns)
+            self._add(self._judge.end_capture(), self._last_ns)
+            self._judge.ledger.settle()
+            # Broken rules are in the log already.
+            troubles = [one for one in self.judgement().troubles if one.code in WORDS]
+            at_ns = self._last_ns
+            findings = [one.finding for one in troubles]
+            self._add((replace(one, ts_ns=one.ts_ns or at_ns) for one in findings), at_ns)
         finally:
             self._log.close(final)
 
+    def judgement(self) -> Judgement:
+        """Judge what was written so far."""
+        return self._judge.judgement()
+
     def _add(self, findings: Iterable[Finding], known_ns: int) -> None:
         for finding in findings:
+            self._judge.note(finding)
             self._log.add_finding(finding, known_ns)

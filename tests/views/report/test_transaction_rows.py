@@ -7,7 +7,7 @@ from msgspec.structs import replace
 from mbtool.devices.checking.finding import Finding
 from mbtool.ledger.history import UnitRow
 from mbtool.modbus import Outcome
-from mbtool.troubles.odd_polling import LATE_NS
+from mbtool.troubles.polling import LATE_NS
 from mbtool.views.report import transaction_rows
 from mbtool.views.report.late_answers import MAX_UNITS, OF_UNIT, LateAnswers
 from mbtool.views.report.transaction_rows import FIRST, MORE, OF_KIND, TransactionRows

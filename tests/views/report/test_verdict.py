@@ -12,7 +12,7 @@ from mbtool.devices.checking.finding import Finding
 from mbtool.ledger.statistics import Statistics
 from mbtool.ledger.statistics_report import report
 from mbtool.modbus import Outcome
-from mbtool.views.findings_table import Summaries
+from mbtool.troubles.broken_rules import Summaries
 from mbtool.views.report.troubles import Rank
 from mbtool.views.report.verdict import ReportVerdict, report_verdict
 from tests.ledger.test_history import asked, event

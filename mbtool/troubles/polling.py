@@ -9,28 +9,27 @@ Each is found by figures of `Statistics`, and so without a look at single transa
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from heapq import nlargest
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import TYPE_CHECKING
 
+from mbtool.core.wording import counted, duration, in_ms
 from mbtool.ledger.poll_statistics import LONG_NS
+from mbtool.troubles.trouble import Evidence, Trouble
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
-    from mbtool.ledger.distribution import Distribution
     from mbtool.ledger.poll_statistics import PollStatistics
-    from mbtool.ledger.request_tally import RequestTally
     from mbtool.ledger.statistics_connections import ConnectionTally
     from mbtool.ledger.statistics_report import LinkReport
 
-K = TypeVar("K")
-
 LATE_NS = 100_000_000
 LATE_TIMES = 20
-"""An answer is late if it takes at least LATE_NS (ns), and this many times the unit's median."""
-ENOUGH_ANSWERS = 50
-"""Units with fewer answers than this have no late answers, as their usual latency is not known."""
+"""An answer is late if it takes at least LATE_NS (ns), and this many times the median of its
+poll."""
+ENOUGH_ANSWERS = 20
+"""Polls with fewer answers than this have no late answers, as their usual latency is not known."""
 PAUSE_NS = LONG_NS
 PAUSE_TIMES = 10
 """The polling paused if a poll with a regular period did not come for PAUSE_NS (ns) or longer, and
@@ -68,17 +67,20 @@ class PollingPause:
 
 
 @dataclass(frozen=True, slots=True)
-class LateUnit(Generic[K]):
+class LateUnit:
     """A unit some of whose answers are late. Latencies are in ns."""
 
-    unit: K
+    unit: tuple[str, int]
+    """Link and unit."""
     number: int
     """The number of late answers."""
+    answers: int
+    """The number of all answers of the polls that have late ones."""
     longest_ns: int
     usual_ns: int
-    """The median latency of the unit."""
+    """The median latency of the poll with most late answers."""
     late_ns: int
-    """The latency from which an answer of the unit is late."""
+    """The least latency from which an answer of the unit is late."""
 
     @property
     def lost_s(self) -> float:
@@ -101,26 +103,53 @@ class ShortConnections:
         return self.opened * _HANDSHAKE_S
 
 
-Oddity = PollingPause | LateUnit[K] | ShortConnections
-
-
-def odd_polling(
-    links: Sequence[LinkReport], tallies: Mapping[tuple[str, int], RequestTally]
-) -> tuple[list[PollingPause], list[ShortConnections], list[LateUnit[tuple[str, int]]]]:
-    """Return what is odd in the polling, by kind. `tallies` has the counts of each unit.
-
-    There is nothing if the statistics are not whole.
-    """
+def polling_troubles(links: Sequence[LinkReport]) -> Iterator[Trouble]:
+    """Yield what is odd in the polling as troubles; nothing if a filter left out transactions."""
     if not all(link.is_whole for link in links):
-        return [], [], []
+        return
     polls = [one.poll for link in links for one in link.polls]
     connections = {(link.name, master): one for link in links for master, one in link.connections}
     requests = {link.name: link.tally.requests for link in links}
-    return (
-        pauses(polls),
-        short_connections(connections, polls, lambda link: requests[link]),
-        late_units({unit: one.latency for unit, one in tallies.items()}),
-    )
+    yield from map(_paused, pauses(polls))
+    yield from map(_short, short_connections(connections, polls, lambda link: requests[link]))
+    yield from map(_late, late_units(polls))
+
+
+def _paused(one: PollingPause) -> Trouble:
+    longest = duration(one.longest_ns)
+    how = f"for {longest}" if one.number == 1 else f"{one.number:,} times, for up to {longest}"
+    figures = {
+        "of_link": f" of {one.link}" if one.master else "",
+        "paused": how,
+        "usual": duration(one.usual_ns),
+    }
+    cases = [Evidence(ts_ns=begin_ns, text=f"for {duration(ns)}") for ns, begin_ns in one.cases]
+    return Trouble(
+        code="POLL-PAUSED", link=one.link, master=one.master, count=one.number,
+        weight=one.lost_s, figures=figures, evidence=tuple(cases),
+    )  # fmt: skip
+
+
+def _short(one: ShortConnections) -> Trouble:
+    figures = {"opened": f"{one.opened:,}", "requests": counted(one.requests, "request", ",")}
+    return Trouble(
+        code="NET-SHORT", link=one.link, master=one.master or "masters", count=one.opened,
+        weight=one.lost_s, figures=figures,
+    )  # fmt: skip
+
+
+def _late(one: LateUnit) -> Trouble:
+    longest = duration(one.longest_ns)
+    figures = {
+        "late": counted(one.number, "answer", ","),
+        "longest": f"after {longest}" if one.number == 1 else f"the longest after {longest}",
+        "usual": f"{in_ms(one.usual_ns)} ms",
+    }
+    link, unit = one.unit
+    return Trouble(
+        code="POLL-LATE", link=link, unit=unit, count=one.number, of=one.answers,
+        weight=one.lost_s, figures=figures, search=f"ms>={one.late_ns // _MS}",
+    )  # fmt: skip
 
 
 def pauses(polls: Iterable[PollStatistics]) -> list[PollingPause]:
@@ -153,19 +182,38 @@ def _pause(polls: list[PollStatistics]) -> PollingPause | None:
     return PollingPause(key.link, key.master, number, poll.period.greatest, usual_ns, cases)
 
 
-def late_units(latencies: Mapping[K, Distribution]) -> list[LateUnit[K]]:
-    """Return the units with late answers; `latencies` has those of each unit."""
-    found = []
-    for unit, latency in latencies.items():
+def late_units(polls: Iterable[PollStatistics]) -> list[LateUnit]:
+    """Return the units with late answers. An answer is compared with those of its own poll, as
+    another poll of the unit may always take long.
+    """
+    found: dict[tuple[str, int], LateUnit] = {}
+    for poll in polls:
+        latency = poll.tally.latency
         if latency.count < ENOUGH_ANSWERS or latency.greatest < LATE_NS:
             continue
         usual_ns = latency.percentile(50)
         # In whole ms, because a user searches for it.
         late_ns = -(-max(LATE_NS, LATE_TIMES * usual_ns) // _MS) * _MS
-        if latency.greatest >= late_ns:
-            number = latency.number_from(late_ns)
-            found.append(LateUnit(unit, number, latency.greatest, usual_ns, late_ns))
-    return found
+        if latency.greatest < late_ns:
+            continue
+        unit = poll.key.link, poll.key.unit
+        number = latency.number_from(late_ns)
+        one = LateUnit(unit, number, latency.count, latency.greatest, usual_ns, late_ns)
+        other = found.get(unit)
+        found[unit] = one if other is None else _with(other, one)
+    return [*found.values()]
+
+
+def _with(one: LateUnit, other: LateUnit) -> LateUnit:
+    """Return the late answers of two polls of a unit as one; the one with more tells the usual."""
+    first = max(one, other, key=lambda each: each.number)
+    return replace(
+        first,
+        number=one.number + other.number,
+        answers=one.answers + other.answers,
+        longest_ns=max(one.longest_ns, other.longest_ns),
+        late_ns=min(one.late_ns, other.late_ns),
+    )
 
 
 def short_connections(

@@ -1,0 +1,276 @@
+"""The one judgement: says what is wrong with what was heard, why, and what to do."""
+
+# Records (transactions, events, blocks of answered requests) go into the account (the room ledger)
+# and to the senses; broken rules come from the Checker (devices/checking). The judgement can be
+# asked for at any time. A trouble that another one is the cause of (`explains` in words.py) is left
+# out, and the same trouble of several units, links or masters is told as one.
+#
+# Memory: that of the account and of the senses.
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, TypeVar
+
+from mbtool.core import WireEvent
+from mbtool.core.wording import counted, duration, in_ms
+from mbtool.devices.checking.capture_context import CaptureContext
+from mbtool.devices.checking.checker import Checker
+from mbtool.devices.checking.rules import Severity
+from mbtool.ledger.request_tally import merged
+from mbtool.ledger.statistics import OTHER_UNITS
+from mbtool.ledger.statistics_report import LinkReport, report, unit_tallies
+from mbtool.modbus import Outcome
+from mbtool.troubles.broken_rules import Summaries, rule_troubles
+from mbtool.troubles.cases import FailedCases
+from mbtool.troubles.failure_limits import is_grave
+from mbtool.troubles.line_senses import line_senses
+from mbtool.troubles.network_senses import network_senses
+from mbtool.troubles.polling import polling_troubles
+from mbtool.troubles.trouble import MAX_OTHERS, Trouble
+from mbtool.troubles.units import unit_troubles
+from mbtool.troubles.words import WORDS
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterable, Iterator
+
+    from mbtool.devices.checking.finding import Finding
+    from mbtool.devices.checking.quiet_run import QuietRows
+    from mbtool.devices.named_transaction import NamedTransaction
+    from mbtool.ledger.answered_run import AnsweredRun
+    from mbtool.ledger.poll_statistics import PollStatistics
+    from mbtool.ledger.request_tally import RequestTally
+    from mbtool.ledger.statistics import Statistics
+
+Q = TypeVar("Q", bound="QuietRows")
+
+JOINED = 3
+"""The same trouble of at least so many units, links or masters is told as one."""
+ENOUGH = 20
+"""With fewer answered requests than this, a recording is too short to say that all is well."""
+MOSTLY = 0.5
+"""A trouble explains another one of the same unit if it has at least this share of its cases."""
+_SEVERITIES = tuple(Severity)
+_ROWS = {code: place for place, code in enumerate(WORDS)}
+_ANSWERS = (Outcome.OK, Outcome.EXCEPTION, Outcome.MALFORMED)
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """What is wrong, the worst first; or that all is well, or that too little was heard."""
+
+    troubles: Sequence[Trouble]
+    links: Sequence[LinkReport]
+    """The account of each link, by which was judged."""
+
+    @property
+    def is_enough(self) -> bool:
+        """True if enough requests were answered to say that all is well."""
+        return _answered(self._total) >= ENOUGH
+
+    @property
+    def level(self) -> str:
+        """Return `bad` if a trouble is an error, `well` if there is none and enough was heard, else
+        `doubt`.
+        """
+        if any(one.severity is Severity.ERROR for one in self.troubles):
+            return "bad"
+        return "well" if not self.troubles and self.is_enough else "doubt"
+
+    @property
+    def summary(self) -> str:
+        """Return a sentence for the case that there is no trouble: who answers how many requests,
+        or that too little was heard.
+        """
+        total, units = self._total, unit_tallies(self.links)
+        if not total.transactions:
+            is_any = any(link.tally.transactions for link in self.links)
+            some = "only broadcasts, which no unit answers" if is_any else "no transaction"
+            return f"There is {some} in the recording."
+        lacking, answered = total.count(Outcome.NOT_CAPTURED), _answered(total)
+        lacks = f"; the recording lacks parts of {counted(lacking, 'transaction', ',')}"
+        if not answered:
+            return f"No trouble shows, but no request is answered{lacks if lacking else ''}."
+        who = "the unit answers" if len(units) == 1 else f"{units_text(units)} answer"
+        usual = total.latency.percentile(50)
+        half = f", half of them within {in_ms(usual)} ms" if usual else ""
+        text = f"{who} {counted(answered, 'request', ',')}{half}{lacks if lacking else ''}"
+        if self.is_enough:
+            return f"Everything is well: {text}."
+        watched_ns = self.links[0].all_watched_ns
+        time = f" in {duration(watched_ns)}" if watched_ns else ""
+        return f"Too short to judge{time}: {text}; no trouble shows."
+
+    @property
+    def _total(self) -> RequestTally:
+        return merged([*unit_tallies(self.links).values()])
+
+
+class Judge:
+    """Takes all records in order: counts them, checks them against the rules, and judges them.
+
+    Each record goes to `count` (or to `hear`, and by the caller to the account) and to `check`.
+    """
+
+    def __init__(self, ledger: Statistics, context: CaptureContext | None = None) -> None:
+        """`ledger` is the account of all captures. `context` has the facts that rules need beside
+        the records; its functions are asked about the present capture.
+        """
+        self.ledger = ledger
+        self.findings = Summaries()
+        """The broken rules that `note` was told of, by code and place."""
+        self.remarks: list[str] = []
+        """Sentences for the user that are no findings; those of a capture are there when it
+        ended."""
+        self._context = context or CaptureContext()
+        self._cases = FailedCases()
+        self._senses = (
+            self._cases,
+            *line_senses(self._context),
+            *network_senses(self._context),
+        )
+        self._checker: Checker | None = None
+        """The rules, with what they remember of the present capture; None outside of a capture."""
+
+    def begin_capture(self, context: CaptureContext | None = None) -> None:
+        """Note that the next record belongs to another capture, perhaps of another day.
+
+        `context` has the facts about it for the rules, if they differ from those of the first one.
+        """
+        self._checker = Checker(context or self._context)
+        self.ledger.begin_capture()
+        for sense in self._senses:
+            sense.begin_capture()
+
+    def end_capture(self) -> Iterator[Finding]:
+        """Yield the findings that are known only at the end of the present capture."""
+        checker, self._checker = self._checker, None
+        if checker is not None:
+            yield from checker.close()
+            self.remarks += checker.remarks
+
+    def count(
+        self, record: NamedTransaction | WireEvent, *, is_wanted: bool = True
+    ) -> PollStatistics | None:
+        """Count the next record; return its poll, None for an event and for a response without
+        request. With `is_wanted` false, it is left out of the account, as the user's filter says.
+        """
+        self.hear(record)
+        if not is_wanted:
+            self.ledger.left_out += 1
+            return None
+        return self.ledger.add(record)
+
+    def hear(self, record: NamedTransaction | WireEvent) -> None:
+        """Let the senses take the next record, which the caller adds to the account."""
+        if isinstance(record, WireEvent):
+            for sense in self._senses:
+                sense.event(record)
+        else:
+            for sense in self._senses:
+                sense.transaction(record)
+
+    def count_run(self, run: AnsweredRun) -> None:
+        """Count many answered requests of a network together."""
+        for sense in self._senses:
+            sense.run(run)
+        self.ledger.add_run(run)
+
+    def check(self, record: NamedTransaction | WireEvent) -> Iterator[Finding]:
+        """Yield the findings that the next record makes certain."""
+        if self._checker is None:
+            self.begin_capture()
+        assert self._checker is not None
+        return self._checker.feed(record)
+
+    def check_rows(self, rows: Q) -> Iterator[tuple[NamedTransaction | Q, Iterator[Finding]]]:
+        """Check many answered reads; as Checker.feed_rows."""
+        if self._checker is None:
+            self.begin_capture()
+        assert self._checker is not None
+        return self._checker.feed_rows(rows)
+
+    def note(self, finding: Finding, file: str = "") -> None:
+        """Note a finding, so that it is one of the troubles unless another one is its cause.
+
+        `file` names the capture file; empty if only one file is read.
+        """
+        self.findings.add(finding, file)
+
+    def judgement(self, links: Sequence[LinkReport] | None = None) -> Judgement:
+        """Judge all records so far. `links` is the account of each link, if the caller has it."""
+        links = report(self.ledger) if links is None else links
+        found = [trouble for sense in self._senses for trouble in sense.troubles(links)]
+        found += self._cases.proved(unit_troubles(links))
+        found += polling_troubles(links)
+        found += _stray_frames(links)
+        found += rule_troubles(self.findings)
+        several = len(links) > 1
+        named = [replace(one, names_link=several) for one in _unexplained(found)]
+        return Judgement(_in_order(_joined(named)), links)
+
+
+def units_text(units: Collection[tuple[str, int]]) -> str:
+    """Return the number of units as text: `40 units`, or `at least 40 units` where some are counted
+    together. A unit is a link and a number.
+    """
+    known = sum(number != OTHER_UNITS for _, number in units)
+    least = "at least " if known < len(units) else ""
+    return f"{least}{counted(known, 'unit', ',')}"
+
+
+def _stray_frames(links: Sequence[LinkReport]) -> Iterator[Trouble]:
+    for link in links:
+        if link.stray_frames > 0:
+            yield Trouble(
+                code="LINE-STRAY",
+                link=link.name,
+                count=link.stray_frames,
+                of=link.tally.transactions,
+                weight=link.stray_frames,
+                is_small=not is_grave(link.stray_frames, link.tally.transactions),
+                figures={"frames": counted(link.stray_frames, "frame", ",")},
+            )
+
+
+def _unexplained(found: Sequence[Trouble]) -> Iterator[Trouble]:
+    """Yield the troubles that no other trouble is the cause of."""
+    causes = [one for one in found if one.words.explains]
+    for one in found:
+        if not any(_explains(cause, one) for cause in causes if cause is not one):
+            yield one
+
+
+def _explains(cause: Trouble, other: Trouble) -> bool:
+    if other.code not in cause.words.explains or cause.link != other.link:
+        return False
+    if cause.unit is None:
+        return True
+    is_of_unit = other.unit is None or other.unit == cause.unit
+    return is_of_unit and cause.count >= MOSTLY * other.count
+
+
+def _joined(found: Iterable[Trouble]) -> Iterator[Trouble]:
+    """Join the same trouble of at least JOINED units, links or masters into one, worst first."""
+    kinds: dict[tuple[str, bool], list[Trouble]] = {}
+    for one in found:
+        kinds.setdefault((one.code, one.is_small), []).append(one)
+    for some in kinds.values():
+        some.sort(key=lambda one: -one.weight)
+        if len(some) < JOINED:
+            yield from some
+        else:
+            yield replace(some[0], others=tuple(some[1 : MAX_OTHERS + 1]))
+
+
+def _in_order(troubles: Iterable[Trouble]) -> list[Trouble]:
+    def rank(one: Trouble) -> tuple[int, int, float]:
+        row = _ROWS.get(one.code, -1 if one.code.startswith("SEC") else len(_ROWS))
+        return _SEVERITIES.index(one.severity), row, -one.weight
+
+    return sorted(troubles, key=rank)
+
+
+def _answered(total: RequestTally) -> int:
+    return sum(map(total.count, _ANSWERS))

@@ -1,0 +1,15 @@
+"""The senses that find the troubles of a serial line."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from mbtool.devices.checking.capture_context import CaptureContext
+    from mbtool.troubles.sense import Sense
+
+
+def line_senses(context: CaptureContext) -> list[Sense]:
+    """Return a sense of each kind; `context` has facts about the present capture."""
+    del context
+    return []

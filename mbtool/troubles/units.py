@@ -1,0 +1,248 @@
+"""Judges units by their accounts: silent, missing, damaged, malformed, refused and slow answers."""
+
+# Limits: failed_shares.py and failure_limits.py say which share of the requests failed in which
+# time, and if that is a small thing; slow_units.py and slower_units.py, which latency is slow. A
+# unit that never answers has no other trouble. Requests that a unit refuses each time have no
+# beginning.
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+from mbtool.core.wording import counted, in_ms, percent
+from mbtool.ledger.poll_statistics import PollStatistics
+from mbtool.ledger.request_tally import RequestTally
+from mbtool.ledger.statistics_report import unit_polls, unit_tallies, unit_times
+from mbtool.ledger.unit_times import UnitTimes
+from mbtool.modbus import Outcome, short_name
+from mbtool.troubles.failed_shares import FailedShare, missing_share, refused_share
+from mbtool.troubles.failure_limits import FEW, are_damaged, never_answers
+from mbtool.troubles.refusals import always_refused, joint_refusals
+from mbtool.troubles.slow_units import are_many
+from mbtool.troubles.slower_units import slow_and_slower_units
+from mbtool.troubles.trouble import Trouble, moment_text
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from mbtool.ledger.statistics_report import LinkReport
+    from mbtool.troubles.refusals import JointRefusals
+    from mbtool.troubles.slower_units import Slower
+
+_NAMED = 2
+"""At most so many requests that a unit always refuses are named."""
+_CHECK_LINE = "check its power, address, wires and line settings"
+_CHECK_NETWORK = "check that it runs, and that address, unit and gateway are right"
+_ADVICE = {
+    1: "use a function that its manual lists",
+    2: "correct the address or quantity of the request by its manual",
+    3: "correct the quantity or value of the request by its manual",
+    4: "read the error of the device itself",
+    5: "give it time, and ask again later",
+    6: "ask it more rarely",
+    0x0A: "correct the routes of the gateway",
+    0x0B: "check the unit behind the gateway: its power, address, wires and line settings",
+}
+"""What to do about an exception, by its code."""
+_OTHER_ADVICE = "look the exception up in its manual"
+
+
+class _Joined(NamedTuple):
+    text: str
+    advice: str
+
+
+@dataclass(frozen=True, slots=True)
+class _Unit:
+    link: str
+    number: int
+    tally: RequestTally
+    polls: Sequence[PollStatistics]
+    times: UnitTimes | None
+    """None if the recording has no times, or if the unit never answers."""
+    is_serial: bool
+
+    def trouble(self, code: str, share: FailedShare, **figures: str) -> Trouble:
+        never = never_answers(self.tally)
+        return Trouble(
+            code=code,
+            link=self.link,
+            unit=self.number,
+            count=share.failed,
+            of=max(share.asked, share.failed),
+            since_ns=share.since_ns,
+            until_ns=share.until_ns,
+            is_long=share.is_long,
+            is_small=not (share.is_grave or never),
+            weight=share.failed if never else share.share,
+            figures={
+                "requests": _requests(share),
+                "percent": percent(share.share),
+                "check": _CHECK_LINE if self.is_serial else _CHECK_NETWORK,
+                **figures,
+            },
+        )
+
+
+def unit_troubles(links: Sequence[LinkReport]) -> Iterator[Trouble]:
+    """Yield the troubles of single units; `links` has the account of each link."""
+    tallies, times, polls = unit_tallies(links), unit_times(links), unit_polls(links)
+    serial = {link.name for link in links if link.is_serial}
+    units = {
+        (link, number): _Unit(
+            link,
+            number,
+            tally,
+            polls.get((link, number), ()),
+            None if never_answers(tally) else times.get((link, number)),
+            link in serial,
+        )
+        for (link, number), tally in tallies.items()
+    }
+    refusing: dict[tuple[str, int], Trouble] = {}
+    for key, unit in units.items():
+        yield from _failures(unit)
+        if not never_answers(unit.tally) and (refusal := _refusal(unit)) is not None:
+            refusing[key] = refusal
+    grave = [key for key, one in refusing.items() if not one.is_small]
+    joint = joint_refusals(grave, tallies, polls)
+    if joint is not None and joint.scanned:
+        first = refusing[grave[0]]
+        yield _scan(joint, first.link)
+        refusing = {key: one for key, one in refusing.items() if one.is_small}
+    yield from refusing.values()
+    yield from _slow(units)
+
+
+def _failures(unit: _Unit) -> Iterator[Trouble]:
+    tally = unit.tally
+    if never_answers(tally):
+        share = FailedShare(tally.unanswered, tally.unanswered)
+        lacking = tally.requests - tally.unanswered
+        requests = counted(tally.unanswered, "request", ",")
+        if lacking:
+            requests = f"{requests}, and {lacking:,} not captured whole"
+        if are_damaged(tally):
+            yield unit.trouble("UNIT-BAD-CRC", share, requests="all its requests")
+        else:
+            yield unit.trouble("UNIT-SILENT", share, requests=requests)
+        return
+    missing = missing_share(tally, unit.times)
+    if missing is not None:
+        code = "UNIT-BAD-CRC" if are_damaged(tally) else "UNIT-MISSING"
+        yield unit.trouble(code, missing)
+    if number := tally.count(Outcome.MALFORMED):
+        yield unit.trouble("UNIT-MALFORMED", FailedShare(number, tally.requests))
+
+
+def _refusal(unit: _Unit) -> Trouble | None:
+    share = refused_share(unit.tally, unit.times)
+    if share is None:
+        return None
+    requests = _requests(share)
+    refused = always_refused(unit.polls, unit.tally)
+    if refused:
+        # No beginning is told of requests that the unit refuses each time.
+        share = share._replace(since_ns=None, until_ns=None)
+        requests = _named(refused, unit)
+    codes, advice = _codes(unit.tally)
+    return unit.trouble("UNIT-REFUSES", share, requests=requests, codes=codes, advice=advice)
+
+
+def _named(refused: Sequence[PollStatistics], unit: _Unit) -> str:
+    """Return which requests a unit refuses each time: `03 holding 4 each time (3 times)`."""
+    number = unit.tally.count(Outcome.EXCEPTION)
+    often = sorted(refused, key=lambda poll: -poll.tally.transactions)
+    if len(often) > _NAMED:
+        some = f"{len(often):,} of its {len(unit.polls):,} different requests"
+        return f"{some}, such as {_request(often[0])}"
+    named = " and ".join(map(_request, often))
+    return f"{named} each time ({number:,} times)" if number > 1 else f"{named} (once)"
+
+
+def _request(poll: PollStatistics) -> str:
+    return f"{poll.key.function:02X} {poll.reference or short_name(poll.key.function, '')}".rstrip()
+
+
+def _codes(tally: RequestTally) -> _Joined:
+    """Return the exception codes of the refusals in words, the most frequent first, and what to do
+    about the most frequent one.
+    """
+    often = sorted(tally.exceptions, key=lambda one: -tally.exceptions[one])
+    if not often:  # Only a log that another program wrote lacks them.
+        return _Joined("with unknown codes", _OTHER_ADVICE)
+    names = [exception_text(code, tally.exception_names[code]) for code in often]
+    text = f"with {names[0]}"
+    if len(names) == 2:
+        text = f"{text} or {names[1]}"
+    elif len(names) > 2:
+        text = f"{text}, {names[1]} or others"
+    return _Joined(text, _ADVICE.get(often[0], _OTHER_ADVICE))
+
+
+def exception_text(code: int, name: str) -> str:
+    """Return code and name, such as `02 illegal data address`.
+
+    The name of an unknown code has the number in it, so the name alone is returned.
+    """
+    return name if name.startswith("exception") else f"{code:02X} {name}".rstrip()
+
+
+def _scan(joint: JointRefusals, link: str) -> Trouble:
+    some = (
+        f"all {joint.of} units" if joint.units == joint.of else f"{joint.units} of {joint.of} units"
+    )
+    refused, asked = joint.tally.count(Outcome.EXCEPTION), joint.tally.requests
+    figures = {
+        "units": f"{some} {joint.of} units",
+        "requests": _requests(FailedShare(refused, asked)).replace("its", "their"),
+        "codes": _codes(joint.tally).text,
+        "different": f"{joint.scanned:,}",
+        "by": f" by {joint.master}" if joint.master else "",
+    }
+    return Trouble(
+        code="NET-SCANNED", link=link, master=joint.master, count=refused, of=asked,
+        figures=figures, search="exception",
+    )  # fmt: skip
+
+
+def _slow(units: dict[tuple[str, int], _Unit]) -> Iterator[Trouble]:
+    """Yield a trouble for each slow unit, and for each that became slower."""
+    slow, slower = slow_and_slower_units(
+        {key: unit.tally.latency for key, unit in units.items()},
+        {key: unit.times for key, unit in units.items() if unit.times is not None},
+    )
+    small = are_many(len(slow), len(units))
+    for key, usual in slow.items():
+        unit, own = units[key], units[key].tally.latency.percentile(50)
+        yield Trouble(
+            code="UNIT-SLOW", link=unit.link, unit=unit.number, count=unit.tally.latency.count // 2,
+            of=unit.tally.latency.count, weight=own / usual, is_small=small,
+            figures={"median": _ms(own), "usual": _ms(usual)},
+        )  # fmt: skip
+    for key, one in slower.items():
+        yield _slower(units[key], one)
+
+
+def _slower(unit: _Unit, one: Slower) -> Trouble:
+    answers = sum(each.answered for each in unit.times.bins.bins()) if unit.times else 0
+    since = f" since {moment_text(one.since_ns, is_long=one.is_long)}"
+    return Trouble(
+        code="UNIT-SLOWER", link=unit.link, unit=unit.number, count=answers, weight=one.factor,
+        is_long=one.is_long,
+        figures={"mean": _ms(one.mean_ns), "before": _ms(one.before_ns), "since": since},
+    )  # fmt: skip
+
+
+def _ms(ns: float) -> str:
+    return f"{in_ms(ns)} ms"
+
+
+def _requests(share: FailedShare) -> str:
+    """Return `all its requests (12)`, `26 % of its requests (5 of 19)` or `3 of its requests`."""
+    if share.failed >= share.asked:
+        return f"all its requests ({share.failed:,})"
+    number = f"{share.failed:,} of its {share.asked:,} requests"
+    return f"{number} ({percent(share.share)})" if share.share >= FEW else number
