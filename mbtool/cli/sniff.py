@@ -234,13 +234,13 @@ def sniff(
             ends = _end(interrupt, out, duration, tell_suspension, run)
             heard = serial_lines(specs)
             formats = {name: timing.format_of(line) for name, line in heard.items()}
-            live = LiveStatistics(formats.get, None, devices)
-            _show(sniffer, out, live, devices, heard, ends, is_hurried)
-            live.close()
+            judged = LiveStatistics(formats.get, None, devices)
+            _show(sniffer, out, judged, devices, heard, ends, is_hurried)
+            judged.close()
             if run is not None:
                 run.end()
         if not service:
-            say_troubles(live.judgement())
+            say_troubles(judged.judgement())
         if write is not None:
             first = next(iter(parts_of(Path(write))), write)
             say(f"log: {write if rotation is None else f'{first} and those behind it'}")
@@ -286,7 +286,8 @@ def _show(
 ) -> None:
     """Print records as they come, and remarks on device models and on lines that cannot be read.
 
-    `live` counts and judges them. `devices` are the profiles of --device, and `lines` the serial lines by the name of their link.
+    `live` counts and judges them.
+    `devices` are the profiles of --device, and `lines` the serial lines by the name of their link.
     """
     from mbtool.cli.talk import say
     from mbtool.workflows.shared.model_hints import ModelHints
