@@ -86,8 +86,9 @@ class Judgement:
         total, units = self._total, unit_tallies(self.links)
         if not total.transactions:
             is_any = any(link.tally.transactions for link in self.links)
-            some = "only broadcasts, which no unit answers" if is_any else "no transaction"
-            return f"There is {some} in the recording."
+            if is_any:
+                return "There are only broadcasts, which no unit answers, in the recording."
+            return "There is no transaction in the recording."
         lacking, answered = total.count(Outcome.NOT_CAPTURED), _answered(total)
         lacks = f"; the recording lacks parts of {counted(lacking, 'transaction', ',')}"
         if not answered:

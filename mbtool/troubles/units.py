@@ -191,12 +191,10 @@ def exception_text(code: int, name: str) -> str:
 
 
 def _scan(joint: JointRefusals, link: str) -> Trouble:
-    some = (
-        f"all {joint.of} units" if joint.units == joint.of else f"{joint.units} of {joint.of} units"
-    )
+    some = f"{joint.units} of {joint.of}" if joint.units < joint.of else f"all {joint.of}"
     refused, asked = joint.tally.count(Outcome.EXCEPTION), joint.tally.requests
     figures = {
-        "units": f"{some} {joint.of} units",
+        "units": f"{some} units",
         "requests": _requests(FailedShare(refused, asked)).replace("its", "their"),
         "codes": _codes(joint.tally).text,
         "different": f"{joint.scanned:,}",

@@ -20,7 +20,6 @@ from mbtool.ledger import distribution, inventory, poll_statistics, request_orde
 from mbtool.ledger.answered_run import AnsweredRun
 from mbtool.ledger.inventory import Inventory
 from mbtool.ledger.statistics import Statistics
-from mbtool.ledger.statistics_report import report
 from mbtool.ledger.unit_times import UnitTimes
 from mbtool.modbus import encode_pdu, exception_pdu
 from mbtool.packets import read_capture
@@ -29,6 +28,7 @@ from mbtool.views.statistics_document import statistics_document
 from tests.columns.both_ways import NAME, PORTS, damaged, generated
 from tests.columns.test_equality import poll
 from tests.packets.building import Pcapng, Talk, pcap
+from tests.troubles.judging import judged
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -76,7 +76,7 @@ def overview(
             if not isinstance(part, WireEvent):
                 hosts.add(part)
     counted.settle()
-    document = statistics_document(counted, report(counted), sources=[], where=None)
+    document = statistics_document(counted, judged(counted), sources=[], where=None)
     times = {
         unit: [one.bins.bins(), *(getattr(one, name) for name in TIMES)]
         for unit, one in counted.units.items()

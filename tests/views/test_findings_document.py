@@ -11,6 +11,7 @@ import pytest
 from mbtool.devices.checking.finding import Finding
 from mbtool.devices.checking.rules import RULES
 from mbtool.views.findings_document import Document, JsonDocument, SarifDocument
+from tests.troubles.judging import NOTHING
 
 NOON_NS = 1_767_268_800_123_456_789
 """2026-01-01 12:00 UTC and a little."""
@@ -124,7 +125,7 @@ SARIF = _object(
 
 def written(document: Document, *findings: Finding, place: str = "plant.pcap") -> Any:
     text = document.begin() + "".join(document.add(one, place) for one in findings)
-    return json.loads(text + document.end(42, {"no_answer": 3}))
+    return json.loads(text + document.end(42, {"no_answer": 3}, judgement=NOTHING))
 
 
 def test_json_is_one_object_with_all_fields_of_the_findings() -> None:
@@ -226,7 +227,9 @@ def test_sarif_names_a_file_by_the_bytes_of_its_path() -> None:
 def test_documents_say_what_was_not_checked(*, is_whole: bool) -> None:
     json_, sarif = JsonDocument("1"), SarifDocument("1")
     told: list[Any] = [
-        json.loads(one.begin() + one.end(1, {}, remarks=["cut"], is_whole=is_whole))
+        json.loads(
+            one.begin() + one.end(1, {}, judgement=NOTHING, remarks=["cut"], is_whole=is_whole)
+        )
         for one in (json_, sarif)
     ]
     assert (told[0]["is_whole"], told[0]["remarks"]) == (is_whole, ["cut"])

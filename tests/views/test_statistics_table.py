@@ -9,15 +9,17 @@ from mbtool.core import CONNECTION_OPENED, EventKind, WireEvent
 from mbtool.ledger import master_tape
 from mbtool.ledger import statistics as limits
 from mbtool.ledger.statistics import Statistics
-from mbtool.ledger.statistics_report import LinkReport, report
+from mbtool.ledger.statistics_report import report
 from mbtool.modbus import Outcome, Transport
 from mbtool.views.statistics_document import statistics_document
 from mbtool.views.statistics_table import statistics_lines
 from tests.ledger.masters import START_NS, Master, Task
 from tests.ledger.requests import LINE, request, requests_of, unanswered
+from tests.troubles.judging import judged
 
 if TYPE_CHECKING:
     from mbtool.devices.named_transaction import NamedTransaction
+    from mbtool.troubles.judge import Judgement
 
 
 def counting(*records: NamedTransaction | WireEvent) -> Statistics:
@@ -28,8 +30,8 @@ def counting(*records: NamedTransaction | WireEvent) -> Statistics:
     return made
 
 
-def counted(*records: NamedTransaction | WireEvent) -> list[LinkReport]:
-    return report(counting(*records))
+def counted(*records: NamedTransaction | WireEvent) -> Judgement:
+    return judged(counting(*records))
 
 
 def lines_of(*records: NamedTransaction | WireEvent, top: int | None = None) -> list[str]:
@@ -42,14 +44,14 @@ def test_units_beyond_the_limit_are_named_as_others(monkeypatch: pytest.MonkeyPa
     asked = [request(at, unit=at % 20, function=3 + at % 2) for at in range(400)]
     lines = lines_of(*asked)
     assert "at least 6 units: 400 requests" in lines[0]
-    assert any(line.startswith("! there are more than") for line in lines)
+    assert any(line.startswith("there are more than") for line in lines)
     text = statistics_document(counting(*asked), counted(*asked), sources=["x"], where=None)
     (link,) = json.loads(text)["links"]
     assert link["functions"][0]["unit"] is None
 
 
 @pytest.fixture(scope="module")
-def plant() -> list[LinkReport]:
+def plant() -> Judgement:
     """Two lists with a dead unit and writes, of which every section has something to say."""
     master = Master(
         tasks=[Task(polls="abcdab", period_ms=1000), Task(polls="efgh", period_ms=7000)],
@@ -60,13 +62,13 @@ def plant() -> list[LinkReport]:
 
 @pytest.mark.parametrize("width", [60, 80, 120])
 @pytest.mark.parametrize("height", [24, 40])
-def test_all_fits_the_terminal(plant: list[LinkReport], width: int, height: int) -> None:
+def test_all_fits_the_terminal(plant: Judgement, width: int, height: int) -> None:
     lines = statistics_lines(plant, width=width, height=height)
     assert len(lines) < height
     assert max(len(line.text) for line in lines) <= width
 
 
-def test_a_small_terminal_says_what_has_no_room(plant: list[LinkReport]) -> None:
+def test_a_small_terminal_says_what_has_no_room(plant: Judgement) -> None:
     *_, last = statistics_lines(plant, width=80, height=20)
     assert last.text == (
         "left out: poll cycles, histogram (--top 10); column line (a wider terminal)"
@@ -76,7 +78,7 @@ def test_a_small_terminal_says_what_has_no_room(plant: list[LinkReport]) -> None
 @pytest.mark.parametrize("width", [60, 80, 100])
 @pytest.mark.parametrize("height", [100, None])
 def test_a_narrow_terminal_says_which_columns_have_no_room(
-    plant: list[LinkReport], width: int, height: int | None
+    plant: Judgement, width: int, height: int | None
 ) -> None:
     wide, narrow = (
         " ".join(line.text for line in statistics_lines(plant, width=one, height=height))
@@ -88,7 +90,7 @@ def test_a_narrow_terminal_says_which_columns_have_no_room(
     assert "left out" not in wide
 
 
-def test_the_number_that_is_said_to_show_all_shows_all(plant: list[LinkReport]) -> None:
+def test_the_number_that_is_said_to_show_all_shows_all(plant: Judgement) -> None:
     def texts(top: int) -> list[str]:
         return [line.text for line in statistics_lines(plant, width=120, height=24, top=top)]
 
@@ -96,7 +98,7 @@ def test_the_number_that_is_said_to_show_all_shows_all(plant: list[LinkReport]) 
     assert not any("more" in line and "polls;" in line for line in texts(9))
 
 
-def test_lists_whose_polls_have_no_room_are_counted(plant: list[LinkReport]) -> None:
+def test_lists_whose_polls_have_no_room_are_counted(plant: Judgement) -> None:
     told = [line.text for line in statistics_lines(plant, width=120, top=5)]
     assert "  ... the polls of 1 more list; --top 10 shows them" in told
     assert not any("more list" in line.text for line in statistics_lines(plant, width=120, top=10))
@@ -111,7 +113,7 @@ def test_cycles_of_the_last_requests_say_of_how_many(monkeypatch: pytest.MonkeyP
     assert "  of the last 30 requests of each master" in lines_of(*records, *others)
 
 
-def test_the_polls_that_keep_a_line_most_are_whole(plant: list[LinkReport]) -> None:
+def test_the_polls_that_keep_a_line_most_are_whole(plant: Judgement) -> None:
     def kept(width: int | None) -> str:
         lines = (line.text for line in statistics_lines(plant, width=width))
         (text,) = (text for text in lines if "kept most by" in text)
@@ -123,7 +125,7 @@ def test_the_polls_that_keep_a_line_most_are_whole(plant: list[LinkReport]) -> N
         assert whole.startswith(f"{kept(width)}; ")
 
 
-def test_a_pipe_has_all_sections(plant: list[LinkReport]) -> None:
+def test_a_pipe_has_all_sections(plant: Judgement) -> None:
     text = "\n".join(line.text for line in statistics_lines(plant, width=None))
     for title in ("line: busy", "polls: failed, slowest", "poll cycles", "latency of all"):
         assert title in text
@@ -188,7 +190,7 @@ def test_connections_are_told_where_there_is_something_to_tell() -> None:
     assert row.split()[3:] == ["1", "1", "1", "4", "(-3)"]
 
 
-def test_top_limits_the_rows_of_each_section(plant: list[LinkReport]) -> None:
+def test_top_limits_the_rows_of_each_section(plant: Judgement) -> None:
     lines = [line.text for line in statistics_lines(plant, width=120, height=24, top=2)]
     assert any("more polls; --top " in line for line in lines)
     assert not any(line.startswith("left out") for line in lines)
@@ -202,7 +204,7 @@ def test_a_document_is_one_of_plain_ascii_whatever_a_log_says() -> None:
     statistics = Statistics(lambda _: LINE)
     statistics.add(request(0, reference="\x1b[2J=cmd|'/C calc'!A0 \u202e"))
     statistics.settle()
-    text = statistics_document(statistics, report(statistics), sources=["x"], where=None)
+    text = statistics_document(statistics, judged(statistics), sources=["x"], where=None)
     assert text.isascii()
     assert "\x1b" not in text
     assert json.loads(text)["links"][0]["polls"][0]["reference"].startswith("\x1b[2J")
@@ -216,7 +218,7 @@ def test_polls_that_failed_most_come_first_and_the_title_says_so() -> None:
         statistics.add(unanswered(at + 200, 3, reference="C"))
         statistics.add(unanswered(at + 700, 4, reference="D"))
         statistics.add(unanswered(at + 900, 4, reference="D"))
-    lines = [line.text for line in statistics_lines(report(statistics), width=None)]
+    lines = [line.text for line in statistics_lines(judged(statistics), width=None)]
     first = next(at for at, line in enumerate(lines) if line.startswith("polls: failed, slowest"))
     assert [line.split()[2] for line in lines[first + 1 : first + 5]] == [
         "D", "C", "B", "A",
@@ -246,7 +248,7 @@ def test_damaged_answers_are_told_and_cost_no_waiting() -> None:
     lines = [line.text for line in statistics_lines([link], width=120)]
     assert "! unit 2 never answered" in lines
     assert "! 20 answers missing: 10 of unit 2, 10 of unit 3 with a wrong CRC" in lines[2]
-    text = statistics_document(statistics, [link], sources=["x"], where=None)
+    text = statistics_document(statistics, judged(statistics, [link]), sources=["x"], where=None)
     assert json.loads(text)["links"][0]["wrong_crc"] == 10
 
 
@@ -270,7 +272,9 @@ def test_answers_that_nobody_asked_for_are_neither_requests_nor_exceptions_of_th
     assert "! 1 exception: 1 of unit 1; 1 x 02 illegal data address\n" in text
     assert "! 1 answer that nobody asked for, 1 of them with an exception\n" in text
     statistics = Statistics(lambda _: LINE)
-    document = json.loads(statistics_document(statistics, links, sources=["a"], where=None))
+    document = json.loads(
+        statistics_document(statistics, judged(statistics, links), sources=["a"], where=None)
+    )
     (link,) = document["links"]
     assert (link["transactions"], link["requests"]) == (3, 2)
     assert link["exception"] == sum(one["count"] for one in link["exceptions"]) == 1

@@ -12,8 +12,9 @@ from mbtool.columns import packet_block, quiet_rows
 from mbtool.columns.quiet_rows import BlockRows
 from mbtool.core import Direction
 from mbtool.devices.checking import checker
+from mbtool.ledger import history
 from mbtool.modbus import encode_pdu, exception_pdu, mbap_adu
-from mbtool.values import history, values
+from mbtool.values import values
 from mbtool.views.report import late_answers, transaction_rows
 from mbtool.workflows import check, report
 from mbtool.workflows.report import ReportRun
