@@ -97,7 +97,7 @@ def check(
     source: SourceOptions,
     silences: SilenceOptions,
 ) -> None:
-    """Find what is wrong, why, and what to do; and what breaks a rule of Modbus or of a manual.
+    """Find what is wrong, why, and what to do.
 
     Rules of a device are held where --device, or the log itself, says which stands where. Exit code
     1 means that something is wrong, 0 that nothing is. docs/troubles.md explains the codes of

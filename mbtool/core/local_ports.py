@@ -12,7 +12,7 @@ from mbtool.core.serial_format import SerialFormat
 
 
 @dataclass(frozen=True, slots=True)
-class Trouble:
+class PortTrouble:
     """An obstacle to opening a serial port or a network interface."""
 
     problem: str
@@ -63,7 +63,7 @@ class LocalSerialPort:
     unseen_processes: int = 0
     """The number of processes that this user may not inspect; one of them may have the port
     open."""
-    troubles: tuple[Trouble, ...] = ()
+    troubles: tuple[PortTrouble, ...] = ()
 
     @property
     def name(self) -> str:
@@ -84,7 +84,7 @@ class LocalInterface:
     is_up: bool | None = None
     has_carrier: bool | None = None
     """True if the cable is connected at both ends; None while the interface is down."""
-    troubles: tuple[Trouble, ...] = ()
+    troubles: tuple[PortTrouble, ...] = ()
     """Problems that prevent a capture from starting, even if the interface is up."""
 
     @property

@@ -23,7 +23,7 @@ from pathlib import Path
 
 from serial.tools import list_ports
 
-from mbtool.core.local_ports import Holder, LocalSerialPort, Trouble
+from mbtool.core.local_ports import Holder, LocalSerialPort, PortTrouble
 from mbtool.ports.port_holders import holders_of
 from mbtool.ports.serial_port import who_may
 from mbtool.ports.system_files import read_line, read_number
@@ -185,44 +185,46 @@ def _low_latency(
     return (False, False) if driver in _WITHOUT_LOW_LATENCY else (None, None)
 
 
-def _permission(path: Path, name: str) -> list[Trouble]:
+def _permission(path: Path, name: str) -> list[PortTrouble]:
     try:
         os.stat(path)
     except FileNotFoundError:
         return [
-            Trouble(f"the kernel has it, but there is no /dev/{name} here; is this a container?")
+            PortTrouble(
+                f"the kernel has it, but there is no /dev/{name} here; is this a container?"
+            )
         ]
     except OSError:
         pass  # os.access then says that there is no access.
     if os.access(path, os.R_OK | os.W_OK, effective_ids=os.access in os.supports_effective_ids):
         return []
     why = who_may(str(path))
-    return [Trouble(f"permission denied; {why.problem}", why.remedy)]
+    return [PortTrouble(f"permission denied; {why.problem}", why.remedy)]
 
 
-def _held(holder: Holder, name: str) -> Trouble:
-    return Trouble(
+def _held(holder: Holder, name: str) -> PortTrouble:
+    return PortTrouble(
         f"held by {holder}: two readers of a port steal each other's bytes; end that program first",
         _SERVICES.get(holder.command, "").format(name=name),
     )
 
 
-def _console(name: str, consoles: list[str]) -> list[Trouble]:
+def _console(name: str, consoles: list[str]) -> list[PortTrouble]:
     if name not in consoles:
         return []
     return [
-        Trouble(
+        PortTrouble(
             f"the kernel writes its messages to it; take console={name} off the kernel's command "
             "line and start the machine anew before a bus is connected"
         )
     ]
 
 
-def _latency_timer(timer: int | None, name: str) -> list[Trouble]:
+def _latency_timer(timer: int | None, name: str) -> list[PortTrouble]:
     if timer is None or timer <= 1:
         return []
     return [
-        Trouble(
+        PortTrouble(
             f"FTDI latency timer {timer} ms: frames arrive glued; mbtool sets it to 1 ms when it "
             "opens the port, for other programs set it yourself",
             f"echo 1 | sudo tee /sys/bus/usb-serial/devices/{name}/latency_timer",
@@ -230,11 +232,11 @@ def _latency_timer(timer: int | None, name: str) -> list[Trouble]:
     ]
 
 
-def _fifo(fifo: int | None, name: str) -> list[Trouble]:
+def _fifo(fifo: int | None, name: str) -> list[PortTrouble]:
     if fifo is None or fifo <= 1:
         return []
     return [
-        Trouble(
+        PortTrouble(
             f"its FIFO hands over {fifo} bytes at once, and fewer only after 4 characters of "
             "silence: ends of frames are timed late",
             f"echo 1 | sudo tee /sys/class/tty/{name}/rx_trig_bytes",

@@ -12,7 +12,7 @@ import serial
 from serial.tools import list_ports
 
 from mbtool.core import LinkError, SerialFormat
-from mbtool.core.local_ports import Trouble
+from mbtool.core.local_ports import PortTrouble
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -138,22 +138,24 @@ def _ports_here() -> str:
     return f"here are: {', '.join(ports)}" if ports else "there are no serial ports here"
 
 
-def who_may(port: str) -> Trouble:
+def who_may(port: str) -> PortTrouble:
     """Return the obstacle for a user who may not open a port: who may open it, and, if known, the
     command that gives the user this permission.
     """
     if sys.platform == "win32":
-        return Trouble("another program may hold it")
+        return PortTrouble("another program may hold it")
     import grp
 
     try:
         group_id = os.stat(port).st_gid
     except OSError:
-        return Trouble("a folder on the way to it may not be entered", f"namei -l {port}")
+        return PortTrouble("a folder on the way to it may not be entered", f"namei -l {port}")
     try:
         group = grp.getgrgid(group_id).gr_name
     except KeyError:
         group = str(group_id)
     if group == "root":
-        return Trouble("only root may open it; give it to a group of yours with a udev rule")
-    return Trouble(f"its group is {group}", f"sudo usermod -aG {group} $USER, then log in again")
+        return PortTrouble("only root may open it; give it to a group of yours with a udev rule")
+    return PortTrouble(
+        f"its group is {group}", f"sudo usermod -aG {group} $USER, then log in again"
+    )

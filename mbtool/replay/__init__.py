@@ -7,7 +7,7 @@ from mbtool.replay.bus import BusPlayer, ByteRun
 from mbtool.replay.clock import PlayClock
 from mbtool.replay.comparing import Ignored, differences
 from mbtool.replay.conductor import Conductor
-from mbtool.replay.judging import Judge, RequestReport, Tolerance
+from mbtool.replay.judging import RequestReport, ResponseJudge, Tolerance
 from mbtool.replay.latency import FixedLatency, LatencyModel, RecordedLatency, SampledLatency
 from mbtool.replay.matching import MatchStrategy, OnEnd
 from mbtool.replay.player import AnsweredFrom, Device, OnMiss, RecordedSlave
@@ -26,7 +26,6 @@ __all__ = [
     "Device",
     "FixedLatency",
     "Ignored",
-    "Judge",
     "LatencyModel",
     "MatchStrategy",
     "OnEnd",
@@ -39,6 +38,7 @@ __all__ = [
     "RecordedSlave",
     "Recording",
     "RequestReport",
+    "ResponseJudge",
     "SampledLatency",
     "Script",
     "Steering",

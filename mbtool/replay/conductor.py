@@ -38,7 +38,7 @@ from mbtool.replay.traffic import Sample
 if TYPE_CHECKING:
     from mbtool.core.limits import LinkLimits
     from mbtool.replay.clock import PlayClock
-    from mbtool.replay.judging import Judge
+    from mbtool.replay.judging import ResponseJudge
     from mbtool.replay.script import Script
 
 
@@ -53,7 +53,9 @@ class Conductor:
     without end.
     """
 
-    def __init__(self, script: Script, clock: PlayClock, judge: Judge, limits: LinkLimits) -> None:
+    def __init__(
+        self, script: Script, clock: PlayClock, judge: ResponseJudge, limits: LinkLimits
+    ) -> None:
         self._queue = PlayQueue(script.steps, clock)
         self._judge = judge
         self._limits = limits

@@ -151,7 +151,7 @@ class RequestReport(msgspec.Struct, frozen=True, kw_only=True):
     """The registers that differed from the recorded responses, in the device's notation."""
 
 
-class Judge:
+class ResponseJudge:
     """Compares a live slave's responses with the recorded ones, and collects the differences."""
 
     def __init__(

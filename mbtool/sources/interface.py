@@ -43,7 +43,7 @@ from typing import TYPE_CHECKING, Any
 
 from mbtool.core import EventKind, InterfaceLink, LinkError, Packet, Quiet, WireEvent
 from mbtool.core.link_spec import ANY_INTERFACE, MODBUS_PORT
-from mbtool.core.local_ports import Trouble
+from mbtool.core.local_ports import PortTrouble
 from mbtool.ports.clock import ClockWatch, now_ns
 from mbtool.sources.inbox import Ended, PatientSink
 from mbtool.sources.port_filter import drop_everything, port_filter
@@ -306,10 +306,10 @@ class InterfaceSource(LiveSource[InterfaceLink]):
         )
 
 
-def capture_trouble() -> Trouble | None:
+def capture_trouble() -> PortTrouble | None:
     """Return the reason why this process cannot capture from any interface; None if it can."""
     if sys.platform != "linux":
-        return Trouble(
+        return PortTrouble(
             "listening to an interface needs Linux; decode a file of Wireshark's, "
             "or use tap:LISTEN=TARGET"
         )
@@ -318,7 +318,7 @@ def capture_trouble() -> Trouble | None:
     try:
         socket.socket(socket.AF_PACKET, socket.SOCK_RAW, 0).close()
     except PermissionError:
-        return Trouble(
+        return PortTrouble(
             "listening needs the capability cap_net_raw",
             f"sudo {_program()}; or give raw sockets to every Python program: "
             f"sudo setcap cap_net_raw+ep {os.path.realpath(sys.executable)}",
@@ -335,14 +335,14 @@ def _program() -> str:
     return script if here.startswith(os.pardir) else here
 
 
-def hardware_trouble(hardware: int) -> Trouble | None:
+def hardware_trouble(hardware: int) -> PortTrouble | None:
     """Return the reason why packets of a hardware type (ARPHRD_, linux/if_arp.h) cannot be read.
 
     Returns None if they can be read.
     """
     if hardware in _LINK_TYPES:
         return None
-    return Trouble(
+    return PortTrouble(
         f"its hardware type {hardware} is not one that can be read; "
         "Ethernet, loopback and IP tunnels are"
     )

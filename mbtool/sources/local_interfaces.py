@@ -17,7 +17,7 @@ import socket
 import sys
 from pathlib import Path
 
-from mbtool.core.local_ports import LocalInterface, Trouble
+from mbtool.core.local_ports import LocalInterface, PortTrouble
 from mbtool.ports.system_files import read_number, read_text
 from mbtool.sources.interface import capture_trouble, hardware_trouble
 
@@ -54,7 +54,7 @@ def local_interfaces(root: Path = Path("/")) -> list[LocalInterface]:
     return [_interface(folder / name, trouble) for name in names if (folder / name).is_dir()]
 
 
-def interfaces_by_name(trouble: Trouble | None) -> list[LocalInterface]:
+def interfaces_by_name(trouble: PortTrouble | None) -> list[LocalInterface]:
     """Return all interfaces by name only, which works on any system.
 
     `trouble` is the reason why this process cannot capture at all; None if it can.
@@ -63,7 +63,7 @@ def interfaces_by_name(trouble: Trouble | None) -> list[LocalInterface]:
     return [LocalInterface(name=name, troubles=troubles) for _, name in socket.if_nameindex()]
 
 
-def _interface(path: Path, trouble: Trouble | None) -> LocalInterface:
+def _interface(path: Path, trouble: PortTrouble | None) -> LocalInterface:
     hardware = read_number(path / "type")
     is_up = bool((read_number(path / "flags") or 0) & _IFF_UP)
     carrier = read_number(path / "carrier") if is_up else None

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from mbtool.troubles.net_lost import LostConnections
+
 if TYPE_CHECKING:
     from mbtool.devices.checking.capture_context import CaptureContext
     from mbtool.troubles.sense import Sense
@@ -12,4 +14,4 @@ if TYPE_CHECKING:
 def network_senses(context: CaptureContext) -> list[Sense]:
     """Return a sense of each kind; `context` has facts about the present capture."""
     del context
-    return []
+    return [LostConnections()]

@@ -33,6 +33,13 @@ if TYPE_CHECKING:
 
 _NAMED = 2
 """At most so many requests that a unit always refuses are named."""
+_SEARCH = {
+    "UNIT-SILENT": "no-answer",
+    "UNIT-BAD-CRC": "no-answer",
+    "UNIT-MISSING": "no-answer",
+    "UNIT-MALFORMED": "malformed",
+    "UNIT-REFUSES": "exception",
+}
 _CHECK_LINE = "check its power, address, wires and line settings"
 _CHECK_NETWORK = "check that it runs, and that address, unit and gateway are right"
 _ADVICE = {
@@ -77,6 +84,7 @@ class _Unit:
             is_long=share.is_long,
             is_small=not (share.is_grave or never),
             weight=share.failed if never else share.share,
+            search=_SEARCH[code],
             figures={
                 "requests": _requests(share),
                 "percent": percent(share.share),

@@ -43,6 +43,13 @@ _ROWS = (
         ("RTU-202", "RTU-201", "RTU-204", "LINE-STRAY", "UNIT-SILENT", "UNIT-MISSING"),
     ),
     # The network.
+    Words(
+        "NET-LOST", _W,
+        "{connections} to {link} lost: {ends}",
+        "look who sends the reset or refuses: the slave's limit of connections, a firewall, or a "
+        "restart",
+        "link", "connections lost",
+    ),
     # Units.
     Words(
         "UNIT-SILENT", _E,
@@ -54,7 +61,7 @@ _ROWS = (
         "UNIT-BAD-CRC", _E,
         "{who} answers {requests} with a wrong CRC",
         "check the cable, shield, termination and ground to this unit, and its baud rate",
-        "unit", "{percent} wrong CRC", ("RTU-201", "MB-401"),
+        "unit", "{percent} wrong CRC", ("RTU-201", "MB-401", "MB-402"),
     ),
     Words(
         "UNIT-MISSING", _E,

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-    from mbtool.core.local_ports import LocalInterface, LocalSerialPort, Trouble
+    from mbtool.core.local_ports import LocalInterface, LocalSerialPort, PortTrouble
 
 _UNKNOWN = "-"
 _INDENT = "  "
@@ -58,7 +58,7 @@ def print_interfaces(console: Console, interfaces: Sequence[LocalInterface]) -> 
             plain("permitted" if one.may_capture else "no"),
         )
     console.print(table)
-    about: dict[Trouble, list[str]] = {}
+    about: dict[PortTrouble, list[str]] = {}
     for one in interfaces:
         for trouble in one.troubles:
             about.setdefault(trouble, []).append(one.name)
@@ -67,7 +67,7 @@ def print_interfaces(console: Console, interfaces: Sequence[LocalInterface]) -> 
         _print_trouble(console, trouble, "" if is_everywhere else f"{', '.join(names)}: ")
 
 
-def _print_trouble(console: Console, trouble: Trouble, where: str = "") -> None:
+def _print_trouble(console: Console, trouble: PortTrouble, where: str = "") -> None:
     for line in wrap(
         f"! {where}{trouble.problem}",
         max(console.width, _NARROWEST),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from datetime import UTC, datetime
+from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
 from mbtool.core.wording import counted
@@ -11,11 +12,11 @@ from mbtool.views.statistics_columns import StyledLine
 from mbtool.views.tables import printable
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from mbtool.troubles.judge import Judgement
     from mbtool.troubles.trouble import Evidence, Trouble
 
+WATCH_LINES = 3
+_NARROWEST = 20
 MOST = 5
 """A text shows at most so many troubles, the worst ones, and says how many more there are."""
 STYLES = {Severity.ERROR: "red", Severity.WARNING: "yellow", Severity.NOTE: "cyan"}
@@ -93,26 +94,19 @@ def utc_text(ts_ns: int) -> str | None:
     return time.isoformat().replace("+00:00", "Z")
 
 
-def watch_text(judgement: Judgement, width: int) -> tuple[str, str]:
-    """Return one line of at most `width` characters on the worst troubles, and its style; an empty
-    line if there is none.
+def watch_text(judgement: Judgement, width: int) -> tuple[list[str], str]:
+    """Return the worst trouble with its remedy as at most WATCH_LINES lines of `width` characters,
+    and their style; no lines if there is none.
 
-    The worst one stands there with its remedy if there is room, and is never left out. The key 5
-    opens the table of slaves, which has all.
+    If there is no room for the remedy, it is left out. The last line says how many more there are.
     """
     troubles = judgement.troubles
     if not troubles:
-        return "", ""
-
-    def line(parts: Sequence[str]) -> str:
-        left = len(troubles) - len(parts)
-        return "; ".join([*parts, *([f"{left} more: key 5"] if left else [])])
-
-    texts = [trouble_text(one) for one in troubles]
-    causes = [printable(one.cause) for one in troubles]
-    lines = [line(some) for some in (texts, causes)]
-    lines += [line(causes[:number]) for number in range(len(causes) - 1, 1, -1)]
-    lines += [line(texts[:1]), line(causes[:1])]
-    fitting = (text for text in lines if len(text) <= width)
-    style = "bold red" if troubles[0].severity is Severity.ERROR else "yellow"
-    return next(fitting, lines[-1]), style
+        return [], ""
+    worst, left = troubles[0], len(troubles) - 1
+    more = f"; {left} more: key 6" if left else ""
+    lines = wrap(f"{trouble_text(worst)}{more}", max(width, _NARROWEST))
+    if len(lines) > WATCH_LINES:
+        lines = wrap(f"{printable(worst.cause)}{more}", max(width, _NARROWEST))
+    style = "bold red" if worst.severity is Severity.ERROR else "yellow"
+    return lines[:WATCH_LINES], style

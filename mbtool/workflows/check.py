@@ -26,6 +26,7 @@ from mbtool.ledger.failed_requests import FailedRequests
 from mbtool.ledger.statistics import Statistics
 from mbtool.sources.files import STANDARD_INPUT
 from mbtool.troubles.judge import Judge
+from mbtool.troubles.words import WORDS
 from mbtool.workflows.shared.log_records import profiles_of_logs
 from mbtool.workflows.shared.model_hints import ModelHints
 from mbtool.workflows.shared.read_all import unwatched
@@ -94,6 +95,7 @@ class CodeFilter:
         prefixes = {f"{finding_prefix(profile)}-" for profile in profiles}
         letters = [rule.code for rule in RULES.values() if rule.is_of_devices]
         codes = [rule.code for rule in RULES.values() if not rule.is_of_devices]
+        codes += WORDS
         # The codes of rules in profiles cannot all be listed. They consist of the profile's prefix,
         # a letter for the kind of rule, and then for example a function code.
         of_devices = tuple(f"{prefix}{letter}" for prefix in prefixes for letter in letters)

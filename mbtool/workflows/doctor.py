@@ -25,7 +25,7 @@ from mbtool.workflows.extcap_install import scripts
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
 
-    from mbtool.core.local_ports import LocalSerialPort, Trouble
+    from mbtool.core.local_ports import LocalSerialPort, PortTrouble
 
 OLDEST_PYTHON = (3, 11)
 SMALLEST_TERMINAL = (80, 24)
@@ -84,7 +84,7 @@ class Screen:
 
 
 def machine_checks(
-    ports: Iterable[LocalSerialPort], capture: Trouble | None, screen: Screen
+    ports: Iterable[LocalSerialPort], capture: PortTrouble | None, screen: Screen
 ) -> Iterator[MachineCheck]:
     """Run all checks, and yield the results in the order in which `mbtool doctor` shows them.
 
@@ -186,7 +186,7 @@ def _priority() -> MachineCheck:
     return MachineCheck(name, CheckState.MISSING, found, remedy)
 
 
-def capture_check(trouble: Trouble | None) -> MachineCheck:
+def capture_check(trouble: PortTrouble | None) -> MachineCheck:
     if trouble is None:
         return MachineCheck("capture", CheckState.OK, "net: links may be opened")
     return MachineCheck("capture", CheckState.MISSING, trouble.problem, trouble.remedy)

@@ -80,7 +80,7 @@ class InventoryRun:
             if not inventory.transactions:
                 raise
             self.error = error
-        for remark in self._check.remarks:
+        for remark in self.reading.remarks:
             on_remark(remark)
         profiles = {one.name: one for one in map(load_profile, builtin_profiles())}
         profiles |= {one.name: one for one in self.reading.assignments.profiles}

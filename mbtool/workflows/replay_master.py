@@ -17,10 +17,10 @@ from mbtool.devices import Difference, Span, parse_span, write_reference
 from mbtool.master.links import open_master
 from mbtool.replay import (
     Conductor,
-    Judge,
     PlayClock,
     PlayerControls,
     RequestReport,
+    ResponseJudge,
     Script,
     Steering,
     Step,
@@ -158,7 +158,7 @@ class MasterRun:
         `problem` and the results so far. Raises UsageError if a master cannot use the link.
         """
         options = self._options
-        judge = Judge(
+        judge = ResponseJudge(
             profiles=self._profiles,
             spans=self._spans,
             learns=options.learns,
@@ -225,7 +225,7 @@ class MasterRun:
                 on_answer(late, None, is_right)
 
     def _report(
-        self, link: LinkSpec, judge: Judge, conductor: Conductor | None, problem: str | None
+        self, link: LinkSpec, judge: ResponseJudge, conductor: Conductor | None, problem: str | None
     ) -> Report:
         """Make the report. `conductor` is None if the link could not be opened, so that nothing was
         sent; `problem` is the error of the link, if any.

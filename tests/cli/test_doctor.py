@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 import pytest
 
 from mbtool.cli import exit_codes
-from mbtool.core.local_ports import LocalSerialPort, Trouble
+from mbtool.core.local_ports import LocalSerialPort, PortTrouble
 from mbtool.ports import local_ports
 
 if TYPE_CHECKING:
     from tests.cli.program import CommandLine
 
-TIMER = Trouble(
+TIMER = PortTrouble(
     "its timer is 16 ms, so frames come in blocks of that length, glued", "echo 1 | tee"
 )
 

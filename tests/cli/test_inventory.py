@@ -23,10 +23,10 @@ WRITE = (bytes.fromhex("06 0010 0007"), bytes.fromhex("06 0010 0007"))
 
 def test_a_network_is_a_table_of_units_and_masters(mbtool: CommandLine) -> None:
     told = mbtool("inventory", FA3)
-    assert (told.code, told.err) == (
-        exit_codes.DONE,
-        "1 host with 1 unit, 1 master in 9 transactions\n",
-    )
+    assert told.code == exit_codes.DONE
+    refused, summary = told.err.splitlines()
+    assert refused.startswith("! unit 0 refuses 03 holding 16..17 (once), with 02 illegal data ")
+    assert summary == "1 host with 1 unit, 1 master in 9 transactions"
     assert [line.rstrip() for line in told.lines] == [
         "host       unit  role   profile",
         "127.0.0.1     0  slave  fa3-at1m8x 90",
@@ -87,7 +87,7 @@ def test_the_same_as_the_baseline_is_exit_code_0(mbtool: CommandLine, tmp_path: 
     mbtool("inventory", FA3, "-o", old)
     told = mbtool("inventory", FA3, "--baseline", old)
     assert (told.code, told.out) == (exit_codes.DONE, "")
-    assert told.err.startswith("0 changes since the baseline; 1 host ")
+    assert told.err.splitlines()[-1].startswith("0 changes since the baseline; 1 host ")
 
 
 def test_what_is_new_since_the_baseline_is_printed_and_the_exit_code_is_1(

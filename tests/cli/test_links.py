@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from mbtool.cli import exit_codes
-from mbtool.core.local_ports import Holder, LocalInterface, LocalSerialPort, Trouble
+from mbtool.core.local_ports import Holder, LocalInterface, LocalSerialPort, PortTrouble
 
 if TYPE_CHECKING:
     from tests.cli.program import CommandLine
@@ -20,7 +20,7 @@ PORT = LocalSerialPort(
     low_latency=False,
     holders=(Holder(412, "picocom"),),
     unseen_processes=3,
-    troubles=(Trouble("glued", "echo 1"), Trouble("held")),
+    troubles=(PortTrouble("glued", "echo 1"), PortTrouble("held")),
 )
 INTERFACE = LocalInterface(name="eth0", is_up=False)
 

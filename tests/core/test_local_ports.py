@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from mbtool.core.link_spec import parse_link
-from mbtool.core.local_ports import Holder, LocalInterface, LocalSerialPort, Trouble
+from mbtool.core.local_ports import Holder, LocalInterface, LocalSerialPort, PortTrouble
 
 BY_PATH = "/dev/serial/by-path/pci-0000:00:14.0-usb-0:2:1.0-port0"
 
@@ -19,12 +19,12 @@ def test_a_ports_link_is_its_stable_name_where_it_has_one() -> None:
 def test_an_interface_can_be_captured_unless_there_is_trouble() -> None:
     assert LocalInterface(name="eth0").link == "net:eth0"
     assert LocalInterface(name="eth0", is_up=False).may_capture
-    assert not LocalInterface(name="eth0", troubles=(Trouble("forbidden"),)).may_capture
+    assert not LocalInterface(name="eth0", troubles=(PortTrouble("forbidden"),)).may_capture
 
 
 def test_trouble_is_one_line_with_its_remedy() -> None:
-    assert str(Trouble("its group is dialout", "sudo usermod")) == (
+    assert str(PortTrouble("its group is dialout", "sudo usermod")) == (
         "its group is dialout: sudo usermod"
     )
-    assert str(Trouble("only root may read it")) == "only root may read it"
+    assert str(PortTrouble("only root may read it")) == "only root may read it"
     assert str(Holder(412, "agetty")) == "agetty (412)"

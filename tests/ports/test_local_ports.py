@@ -13,7 +13,7 @@ from serial.tools import list_ports
 from serial.tools.list_ports_common import ListPortInfo
 
 from mbtool.core import parse_link
-from mbtool.core.local_ports import Holder, LocalSerialPort, Trouble
+from mbtool.core.local_ports import Holder, LocalSerialPort, PortTrouble
 from mbtool.ports.local_ports import local_ports, ports_by_pyserial
 from tests.sources.machine import Machine
 
@@ -63,7 +63,7 @@ def test_an_ftdi_adapter_is_told_in_full(machine: Machine) -> None:
         troubles=port.troubles,
     )
     assert port.troubles == (
-        Trouble(
+        PortTrouble(
             "FTDI latency timer 16 ms: frames arrive glued; mbtool sets it to 1 ms when it opens "
             "the port, for other programs set it yourself",
             "echo 1 | sudo tee /sys/bus/usb-serial/devices/ttyUSB0/latency_timer",
@@ -182,7 +182,7 @@ def test_a_missing_permission_names_the_group(
     monkeypatch.setattr(os, "supports_effective_ids", {os.access})
     monkeypatch.setattr(grp, "getgrgid", lambda _: grp.struct_group(("dialout", "x", 20, [])))
     assert only(machine).troubles == (
-        Trouble(
+        PortTrouble(
             "permission denied; its group is dialout",
             "sudo usermod -aG dialout $USER, then log in again",
         ),

@@ -10,7 +10,7 @@ from mbtool.core.limits import RESPONSE_TIMEOUT_NS, TURNAROUND_NS, LinkLimits
 from mbtool.devices import Namer
 from mbtool.replay.clock import PlayClock
 from mbtool.replay.conductor import Conductor
-from mbtool.replay.judging import Judge, Tolerance
+from mbtool.replay.judging import ResponseJudge, Tolerance
 from mbtool.replay.script import Script
 from tests.replay.recorded import MS, answered, to_all, unanswered
 
@@ -35,7 +35,7 @@ class Played:
     ) -> None:
         namer = Namer()
         script = Script.of(namer.name(one) for one in transactions)
-        self.judge = Judge()
+        self.judge = ResponseJudge()
         self.clock = PlayClock(script.length_ns, rate=rate, gap_ns=MS, is_loop=is_loop)
         self.clock.run(BEGIN)
         self.conductor = Conductor(script, self.clock, self.judge, limits or LinkLimits())
@@ -159,7 +159,7 @@ def test_latencies_and_pauses_count_from_the_last_byte() -> None:
     second = played.conductor.next_step(BEGIN + free_ms * MS)
     assert second is not None
     played.conductor.note_sent(second, BEGIN + (free_ms + 20) * MS)
-    tolerant = Judge(tolerance=Tolerance(share=0.0))
+    tolerant = ResponseJudge(tolerance=Tolerance(share=0.0))
     tolerant.judge(second, RIGHT, 9 * MS)
     assert played.answer(1, free_ms + 29) is True
     assert tolerant.differences() == []

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from mbtool.devices import Assignments, DifferenceKind, Namer, Span, load_profile, parse_assignment
 from mbtool.modbus import Outcome, Table, Transaction
-from mbtool.replay.judging import MAX_OUTCOMES, Judge, Tolerance
+from mbtool.replay.judging import MAX_OUTCOMES, ResponseJudge, Tolerance
 from mbtool.replay.script import Script, Step
 from mbtool.replay.significance import MIN_VALUES
 from tests.replay.recorded import MS, answered, to_all, unanswered
@@ -29,15 +29,15 @@ def _step(transaction: Transaction, device: str | None = None) -> Step:
     return step
 
 
-def _told(judge: Judge) -> list[tuple[str, str | None, str, str, int | None]]:
+def _told(judge: ResponseJudge) -> list[tuple[str, str | None, str, str, int | None]]:
     return [
         (one.kind.value, one.reference, one.a.text, one.b.text, one.b.count)
         for one in judge.differences()
     ]
 
 
-def _judged(transaction: Transaction, answer: str | None, times: int = 1) -> Judge:
-    judge = Judge()
+def _judged(transaction: Transaction, answer: str | None, times: int = 1) -> ResponseJudge:
+    judge = ResponseJudge()
     for _ in range(times):
         judge.judge(_step(transaction), None if answer is None else bytes.fromhex(answer), 5 * MS)
     return judge
@@ -121,7 +121,7 @@ def test_bytes_that_differ_late_are_shown_too() -> None:
 
 
 def test_the_number_of_different_outcomes_is_bounded() -> None:
-    step, judge = _step(answered(0, "0B", "0B 0000 0000")), Judge()
+    step, judge = _step(answered(0, "0B", "0B 0000 0000")), ResponseJudge()
     for count in range(1, 1001):
         judge.judge(step, bytes.fromhex(f"0B 0000 {count:04X}"), None)
     told = judge.differences()
@@ -131,7 +131,7 @@ def test_the_number_of_different_outcomes_is_bounded() -> None:
 
 
 def test_a_difference_that_is_not_constant_has_a_count() -> None:
-    judge = Judge()
+    judge = ResponseJudge()
     step, part = _step(answered(0, READ, VALUES)), _step(answered(0, "03 000B 0001", "03 02 0008"))
     for answer in (VALUES, None, "03 04 0007 0009", VALUES):
         judge.judge(step, None if answer is None else bytes.fromhex(answer), None)
@@ -157,7 +157,7 @@ def test_a_broadcast_has_no_answer_to_compare() -> None:
 
 
 def test_registers_that_may_differ_do_not_count() -> None:
-    judge = Judge(spans=[Span(Table.HOLDING_REGISTERS, 10, 10)])
+    judge = ResponseJudge(spans=[Span(Table.HOLDING_REGISTERS, 10, 10)])
     step = _step(answered(0, READ, VALUES))
     assert judge.judge(step, bytes.fromhex("03 04 0001 0008"), None)
     assert not judge.judge(step, bytes.fromhex("03 04 0001 0009"), None)
@@ -165,7 +165,7 @@ def test_registers_that_may_differ_do_not_count() -> None:
 
 
 def test_registers_that_differ_can_be_learned() -> None:
-    judge = Judge(learns=True)
+    judge = ResponseJudge(learns=True)
     assert judge.judge(_step(answered(0, READ, VALUES)), bytes.fromhex("03 04 0001 0002"), None)
     assert judge.judge(
         _step(answered(0, "03 0020 0001", "03 02 0007", unit=2)), bytes.fromhex("03 02 0008"), None
@@ -180,9 +180,9 @@ def test_registers_that_differ_can_be_learned() -> None:
 
 def _late(
     recorded_ms: Sequence[float], answered_ms: Sequence[float], tolerance: Tolerance | None
-) -> Judge:
-    """Judge right answers to one request with these latencies."""
-    judge = Judge(tolerance=tolerance)
+) -> ResponseJudge:
+    """ResponseJudge right answers to one request with these latencies."""
+    judge = ResponseJudge(tolerance=tolerance)
     for before, after in zip(recorded_ms, answered_ms, strict=True):
         step = _step(answered(0, READ, VALUES, latency_ns=round(before * MS)))
         judge.judge(step, bytes.fromhex(VALUES), round(after * MS))
@@ -230,7 +230,7 @@ def test_many_requests_that_are_no_slower_are_not_told_as_slower() -> None:
     chance = random.Random(7)
     wrong = 0
     for _ in range(200):
-        judge = Judge(tolerance=Tolerance(least_ns=0))
+        judge = ResponseJudge(tolerance=Tolerance(least_ns=0))
         for address in range(20):
             step = _step(answered(0, f"03 {address:04X} 0001", "03 02 0001"))
             for _ in range(10):
@@ -241,7 +241,7 @@ def test_many_requests_that_are_no_slower_are_not_told_as_slower() -> None:
 
 
 def test_writes_of_other_values_are_one_request() -> None:
-    judge = Judge(tolerance=Tolerance())
+    judge = ResponseJudge(tolerance=Tolerance())
     for value in range(10):
         pdu = f"06 0001 {value:04X}"
         step = _step(answered(0, pdu, pdu))
@@ -270,7 +270,7 @@ def test_a_request_is_reported_with_the_registers_that_differ() -> None:
 
 
 def test_values_are_formatted_by_the_device() -> None:
-    judge = Judge(profiles={AT1M8X.name: AT1M8X})
+    judge = ResponseJudge(profiles={AT1M8X.name: AT1M8X})
     step = _step(answered(0, "03 0102 0001", "03 02 005C"), "fa3-at1m8x")
     judge.judge(step, bytes.fromhex("03 02 00FF"), None)
     (found,) = judge.differences()
@@ -280,6 +280,6 @@ def test_values_are_formatted_by_the_device() -> None:
 
 @given(st.binary(min_size=1, max_size=253), st.none() | st.binary(min_size=1, max_size=253))
 def test_no_response_raises_an_error(expected: bytes, answer: bytes | None) -> None:
-    judge = Judge()
+    judge = ResponseJudge()
     judge.judge(_step(answered(0, READ, expected.hex())), answer, None)
     assert judge.wrong == len(judge.differences()) or judge.wrong == 1

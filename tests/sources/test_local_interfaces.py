@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from mbtool.core.local_ports import LocalInterface, Trouble
+from mbtool.core.local_ports import LocalInterface, PortTrouble
 from mbtool.sources import local_interfaces as module
 from mbtool.sources.interface import capture_trouble
 from mbtool.sources.local_interfaces import interfaces_by_name, local_interfaces
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 if sys.platform != "linux":
     pytest.skip("what there is below /sys is Linux's", allow_module_level=True)
 
-FORBIDDEN = Trouble("listening needs the capability cap_net_raw", "sudo setcap")
+FORBIDDEN = PortTrouble("listening needs the capability cap_net_raw", "sudo setcap")
 
 
 @pytest.fixture

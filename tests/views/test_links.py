@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 from rich.console import Console
 
-from mbtool.core.local_ports import Holder, LocalInterface, LocalSerialPort, Trouble
+from mbtool.core.local_ports import Holder, LocalInterface, LocalSerialPort, PortTrouble
 from mbtool.views.links import print_interfaces, print_ports
 
 if TYPE_CHECKING:
@@ -26,12 +26,12 @@ ADAPTER = LocalSerialPort(
     low_latency=False,
     low_latency_support=True,
     holders=(Holder(412, "picocom"), Holder(77, "cat")),
-    troubles=(Trouble("FTDI latency timer 16 ms: frames arrive glued", TEE),),
+    troubles=(PortTrouble("FTDI latency timer 16 ms: frames arrive glued", TEE),),
 )
 UART = LocalSerialPort(device="/dev/ttyS0", fifo_bytes=1, low_latency=True, unseen_processes=3)
 CH340 = LocalSerialPort(device="/dev/ttyUSB1", driver="ch341-uart", low_latency_support=False)
 UNKNOWN = LocalSerialPort(device="COM3")
-FORBIDDEN = Trouble("listening needs the capability cap_net_raw", "sudo setcap python")
+FORBIDDEN = PortTrouble("listening needs the capability cap_net_raw", "sudo setcap python")
 
 
 def ports(*shown: LocalSerialPort, width: int = 100) -> list[str]:
@@ -76,7 +76,7 @@ def test_what_is_not_known_is_a_dash() -> None:
 
 @pytest.mark.parametrize("width", [20, 40, 60, 80, 100])
 def test_links_and_commands_are_never_broken(width: int) -> None:
-    wordy = Trouble("a long story of what is wrong " * 5, "sudo " + "very " * 30 + "long")
+    wordy = PortTrouble("a long story of what is wrong " * 5, "sudo " + "very " * 30 + "long")
     lines = ports(ADAPTER, LocalSerialPort(device="/dev/ttyS1", troubles=(wordy,)), width=width)
     copied = [f"rtu:{STABLE}@19200-8E1", f"    {TEE}", f"    {wordy.remedy}"]
     assert [line for line in lines if line in copied] == copied
@@ -100,7 +100,7 @@ def test_an_interface_is_a_row_that_begins_with_its_link() -> None:
 
 
 def test_what_all_interfaces_lack_is_said_once_and_what_one_lacks_with_its_name() -> None:
-    can = Trouble("it carries no IP")
+    can = PortTrouble("it carries no IP")
     lines = interfaces(
         LocalInterface(name="can0", troubles=(can, FORBIDDEN)),
         LocalInterface(name="eth0", troubles=(FORBIDDEN,)),

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from mbtool.core.local_ports import LocalSerialPort, Trouble
+from mbtool.core.local_ports import LocalSerialPort, PortTrouble
 from mbtool.workflows import doctor
 from mbtool.workflows.doctor import CheckState, Screen
 
@@ -19,7 +19,7 @@ SCREEN = Screen(is_terminal=True, columns=80, rows=24, encoding="utf-8")
 
 
 def checks(
-    *ports: LocalSerialPort, capture: Trouble | None = None
+    *ports: LocalSerialPort, capture: PortTrouble | None = None
 ) -> dict[str, doctor.MachineCheck]:
     return {one.name: one for one in doctor.machine_checks(ports, capture, SCREEN)}
 
@@ -55,7 +55,9 @@ def test_a_missing_package_is_broken(monkeypatch: pytest.MonkeyPatch) -> None:
 )
 def test_an_obstacle_of_a_port_has_its_command(usb_id: str | None, state: CheckState) -> None:
     port = LocalSerialPort(
-        device="/dev/ttyUSB0", usb_id=usb_id, troubles=(Trouble("its timer is 16 ms", "echo 1"),)
+        device="/dev/ttyUSB0",
+        usb_id=usb_id,
+        troubles=(PortTrouble("its timer is 16 ms", "echo 1"),),
     )
     found = checks(port)["port ttyUSB0"]
     assert (found.state, found.found, found.remedy) == (state, "its timer is 16 ms", "echo 1")
@@ -67,7 +69,7 @@ def test_a_port_without_an_obstacle_is_ready_as_its_link() -> None:
 
 
 def test_a_capture_that_is_not_permitted_has_its_command() -> None:
-    found = checks(capture=Trouble("needs a capability", "sudo mbtool"))["capture"]
+    found = checks(capture=PortTrouble("needs a capability", "sudo mbtool"))["capture"]
     assert (found.state, found.remedy) == (CheckState.MISSING, "sudo mbtool")
     assert checks()["capture"].state is CheckState.OK
 

@@ -117,8 +117,8 @@ class DrawnApp(App[int]):
         self._next_draw_s = 0.0
         self.drawings = 0
         """The number of times that the screen was drawn."""
-        self._troubles = "", ""
-        """The line of troubles and its style."""
+        self._troubles: tuple[list[str], str] = [], ""
+        """The lines on what is wrong, and their style."""
         self._next_look_s = 0.0
         self._frozen_ns = 0
         self._note_stays = False
@@ -196,8 +196,8 @@ class DrawnApp(App[int]):
         else:
             with self.feed.lock:
                 now_ns = self.feed.now_ns()
-                rows = self.view.rows(self.board, width)
                 self._look_for_troubles(width)
+                rows = self.view.rows(self.board, width)
         self._notes = self.view.notes(rows)
         self.context.now_ns = now_ns
         self.context.is_over = self.feed.is_over or not self.feed.is_live
@@ -283,9 +283,10 @@ class DrawnApp(App[int]):
         base.query_one("#tabs", OneLine).show(tabs_text(VIEWS, self.view_at, self._notes, width))
         base.query_one("#status", OneLine).show(status_text(state, width))
         troubles = base.query_one("#troubles", OneLine)
-        text, style = self._troubles
-        troubles.show([(f"! {text}", style)])
-        troubles.set_class(bool(text), "told")
+        lines, style = self._troubles
+        told = [f"{'  ' if at else '! '}{line}" for at, line in enumerate(lines)]
+        troubles.show(*([(line, style)] for line in told))
+        troubles.set_class(bool(lines), "told")
         keys = keys_line(width, is_of_files=not self.feed.is_live)
         base.query_one("#keys", OneLine).show(keys)
 

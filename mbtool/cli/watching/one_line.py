@@ -19,20 +19,21 @@ if TYPE_CHECKING:
 
 
 class OneLine(Widget):
-    """A widget that shows one line of text, cut at the width of the screen."""
+    """A widget that shows one line of text, or a few, cut at the width of the screen."""
 
     DEFAULT_CSS = "OneLine { height: 1; }"
 
     def __init__(self, name: str) -> None:
         super().__init__(id=name)
-        self._spans: Spans = []
+        self._lines: tuple[Spans, ...] = ()
 
-    def show(self, spans: Spans) -> None:
-        if spans != self._spans:
-            self._spans = spans
+    def show(self, *lines: Spans) -> None:
+        if lines != self._lines:
+            self._lines = lines
+            self.styles.height = max(len(lines), 1)
             self.refresh()
 
     def render_line(self, y: int) -> Strip:
         width = self.size.width
-        spans = cut_spans(self._spans, width) if y == 0 else []
+        spans = cut_spans(self._lines[y], width) if y < len(self._lines) else []
         return strip_of(spans, width).apply_style(self.rich_style)

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from mbtool.views import trouble_lines
+
 if TYPE_CHECKING:
     from pathlib import Path
 
@@ -15,3 +17,9 @@ def config_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
     monkeypatch.delenv("NO_COLOR", raising=False)
     return tmp_path
+
+
+@pytest.fixture
+def _one_line_of_troubles(monkeypatch: pytest.MonkeyPatch) -> None:
+    """For tests that count the lines of the screen from above."""
+    monkeypatch.setattr(trouble_lines, "WATCH_LINES", 1)

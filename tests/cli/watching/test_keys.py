@@ -35,7 +35,7 @@ def many() -> GivenFeed:
     return GivenFeed(
         request(
             10 * unit, unit=unit, reference="holding 0..1", quantity=2,
-            response_values=[unit, 2 * unit], findings=["MB-101"],
+            response_values=[unit, 2 * unit], findings=["MB-404"],
         )
         for unit in range(1, UNITS + 1)
     )  # fmt: skip
