@@ -4,6 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from mbtool.troubles.line_damage import DamagedFrames
+from mbtool.troubles.line_late import LateAnswers
+from mbtool.troubles.line_sides import HeardSides
+from mbtool.troubles.line_strays import StrayBytes
+
 if TYPE_CHECKING:
     from mbtool.devices.checking.capture_context import CaptureContext
     from mbtool.troubles.sense import Sense
@@ -11,5 +16,4 @@ if TYPE_CHECKING:
 
 def line_senses(context: CaptureContext) -> list[Sense]:
     """Return a sense of each kind; `context` has facts about the present capture."""
-    del context
-    return []
+    return [LateAnswers(), HeardSides(), DamagedFrames(), StrayBytes(context.line_of)]

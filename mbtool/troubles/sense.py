@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+from heapq import heappop, heappush
 from typing import TYPE_CHECKING
+
+from mbtool.core import WireEvent
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from mbtool.core import WireEvent
     from mbtool.devices.named_transaction import NamedTransaction
     from mbtool.ledger.answered_run import AnsweredRun
     from mbtool.ledger.statistics_report import LinkReport
     from mbtool.troubles.trouble import Trouble
+
+HOLD_NS = 6_000_000_000
+"""Longer than a decoder waits for the response to a request of a serial line (ns)."""
+MAX_HELD = 2000
 
 
 class Sense:
@@ -38,3 +44,50 @@ class Sense:
     def troubles(self, links: Sequence[LinkReport]) -> Iterable[Trouble]:
         """Return the troubles so far; `links` has the account of each link."""
         return ()
+
+
+class SortedSense(Sense):
+    """A sense that takes the records of serial lines in the order of their times.
+
+    A decoder returns a request without an answer late, after requests that were sent later. So each
+    record waits until one comes that began HOLD_NS later, or until troubles are asked for. At most
+    MAX_HELD records wait.
+    """
+
+    def __init__(self) -> None:
+        self._waiting: list[tuple[int, int, NamedTransaction | WireEvent]] = []
+        self._number = 0
+
+    def transaction(self, one: NamedTransaction) -> None:
+        if one.transport.is_serial:
+            self._hold(one.start_ns, one)
+
+    def event(self, event: WireEvent) -> None:
+        if not event.source and not event.destination:
+            self._hold(event.ts_ns, event)
+
+    def begin_capture(self) -> None:
+        self.flush()
+
+    def flush(self) -> None:
+        """Take all records that wait."""
+        while self._waiting:
+            self._take(heappop(self._waiting)[2])
+
+    def take_transaction(self, one: NamedTransaction) -> None:
+        """Take the next transaction of a serial line, in the order of time."""
+
+    def take_event(self, event: WireEvent) -> None:
+        """Take the next event of a serial line, in the order of time."""
+
+    def _hold(self, at_ns: int, record: NamedTransaction | WireEvent) -> None:
+        self._number += 1
+        heappush(self._waiting, (at_ns, self._number, record))
+        while self._waiting[0][0] < at_ns - HOLD_NS or len(self._waiting) > MAX_HELD:
+            self._take(heappop(self._waiting)[2])
+
+    def _take(self, record: NamedTransaction | WireEvent) -> None:
+        if isinstance(record, WireEvent):
+            self.take_event(record)
+        else:
+            self.take_transaction(record)

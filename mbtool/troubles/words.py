@@ -34,13 +34,96 @@ class Words:
 
 _E, _W, _N = Severity.ERROR, Severity.WARNING, Severity.NOTE
 
+_BLAMED = ("UNIT-SILENT", "UNIT-MISSING")
+_DAMAGED = ("UNIT-BAD-CRC", "LINE-STRAY")
+
 _ROWS = (
     # The serial line.
     Words(
         "LINE-SETTINGS", _E,
-        "of {bytes} bytes of {link} {read} can be read{settings}: the settings are wrong",
-        "{advice}", "line", "settings wrong",
-        ("RTU-202", "RTU-201", "RTU-204", "LINE-STRAY", "UNIT-SILENT", "UNIT-MISSING"),
+        "{bytes} bytes of {link} are no frame, and no frame is right{when}: baud rate, parity or "
+        "mode differ from those of the listener",
+        "listen again with rtu:PORT@auto, which finds the settings; if only a part of the "
+        "recording is so, look who changed them then",
+        "line", "settings wrong",
+        ("RTU-201", "RTU-202", "RTU-203", "RTU-204", *_BLAMED, *_DAMAGED),
+    ),
+    Words(
+        "LINE-ONE-SIDE", _E,
+        "only {side} are heard at {link}, no {lacking}",
+        "listen also where the {lacking} are: the other pair of a four-wire line, the other port, "
+        "or in front of the converter",
+        "line", "only {side} heard",
+        ("RTU-101", "RTU-102", "RTU-103", "RTU-104", "MB-401", "MB-403", *_BLAMED, *_DAMAGED),
+    ),
+    Words(
+        "LINE-TWO-MASTERS", _E,
+        "two masters share {link}: their requests collide or interrupt each other ({count} times)",
+        "let one master poll for both, or put a gateway between them and the line, which takes "
+        "their requests in turn",
+        "line", "two masters",
+        ("RTU-102", "RTU-103", "RTU-201", "RTU-202", "MB-401", "MB-402", "MB-403", "POLL-LATE",
+         "UNIT-SLOW", *_BLAMED, *_DAMAGED),
+    ),
+    Words(
+        "LINE-SAME-UNIT", _E,
+        "two slaves answer as {who}: {count} of {of} answers collide or come twice",
+        "give one of them another address; to find it, take them off the line one by one",
+        "unit", "two slaves with this address",
+        ("RTU-102", "RTU-103", "RTU-201", "RTU-202", "MB-401", "MB-402", "MB-403", *_BLAMED,
+         *_DAMAGED),
+    ),
+    Words(
+        "LINE-LATE", _E,
+        "{who} answers after {latency}, the master waits {timeout}: {count} of {of} answers come "
+        "too late",
+        "raise the master's time-out above {longest}, or ask for less in one request",
+        "unit", "{count} answers after the time-out",
+        ("RTU-103", "RTU-202", "MB-401", "MB-402", "MB-403", "POLL-LATE", "UNIT-SLOW",
+         "LINE-NOISE", "LINE-LOST-BYTES", "LINE-STRAY", *_BLAMED),
+    ),
+    Words(
+        "LINE-LOST-BYTES", _W,
+        "bytes are missing in {count} frames of {link} ({percent}), {where}",
+        "look at the receiver: a full FIFO, a busy computer or a slow adapter; a latency timer or "
+        "buffer that is too small loses bytes, too",
+        "line", "lost bytes",
+        ("RTU-201", "RTU-202", "MB-401", "MB-402", "MB-403", "POLL-LATE", *_BLAMED, *_DAMAGED),
+    ),
+    Words(
+        "LINE-NOISE", _W,
+        "{count} frames of {link} are damaged ({percent}), {where}",
+        "check the cable there, its shield, termination, bias and ground, and what runs beside it",
+        "line", "damaged frames",
+        ("RTU-201", "RTU-202", "MB-401", "MB-402", "MB-403", "POLL-LATE", *_BLAMED, *_DAMAGED),
+    ),
+    Words(
+        "LINE-BIAS", _W,
+        "a byte {byte} that nobody sends stands {places} ({count} times) at {link}: the idle line "
+        "floats, or a driver switches too early or late",
+        "fit bias resistors and termination at one place of the line; if it is beside frames of "
+        "one sender only, look at how its driver is switched",
+        "line", "stray {byte}", ("RTU-202", "RTU-103", "RTU-104"),
+    ),
+    Words(
+        "LINE-FOREIGN", _W,
+        "{share} of the bytes of {link} are another protocol ({form}), while {answered} of the "
+        "requests are answered",
+        "find the device that talks another protocol on these wires, and give it a line of its own",
+        "line", "another protocol", ("RTU-202", "RTU-204"),
+    ),
+    Words(
+        "LINE-REPEATED", _W,
+        "frames come twice at {link}: {count} of {of} responses are copies of the one before",
+        "look for a repeater, a converter or a second tap that sends or records each frame again",
+        "line", "frames twice", ("MB-403", "RTU-103", "LINE-ECHO", *_BLAMED),
+    ),
+    Words(
+        "LINE-ECHO", _N,
+        "the adapter at {link} hears what it sends: {count} requests come twice",
+        "switch off the echo of the adapter (its receiver while it sends), or leave it: the copies "
+        "are left out",
+        "line", "echo", ("RTU-103",),
     ),
     # The network.
     Words(

@@ -1,0 +1,339 @@
+"""LINE-NOISE, LINE-LOST-BYTES, LINE-SAME-UNIT, LINE-TWO-MASTERS: whose frames are damaged, and how.
+
+Damaged frames are events: a wrong CRC, or bytes that are no frame.
+"""
+
+# Each damaged frame is given to what it stands beside: events after a request without an answer are
+# its damaged answer; events right before a response without a request are its damaged request; the
+# others are of nobody. What is known of the request tells how many bytes the answer should have.
+#
+# LINE-TWO-MASTERS  Two requests in one: the bytes begin with those of one known request and end
+#                   with those of another one, at a length that no single one has. Or a master sends
+#                   a request sooner after another one than the unit asked usually answers, with
+#                   nothing on the line in between, which no master does that waits. Or the decoder
+#                   says so (EventKind.TWO_MASTERS). Two exact cycles alone prove nothing: one
+#                   master can keep two lists.
+# LINE-SAME-UNIT    Two slaves answer one request. The unit's answers are damaged and most have
+#                   another length than asked for, longer ones among them, while other units answer
+#                   well; or a second, whole response follows the first with other bytes.
+# LINE-LOST-BYTES   Most damaged frames of a known length are too short.
+# LINE-NOISE        All other damage, with where it sits: in the answers of one unit, of all units,
+#                   in the requests, or everywhere.
+#
+# False alarms: single damaged frames happen on healthy lines, so ENOUGH of them are needed, and
+# FEW of the transactions; fewer are a note. An adapter that cuts frames loses no bytes. Single
+# constant bytes are another trouble (line_strays.py).
+#
+# Memory: HELD events, KNOWN requests, numbers for each of 256 units, and MAX_EVIDENCE cases of each
+# kind for each of at most MAX_LINKS links.
+
+from __future__ import annotations
+
+from collections import Counter, OrderedDict, deque
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from mbtool.core import EventKind, WireEvent
+from mbtool.core.wording import percent
+from mbtool.devices.named_transaction import NamedTransaction
+from mbtool.ledger.statistics import MAX_LINKS
+from mbtool.modbus import Outcome
+from mbtool.troubles.sense import SortedSense
+from mbtool.troubles.trouble import MAX_EVIDENCE, Evidence, Sureness, Trouble
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from mbtool.ledger.statistics_report import LinkReport
+
+ENOUGH = 3
+FEW = 0.01
+"""Fewer damaged frames than this share (0 to 1) of the transactions are a note."""
+MOSTLY = 0.8
+"""Damage sits where at least this share (0 to 1) of it is."""
+SHORTER = 0.6
+OTHER_LENGTH = 0.5
+LEAST_BYTES = 4
+"""Shorter pieces are no frame of anybody."""
+SECOND_NS = 200_000_000
+"""A second response to one request comes at most so long (ns) after the first."""
+HELD = 32
+KNOWN = 64
+_HEAD, _TAIL = 4, 4
+_SHORTEST_REQUEST = 8
+_DAMAGE = frozenset((EventKind.SKIPPED, EventKind.BAD_CHECK))
+
+
+@dataclass(slots=True)
+class _Unit:
+    damaged: int = 0
+    """The number of damaged answers."""
+    shorter: int = 0
+    longer: int = 0
+    seconds: int = 0
+    """The number of second responses to one request."""
+    after: int = 0
+    """The number of damaged frames right after an answer of the unit."""
+    asked: int = 0
+    answered: int = 0
+    latency_ns: int = 0
+    """The sum of the latencies of its answers."""
+    cases: list[Evidence] = field(default_factory=list)
+
+
+@dataclass(slots=True)
+class _Line:
+    held: deque[WireEvent] = field(default_factory=lambda: deque(maxlen=HELD))
+    """Events about damaged bytes that are given to nobody yet."""
+    requests: OrderedDict[bytes, None] = field(default_factory=OrderedDict)
+    """The last different requests."""
+    units: dict[int, _Unit] = field(default_factory=dict)
+    last: NamedTransaction | None = None
+    in_requests: int = 0
+    short_requests: int = 0
+    elsewhere: int = 0
+    merged: int = 0
+    """The number of times that two requests were on the line at once."""
+    interrupted: int = 0
+    """The number of requests that came while another one surely waited for its answer."""
+    is_told: bool = False
+    """True if the decoder says that there are two masters."""
+    transactions: int = 0
+    cases: list[Evidence] = field(default_factory=list)
+    masters_cases: list[Evidence] = field(default_factory=list)
+
+    def unit(self, number: int) -> _Unit:
+        return self.units.setdefault(number, _Unit())
+
+    @property
+    def damaged(self) -> int:
+        return self.in_requests + self.elsewhere + sum(one.damaged for one in self.units.values())
+
+
+class DamagedFrames(SortedSense):
+    """Finds LINE-NOISE, LINE-LOST-BYTES, LINE-SAME-UNIT and LINE-TWO-MASTERS."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._lines: dict[str, _Line] = {}
+
+    def begin_capture(self) -> None:
+        super().begin_capture()
+        for line in self._lines.values():
+            line.held.clear()
+            line.last = None
+
+    def take_event(self, event: WireEvent) -> None:
+        if event.kind is EventKind.TWO_MASTERS and (line := self._line(event.link)) is not None:
+            line.is_told = True
+            _keep(line.masters_cases, Evidence.of_event(event))
+        elif event.kind in _DAMAGE and len(event.raw) >= LEAST_BYTES:
+            line = self._line(event.link)
+            if line is not None and not _is_text(event.raw):
+                self._note_merged(line, event)
+                line.held.append(event)
+
+    def take_transaction(self, one: NamedTransaction) -> None:
+        if (line := self._line(one.link)) is None:
+            return
+        line.transactions += 1
+        unit = line.unit(one.unit)
+        if one.request_ns is not None:
+            self._note_interrupted(line, one)
+            self._note_request(line, one)
+            unit.asked += 1
+        if one.outcome is Outcome.UNSOLICITED:
+            self._note_alone(line, unit, one)
+        elif one.latency_ns is not None:
+            unit.answered += 1
+            unit.latency_ns += one.latency_ns
+        self._give(line)
+        line.last = one
+
+    def _line(self, link: str) -> _Line | None:
+        line = self._lines.get(link)
+        if line is None and len(self._lines) < MAX_LINKS:
+            line = self._lines[link] = _Line()
+        return line
+
+    def _note_request(self, line: _Line, one: NamedTransaction) -> None:
+        raw = one.request_raw or b""
+        line.requests[raw] = None
+        line.requests.move_to_end(raw)
+        if len(line.requests) > KNOWN:
+            line.requests.popitem(last=False)
+
+    def _note_merged(self, line: _Line, event: WireEvent) -> None:
+        """Note if an event has the bytes of two requests that were sent at once."""
+        raw = event.raw
+        if not _SHORTEST_REQUEST < len(raw) < 2 * _SHORTEST_REQUEST:
+            return
+        first = [one for one in line.requests if one[:_HEAD] == raw[:_HEAD]]
+        last = [one for one in line.requests if one[-_TAIL:] == raw[-_TAIL:]]
+        if any(one != other for one in first for other in last):
+            line.merged += 1
+            _keep(line.masters_cases, Evidence.of_event(event, "two requests at once"))
+
+    def _note_interrupted(self, line: _Line, one: NamedTransaction) -> None:
+        """Note if `one` was sent while the request before it surely waited for its answer."""
+        last = line.last
+        if last is None or last.outcome is not Outcome.NO_ANSWER or last.unit == one.unit:
+            return
+        if last.request_ns is None or one.request_ns is None:
+            return
+        unit = line.unit(last.unit)
+        usual_ns = unit.latency_ns // (unit.answered or 1)
+        waited_ns = one.request_ns - last.request_ns
+        if 0 < waited_ns < usual_ns and not line.held:
+            line.interrupted += 1
+            _keep(line.masters_cases, Evidence.of(one, "sent while another request waited"))
+
+    def _give(self, line: _Line) -> None:
+        """Take the damaged frames since the last transaction as its answer if it has none; else
+        they are of nobody.
+        """
+        held, last = [*line.held], line.last
+        line.held.clear()
+        if not held or last is None:
+            return
+        unit = line.unit(last.unit)
+        if last.outcome is Outcome.NO_ANSWER:
+            unit.damaged += 1
+            _keep(unit.cases, Evidence.of(last, held[0].message))
+            expected, came = _expected(last), sum(len(event.raw) for event in held)
+            if expected is not None:
+                unit.shorter += came < expected
+                unit.longer += came > expected
+            return
+        line.elsewhere += len(held)
+        unit.after += last.outcome is Outcome.OK
+        for event in held:
+            _keep(line.cases, Evidence.of_event(event))
+
+    def _note_alone(self, line: _Line, unit: _Unit, one: NamedTransaction) -> None:
+        """Take the damaged frame right before a response without a request as its request, if that
+        frame is not the answer of the request before.
+        """
+        last = line.last
+        is_second = (
+            last is not None
+            and last.unit == one.unit
+            and last.response_ns is not None
+            and one.response_ns is not None
+            and one.response_ns - last.response_ns <= SECOND_NS
+            and last.response_raw != one.response_raw
+            and last.outcome is Outcome.OK
+        )
+        if is_second:
+            unit.seconds += 1
+            _keep(unit.cases, Evidence.of(one, "a second answer to the same request"))
+        elif line.held:
+            request = line.held.pop()
+            line.in_requests += 1
+            line.short_requests += len(request.raw) < _SHORTEST_REQUEST
+            if last is not None and last.outcome is Outcome.OK:
+                line.unit(last.unit).after += len(request.raw) > _SHORTEST_REQUEST
+            _keep(line.cases, Evidence.of_event(request))
+
+    def troubles(self, links: Sequence[LinkReport]) -> Iterator[Trouble]:
+        self.flush()
+        for link in links:
+            line = self._lines.get(link.name)
+            if line is not None and link.is_whole:
+                yield from _of_line(link.name, line)
+
+
+def _of_line(link: str, line: _Line) -> Iterator[Trouble]:
+    collisions = line.merged + line.interrupted
+    if line.is_told or line.merged > 1 or collisions >= ENOUGH:
+        yield Trouble(
+            code="LINE-TWO-MASTERS", link=link, count=max(collisions, 1), of=line.transactions,
+            sureness=Sureness.CERTAIN if line.is_told or line.merged else Sureness.LIKELY,
+            evidence=tuple(line.masters_cases),
+        )  # fmt: skip
+        return
+    doubles = [number for number, unit in line.units.items() if _is_double(line, unit)]
+    for number in doubles:
+        unit = line.units[number]
+        count = max(unit.seconds, unit.damaged, unit.after)
+        yield Trouble(
+            code="LINE-SAME-UNIT", link=link, unit=number, count=count,
+            of=max(unit.asked, count), weight=count,
+            sureness=Sureness.CERTAIN if unit.seconds >= ENOUGH else Sureness.LIKELY,
+            evidence=tuple(unit.cases or line.cases),
+        )  # fmt: skip
+    number = line.damaged
+    if doubles or number < ENOUGH:
+        return
+    units = line.units.values()
+    short = line.short_requests + sum(unit.shorter for unit in units)
+    known = line.in_requests + sum(unit.damaged for unit in units)
+    is_short = known >= ENOUGH and short >= SHORTER * known
+    where, worst = _where(line)
+    cases = [*line.cases, *(case for unit in units for case in unit.cases)]
+    yield Trouble(
+        code="LINE-LOST-BYTES" if is_short else "LINE-NOISE",
+        link=link,
+        unit=worst,
+        count=number,
+        of=max(line.transactions, number),
+        weight=number,
+        is_small=number < FEW * line.transactions,
+        figures={"where": where, "percent": percent(min(number / line.transactions, 1))}
+        if line.transactions
+        else {"where": where, "percent": "all"},
+        evidence=tuple(sorted(cases, key=lambda case: case.ts_ns)[:MAX_EVIDENCE]),
+    )
+
+
+def _is_double(line: _Line, unit: _Unit) -> bool:
+    """True if two slaves answer to a unit."""
+    if unit.seconds >= ENOUGH:
+        return True
+    others = [one for one in line.units.values() if one is not unit and one.answered]
+    if unit.after >= ENOUGH and len(others) > 0:
+        all_after = sum(one.after for one in line.units.values())
+        is_often = unit.after >= OTHER_LENGTH * unit.asked
+        return is_often and unit.after >= MOSTLY * all_after
+    if unit.damaged < ENOUGH or not others:
+        return False
+    is_other = unit.shorter + unit.longer >= OTHER_LENGTH * unit.damaged
+    is_mostly_damaged = unit.damaged >= OTHER_LENGTH * unit.asked
+    is_alone = unit.damaged >= MOSTLY * line.damaged
+    return is_other and unit.longer >= unit.shorter and is_mostly_damaged and is_alone
+
+
+def _where(line: _Line) -> tuple[str, int | None]:
+    """Return where most of the damage sits, and the unit if it is that of one."""
+    by_unit = Counter({number: unit.damaged for number, unit in line.units.items()})
+    answers, number = by_unit.total(), line.damaged
+    if answers:
+        unit, most = by_unit.most_common(1)[0]
+        if most >= MOSTLY * number and len(line.units) > 1:
+            return f"in the answers of unit {unit}", unit
+    if line.in_requests >= MOSTLY * number:
+        return "in the master's requests", None
+    if answers >= MOSTLY * number:
+        return "in the answers of all units", None
+    return "in requests and answers", None
+
+
+def _expected(one: NamedTransaction) -> int | None:
+    """Return how many bytes the answer to a read over RTU should have; None if that is unknown."""
+    if one.quantity is None:
+        return None
+    if one.function in (3, 4):
+        return 5 + 2 * one.quantity
+    if one.function in (1, 2):
+        return 5 + (one.quantity + 7) // 8
+    return _SHORTEST_REQUEST if one.function in (5, 6, 15, 16) else None
+
+
+def _is_text(raw: bytes) -> bool:
+    """True if bytes are readable text, as of another protocol."""
+    return all(0x20 <= byte < 0x7F or byte in (0x0A, 0x0D, 0x02, 0x03) for byte in raw)
+
+
+def _keep(cases: list[Evidence], case: Evidence) -> None:
+    if len(cases) < MAX_EVIDENCE:
+        cases.append(case)

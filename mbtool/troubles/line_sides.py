@@ -1,0 +1,152 @@
+"""LINE-ONE-SIDE, LINE-ECHO and LINE-REPEATED: what is heard once too little or once too often."""
+
+# LINE-ONE-SIDE  Only requests, or only responses, are heard: the tap is on one pair of a four-wire
+#                line, or only at one of two ports. Only responses: at least ENOUGH responses have
+#                no request, and all requests are writes, whose response looks like a request. Only
+#                requests: none of ENOUGH requests to at least two units has a response, and there
+#                is no other byte on the line. A line with one unit may as well have a dead one, so
+#                nothing is said of it.
+# LINE-ECHO      The decoder tells of the second copy of a request (EventKind.ECHO): the adapter
+#                hears its own bytes. Nothing fails by that, so it is a note.
+# LINE-REPEATED  A response without a request has the same bytes as the one before it: frames come
+#                twice, as from a repeater, or from two taps of one line. A slave that answers a
+#                retry gives the same bytes, too, but then the master has asked twice.
+#
+# Memory: some numbers, the last response, and MAX_EVIDENCE cases for each of at most MAX_LINKS
+# links.
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from mbtool.core import EventKind
+from mbtool.devices.named_transaction import NamedTransaction
+from mbtool.ledger.statistics import MAX_LINKS
+from mbtool.modbus import Outcome
+from mbtool.troubles.sense import Sense
+from mbtool.troubles.trouble import MAX_EVIDENCE, Evidence, Sureness, Trouble
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from mbtool.core import WireEvent
+    from mbtool.ledger.statistics_report import LinkReport
+
+ENOUGH = 10
+ENOUGH_COPIES = 3
+SOON_NS = 1_000_000_000
+"""A copy of a response comes at most so long (ns) after it."""
+MOSTLY = 0.3
+"""Responses are repeated if at least this share (0 to 1) of them come twice."""
+_RESPONDED = frozenset((Outcome.OK, Outcome.EXCEPTION, Outcome.MALFORMED, Outcome.UNSOLICITED))
+_ECHOING = frozenset((0x05, 0x06, 0x08, 0x0F, 0x10, 0x16))
+"""Functions whose response can be taken for a request."""
+_BYTES = frozenset((EventKind.SKIPPED, EventKind.BAD_CHECK, EventKind.ECHO))
+
+
+@dataclass(slots=True)
+class _Line:
+    units: set[int] = field(default_factory=set)
+    requests: int = 0
+    other_requests: int = 0
+    """The number of requests whose response could not be taken for them."""
+    responses: int = 0
+    alone: int = 0
+    """The number of responses without a request."""
+    copies: int = 0
+    echoes: int = 0
+    other: int = 0
+    """The number of events about bytes that are no frame."""
+    last: NamedTransaction | None = None
+    """The last transaction with a response."""
+    alone_cases: list[Evidence] = field(default_factory=list)
+    copy_cases: list[Evidence] = field(default_factory=list)
+    echo_cases: list[Evidence] = field(default_factory=list)
+    asked_cases: list[Evidence] = field(default_factory=list)
+
+
+class HeardSides(Sense):
+    """Finds LINE-ONE-SIDE, LINE-ECHO and LINE-REPEATED."""
+
+    def __init__(self) -> None:
+        self._lines: dict[str, _Line] = {}
+
+    def _line(self, link: str) -> _Line | None:
+        line = self._lines.get(link)
+        if line is None and len(self._lines) < MAX_LINKS:
+            line = self._lines[link] = _Line()
+        return line
+
+    def event(self, event: WireEvent) -> None:
+        if event.kind not in _BYTES or event.source or (line := self._line(event.link)) is None:
+            return
+        if event.kind is EventKind.ECHO:
+            line.echoes += 1
+            _keep(line.echo_cases, Evidence.of_event(event))
+        else:
+            line.other += 1
+
+    def transaction(self, one: NamedTransaction) -> None:
+        if not one.transport.is_serial or (line := self._line(one.link)) is None:
+            return
+        if len(line.units) < 256:
+            line.units.add(one.unit)
+        if one.request_ns is not None:
+            line.requests += 1
+            line.other_requests += one.function not in _ECHOING
+            if one.outcome is Outcome.NO_ANSWER:
+                _keep(line.asked_cases, Evidence.of(one))
+        if one.outcome not in _RESPONDED:
+            return
+        line.responses += 1
+        last, line.last = line.last, one
+        if one.outcome is not Outcome.UNSOLICITED:
+            return
+        line.alone += 1
+        _keep(line.alone_cases, Evidence.of(one))
+        if last is None or last.response_ns is None or one.response_ns is None:
+            return
+        if not one.response_raw or last.response_raw != one.response_raw:
+            return
+        if one.response_ns - last.response_ns <= SOON_NS:
+            line.copies += 1
+            _keep(line.copy_cases, Evidence.of(one))
+
+    def troubles(self, links: Sequence[LinkReport]) -> Iterator[Trouble]:
+        for link in links:
+            line = self._lines.get(link.name)
+            if line is None or not link.is_whole:
+                continue
+            if line.echoes >= ENOUGH_COPIES:
+                yield Trouble(
+                    code="LINE-ECHO", link=link.name, count=line.echoes, of=line.requests,
+                    evidence=tuple(line.echo_cases),
+                )  # fmt: skip
+            if line.copies >= ENOUGH_COPIES and line.copies >= MOSTLY * line.responses:
+                yield Trouble(
+                    code="LINE-REPEATED", link=link.name, count=line.copies, of=line.responses,
+                    evidence=tuple(line.copy_cases),
+                )  # fmt: skip
+            elif line.alone >= ENOUGH and not line.other_requests:
+                yield Trouble(
+                    code="LINE-ONE-SIDE", link=link.name, count=line.alone, of=line.responses,
+                    figures={"side": "responses", "lacking": "requests"},
+                    sureness=Sureness.LIKELY, evidence=tuple(line.alone_cases),
+                )  # fmt: skip
+            elif (
+                line.requests >= ENOUGH
+                and not line.responses
+                and not line.other
+                and len(line.units) > 1
+            ):
+                yield Trouble(
+                    code="LINE-ONE-SIDE", link=link.name, count=line.requests, of=line.requests,
+                    figures={"side": "requests", "lacking": "responses"},
+                    sureness=Sureness.LIKELY, evidence=tuple(line.asked_cases),
+                )  # fmt: skip
+
+
+def _keep(cases: list[Evidence], case: Evidence) -> None:
+    if len(cases) < MAX_EVIDENCE:
+        cases.append(case)

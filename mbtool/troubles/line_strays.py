@@ -1,0 +1,262 @@
+"""LINE-BIAS, LINE-FOREIGN and LINE-SETTINGS: bytes of a serial line that belong to no frame."""
+
+# LINE-BIAS      One constant byte (00H, FFH, or another one), alone or twice, stands before or
+#                behind many frames: the idle line floats, or a driver switches too early or late.
+#                It is told of which frames: those that begin or end within NEAR characters of it.
+# LINE-FOREIGN   Readable text, or pieces that all begin with the same two bytes, beside polls most
+#                of which are answered: another protocol shares the wires.
+# LINE-SETTINGS  For a while there is no frame with a right CRC, but many other bytes; or that is so
+#                all the time. Where polls are answered before or after, the settings changed, or
+#                other ones are used for that time. The settings are never called wrong while polls
+#                are answered, and not because of text.
+#
+# False alarms: a broken cable gives some odd bytes, but not ENOUGH_BYTES of them; noise damages
+# some frames, but then polls are answered in between. Foreign frames that are seen rarely, or are
+# different each time, are not recognised.
+#
+# Memory: numbers, HEADS first bytes of pieces and MAX_EVIDENCE cases of each kind for each of at
+# most MAX_LINKS links.
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from mbtool.core import EventKind, WireEvent
+from mbtool.core.wording import percent
+from mbtool.devices.named_transaction import NamedTransaction
+from mbtool.ledger.statistics import MAX_LINKS
+from mbtool.modbus import Outcome
+from mbtool.troubles.sense import SortedSense
+from mbtool.troubles.trouble import MAX_EVIDENCE, Evidence, Sureness, Trouble
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from mbtool.core import SerialFormat
+    from mbtool.ledger.statistics_report import LinkReport
+
+ENOUGH = 5
+FEW = 0.1
+"""A constant byte stands beside at least this share (0 to 1) of the transactions."""
+MOSTLY = 0.8
+LONGEST_BIAS = 2
+FOREIGN_BYTES = 50
+"""The least number of bytes of another protocol."""
+ALIKE = 0.8
+"""At least this share (0 to 1) of the pieces have the same form."""
+SHORTEST_PIECE = 6
+HEADS = 64
+ENOUGH_BYTES = 100
+ENOUGH_PIECES = 5
+SHORTEST_NS = 2_000_000_000
+_ANSWERED = frozenset((Outcome.OK, Outcome.EXCEPTION))
+_DAMAGE = frozenset((EventKind.SKIPPED, EventKind.BAD_CHECK))
+
+
+@dataclass(slots=True)
+class _Stretch:
+    """A time in which no frame had a right CRC."""
+
+    first: WireEvent
+    last_ns: int
+    size: int = 0
+    pieces: int = 0
+    is_text: bool = True
+
+
+@dataclass(slots=True)
+class _Line:
+    bias: Counter[bytes] = field(default_factory=Counter)
+    waiting: list[WireEvent] = field(default_factory=list)
+    """Single bytes whose place is not known yet."""
+    places: Counter[str] = field(default_factory=Counter)
+    bias_cases: list[Evidence] = field(default_factory=list)
+    last: NamedTransaction | None = None
+    text: int = 0
+    """The number of pieces that are readable text."""
+    text_bytes: int = 0
+    pieces: int = 0
+    piece_bytes: int = 0
+    heads: Counter[bytes] = field(default_factory=Counter)
+    """By their first two bytes, the numbers of pieces."""
+    own_heads: set[bytes] = field(default_factory=set)
+    """The first two bytes of known frames: pieces that begin so may be damaged frames."""
+    foreign_cases: list[Evidence] = field(default_factory=list)
+    read: int = 0
+    """The number of bytes in frames."""
+    unread: int = 0
+    answered: int = 0
+    requests: int = 0
+    stretch: _Stretch | None = None
+    stretches: list[_Stretch] = field(default_factory=list)
+
+
+class StrayBytes(SortedSense):
+    """Finds LINE-BIAS, LINE-FOREIGN and LINE-SETTINGS."""
+
+    def __init__(self, line_of: Callable[[str], SerialFormat | None]) -> None:
+        """`line_of` returns the settings of a serial line by its name; None if unknown."""
+        super().__init__()
+        self._line_of = line_of
+        self._lines: dict[str, _Line] = {}
+
+    def _line(self, link: str) -> _Line | None:
+        line = self._lines.get(link)
+        if line is None and len(self._lines) < MAX_LINKS:
+            line = self._lines[link] = _Line()
+        return line
+
+    def take_event(self, event: WireEvent) -> None:
+        if event.kind not in _DAMAGE:
+            return
+        line = self._line(event.link)
+        if line is None or not event.raw:
+            return
+        raw = event.raw
+        line.unread += len(raw)
+        if len(raw) <= LONGEST_BIAS and len(set(raw)) == 1:
+            line.bias[raw[:1]] += 1
+            if len(line.waiting) < ENOUGH:
+                line.waiting.append(event)
+            _keep(line.bias_cases, Evidence.of_event(event))
+            return
+        is_text = _is_text(raw)
+        if len(raw) >= SHORTEST_PIECE and event.kind is EventKind.SKIPPED:
+            line.pieces += 1
+            line.piece_bytes += len(raw)
+            if is_text:
+                line.text += 1
+                line.text_bytes += len(raw)
+            if raw[:2] in line.heads or len(line.heads) < HEADS:
+                line.heads[raw[:2]] += 1
+            _keep(line.foreign_cases, Evidence.of_event(event))
+        if line.stretch is None:
+            line.stretch = _Stretch(event, event.ts_ns)
+        stretch = line.stretch
+        stretch.last_ns = event.ts_ns
+        stretch.size += len(raw)
+        stretch.pieces += 1
+        stretch.is_text &= is_text
+
+    def take_transaction(self, one: NamedTransaction) -> None:
+        if (line := self._line(one.link)) is None:
+            return
+        line.read += len(one.request_raw or b"") + len(one.response_raw or b"")
+        line.requests += one.request_ns is not None
+        if line.waiting:
+            self._place(line, one)
+        for raw in (one.request_raw, one.response_raw):
+            if raw is not None and len(line.own_heads) < 4 * HEADS:
+                line.own_heads.add(raw[:2])
+        line.last = one
+        line.answered += one.outcome in _ANSWERED
+        _end_stretch(line)
+
+    def _place(self, line: _Line, after: NamedTransaction) -> None:
+        """Note of which frames the waiting single bytes are neighbours: those of the transaction
+        before them, or of the one `after`.
+        """
+        format_ = self._line_of(after.link)
+        character_ns = 1_000_000 if format_ is None else format_.character_ns
+        before = line.last
+        for event in line.waiting:
+            begin_ns, end_ns = event.ts_ns, event.ts_ns + len(event.raw) * character_ns
+            distances: dict[str, int] = {}
+            if before is not None and before.request_ns is not None:
+                distances["behind requests"] = abs(begin_ns - before.request_ns)
+            if before is not None and before.response_ns is not None:
+                size = len(before.response_raw or b"") * character_ns
+                distances["before answers"] = abs(before.response_ns - size - end_ns)
+                distances["behind answers"] = abs(begin_ns - before.response_ns)
+            if after.request_ns is not None:
+                size = len(after.request_raw or b"") * character_ns
+                distances["before requests"] = abs(after.request_ns - size - end_ns)
+            if distances:
+                line.places[min(distances, key=lambda place: distances[place])] += 1
+        line.waiting.clear()
+
+    def troubles(self, links: Sequence[LinkReport]) -> Iterator[Trouble]:
+        self.flush()
+        for link in links:
+            line = self._lines.get(link.name)
+            if line is not None and link.is_whole:
+                yield from _bias(link.name, line)
+                yield from _foreign(link.name, line)
+        for name, line in self._lines.items():
+            yield from _settings(name, line)
+
+
+def _bias(link: str, line: _Line) -> Iterator[Trouble]:
+    if not line.bias:
+        return
+    (byte, count), transactions = line.bias.most_common(1)[0], max(line.requests, 1)
+    is_constant = count >= MOSTLY * line.bias.total()
+    if count < ENOUGH or count < FEW * transactions or not is_constant:
+        return
+    total = line.places.total() or 1
+    places = [place for place, number in line.places.most_common() if number >= 0.2 * total]
+    yield Trouble(
+        code="LINE-BIAS", link=link, count=count, of=max(2 * transactions, count),
+        figures={"byte": f"{byte.hex().upper()}H", "places": " and ".join(places) or "between"},
+        sureness=Sureness.LIKELY, evidence=tuple(line.bias_cases),
+    )  # fmt: skip
+
+
+def _foreign(link: str, line: _Line) -> Iterator[Trouble]:
+    if line.pieces < ENOUGH or line.piece_bytes < FOREIGN_BYTES:
+        return
+    if line.answered < ENOUGH or line.answered < 0.5 * line.requests:
+        return
+    heads = Counter({head: n for head, n in line.heads.items() if head not in line.own_heads})
+    head, alike = heads.most_common(1)[0] if heads else (b"", 0)
+    count, size, form = line.text, line.text_bytes, "readable text"
+    if line.text < ALIKE * line.pieces:
+        if alike < ALIKE * line.pieces:
+            return
+        count, size, form = alike, line.piece_bytes, f"pieces that begin with {head.hex(' ')}"
+    whole = line.read + line.unread
+    yield Trouble(
+        code="LINE-FOREIGN", link=link, count=count, of=0,
+        figures={"share": percent(min(size / whole, 1)), "form": form, "answered":
+                 percent(line.answered / line.requests)},
+        sureness=Sureness.LIKELY, evidence=tuple(line.foreign_cases),
+    )  # fmt: skip
+
+
+def _settings(link: str, line: _Line) -> Iterator[Trouble]:
+    found = [*line.stretches]
+    if line.stretch is not None and _is_wrong(line.stretch):
+        found.append(line.stretch)
+    for one in found:
+        whole = not line.answered
+        when = "" if whole else f" for {(one.last_ns - one.first.ts_ns) / 1e9:.0f} s"
+        yield Trouble(
+            code="LINE-SETTINGS", link=link, count=one.pieces,
+            since_ns=None if whole else one.first.ts_ns,
+            until_ns=None if whole or one is line.stretch else one.last_ns,
+            figures={"bytes": f"{one.size:,}", "when": when},
+            sureness=Sureness.LIKELY, evidence=(Evidence.of_event(one.first),),
+        )  # fmt: skip
+
+
+def _end_stretch(line: _Line) -> None:
+    stretch, line.stretch = line.stretch, None
+    if stretch is not None and _is_wrong(stretch) and len(line.stretches) < MAX_EVIDENCE:
+        line.stretches.append(stretch)
+
+
+def _is_wrong(stretch: _Stretch) -> bool:
+    is_long = stretch.last_ns - stretch.first.ts_ns >= SHORTEST_NS
+    is_enough = stretch.size >= ENOUGH_BYTES and stretch.pieces >= ENOUGH_PIECES
+    return is_long and is_enough and not stretch.is_text
+
+
+def _is_text(raw: bytes) -> bool:
+    return all(0x20 <= byte < 0x7F or byte in (0x0A, 0x0D, 0x02, 0x03) for byte in raw)
+
+
+def _keep(cases: list[Evidence], case: Evidence) -> None:
+    if len(cases) < MAX_EVIDENCE:
+        cases.append(case)
