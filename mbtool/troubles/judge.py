@@ -246,6 +246,8 @@ def _unexplained(found: Sequence[Trouble]) -> Iterator[Trouble]:
 def _explains(cause: Trouble, other: Trouble) -> bool:
     if other.code not in cause.words.explains or cause.link != other.link:
         return False
+    if cause.victims:
+        return other.unit in cause.victims
     if cause.unit is None:
         return True
     is_of_unit = other.unit is None or other.unit == cause.unit

@@ -101,6 +101,8 @@ class Trouble:
     """The filter that finds the cases in the table of a report; empty for the link's or unit's."""
     others: tuple[Trouble, ...] = ()
     """The same trouble of other units, links or masters, the worst first."""
+    victims: tuple[int, ...] = ()
+    """The units whose troubles this one explains, if they are others than `unit`."""
     names_link: bool = False
     """True if the recording has several links, so that `who` needs the link."""
 

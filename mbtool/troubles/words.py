@@ -127,6 +127,48 @@ _ROWS = (
     ),
     # The network.
     Words(
+        "NET-ONE-SIDE", _E,
+        "only {side} of {link} are in the recording, no {other} ({count} transactions)",
+        "record both directions: mirror both of the port, or listen at another place",
+        "link", "only {side} recorded",
+        ("UNIT-SILENT", "UNIT-MISSING", "MB-401", "MB-403", "SEC-201", "SEC-202"),
+    ),
+    Words(
+        "NET-TWO-MACS", _E,
+        "{who} has two MAC addresses in its own network: {macs}",
+        "look who has the second one: a device with the same IP address, or somebody who answers "
+        "for it (ARP spoofing)",
+        "host", "two MAC addresses",
+    ),
+    Words(
+        "NET-LATE", _E,
+        "{who} answers after {latency}, the master sends its next request after {timeout}: {count} "
+        "of {of} answers come too late",
+        "raise the master's time-out above {longest}, or ask for less in one request",
+        "unit", "{count} answers after the time-out", ("POLL-LATE", "TCP-101", "UNIT-SLOW"),
+    ),
+    Words(
+        "NET-BLOCKED", _W,
+        "{who} holds up the line behind its gateway for {held} each time: {count} requests to "
+        "{units} waited for it",
+        "mend or remove that unit, shorten the gateway's time-out for it, or poll it more rarely",
+        "unit", "holds up the line", ("UNIT-MISSING", "UNIT-SLOW", "POLL-LATE", "MB-401", "MB-402"),
+    ),
+    Words(
+        "NET-ROLE", _W,
+        "{who}, which answered as a slave, sends requests itself to {asked}",
+        "find out if that is meant; a device that was taken over does so, too",
+        "host", "slave that asks",
+    ),
+    Words(
+        "NET-DELAYED-ACK", _N,
+        "{polls} of {who} take {latency} each time, others are quick: a sender waits for a delayed "
+        "acknowledgement",
+        "let master or slave send each message in one piece, or switch off Nagle's algorithm "
+        "(TCP_NODELAY)",
+        "unit", "delayed acknowledgements", ("POLL-LATE", "UNIT-SLOW"),
+    ),
+    Words(
         "NET-LOST", _W,
         "{connections} to {link} lost: {ends}",
         "look who sends the reset or refuses: the slave's limit of connections, a firewall, or a "

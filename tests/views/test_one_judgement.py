@@ -140,7 +140,7 @@ def judged(records: Iterable[Record]) -> Judgement:
 def test_a_line_with_all_troubles_tells_each_once() -> None:
     told = judged(SICK_LINE)
     assert [(one.code, one.unit) for one in told.troubles] == [
-        ("UNIT-SILENT", 3), ("UNIT-MALFORMED", 7), ("LINE-NOISE", 4), ("UNIT-REFUSES", 5),
+        ("UNIT-SILENT", 3), ("UNIT-MALFORMED", 7), ("LINE-LOST-BYTES", 4), ("UNIT-REFUSES", 5),
         ("UNIT-SLOW", 6),
     ]  # fmt: skip
     assert told.level == "bad"

@@ -46,7 +46,7 @@ def test_the_verdict_names_the_dead_the_damaged_and_the_slow_unit(sick_page: Pag
     assert told["level"] == "bad"
     assert told["sentence"].startswith("Unit 3 never answers (60 requests): check its power, ")
     assert [(one["code"], one["search"]) for one in told["troubles"]] == [
-        ("UNIT-SILENT", "rs485 unit:3 no-answer"), ("UNIT-BAD-CRC", "rs485 unit:4 no-answer"),
+        ("UNIT-SILENT", "rs485 unit:3 no-answer"), ("LINE-NOISE", "rs485 unit:4"),
         ("UNIT-SLOW", "rs485 unit:2"),
     ]  # fmt: skip
 

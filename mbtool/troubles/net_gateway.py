@@ -1,0 +1,209 @@
+"""NET-BLOCKED and NET-LATE: requests that wait for another one, or that the master gave up."""
+
+# NET-BLOCKED  Behind one address are several units: a gateway with a line. While one is slow or
+#              silent there, the requests to the others wait, and fail or are slow, too. A request
+#              to another unit is blocked if it was sent while a slow (SLOW_NS) or unanswered one
+#              waited, and was slow or unanswered as well. The unit that others wait for much more
+#              often than it waits for them is the cause.
+# NET-LATE     An answer comes after the master has sent its next request on the same connection,
+#              though this master hardly ever has two requests open: it had given up. Masters that
+#              pipeline have many, and are left out.
+#
+# False alarms: two units of a gateway that are both slow by themselves wait for each other equally
+# often, and none is blamed. A slow network makes all units slow alike.
+#
+# Memory: KEPT slow requests of each of at most MAX_LINKS links, the last RECENT requests and some
+# numbers of each of at most MAX_LINKS connections, and MAX_EVIDENCE cases for each unit.
+
+from __future__ import annotations
+
+from collections import Counter, OrderedDict, deque
+from dataclasses import dataclass, field
+from statistics import median
+from typing import TYPE_CHECKING, NamedTuple
+
+from mbtool.core.wording import duration
+from mbtool.devices.named_transaction import NamedTransaction
+from mbtool.ledger.statistics import MAX_LINKS
+from mbtool.modbus import Outcome
+from mbtool.troubles.sense import Sense
+from mbtool.troubles.trouble import MAX_EVIDENCE, Evidence, Sureness, Trouble
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from mbtool.ledger.answered_run import AnsweredRun
+    from mbtool.ledger.statistics_report import LinkReport
+
+SLOW_NS = 300_000_000
+LONGEST_NS = 10_000_000_000
+UNANSWERED_NS = 1_000_000_000
+"""A request without an answer blocks a line for about so long (ns), as nobody says for how long."""
+ENOUGH = 3
+MORE = 2
+"""A unit is the cause if others wait for it at least this many times as often as it for them."""
+MOSTLY = 0.5
+EVEN = 0.15
+"""A master's waits for late answers differ by at most this share (0 to 1)."""
+KEPT = 5000
+RECENT = 8
+FEW_OVERLAPS = 0.2
+"""A master that has two requests open more often than this (0 to 1) pipelines."""
+_GATEWAY_CODES = frozenset((0x0A, 0x0B))
+
+
+class _Slow(NamedTuple):
+    """A request that was slow or not answered; times in ns."""
+
+    begin_ns: int
+    end_ns: int
+    unit: int
+    evidence: Evidence
+
+
+@dataclass(slots=True)
+class _Connection:
+    recent: deque[NamedTransaction] = field(default_factory=lambda: deque(maxlen=RECENT))
+    number: int = 0
+    overlaps: int = 0
+    late: list[tuple[NamedTransaction, int]] = field(default_factory=list)
+    """Transactions whose answer came after the next request, and how long the master waited."""
+
+
+class Gateways(Sense):
+    """Finds NET-BLOCKED and NET-LATE."""
+
+    def __init__(self) -> None:
+        self._slow: dict[str, deque[_Slow]] = {}
+        self._connections: OrderedDict[tuple[str, str | None], _Connection] = OrderedDict()
+        self._late: dict[tuple[str, int], list[tuple[Evidence, int, int]]] = {}
+        """By link and unit: cases, with the latency and how long the master waited (ns)."""
+
+    def begin_capture(self) -> None:
+        self._connections.clear()
+
+    def transaction(self, one: NamedTransaction) -> None:
+        if one.transport.is_serial or one.request_ns is None:
+            return
+        latency_ns = one.latency_ns
+        is_failed = one.outcome is Outcome.NO_ANSWER or one.exception in _GATEWAY_CODES
+        if is_failed or (latency_ns is not None and latency_ns >= SLOW_NS):
+            end_ns = one.response_ns or one.request_ns + UNANSWERED_NS
+            self._keep(one.link, _Slow(one.request_ns, end_ns, one.unit, Evidence.of(one)))
+        self._note_overlap(one)
+
+    def run(self, run: AnsweredRun) -> None:
+        for kind in run.kinds:
+            if max(kind.latencies) < SLOW_NS:
+                continue
+            like = kind.like
+            for at_ns, latency_ns in zip(kind.request_ns, kind.latencies, strict=True):
+                if latency_ns >= SLOW_NS:
+                    evidence = Evidence(ts_ns=at_ns, file=like.file)
+                    self._keep(like.link, _Slow(at_ns, at_ns + latency_ns, like.unit, evidence))
+
+    def _keep(self, link: str, slow: _Slow) -> None:
+        kept = self._slow.get(link)
+        if kept is None:
+            if len(self._slow) >= MAX_LINKS:
+                return
+            kept = self._slow[link] = deque(maxlen=KEPT)
+        kept.append(slow)
+
+    def _note_overlap(self, one: NamedTransaction) -> None:
+        key = one.link, one.source
+        connection = self._connections.get(key)
+        if connection is None:
+            if len(self._connections) >= MAX_LINKS:
+                self._connections.popitem(last=False)
+            connection = self._connections[key] = _Connection()
+        connection.number += 1
+        for other in connection.recent:
+            first, second = sorted((one, other), key=lambda each: each.start_ns)
+            end_ns = first.response_ns
+            if end_ns is not None and first.start_ns < second.start_ns < end_ns:
+                connection.overlaps += 1
+                waited_ns = second.start_ns - first.start_ns
+                if len(connection.late) < MAX_EVIDENCE and waited_ns >= SLOW_NS:
+                    connection.late.append((first, waited_ns))
+        connection.recent.append(one)
+
+    def troubles(self, links: Sequence[LinkReport]) -> Iterator[Trouble]:
+        asked = {
+            (link.name, one.unit): one.tally.requests for link in links for one in link.functions
+        }
+        whole = {link.name for link in links if link.is_whole}
+        for link, slow in self._slow.items():
+            if link in whole:
+                yield from _blocked(link, slow)
+        late: dict[tuple[str, int], list[tuple[NamedTransaction, int]]] = {}
+        for connection in self._connections.values():
+            if connection.overlaps <= FEW_OVERLAPS * connection.number:
+                for case in connection.late:
+                    late.setdefault((case[0].link, case[0].unit), []).append(case)
+        for (link, unit), cases in late.items():
+            distinct = _of_one_timeout([*{case[0].start_ns: case for case in cases}.values()])
+            if link in whole and len(distinct) >= ENOUGH:
+                yield _late(link, unit, distinct, asked.get((link, unit), 0))
+
+
+def _of_one_timeout(
+    cases: list[tuple[NamedTransaction, int]],
+) -> list[tuple[NamedTransaction, int]]:
+    """Return the cases in which the master waited about equally long, as for a time-out."""
+    usual_ns = median(waited_ns for _, waited_ns in cases)
+    return [case for case in cases if abs(case[1] - usual_ns) <= EVEN * usual_ns]
+
+
+def _late(
+    link: str, unit: int, cases: Sequence[tuple[NamedTransaction, int]], asked: int
+) -> Trouble:
+    latencies = [one.latency_ns or 0 for one, _ in cases]
+    return Trouble(
+        code="NET-LATE", link=link, unit=unit, count=len(cases), of=max(asked, len(cases)),
+        weight=len(cases),
+        figures={
+            "latency": duration(median(latencies)),
+            "timeout": duration(median(waited for _, waited in cases)),
+            "longest": duration(max(latencies)),
+        },
+        sureness=Sureness.LIKELY,
+        evidence=tuple(Evidence.of(one) for one, _ in cases),
+    )  # fmt: skip
+
+
+def _blocked(link: str, slow: Sequence[_Slow]) -> Iterator[Trouble]:
+    """Yield the units of a gateway that the requests to its other units wait for."""
+    in_order = sorted(slow)
+    waits: dict[int, list[_Slow]] = {}
+    """By unit, the requests to other units that waited for it."""
+    waiting: list[_Slow] = []
+    edges: Counter[tuple[int, int]] = Counter()
+    for one in in_order:
+        waiting = [each for each in waiting if each.end_ns > one.begin_ns][-RECENT:]
+        blockers = {each.unit for each in waiting if each.unit != one.unit}
+        for unit in blockers:
+            edges[unit, one.unit] += 1
+            waits.setdefault(unit, []).append(one)
+        if one.end_ns - one.begin_ns <= LONGEST_NS:
+            waiting.append(one)
+    own = Counter(one.unit for one in in_order)
+    for unit, blocked in waits.items():
+        back = sum(number for (_, other), number in edges.items() if other == unit)
+        if len(blocked) < ENOUGH or len(blocked) < MORE * back:
+            continue
+        victims = Counter(one.unit for one in blocked)
+        told = [number for number, count in victims.items() if count >= MOSTLY * own[number]]
+        if not told:
+            continue
+        times = [one.end_ns - one.begin_ns for one in in_order if one.unit == unit]
+        yield Trouble(
+            code="NET-BLOCKED", link=link, unit=unit, count=len(blocked),
+            of=sum(own[number] for number in victims), weight=len(blocked), victims=tuple(told),
+            figures={
+                "held": duration(median(times)),
+                "units": " and ".join(f"unit {number}" for number in sorted(told)[:3]),
+            },
+            sureness=Sureness.LIKELY,
+            evidence=tuple(one.evidence for one in blocked[:MAX_EVIDENCE]),
+        )  # fmt: skip

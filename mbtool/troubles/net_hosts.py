@@ -1,0 +1,158 @@
+"""NET-TWO-MACS and NET-ROLE: hosts that are not what they were."""
+
+# NET-TWO-MACS  A host has two MAC addresses, each seen ENOUGH times, and talks with a host of its
+#               own network (the first three numbers of the IPv4 address): somebody answers for it
+#               (ARP spoofing), or two devices have its address. Hosts of other networks have the
+#               MAC address of a router, and a capture on both sides of one has both; the shared
+#               addresses of router pairs (VRRP, HSRP) and a device that was replaced (all of the
+#               one, then all of the other, and no third host has the new one) are no such case.
+# NET-ROLE      A host that answered as a slave sends requests itself, LATER_NS after it was first
+#               heard as a slave or later. Concentrators do both from the beginning.
+#
+# Memory: MAX_HOSTS hosts, with at most MAX_MACS addresses each.
+
+from __future__ import annotations
+
+import itertools
+import re
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from mbtool.core.wording import host_of
+from mbtool.modbus import Outcome
+from mbtool.troubles.sense import Sense
+from mbtool.troubles.trouble import MAX_EVIDENCE, Evidence, Sureness, Trouble
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from mbtool.devices.named_transaction import NamedTransaction
+    from mbtool.ledger.answered_run import AnsweredRun
+    from mbtool.ledger.statistics_report import LinkReport
+
+MAX_HOSTS = 4096
+MAX_MACS = 4
+ENOUGH = 3
+LATER_NS = 30_000_000_000
+_ANSWERED = frozenset((Outcome.OK, Outcome.EXCEPTION))
+_SHARED = ("00:00:5e:00:01:", "00:00:5e:00:02:", "00:00:0c:07:ac:", "00:00:0c:9f:f")
+_IN_A_NETWORK = re.compile(r"(\d+\.\d+\.\d+)\.\d+")
+
+
+@dataclass(slots=True)
+class _Mac:
+    count: int
+    first_ns: int
+    last_ns: int
+
+
+@dataclass(slots=True)
+class _Host:
+    macs: dict[str, _Mac] = field(default_factory=dict)
+    is_local: bool = False
+    """True if it talked with a host of its own network."""
+    link: str = ""
+    slave_ns: int | None = None
+    """When it first answered as a slave."""
+    master_ns: int | None = None
+    """When it first sent a request."""
+    requests: int = 0
+    asked: str = ""
+    """The slave that it asked first."""
+    cases: list[Evidence] = field(default_factory=list)
+    mac_cases: list[Evidence] = field(default_factory=list)
+
+
+class Hosts(Sense):
+    """Finds NET-TWO-MACS and NET-ROLE."""
+
+    def __init__(self) -> None:
+        self._hosts: dict[str, _Host] = {}
+
+    def transaction(self, one: NamedTransaction) -> None:
+        if not one.transport.is_serial:
+            self._note(one, 1, one.start_ns, one.start_ns)
+
+    def run(self, run: AnsweredRun) -> None:
+        for kind in run.kinds:
+            self._note(kind.like, kind.count, kind.begin_ns, kind.end_ns)
+
+    def _note(self, one: NamedTransaction, count: int, begin_ns: int, end_ns: int) -> None:
+        master, slave = host_of(one.source), host_of(one.destination)
+        is_local = _network(master) is not None and _network(master) == _network(slave)
+        ends = ((master, one.source_mac, True), (slave, one.destination_mac, False))
+        for name, mac, is_master in ends:
+            host = self._hosts.get(name)
+            if host is None:
+                if not name or len(self._hosts) >= MAX_HOSTS:
+                    continue
+                host = self._hosts[name] = _Host()
+            host.is_local |= is_local
+            if mac is not None:
+                _note_mac(host, mac, one, count, begin_ns, end_ns)
+            if is_master and one.request_ns is not None:
+                host.master_ns = min(begin_ns, host.master_ns or begin_ns)
+                host.requests += count
+                host.asked = host.asked or one.link
+                if len(host.cases) < MAX_EVIDENCE:
+                    host.cases.append(Evidence.of(one))
+            elif not is_master and one.outcome in _ANSWERED:
+                host.slave_ns = min(begin_ns, host.slave_ns or begin_ns)
+                host.link = host.link or one.link
+
+    def troubles(self, links: Sequence[LinkReport]) -> Iterator[Trouble]:
+        owners: dict[str, set[str]] = {}
+        for name, host in self._hosts.items():
+            for mac in host.macs:
+                owners.setdefault(mac, set()).add(name)
+        known = {link.name for link in links if link.is_whole}
+        for name, host in self._hosts.items():
+            link = host.link if host.link in known else host.asked
+            if link not in known:
+                continue
+            macs = {mac: one for mac, one in host.macs.items() if one.count >= ENOUGH}
+            if len(macs) > 1 and host.is_local and not _was_replaced(macs, owners):
+                often = sorted(macs, key=lambda mac: -macs[mac].count)
+                yield Trouble(
+                    code="NET-TWO-MACS", link=link, master=name, count=macs[often[1]].count,
+                    of=sum(one.count for one in macs.values()),
+                    figures={"macs": " and ".join(often)}, sureness=Sureness.LIKELY,
+                    evidence=tuple(host.mac_cases),
+                )  # fmt: skip
+            if host.slave_ns is None or host.master_ns is None:
+                continue
+            if host.master_ns - host.slave_ns >= LATER_NS:
+                yield Trouble(
+                    code="NET-ROLE", link=link, master=name, count=host.requests,
+                    since_ns=host.master_ns, figures={"asked": host.asked},
+                    evidence=tuple(host.cases),
+                )  # fmt: skip
+
+
+def _note_mac(
+    host: _Host, mac: str, one: NamedTransaction, count: int, begin_ns: int, end_ns: int
+) -> None:
+    if mac.startswith(_SHARED):
+        return
+    known = host.macs.get(mac)
+    if known is None:
+        if len(host.macs) < MAX_MACS:
+            host.macs[mac] = _Mac(count, begin_ns, end_ns)
+            host.mac_cases.append(Evidence.of(one, f"with the MAC address {mac}"))
+        return
+    known.count += count
+    known.first_ns, known.last_ns = min(known.first_ns, begin_ns), max(known.last_ns, end_ns)
+
+
+def _was_replaced(macs: dict[str, _Mac], owners: dict[str, set[str]]) -> bool:
+    """True if one address came after the other one, and no other host has it."""
+    in_order = sorted(macs.items(), key=lambda item: item[1].first_ns)
+    follow = all(
+        before.last_ns <= after.first_ns for (_, before), (_, after) in itertools.pairwise(in_order)
+    )
+    return follow and len(owners[in_order[-1][0]]) == 1
+
+
+def _network(host: str) -> str | None:
+    match = _IN_A_NETWORK.fullmatch(host)
+    return None if match is None else match[1]

@@ -1,0 +1,230 @@
+"""Each illness of a network is named by its code, and healthy networks have none."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from mbtool.core import EventKind, WireEvent
+from mbtool.devices.checking.rules import Severity
+from mbtool.ledger.statistics import Statistics
+from mbtool.modbus import Outcome, Transport
+from mbtool.troubles.judge import Judge
+from mbtool.workflows.check import CheckRun
+from mbtool.workflows.shared.reading import ReadingOptions
+from tests.captures import public_folder
+from tests.ledger.masters import MS, START_NS
+from tests.ledger.requests import request, unanswered
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from mbtool.devices.named_transaction import NamedTransaction
+    from mbtool.troubles.judge import Judgement
+    from mbtool.troubles.trouble import Trouble
+
+MASTER, SLAVE = "10.0.0.1", "10.0.0.2"
+
+
+def on(*, master: str = MASTER, slave: str = SLAVE, **fields: Any) -> dict[str, Any]:
+    return {
+        "link": slave, "source": f"{master}:50000", "destination": f"{slave}:502",
+        "transport": Transport.TCP, **fields,
+    }  # fmt: skip
+
+
+def asked(at_ms: float, address: int = 0, latency_ms: float = 5, **fields: Any) -> Any:
+    latency_ns = round(latency_ms * MS)
+    return request(
+        at_ms, address, latency_ns=latency_ns,
+        response_ns=START_NS + round(at_ms * MS) + latency_ns, **on(**fields),
+    )  # fmt: skip
+
+
+def missing(at_ms: float, **fields: Any) -> Any:
+    return unanswered(at_ms, **on(**fields))
+
+
+def judged(records: Iterable[NamedTransaction | WireEvent]) -> Judgement:
+    judge = Judge(Statistics())
+    for record in records:
+        judge.count(record)
+    judge.ledger.settle()
+    return judge.judgement()
+
+
+def serious(told: Judgement) -> list[str]:
+    return [one.code for one in told.troubles if one.severity is not Severity.NOTE]
+
+
+def of_code(told: Judgement, code: str) -> Trouble:
+    (trouble,) = (one for one in told.troubles if one.code == code)
+    return trouble
+
+
+def test_a_healthy_network_has_no_trouble() -> None:
+    records = [asked(100 * at + 10 * unit, unit=unit) for at in range(100) for unit in (1, 2, 3)]
+    told = judged(records)
+    assert (told.level, [*told.troubles]) == ("well", [])
+
+
+def test_a_unit_that_holds_up_the_line_of_a_gateway_is_the_cause() -> None:
+    records: list[Any] = []
+    for at in range(60):
+        records.append(asked(1000 * at, unit=1, latency_ms=20))
+        if at % 5:
+            records.append(asked(1000 * at + 100, unit=2, latency_ms=20))
+        else:
+            records += [
+                missing(1000 * at + 90, unit=3),
+                missing(1000 * at + 100, unit=2, master="10.0.0.9"),
+            ]
+    told = judged(records)
+    trouble = of_code(told, "NET-BLOCKED")
+    assert (trouble.unit, trouble.victims, trouble.count) == (3, (2,), 12)
+    assert "UNIT-MISSING" not in serious(told)
+    assert ("UNIT-SILENT", 3) in [(one.code, one.unit) for one in told.troubles]
+
+
+def test_two_units_that_are_slow_by_themselves_block_nobody() -> None:
+    records = [
+        asked(2000 * at + 1000 * (unit - 1), unit=unit, latency_ms=400)
+        for at in range(50)
+        for unit in (1, 2)
+    ]
+    assert "NET-BLOCKED" not in [one.code for one in judged(records).troubles]
+
+
+def test_answers_after_the_masters_next_request_are_late() -> None:
+    records = [asked(1000 * at) for at in range(60)]
+    records += [asked(1000 * at + 100, 9, latency_ms=620) for at in (5, 15, 25, 35)]
+    records += [asked(1000 * at + 600, 9) for at in (5, 15, 25, 35)]
+    trouble = of_code(judged(records), "NET-LATE")
+    assert (trouble.unit, trouble.count) == (1, 4)
+    assert "answers after 620 ms, the master sends its next request after 500 ms" in trouble.cause
+
+
+def test_a_master_that_pipelines_gives_nothing_up() -> None:
+    records = [asked(100 * at, latency_ms=450) for at in range(100)]
+    assert "NET-LATE" not in [one.code for one in judged(records).troubles]
+
+
+def test_polls_that_wait_for_a_delayed_acknowledgement_are_a_note() -> None:
+    records = [asked(500 * at, latency_ms=3) for at in range(60)]
+    records += [asked(500 * at + 200, 9, latency_ms=200 + at % 3) for at in range(30)]
+    trouble = of_code(judged(records), "NET-DELAYED-ACK")
+    assert trouble.severity is Severity.NOTE
+    assert trouble.cause.startswith("1 poll of unit 1 take")
+    assert serious(judged(records)) == []
+
+
+def test_a_slave_that_always_takes_long_is_not_told_of_acknowledgements() -> None:
+    records = [asked(500 * at, 9, latency_ms=200) for at in range(60)]
+    assert "NET-DELAYED-ACK" not in [one.code for one in judged(records).troubles]
+
+
+@pytest.mark.parametrize("side", ["requests", "responses"])
+def test_one_direction_blames_no_unit(side: str) -> None:
+    lacking: dict[str, Any] = {"outcome": Outcome.NOT_CAPTURED, "latency_ns": None}
+    if side == "requests":
+        lacking |= {"response_ns": None, "response_raw": None}
+    else:
+        lacking |= {"request_ns": None, "request_raw": None}
+    records = [request(100 * at, **on(), **lacking) for at in range(50)]
+    told = judged([*records, *([missing(6000)] if side == "requests" else [])])
+    assert serious(told) == ["NET-ONE-SIDE"]
+    assert f"only {side} of {SLAVE}" in told.troubles[0].cause
+
+
+def test_a_capture_that_cuts_packets_is_not_one_direction() -> None:
+    cut = WireEvent(
+        ts_ns=START_NS, link=SLAVE, kind=EventKind.CUT, message="", source=SLAVE, destination=MASTER
+    )
+    lacking: dict[str, Any] = {
+        "outcome": Outcome.NOT_CAPTURED, "latency_ns": None, "response_ns": None,
+        "response_raw": None,
+    }  # fmt: skip
+    records = [request(100 * at, **on(), **lacking) for at in range(50)]
+    assert serious(judged([*records, *[cut] * 50])) == []
+
+
+def test_two_addresses_of_one_host_in_its_own_network_are_told() -> None:
+    own, other = "00:00:00:00:00:01", "00:00:00:00:00:66"
+    records = [
+        asked(100 * at, source_mac="00:00:00:00:00:aa", destination_mac=other if at % 3 else own)
+        for at in range(60)
+    ]
+    trouble = of_code(judged(records), "NET-TWO-MACS")
+    assert trouble.who == SLAVE
+    assert own in trouble.cause
+    assert other in trouble.cause
+
+
+def test_a_router_and_a_replaced_device_are_no_second_device() -> None:
+    own, router = "00:00:00:00:00:01", "00:00:00:00:00:66"
+    far = [
+        asked(100 * at, master="192.168.7.1", source_mac=router if at % 2 else own)
+        for at in range(60)
+    ]
+    assert serious(judged(far)) == []
+    replaced = [
+        asked(100 * at, destination_mac=own if at < 30 else "00:00:00:00:00:77") for at in range(60)
+    ]
+    assert serious(judged(replaced)) == []
+
+
+def test_a_slave_that_asks_later_is_told_and_a_concentrator_is_not() -> None:
+    polled = [asked(1000 * at) for at in range(100)]
+    later = [asked(1000 * at, master=SLAVE, slave="10.0.0.3") for at in range(60, 100)]
+    trouble = of_code(judged([*polled, *later]), "NET-ROLE")
+    assert (trouble.who, trouble.count) == (SLAVE, 40)
+    always = [asked(1000 * at, master=SLAVE, slave="10.0.0.3") for at in range(100)]
+    assert serious(judged([*polled, *always])) == []
+
+
+def closed(at_ms: float, reason: str) -> WireEvent:
+    return WireEvent(
+        ts_ns=START_NS + round(at_ms * MS), link=SLAVE, kind=EventKind.CLOSED,
+        message=f"connection closed: {reason}", source=f"{MASTER}:50000", destination=f"{SLAVE}:502",
+    )  # fmt: skip
+
+
+def opened(at_ms: float) -> WireEvent:
+    return WireEvent(
+        ts_ns=START_NS + round(at_ms * MS), link=SLAVE, kind=EventKind.OPENED,
+        message="connection opened", source=f"{MASTER}:50000", destination=f"{SLAVE}:502",
+    )  # fmt: skip
+
+
+def test_lost_connections_are_told_with_how_they_ended() -> None:
+    records = [asked(100 * at) for at in range(100)]
+    events = [
+        each for at in range(5) for each in (opened(2000 * at), closed(2000 * at + 9, "reset"))
+    ]
+    ends = [each for at in range(9) for each in (opened(at), closed(at, "finished"))]
+    trouble = of_code(judged([*records, *events, *ends]), "NET-LOST")
+    assert trouble.cause == f"5 connections of {MASTER} to {SLAVE} lost: 5 reset"
+    assert len(trouble.evidence) == 5
+    assert serious(judged([*records, *ends])) == []
+
+
+@pytest.mark.public_captures
+@pytest.mark.parametrize(
+    ("name", "code"),
+    [
+        ("ITI__ICS-Security-Tools/Modbus__modbus_test.pcap", "NET-BLOCKED"),
+        ("kb221svs__modbus-anomaly-detection/modbus.pcap", "NET-TWO-MACS"),
+        ("antoine-lemay__Modbus_dataset/send_a_fake_command_modbus_6RTU_with_operate.pcap",
+         "NET-ROLE"),
+        ("ITI__ICS-Security-Tools/mb2.pcap", "NET-DELAYED-ACK"),
+    ],
+)  # fmt: skip
+def test_illnesses_in_captures_of_others_are_named(name: str, code: str) -> None:
+    path = public_folder() / name
+    if not path.exists():
+        pytest.skip("no captures of others")
+    run = CheckRun([str(path)], ReadingOptions())
+    for _ in run.findings():
+        pass
+    assert code in [one.code for one in run.judgement().troubles]
