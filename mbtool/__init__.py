@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from mbtool.core.events import EventKind, WireEvent
     from mbtool.devices.named_transaction import NamedTransaction, PointValue
     from mbtool.modbus.transaction import Outcome
+    from mbtool.troubles.trouble import Trouble
 
 _ERRORS = (
     "CutError", "DamageError", "InputError", "LinkError", "MbtoolError", "OutputError",
@@ -54,6 +55,7 @@ _PLACES = {
     "Replay": ("api.slaves", "Replay"),
     "SerialBench": ("api.serial_bench", "SerialBench"),
     "Slave": ("api.slaves", "Slave"),
+    "Trouble": ("troubles.trouble", "Trouble"),
     "WireEvent": ("core.events", "WireEvent"),
     "line": ("api.serial_bench", "line"),
     "open": ("api.capture", "open_capture"),
@@ -82,6 +84,7 @@ __all__ = [
     "Replay",
     "SerialBench",
     "Slave",
+    "Trouble",
     "UsageError",
     "WireEvent",
     "__version__",

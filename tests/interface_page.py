@@ -18,7 +18,7 @@ BEGIN = "<!-- From here on the page is made of docstrings: python -m tests.inter
 FUNCTIONS = ("open", "sniff", "line")
 CLASSES = (
     "Capture", "LiveCapture", "Slave", "Replay", "ObservedShell", "Decoder", "SerialBench",
-    "PointRow",
+    "PointRow", "Trouble",
 )  # fmt: skip
 _WIDTH = 96
 _SPECIAL = ("__getitem__", "__setitem__", "__iter__")

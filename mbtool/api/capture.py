@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from mbtool.columns.schema import Table
     from mbtool.decode.decoder import Record
     from mbtool.devices import NamedTransaction
+    from mbtool.troubles.trouble import Trouble
 
 _TABLE_ROWS = 65_536
 """If transactions are decoded one by one, `table` collects this many as Python objects, turns them
@@ -114,6 +115,24 @@ class Capture:
                 parts.append(row_table(rows))
                 rows = []
         return whole_table([*parts, row_table(rows)])
+
+    def troubles(self) -> list[Trouble]:
+        """Return what is wrong, the worst first; docs/troubles.md explains the codes.
+
+        They are those of `mbtool check`: with `where`, units are judged by the transactions that
+        pass. `cause`, `remedy` and `sentence` have the words, `evidence` the first cases.
+        """
+        from mbtool.workflows.check import CheckRun
+
+        run = CheckRun(self._paths, self._options, wanted=self._wanted)
+        try:
+            for _ in run.findings():
+                pass
+        except (CutError, DamageError) as error:
+            self._finish(run.reading, error)
+        else:
+            self._finish(run.reading)
+        return [*run.judgement().troubles]
 
     def _columns(self) -> list[Table] | None:
         """Return all transactions as tables, made by the array decoder.

@@ -33,9 +33,15 @@ class CheckFormat(StrEnum):
     TABLE = "table"
     JSON = "json"
     SARIF = "sarif"
+    JUNIT = "junit"
 
 
-_SUFFIXES = {".txt": CheckFormat.TABLE, ".json": CheckFormat.JSON, ".sarif": CheckFormat.SARIF}
+_SUFFIXES = {
+    ".txt": CheckFormat.TABLE,
+    ".json": CheckFormat.JSON,
+    ".sarif": CheckFormat.SARIF,
+    ".xml": CheckFormat.JUNIT,
+}
 
 
 @takes_groups
@@ -83,7 +89,7 @@ def check(
     output: Annotated[
         str | None,
         typer.Option(
-            "--output", "-o", metavar="OUT", help="Write to a file: .json, .sarif or .txt."
+            "--output", "-o", metavar="OUT", help="Write to a file: .json, .sarif, .xml or .txt."
         ),
     ] = None,
     overwrite: OverwriteOption = False,
@@ -219,6 +225,8 @@ def _printer(format_: CheckFormat, file: TextIO, files: list[str], *, each: bool
         return _EachPrinter(file)
     if format_ is CheckFormat.TABLE:
         return _FindingsTablePrinter(file, names_files=len(files) > 1)
+    if format_ is CheckFormat.JUNIT:
+        return _JUnitPrinter(file)
     return _DocumentPrinter(file, format_, files)
 
 
@@ -267,6 +275,29 @@ def _print_troubles(console: Console, run: CheckRun) -> None:
     for one in run.judgement().troubles:
         if one.code in WORDS:
             console.print(Text(f"! {trouble_text(one)}", STYLES[one.severity]), soft_wrap=True)
+
+
+class _JUnitPrinter(_Printer):
+    """Writes each trouble as a failed test; one that passed if there is none."""
+
+    def __init__(self, file: TextIO) -> None:
+        self._file = file
+
+    def add(self, found: FileFinding) -> None:
+        pass  # Broken rules are among the troubles.
+
+    def end(self, run: CheckRun, why_partial: str | None) -> None:
+        from mbtool.views.junit import Case, junit_xml
+        from mbtool.views.trouble_lines import trouble_text
+
+        judgement = run.judgement()
+        cases = [
+            Case(one.link, f"{one.code} {one.who}", [trouble_text(one)])
+            for one in judgement.troubles
+        ]
+        if why_partial is not None:
+            cases.append(Case("files", "can be read", error=why_partial))
+        self._file.write(junit_xml("mbtool check", cases or [Case("all links", judgement.summary)]))
 
 
 class _DocumentPrinter(_Printer):
@@ -320,7 +351,10 @@ def _sentence(run: CheckRun) -> str:
         of_codes = "" if number == 1 else f" of {counted(codes, 'code')}"
         parts.append(f"{counted(number, 'finding')}{of_codes}")
     if parts:
-        return f"{', '.join(parts)} in {transactions}; docs/findings.md explains each code"
+        pages = ["docs/troubles.md"] if troubles else []
+        pages += ["docs/findings.md"] if number else []
+        verb = "explain the codes" if len(pages) > 1 else "explains each code"
+        return f"{', '.join(parts)} in {transactions}; {' and '.join(pages)} {verb}"
     if not run.transactions:
         return f"no findings in {transactions}"
     return f"no findings in {transactions}. {judgement.summary}"

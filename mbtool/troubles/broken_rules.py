@@ -118,9 +118,19 @@ def rule_troubles(findings: Summaries) -> Iterator[Trouble]:
             count=number,
             weight=number,
             figures={"times": counted(number, "time", ","), "place": where_text},
-            evidence=(Evidence(ts_ns=first.ts_ns, text=first.message),),
+            evidence=(_evidence(first),),
             search=code,
         )
+
+
+def _evidence(finding: Finding) -> Evidence:
+    return Evidence(
+        ts_ns=finding.ts_ns,
+        text=finding.message,
+        file=finding.file,
+        packets=finding.packets,
+        offsets=finding.offsets,
+    )
 
 
 def _place(finding: Finding, file: str) -> str:

@@ -63,6 +63,9 @@ class Judgement:
     troubles: Sequence[Trouble]
     links: Sequence[LinkReport]
     """The account of each link, by which was judged."""
+    is_chosen: bool = False
+    """True if the user chose the codes, so that no trouble among them does not mean that all is
+    well."""
 
     @property
     def is_enough(self) -> bool:
@@ -76,13 +79,16 @@ class Judgement:
         """
         if any(one.severity is Severity.ERROR for one in self.troubles):
             return "bad"
-        return "well" if not self.troubles and self.is_enough else "doubt"
+        is_well = not (self.troubles or self.is_chosen) and self.is_enough
+        return "well" if is_well else "doubt"
 
     @property
     def summary(self) -> str:
         """Return a sentence for the case that there is no trouble: who answers how many requests,
         or that too little was heard.
         """
+        if self.is_chosen:
+            return "No trouble of the chosen codes shows."
         total, units = self._total, unit_tallies(self.links)
         if not total.transactions:
             is_any = any(link.tally.transactions for link in self.links)

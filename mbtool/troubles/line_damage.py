@@ -65,7 +65,7 @@ _DAMAGE = frozenset((EventKind.SKIPPED, EventKind.BAD_CHECK))
 
 
 @dataclass(slots=True)
-class _Unit:
+class _DamagedUnit:
     damaged: int = 0
     """The number of damaged answers."""
     shorter: int = 0
@@ -82,12 +82,12 @@ class _Unit:
 
 
 @dataclass(slots=True)
-class _Line:
+class _DamagedLine:
     held: deque[WireEvent] = field(default_factory=lambda: deque(maxlen=HELD))
     """Events about damaged bytes that are given to nobody yet."""
     requests: OrderedDict[bytes, None] = field(default_factory=OrderedDict)
     """The last different requests."""
-    units: dict[int, _Unit] = field(default_factory=dict)
+    units: dict[int, _DamagedUnit] = field(default_factory=dict)
     last: NamedTransaction | None = None
     in_requests: int = 0
     short_requests: int = 0
@@ -102,20 +102,20 @@ class _Line:
     cases: list[Evidence] = field(default_factory=list)
     masters_cases: list[Evidence] = field(default_factory=list)
 
-    def unit(self, number: int) -> _Unit:
-        return self.units.setdefault(number, _Unit())
+    def unit(self, number: int) -> _DamagedUnit:
+        return self.units.setdefault(number, _DamagedUnit())
 
     @property
     def damaged(self) -> int:
         return self.in_requests + self.elsewhere + sum(one.damaged for one in self.units.values())
 
 
-class DamagedFrames(SortedSense):
+class LineDamage(SortedSense):
     """Finds LINE-NOISE, LINE-LOST-BYTES, LINE-SAME-UNIT and LINE-TWO-MASTERS."""
 
     def __init__(self) -> None:
         super().__init__()
-        self._lines: dict[str, _Line] = {}
+        self._lines: dict[str, _DamagedLine] = {}
 
     def begin_capture(self) -> None:
         super().begin_capture()
@@ -150,20 +150,20 @@ class DamagedFrames(SortedSense):
         self._give(line)
         line.last = one
 
-    def _line(self, link: str) -> _Line | None:
+    def _line(self, link: str) -> _DamagedLine | None:
         line = self._lines.get(link)
         if line is None and len(self._lines) < MAX_LINKS:
-            line = self._lines[link] = _Line()
+            line = self._lines[link] = _DamagedLine()
         return line
 
-    def _note_request(self, line: _Line, one: NamedTransaction) -> None:
+    def _note_request(self, line: _DamagedLine, one: NamedTransaction) -> None:
         raw = one.request_raw or b""
         line.requests[raw] = None
         line.requests.move_to_end(raw)
         if len(line.requests) > KNOWN:
             line.requests.popitem(last=False)
 
-    def _note_merged(self, line: _Line, event: WireEvent) -> None:
+    def _note_merged(self, line: _DamagedLine, event: WireEvent) -> None:
         """Note if an event has the bytes of two requests that were sent at once."""
         raw = event.raw
         if not _SHORTEST_REQUEST < len(raw) < 2 * _SHORTEST_REQUEST:
@@ -174,7 +174,7 @@ class DamagedFrames(SortedSense):
             line.merged += 1
             _keep(line.masters_cases, Evidence.of_event(event, "two requests at once"))
 
-    def _note_interrupted(self, line: _Line, one: NamedTransaction) -> None:
+    def _note_interrupted(self, line: _DamagedLine, one: NamedTransaction) -> None:
         """Note if `one` was sent while the request before it surely waited for its answer."""
         last = line.last
         if last is None or last.outcome is not Outcome.NO_ANSWER or last.unit == one.unit:
@@ -188,7 +188,7 @@ class DamagedFrames(SortedSense):
             line.interrupted += 1
             _keep(line.masters_cases, Evidence.of(one, "sent while another request waited"))
 
-    def _give(self, line: _Line) -> None:
+    def _give(self, line: _DamagedLine) -> None:
         """Take the damaged frames since the last transaction as its answer if it has none; else
         they are of nobody.
         """
@@ -210,7 +210,7 @@ class DamagedFrames(SortedSense):
         for event in held:
             _keep(line.cases, Evidence.of_event(event))
 
-    def _note_alone(self, line: _Line, unit: _Unit, one: NamedTransaction) -> None:
+    def _note_alone(self, line: _DamagedLine, unit: _DamagedUnit, one: NamedTransaction) -> None:
         """Take the damaged frame right before a response without a request as its request, if that
         frame is not the answer of the request before.
         """
@@ -243,7 +243,7 @@ class DamagedFrames(SortedSense):
                 yield from _of_line(link.name, line)
 
 
-def _of_line(link: str, line: _Line) -> Iterator[Trouble]:
+def _of_line(link: str, line: _DamagedLine) -> Iterator[Trouble]:
     collisions = line.merged + line.interrupted
     if line.is_told or line.merged > 1 or collisions >= ENOUGH:
         yield Trouble(
@@ -286,7 +286,7 @@ def _of_line(link: str, line: _Line) -> Iterator[Trouble]:
     )
 
 
-def _is_double(line: _Line, unit: _Unit) -> bool:
+def _is_double(line: _DamagedLine, unit: _DamagedUnit) -> bool:
     """True if two slaves answer to a unit."""
     if unit.seconds >= ENOUGH:
         return True
@@ -303,7 +303,7 @@ def _is_double(line: _Line, unit: _Unit) -> bool:
     return is_other and unit.longer >= unit.shorter and is_mostly_damaged and is_alone
 
 
-def _where(line: _Line) -> tuple[str, int | None]:
+def _where(line: _DamagedLine) -> tuple[str, int | None]:
     """Return where most of the damage sits, and the unit if it is that of one."""
     by_unit = Counter({number: unit.damaged for number, unit in line.units.items()})
     answers, number = by_unit.total(), line.damaged

@@ -56,7 +56,7 @@ _DAMAGE = frozenset((EventKind.SKIPPED, EventKind.BAD_CHECK))
 
 
 @dataclass(slots=True)
-class _Unit:
+class _LateUnit:
     """The unanswered requests of a unit, and its late answers; times in ns."""
 
     open: deque[NamedTransaction] = field(default_factory=lambda: deque(maxlen=OPEN))
@@ -83,12 +83,12 @@ class _Unit:
         self.moved.clear()
 
 
-class LateAnswers(SortedSense):
+class LateOnLine(SortedSense):
     """Finds LINE-LATE."""
 
     def __init__(self) -> None:
         super().__init__()
-        self._units: dict[tuple[str, int], _Unit] = {}
+        self._units: dict[tuple[str, int], _LateUnit] = {}
         self._waits_from: dict[str, NamedTransaction] = {}
         """By link, the request without an answer whose next request is not known yet."""
         self._damage_ns: dict[str, int] = {}
@@ -117,7 +117,7 @@ class LateAnswers(SortedSense):
         if unit is None:
             if len(self._units) >= MAX_UNITS:
                 return
-            unit = self._units[key] = _Unit()
+            unit = self._units[key] = _LateUnit()
         if one.request_ns is not None:
             self._note_wait(one)
             self._asked_ns[one.link] = one.request_ns
@@ -139,7 +139,7 @@ class LateAnswers(SortedSense):
             unit = self._units[before.link, before.unit]
             unit.waits.append(one.request_ns - before.request_ns)
 
-    def _note_alone(self, unit: _Unit, one: NamedTransaction) -> None:
+    def _note_alone(self, unit: _LateUnit, one: NamedTransaction) -> None:
         """Give a response without a request to the oldest open request that it fits."""
         damage_ns = self._damage_ns.get(one.link, 0)
         if damage_ns > self._asked_ns.get(one.link, 0) or one.response_ns is None:
@@ -166,7 +166,7 @@ class LateAnswers(SortedSense):
                     yield from _of_unit(link.name, number, unit, merged(some))
 
 
-def _of_unit(link: str, number: int, unit: _Unit, tally: RequestTally) -> Iterator[Trouble]:
+def _of_unit(link: str, number: int, unit: _LateUnit, tally: RequestTally) -> Iterator[Trouble]:
     if unit.count >= ENOUGH:
         yield _trouble(link, number, unit, tally.requests)
         return
@@ -192,13 +192,13 @@ def _of_unit(link: str, number: int, unit: _Unit, tally: RequestTally) -> Iterat
         )
 
 
-def _forget_old(unit: _Unit, now_ns: int) -> None:
+def _forget_old(unit: _LateUnit, now_ns: int) -> None:
     """Forget open requests whose response does not come any more."""
     if (unit.open and now_ns - unit.open[0].start_ns > LONGEST_NS) or len(unit.moved) > OPEN:
         unit.forget()
 
 
-def _move(unit: _Unit, one: NamedTransaction) -> None:
+def _move(unit: _LateUnit, one: NamedTransaction) -> None:
     """Note that a response belongs to an earlier request if the unit answers in order."""
     request = unit.open[0]
     if one.response_ns is None or not _fits(request, one):
@@ -209,7 +209,7 @@ def _move(unit: _Unit, one: NamedTransaction) -> None:
     unit.open.append(one)
 
 
-def _trouble(link: str, number: int, late: _Unit, requests: int) -> Trouble:
+def _trouble(link: str, number: int, late: _LateUnit, requests: int) -> Trouble:
     latency_ns, longest_ns = median(late.latencies), max(late.latencies)
     count = max(late.count, late.missing)
     waits = _s(median(late.waits)) if late.waits else "less"

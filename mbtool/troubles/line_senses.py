@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mbtool.troubles.line_damage import DamagedFrames
-from mbtool.troubles.line_late import LateAnswers
+from mbtool.troubles.line_damage import LineDamage
+from mbtool.troubles.line_late import LateOnLine
 from mbtool.troubles.line_sides import HeardSides
 from mbtool.troubles.line_strays import StrayBytes
 
@@ -16,4 +16,4 @@ if TYPE_CHECKING:
 
 def line_senses(context: CaptureContext) -> list[Sense]:
     """Return a sense of each kind; `context` has facts about the present capture."""
-    return [LateAnswers(), HeardSides(), DamagedFrames(), StrayBytes(context.line_of)]
+    return [LateOnLine(), HeardSides(), LineDamage(), StrayBytes(context.line_of)]

@@ -46,7 +46,7 @@ _BYTES = frozenset((EventKind.SKIPPED, EventKind.BAD_CHECK, EventKind.ECHO))
 
 
 @dataclass(slots=True)
-class _Line:
+class _SidedLine:
     units: set[int] = field(default_factory=set)
     requests: int = 0
     other_requests: int = 0
@@ -70,12 +70,12 @@ class HeardSides(Sense):
     """Finds LINE-ONE-SIDE, LINE-ECHO and LINE-REPEATED."""
 
     def __init__(self) -> None:
-        self._lines: dict[str, _Line] = {}
+        self._lines: dict[str, _SidedLine] = {}
 
-    def _line(self, link: str) -> _Line | None:
+    def _line(self, link: str) -> _SidedLine | None:
         line = self._lines.get(link)
         if line is None and len(self._lines) < MAX_LINKS:
-            line = self._lines[link] = _Line()
+            line = self._lines[link] = _SidedLine()
         return line
 
     def event(self, event: WireEvent) -> None:

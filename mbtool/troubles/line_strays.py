@@ -67,7 +67,7 @@ class _Stretch:
 
 
 @dataclass(slots=True)
-class _Line:
+class _StrayLine:
     bias: Counter[bytes] = field(default_factory=Counter)
     waiting: list[WireEvent] = field(default_factory=list)
     """Single bytes whose place is not known yet."""
@@ -100,12 +100,12 @@ class StrayBytes(SortedSense):
         """`line_of` returns the settings of a serial line by its name; None if unknown."""
         super().__init__()
         self._line_of = line_of
-        self._lines: dict[str, _Line] = {}
+        self._lines: dict[str, _StrayLine] = {}
 
-    def _line(self, link: str) -> _Line | None:
+    def _line(self, link: str) -> _StrayLine | None:
         line = self._lines.get(link)
         if line is None and len(self._lines) < MAX_LINKS:
-            line = self._lines[link] = _Line()
+            line = self._lines[link] = _StrayLine()
         return line
 
     def take_event(self, event: WireEvent) -> None:
@@ -154,7 +154,7 @@ class StrayBytes(SortedSense):
         line.answered += one.outcome in _ANSWERED
         _end_stretch(line)
 
-    def _place(self, line: _Line, after: NamedTransaction) -> None:
+    def _place(self, line: _StrayLine, after: NamedTransaction) -> None:
         """Note of which frames the waiting single bytes are neighbours: those of the transaction
         before them, or of the one `after`.
         """
@@ -188,7 +188,7 @@ class StrayBytes(SortedSense):
             yield from _settings(name, line)
 
 
-def _bias(link: str, line: _Line) -> Iterator[Trouble]:
+def _bias(link: str, line: _StrayLine) -> Iterator[Trouble]:
     if not line.bias:
         return
     (byte, count), transactions = line.bias.most_common(1)[0], max(line.requests, 1)
@@ -204,7 +204,7 @@ def _bias(link: str, line: _Line) -> Iterator[Trouble]:
     )  # fmt: skip
 
 
-def _foreign(link: str, line: _Line) -> Iterator[Trouble]:
+def _foreign(link: str, line: _StrayLine) -> Iterator[Trouble]:
     if line.pieces < ENOUGH or line.piece_bytes < FOREIGN_BYTES:
         return
     if line.answered < ENOUGH or line.answered < 0.5 * line.requests:
@@ -225,7 +225,7 @@ def _foreign(link: str, line: _Line) -> Iterator[Trouble]:
     )  # fmt: skip
 
 
-def _settings(link: str, line: _Line) -> Iterator[Trouble]:
+def _settings(link: str, line: _StrayLine) -> Iterator[Trouble]:
     found = [*line.stretches]
     if line.stretch is not None and _is_wrong(line.stretch):
         found.append(line.stretch)
@@ -241,7 +241,7 @@ def _settings(link: str, line: _Line) -> Iterator[Trouble]:
         )  # fmt: skip
 
 
-def _end_stretch(line: _Line) -> None:
+def _end_stretch(line: _StrayLine) -> None:
     stretch, line.stretch = line.stretch, None
     if stretch is not None and _is_wrong(stretch) and len(line.stretches) < MAX_EVIDENCE:
         line.stretches.append(stretch)

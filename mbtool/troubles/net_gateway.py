@@ -62,7 +62,7 @@ class _Slow(NamedTuple):
 
 
 @dataclass(slots=True)
-class _Connection:
+class _MasterTalk:
     recent: deque[NamedTransaction] = field(default_factory=lambda: deque(maxlen=RECENT))
     number: int = 0
     overlaps: int = 0
@@ -75,7 +75,7 @@ class Gateways(Sense):
 
     def __init__(self) -> None:
         self._slow: dict[str, deque[_Slow]] = {}
-        self._connections: OrderedDict[tuple[str, str | None], _Connection] = OrderedDict()
+        self._connections: OrderedDict[tuple[str, str | None], _MasterTalk] = OrderedDict()
         self._late: dict[tuple[str, int], list[tuple[Evidence, int, int]]] = {}
         """By link and unit: cases, with the latency and how long the master waited (ns)."""
 
@@ -116,7 +116,7 @@ class Gateways(Sense):
         if connection is None:
             if len(self._connections) >= MAX_LINKS:
                 self._connections.popitem(last=False)
-            connection = self._connections[key] = _Connection()
+            connection = self._connections[key] = _MasterTalk()
         connection.number += 1
         for other in connection.recent:
             first, second = sorted((one, other), key=lambda each: each.start_ns)

@@ -47,7 +47,7 @@ class _Mac:
 
 
 @dataclass(slots=True)
-class _Host:
+class _SeenHost:
     macs: dict[str, _Mac] = field(default_factory=dict)
     is_local: bool = False
     """True if it talked with a host of its own network."""
@@ -67,7 +67,7 @@ class Hosts(Sense):
     """Finds NET-TWO-MACS and NET-ROLE."""
 
     def __init__(self) -> None:
-        self._hosts: dict[str, _Host] = {}
+        self._hosts: dict[str, _SeenHost] = {}
 
     def transaction(self, one: NamedTransaction) -> None:
         if not one.transport.is_serial:
@@ -86,7 +86,7 @@ class Hosts(Sense):
             if host is None:
                 if not name or len(self._hosts) >= MAX_HOSTS:
                     continue
-                host = self._hosts[name] = _Host()
+                host = self._hosts[name] = _SeenHost()
             host.is_local |= is_local
             if mac is not None:
                 _note_mac(host, mac, one, count, begin_ns, end_ns)
@@ -130,7 +130,7 @@ class Hosts(Sense):
 
 
 def _note_mac(
-    host: _Host, mac: str, one: NamedTransaction, count: int, begin_ns: int, end_ns: int
+    host: _SeenHost, mac: str, one: NamedTransaction, count: int, begin_ns: int, end_ns: int
 ) -> None:
     if mac.startswith(_SHARED):
         return

@@ -161,6 +161,9 @@ class Trouble:
             link=self.link,
             unit=self.unit,
             count=self.count,
+            file=self.evidence[0].file if self.evidence else None,
+            packets=self.evidence[0].packets if self.evidence else (),
+            offsets=self.evidence[0].offsets if self.evidence else (),
             level=self.severity,
         )
 

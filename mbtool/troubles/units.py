@@ -42,6 +42,8 @@ _SEARCH = {
 }
 _CHECK_LINE = "check its power, address, wires and line settings"
 _CHECK_NETWORK = "check that it runs, and that address, unit and gateway are right"
+_LOOK_LINE = "check its cable, and if the master's time-out is long enough"
+_LOOK_NETWORK = "check its load, the network, and if the master's time-out is long enough"
 _ADVICE = {
     1: "use a function that its manual lists",
     2: "correct the address or quantity of the request by its manual",
@@ -62,7 +64,7 @@ class _Joined(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class _Unit:
+class _JudgedUnit:
     link: str
     number: int
     tally: RequestTally
@@ -89,6 +91,7 @@ class _Unit:
                 "requests": _requests(share),
                 "percent": percent(share.share),
                 "check": _CHECK_LINE if self.is_serial else _CHECK_NETWORK,
+                "look": _LOOK_LINE if self.is_serial else _LOOK_NETWORK,
                 **figures,
             },
         )
@@ -99,7 +102,7 @@ def unit_troubles(links: Sequence[LinkReport]) -> Iterator[Trouble]:
     tallies, times, polls = unit_tallies(links), unit_times(links), unit_polls(links)
     serial = {link.name for link in links if link.is_serial}
     units = {
-        (link, number): _Unit(
+        (link, number): _JudgedUnit(
             link,
             number,
             tally,
@@ -124,7 +127,7 @@ def unit_troubles(links: Sequence[LinkReport]) -> Iterator[Trouble]:
     yield from _slow(units)
 
 
-def _failures(unit: _Unit) -> Iterator[Trouble]:
+def _failures(unit: _JudgedUnit) -> Iterator[Trouble]:
     tally = unit.tally
     if never_answers(tally):
         share = FailedShare(tally.unanswered, tally.unanswered)
@@ -145,7 +148,7 @@ def _failures(unit: _Unit) -> Iterator[Trouble]:
         yield unit.trouble("UNIT-MALFORMED", FailedShare(number, tally.requests))
 
 
-def _refusal(unit: _Unit) -> Trouble | None:
+def _refusal(unit: _JudgedUnit) -> Trouble | None:
     share = refused_share(unit.tally, unit.times)
     if share is None:
         return None
@@ -159,7 +162,7 @@ def _refusal(unit: _Unit) -> Trouble | None:
     return unit.trouble("UNIT-REFUSES", share, requests=requests, codes=codes, advice=advice)
 
 
-def _named(refused: Sequence[PollStatistics], unit: _Unit) -> str:
+def _named(refused: Sequence[PollStatistics], unit: _JudgedUnit) -> str:
     """Return which requests a unit refuses each time: `03 holding 4 each time (3 times)`."""
     number = unit.tally.count(Outcome.EXCEPTION)
     often = sorted(refused, key=lambda poll: -poll.tally.transactions)
@@ -214,7 +217,7 @@ def _scan(joint: JointRefusals, link: str) -> Trouble:
     )  # fmt: skip
 
 
-def _slow(units: dict[tuple[str, int], _Unit]) -> Iterator[Trouble]:
+def _slow(units: dict[tuple[str, int], _JudgedUnit]) -> Iterator[Trouble]:
     """Yield a trouble for each slow unit, and for each that became slower."""
     slow, slower = slow_and_slower_units(
         {key: unit.tally.latency for key, unit in units.items()},
@@ -232,7 +235,7 @@ def _slow(units: dict[tuple[str, int], _Unit]) -> Iterator[Trouble]:
         yield _slower(units[key], one)
 
 
-def _slower(unit: _Unit, one: Slower) -> Trouble:
+def _slower(unit: _JudgedUnit, one: Slower) -> Trouble:
     answers = sum(each.answered for each in unit.times.bins.bins()) if unit.times else 0
     since = f" since {moment_text(one.since_ns, is_long=one.is_long)}"
     return Trouble(

@@ -191,7 +191,7 @@ _ROWS = (
     Words(
         "UNIT-MISSING", _E,
         "{who} leaves {requests} without an answer",
-        "{check}; look at what was sent before each case",
+        "{look}; see what was sent before each case",
         "unit", "{percent} unanswered", ("MB-401", "MB-402"),
     ),
     Words(

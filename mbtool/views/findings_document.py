@@ -236,6 +236,8 @@ def _fields(finding: Finding) -> dict[str, Any]:
         "reference": finding.reference,
         "device": finding.device,
         "count": finding.count,
+        "packets": [*finding.packets] or None,
+        "offsets": [*finding.offsets] or None,
     }
     return {key: value for key, value in fields.items() if value is not None}
 

@@ -129,5 +129,5 @@ def wrapped(line: StyledLine, width: int | None) -> list[StyledLine]:
     text = printable(line.text)
     if width is None:
         return [StyledLine(text, line.style)]
-    lines = wrap(text.replace(" %", _KEPT), width, subsequent_indent="  ")
+    lines = wrap(text.replace(" %", _KEPT), width, subsequent_indent="  ", break_on_hyphens=False)
     return [StyledLine(one.replace(_KEPT, " %"), line.style) for one in lines]

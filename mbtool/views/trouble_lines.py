@@ -105,8 +105,9 @@ def watch_text(judgement: Judgement, width: int) -> tuple[list[str], str]:
         return [], ""
     worst, left = troubles[0], len(troubles) - 1
     more = f"; {left} more: key 6" if left else ""
-    lines = wrap(f"{trouble_text(worst)}{more}", max(width, _NARROWEST))
-    if len(lines) > WATCH_LINES:
-        lines = wrap(f"{printable(worst.cause)}{more}", max(width, _NARROWEST))
+    for text in (trouble_text(worst), printable(worst.cause)):
+        lines = wrap(f"{text}{more}", max(width, _NARROWEST), break_on_hyphens=False)
+        if len(lines) <= WATCH_LINES:
+            break
     style = "bold red" if worst.severity is Severity.ERROR else "yellow"
     return lines[:WATCH_LINES], style

@@ -70,6 +70,11 @@ class CodeFilter:
     chosen."""
     ignore: tuple[str, ...] = ()
 
+    @property
+    def is_any(self) -> bool:
+        """True if some codes are left out."""
+        return bool(self.select or self.ignore)
+
     @classmethod
     def parse(cls, select: Sequence[str], ignore: Sequence[str]) -> CodeFilter:
         """Make a filter from the values of --select and --ignore.
@@ -383,15 +388,17 @@ class CheckRun:
         if self._judged is None or self._is_open:
             found = self._judge.judgement()
             chosen = [one for one in found.troubles if self._codes.takes(one.code)]
-            self._judged = replace(found, troubles=chosen)
+            self._judged = replace(found, troubles=chosen, is_chosen=self._codes.is_any)
         return self._judged
 
     def _chosen(self, findings: Iterable[Finding]) -> Iterator[FileFinding]:
         for finding in findings:
             if self._codes.takes(finding.code) and not self._window.is_before_ns(finding.ts_ns):
                 self.counts[finding.code] += finding.count
-                self._judge.note(finding, self._file if len(self._paths) > 1 else "")
-                yield FileFinding(finding, self._file)
+                # A log names the file that it was made of; the user knows the log.
+                file = self._file if self.reading.is_log else finding.file or self._file
+                self._judge.note(finding, file if len(self._paths) > 1 else "")
+                yield FileFinding(finding, file)
 
 
 def _codes(texts: Sequence[str]) -> tuple[str, ...]:

@@ -3,6 +3,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 from typing import TYPE_CHECKING
+from xml.etree import ElementTree
 
 import pytest
 
@@ -31,7 +32,8 @@ def test_findings_are_an_answer_of_no(capsys: pytest.CaptureFixture[str]) -> Non
         "    2026-01-01 00:00:00.056: write coil 0: value 0001H for a coil\n"
     )
     assert captured.err == (
-        "1 trouble, 1 finding in 3 transactions; docs/findings.md explains each code\n"
+        "1 trouble, 1 finding in 3 transactions; docs/troubles.md and docs/findings.md explain the "
+        "codes\n"
     )
 
 
@@ -118,7 +120,7 @@ def test_the_name_of_the_output_says_the_format(
     assert key in json.loads(out.read_text())
     captured = capsys.readouterr()
     assert captured.out == ""
-    assert f"explains each code -> {out}\n" in captured.err
+    assert f"explain the codes -> {out}\n" in captured.err
 
 
 def test_a_document_goes_to_standard_output_too(capsys: pytest.CaptureFixture[str]) -> None:
@@ -310,3 +312,17 @@ def test_sarif_may_be_named_json(capsys: pytest.CaptureFixture[str], tmp_path: P
     assert "written as" not in capsys.readouterr().err
     assert run(["check", LOG, "--format", "json", "-o", f"{out}.sarif"]) == exit_codes.NO
     assert "written as json, as --format says" in capsys.readouterr().err
+
+
+def test_troubles_are_failed_tests_of_junit(tmp_path: Path) -> None:
+    out = tmp_path / "x.xml"
+    assert run(["check", SHOWS, "-o", str(out)]) == exit_codes.NO
+    suite = ElementTree.parse(out).getroot()
+    names = [case.attrib["name"] for case in suite.iter("testcase")]
+    assert names == ["MB-103 unit 1", "UNIT-REFUSES unit 1"]
+    assert suite.attrib["failures"] == "2"
+    assert run(["check", NEARLY, "-o", str(out), "--overwrite"]) == exit_codes.DONE
+    suite = ElementTree.parse(out).getroot()
+    assert suite.attrib["failures"] == "0"
+    (case,) = suite.iter("testcase")
+    assert case.attrib["name"].startswith("Too short to judge")

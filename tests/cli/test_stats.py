@@ -22,8 +22,8 @@ def test_the_verdict_comes_first_and_tables_have_fixed_widths(mbtool: CommandLin
     assert told.code == exit_codes.DONE
     assert told.lines == [
         "rtu rs485 19200-8E1, unit 1 idec-ft1a-touch: 4 requests in 341 ms (11.7/s), 75 % answered",
-        "! unit 1 leaves 1 of its 4 requests (25 %) without an answer: check its power, address, "
-        "wires and line settings; look at what was sent before each case (UNIT-MISSING)",
+        "! unit 1 leaves 1 of its 4 requests (25 %) without an answer: check its cable, and if the "
+        "master's time-out is long enough; see what was sent before each case (UNIT-MISSING)",
         "waiting for missing answers took 87 % of the line's time",
         "",
         "line: busy 9.9 %, waits for slaves 2.5 %, for missing answers 87 %, free 0.8 %",

@@ -11,6 +11,7 @@ import pytest
 from mbtool.core import SerialFormat
 from mbtool.devices.checking.rules import Severity
 from mbtool.modbus import rtu_adu
+from mbtool.workflows.shared.unreadable_lines import UnreadableLines
 from tests.troubles.lines import (
     EXACT,
     FTDI,
@@ -20,6 +21,7 @@ from tests.troubles.lines import (
     Plant,
     Sent,
     judged,
+    records_of,
     values_pdu,
 )
 from tests.uart import on_the_wire
@@ -301,3 +303,13 @@ def test_settings_are_not_wrong_where_polls_are_answered() -> None:
         Sent(frames[0].at_ns + (500 + 1000 * at) * MS, random.randbytes(40)) for at in range(59)
     ]
     assert "LINE-SETTINGS" not in serious(judged([*frames, *noise], FTDI))
+
+
+def test_no_rule_doubts_the_settings_where_requests_are_answered() -> None:
+    frames = well()
+    text = b"~20014642E00201FD35\r" * 4
+    others = [Sent(frames[0].at_ns + (300 + 1000 * at) * MS, text) for at in range(59)]
+    lines = UnreadableLines(lambda _: None)
+    for record in records_of([*frames, *others], EXACT):
+        lines.note(record)
+    assert list(lines.unreadable()) == []

@@ -186,7 +186,8 @@ def test_a_slave_that_asks_later_is_told_and_a_concentrator_is_not() -> None:
 def closed(at_ms: float, reason: str) -> WireEvent:
     return WireEvent(
         ts_ns=START_NS + round(at_ms * MS), link=SLAVE, kind=EventKind.CLOSED,
-        message=f"connection closed: {reason}", source=f"{MASTER}:50000", destination=f"{SLAVE}:502",
+        message=f"connection closed: {reason}",
+        source=f"{MASTER}:50000", destination=f"{SLAVE}:502",
     )  # fmt: skip
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+import mbtool
 from mbtool.core import EventKind, SerialFormat, WireEvent
 from mbtool.ledger.statistics import Statistics
 from mbtool.modbus import Outcome
@@ -86,6 +87,7 @@ def compare(path: Path) -> None:
     lines = [line.text for line in statistics_lines(told, width=None)]
     for line in trouble_lines(told):
         assert line.text in lines or not told.links
+    assert mbtool.open(path, incomplete=True).troubles() == told.troubles
     inventory = InventoryRun([str(path)], InventoryOptions(reading=OPTIONS))
     inventory.take()
     assert trouble_documents(inventory.judgement()) == trouble_documents(told)

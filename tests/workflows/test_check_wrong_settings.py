@@ -100,8 +100,11 @@ def test_a_line_of_which_a_third_can_be_read_is_damaged_and_not_unreadable(tmp_p
     codes = {code for code, _, _ in found(path, "rtu@9600-8E1")}
     assert "RTU-202" in codes
     assert "RTU-204" not in codes
-    path.write_text(" ".join([*good[:10], noise, noise, *good[10:]]))
+    path.write_text(" ".join([*good[:4], noise, noise]))
     assert "RTU-204" in {code for code, _, _ in found(path, "rtu@9600-8E1")}
+    # Where requests are answered, the settings are right, whatever else is on the line.
+    path.write_text(" ".join([*good[:10], noise, noise, *good[10:]]))
+    assert "RTU-204" not in {code for code, _, _ in found(path, "rtu@9600-8E1")}
 
 
 def test_the_uart_of_these_tests_hears_what_was_sent() -> None:

@@ -34,6 +34,13 @@ class Finding:
     count: int = 1
     """Number of cases that the finding summarises."""
 
+    file: str | None = None
+    """The capture file of the first case, as the user named it; None if it is not known."""
+    packets: tuple[int, ...] = ()
+    """The numbers of the first case's packets in its file, from 1, as Wireshark counts them."""
+    offsets: tuple[int, ...] = ()
+    """In a file of the bytes of a serial line, the numbers of bytes before the first case's request
+    and response."""
     level: Severity | None = None
     """The severity of a trouble that is no broken rule; None for that of the code's rule."""
 
@@ -60,7 +67,14 @@ def transaction_finding(
         function=transaction.function,
         reference=transaction.reference,
         device=transaction.device,
+        file=transaction.file,
+        packets=_known(transaction.request_packet, transaction.response_packet),
+        offsets=_known(transaction.request_offset, transaction.response_offset),
     )
+
+
+def _known(*numbers: int | None) -> tuple[int, ...]:
+    return tuple(number for number in numbers if number is not None)
 
 
 def event_finding(code: str, event: WireEvent, message: str | None = None) -> Finding:

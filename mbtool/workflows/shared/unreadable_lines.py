@@ -6,9 +6,10 @@
 # can still be recovered. Then the user is advised to use the settings with which the unreadable
 # bytes are frames with a correct CRC or LRC (settings_fit.py).
 #
-# A line is unreadable if at least MIN_BYTES of its bytes are in no frame, and less than
-# MAX_READ_SHARE of all bytes are in frames. In a live capture the user is told after SOON_BYTES
-# unreadable bytes, or SOON_NS after the first of them; otherwise at the end.
+# A line is unreadable if at least MIN_BYTES of its bytes are in no frame, less than MAX_READ_SHARE
+# of all bytes are in frames, and most requests stay without an answer. In a live capture the user
+# is told after SOON_BYTES unreadable bytes, or SOON_NS after the first of them; otherwise at the
+# end.
 #
 # Memory: for each serial line, some numbers, and events with about SAMPLE_BYTES bytes.
 
@@ -34,6 +35,9 @@ if TYPE_CHECKING:
 
 MIN_BYTES = ENOUGH_WITHOUT_FRAME
 MAX_READ_SHARE = LIKELY_FIT
+ANSWERED = 5
+"""The settings are right if at least so many requests, and half of all, are answered, whatever else
+is on the line."""
 SAMPLE_BYTES = SOON_BYTES = ENOUGH
 SOON_NS = 3_000_000_000
 
@@ -48,6 +52,8 @@ LineOf = Callable[[str], SerialLink | None]
 class _HeardLine:
     read: int = 0
     unread: int = 0
+    requests: int = 0
+    answered: int = 0
     first: WireEvent | None = None
     """The first event about bytes of the line that could not be read; None if there was none."""
     sample: list[WireEvent] = field(default_factory=list)
@@ -58,7 +64,9 @@ class _HeardLine:
     @property
     def is_unreadable(self) -> bool:
         total = self.read + self.unread
-        return self.unread >= MIN_BYTES and self.read < MAX_READ_SHARE * total
+        is_answered = self.answered >= ANSWERED and self.answered * 2 >= self.requests
+        is_little = self.read < MAX_READ_SHARE * total
+        return self.unread >= MIN_BYTES and is_little and not is_answered
 
     def add(self, event: WireEvent) -> None:
         self.first = self.first or event
@@ -89,6 +97,8 @@ class UnreadableLines:
                 request, response = record.request_raw, record.response_raw
                 heard = self._lines.get(record.link) or self._heard(record.link)
                 heard.read += len(request or b"") + len(response or b"")
+                heard.requests += request is not None
+                heard.answered += request is not None and response is not None
             return None
         if record.kind not in _UNREAD or record.source or record.destination:
             return None

@@ -14,7 +14,7 @@ const PAGE_ROWS = narrow.matches ? 25 : 100;
 const FEW_ROWS = narrow.matches ? 5 : 12;
 const FEW_FINDINGS = 6;
 const MOST_FINDINGS = narrow.matches ? 8 : 30;
-const MOST_TROUBLES = narrow.matches ? 5 : 40;
+const MOST_TROUBLES = narrow.matches ? 3 : 5;
 const UNFOLDED = ["findings", "against"];
 const PRINTED_ROWS = 60;
 const PRINTED_TRANSACTIONS = 40;
@@ -349,6 +349,8 @@ function verdict() {
   const told = troubles.filter((one, at) => one.told && one.search && troubles.findIndex((other) => other.search === one.search) === at), others = troubles.filter((one) => !one.told);
   if (told.length) get("troubles").before(el("p", { class: "screen" }, "Transactions of ", told.flatMap((one, at) => [at ? ", " : "", lead(one, one.who)])));
   get("troubles").append(...others.slice(0, MOST_TROUBLES).map((one) => el("li", {}, one.text, " ", one.search ? lead(one, "show") : null)));
+  const joint = troubles.filter((one) => one.others.length);
+  if (joint.length) get("troubles").after(...joint.map((one) => el("details", {}, el("summary", {}, `${one.code}: all ${count(one.others.length + 1)}`), el("ul", {}, one.others.map((each) => el("li", {}, lead(each, each.who), ` ${each.text}`))))));
   if (others.length > MOST_TROUBLES) get("troubles").append(el("li", {}, "and ", el("a", { href: "#findings" }, `${count(others.length - MOST_TROUBLES)} more`)));
   get("troubles").hidden = !others.length;
   const all = (key) => stats.links.reduce((sum, link) => sum + link[key], 0);
@@ -369,7 +371,7 @@ function brokenText() {
   return el("span", {}, count(broken), notes ? el("span", { class: "aside" }, ` + ${plural(notes, "note")}`) : null);
 }
 function findings() {
-  const { rows, broken, notes } = data.findings, counted = data.verdict.troubles.filter((one) => !one.is_rule).slice(0, 40);
+  const { rows, broken, notes } = data.findings, counted = data.verdict.troubles.filter((one) => !one.is_rule);
   const none = "No rule of Modbus, or of a device’s manual, is broken";
   if (!rows.length && !counted.length && !stats.transactions) return;
   if (!rows.length && !counted.length) { show("findings", "", soft(`${none}.`)); return; }
@@ -386,11 +388,10 @@ function findings() {
         one.elsewhere ? el("div", { class: "soft" }, `and ${count(one.elsewhere)} times at other places`) : null)], true);
     return [text, row];
   });
-  /* What the counts show stands above the rules: a reader looks here for all that is wrong. */
+  /* Troubles stand above the rules: a reader looks here for all that is wrong. */
   for (const one of counted.reverse()) {
-    const find = one.search ? el("button", { type: "button", class: "link", "aria-label": `counts: the transactions of ${one.who}`, on: { click: () => search(one.search) } }, "counts") : "counts";
-    const is = ["odd", "minor"].includes(one.rank) ? "note" : one.rank === "slow" ? "warning" : "error";
-    lines.unshift([`counts ${is} ${one.who} ${one.text}`.toLowerCase(), tableRow(heads, [find, el("span", { class: `tag ${is}` }, is), "", one.who, el("div", {}, el("div", {}, one.text), casesOf(one))], true)]);
+    const find = one.search ? el("button", { type: "button", class: "link", "aria-label": `${one.code}: the transactions of ${one.who}`, on: { click: () => search(one.search) } }, one.code) : one.code;
+    lines.unshift([`${one.code} ${one.severity} ${one.who} ${one.text}`.toLowerCase(), tableRow(heads, [find, el("span", { class: `tag ${one.severity}` }, one.severity), count(one.cases_of), one.who, el("div", {}, el("div", {}, one.text), casesOf(one))], true)]);
   }
   const told = el("span", { class: "soft", role: "status" });
   const fill = () => {
@@ -407,20 +408,20 @@ function findings() {
   const more = el("button", { type: "button", on: { click: () => { isWhole = true; fill(); } } });
   const field = el("input", { type: "search", on: { input: fill } });
   const total = `${broken ? `Rules were broken ${plural(broken, "time")}` : none}${notes ? `; ${plural(notes, "note")}` : ""}.`;
-  show("findings", count(lines.length), el("p", { class: "soft" }, total, rows.length ? el("span", { class: "screen" }, " A time leads to the transaction, a code to all of them.") : null,
-    counted.length ? " “counts” marks what missing answers, refusals, times and connections show when they are counted." : null),
+  show("findings", count(lines.length), el("p", { class: "soft" }, total, rows.length ? el("span", { class: "screen" }, " A time leads to the transaction, a code to all of them.") : null),
     lines.length > FEW_FINDINGS ? el("div", { class: "tools" }, el("label", {}, "Search findings", field), told) : null,
     frame("Findings", heads, body, true, false), el("div", { class: "tools" }, more));
   fill();
 }
 
-/* When what the counts show happened: as the document says, else the first and the last of its
+/* When a trouble happened: its first cases, as the document says; else the first and the last of its
    transactions, or its longest ones. Of more failures than the table holds, the last is not known. */
 function casesOf(one) {
   const line = (at, text) => el("div", { class: "soft" }, at, " ", text ? el("span", { class: "nowrap" }, text) : null);
-  if (one.cases.length) return [one.cases_title ? line(one.cases_title, "") : null, ...one.cases.map(([us, text]) => line(exactly(us), text))];
+  const longest = one.code === "POLL-PAUSED" ? "longest" : "first";
+  if (one.cases.length) return [one.cases_of > one.cases.length ? line(`the ${one.cases.length === 1 ? "" : `${one.cases.length} `}${longest}:`, "") : null, ...one.cases.map(([us, text]) => line(exactly(us), text))];
   const words = one.search.split(" ").filter((word) => word && !word.startsWith("unit:") && !stats.links.some((link) => link.link === word));
-  if (one.rank !== "dead" && !words.length) return null;
+  if (one.code !== "UNIT-SILENT" && !words.length) return null;
   const all = matching(one.search), of = (at, text) => line(linkTo(at, moment(usOf(rows[at]))), text);
   if (words.some((word) => word.startsWith("ms"))) return [all.length > LONGEST ? line(`the ${LONGEST} longest:`, "") : null, ...all.sort((a, b) => rows[b][LATENCY] - rows[a][LATENCY]).slice(0, LONGEST).map((at) => of(at, `after ${digits(rows[at][LATENCY] / 1000)} ms`))];
   const isAll = data.transactions.kept_with_trouble === data.transactions.with_trouble;
