@@ -140,7 +140,6 @@ def check(
             _printer(chosen, file, files, each=each),
             run,
             path,
-            files,
             stays=stays,
         ) as printer,
     ):
@@ -165,14 +164,13 @@ def _finished(
     printer: _Printer,
     run: CheckRun,
     path: str | None,
-    files: list[str],
     *,
     stays: bool,
 ) -> Iterator[_Printer]:
     """Yield the printer, and complete the output when the context ends.
 
-    Then print the remarks, and, if anything was checked, a sentence with the number of findings and
-    one with the number of requests without a good answer.
+    Then print the remarks, and, if anything was checked, a sentence with the numbers of troubles
+    and findings.
     `path` is the output file, None for standard output. If Ctrl-C or an InputError ends the
     context, nothing is left in the file; with `stays`, an older file at `path` stays as it was.
     """
@@ -196,7 +194,7 @@ def _finished(
             printer.end(run, "interrupted")
             file.flush()
             say("interrupted; what follows from the rest of the files is not there")
-            _sum_up(run, path, files)
+            _sum_up(run, path)
         else:
             emptied(file)
             say(f"interrupted; {stays_text}" if stays else NOTHING_WRITTEN)
@@ -206,7 +204,7 @@ def _finished(
     for remark in run.remarks:
         say(remark)
     if run.transactions or run.counts or not run.is_outside:
-        _sum_up(run, path, files)
+        _sum_up(run, path)
 
 
 class _Printer(ABC):
@@ -322,7 +320,7 @@ class _DocumentPrinter(_Printer):
         self._file.write(
             self._document.end(
                 run.transactions,
-                run.failed.counts(),
+                run.failed_requests(),
                 judgement=run.judgement(),
                 remarks=remarks,
                 is_whole=why_partial is None,
@@ -330,10 +328,9 @@ class _DocumentPrinter(_Printer):
         )
 
 
-def _sum_up(run: CheckRun, path: str | None, files: list[str]) -> None:
+def _sum_up(run: CheckRun, path: str | None) -> None:
     from mbtool.cli.talk import say
 
-    del files
     say(_sentence(run) + ("" if path is None else f" -> {path}"))
 
 

@@ -19,7 +19,6 @@ from rich.text import Text
 
 from mbtool.core.wording import clock_time, counted, day
 from mbtool.devices.checking.rules import Severity
-from mbtool.modbus import Outcome
 from mbtool.troubles.broken_rules import where
 from mbtool.views.tables import printable
 
@@ -27,7 +26,6 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from mbtool.devices.checking.finding import Finding
-    from mbtool.ledger.failed_requests import FailedRequests
     from mbtool.troubles.broken_rules import PlaceSummary, Summaries
 
 
@@ -81,25 +79,6 @@ def _print_indented(console: Console, text: str) -> None:
         lines = wrap(text, max(console.width - len(_INDENT), _NARROWEST))
     for line in lines:
         console.print(Text(_INDENT + line), soft_wrap=True)
-
-
-def failed_text(failed: FailedRequests) -> str:
-    """Return how many requests got no good answer: `90 requests got no answer, 4 an exception`.
-
-    The text is empty if all got one.
-    """
-    numbers = (
-        (failed.count(Outcome.NO_ANSWER) - failed.damaged, "no answer"),
-        (failed.damaged, "a damaged answer"),
-        (failed.count(Outcome.MALFORMED), "a malformed answer"),
-        (failed.count(Outcome.EXCEPTION), "an exception"),
-    )
-    told = [(number, what) for number, what in numbers if number]
-    if not told:
-        return ""
-    (first, what), *others = told
-    text = f"{counted(first, 'request', ',')} got {what}"
-    return ", ".join([text, *(f"{number:,} {what}" for number, what in others)])
 
 
 def finding_line(finding: Finding) -> Text:

@@ -22,8 +22,9 @@ from mbtool.devices.checking.finding import Finding, event_finding
 from mbtool.devices.checking.rules import RULES, Severity
 from mbtool.devices.checking.security_limits import SecurityLimits
 from mbtool.devices.profile_checks import finding_prefix
-from mbtool.ledger.failed_requests import FailedRequests
+from mbtool.ledger.request_tally import merged
 from mbtool.ledger.statistics import Statistics
+from mbtool.modbus import Outcome
 from mbtool.sources.files import STANDARD_INPUT
 from mbtool.troubles.judge import Judge
 from mbtool.troubles.words import WORDS
@@ -217,8 +218,6 @@ class CheckRun:
         """The error that ended the reading before the end of the files; None if there was none."""
         self._hints = ModelHints(self.reading.profile_for)
         self.transactions = 0
-        self.failed = FailedRequests()
-        """The requests without a good answer, whether they break a rule or not."""
         self.counts: Counter[str] = Counter()
         """By code, the number of findings that the filter has chosen."""
 
@@ -349,7 +348,6 @@ class CheckRun:
                     pass
             return NOTHING
         self._lines.note(record)
-        self.failed.note(record)
         named = record
         is_wanted = True
         if not isinstance(record, WireEvent):
@@ -375,6 +373,19 @@ class CheckRun:
             if format_ is not None:
                 self._formats[link] = format_
         return format_
+
+    def failed_requests(self) -> dict[str, int]:
+        """Return how many requests got no good answer, whether they break a rule or not: by the
+        names that the JSON of `stats` has for them.
+        """
+        polls = (poll.tally for poll in self.ledger.polls.values())
+        tally = merged([*polls, *self.ledger.groups.values()])
+        return {
+            "no_answer": tally.unanswered,
+            "wrong_crc": tally.damaged,
+            "exception": tally.count(Outcome.EXCEPTION),
+            "malformed": tally.count(Outcome.MALFORMED),
+        }
 
     @property
     def is_anything_wrong(self) -> bool:

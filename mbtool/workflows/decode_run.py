@@ -37,7 +37,7 @@ from mbtool.columns.row_table import row_table
 from mbtool.core import CutError, DamageError, InputError, MbtoolError, WireEvent
 from mbtool.sources.files import open_capture, shown_name
 from mbtool.workflows.shared.column_reading import ColumnReading
-from mbtool.workflows.shared.part_reading import PartReading
+from mbtool.workflows.shared.reading import Reading
 from mbtool.workflows.shared.reading_choice import column_reading
 from mbtool.workflows.shared.reading_options import ReadingOptions
 
@@ -199,7 +199,7 @@ class _RunWork:
         task = self._task
         options = ReadingOptions(ports=task.ports, rtu_ports=task.rtu_ports, any_port=task.any_port)
         paths = [one.path for one in inputs]
-        reading = column_reading(paths, options) or PartReading(paths, options)
+        reading = column_reading(paths, options) or Reading(paths, options)
         own = {shown_name(one.path): one.number for one in inputs if one.number is not None}
         stop: InputError | None = None
         try:
@@ -270,7 +270,7 @@ class _FileTable:
         self.rows.write_table(table)
 
 
-def _tables(reading: PartReading) -> Iterator[Table]:
+def _tables(reading: Reading) -> Iterator[Table]:
     """Yield the transactions of the files as Arrow tables.
 
     Raises InputError for a file that cannot be read, is cut or damaged, after the transactions

@@ -51,7 +51,7 @@ def found(path: Path, at_least: int) -> Found:
         findings.extend(run.findings())
     except InputError as broken:
         error = str(broken)
-    counts = run.transactions, run.failed.counts()
+    counts = run.transactions, run.failed_requests()
     return findings, run.remarks, counts, error, type(run.reading)
 
 

@@ -13,20 +13,17 @@ from mbtool.columns.column_decoder import ColumnDecoder, DecodedBlock
 from mbtool.columns.packet_block import read_blocks
 from mbtool.columns.plain_lines import BlockLines
 from mbtool.columns.plain_records import plain_records
-from mbtool.columns.poll_runs import PollRuns
 from mbtool.columns.portions import portions
 from mbtool.columns.quiet_rows import QuietParts
 from mbtool.columns.usual_runs import UsualRuns
 from mbtool.core import InputError, WireEvent
 from mbtool.decode.usual_run import UsualRun
 from mbtool.devices import Namer
-from mbtool.ledger.answered_run import AnsweredRun
 from mbtool.packets import serial_pieces
 from mbtool.sources.files import open_capture
 from mbtool.workflows.shared.capture_parts import Part
 from mbtool.workflows.shared.heard_line import HeardLine, serial_types
-from mbtool.workflows.shared.part_reading import PartReading
-from mbtool.workflows.shared.reading import UNDECODABLE_EVENTS
+from mbtool.workflows.shared.reading import UNDECODABLE_EVENTS, Reading
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -43,7 +40,7 @@ if TYPE_CHECKING:
 F = TypeVar("F")
 
 
-class ColumnReading(PartReading):
+class ColumnReading(Reading):
     """Reads capture files once as blocks of packets, and yields their transactions.
 
     Each method yields them in another form: records, tables, lines of text, or batches for
@@ -113,14 +110,6 @@ class ColumnReading(PartReading):
             for _, record in block.records:
                 self._note(record)
             yield block
-
-    def parts(self) -> Iterator[Record | AnsweredRun]:
-        runs = PollRuns()
-        for block in self._blocks():
-            for part in runs.parts(block):
-                if not isinstance(part, AnsweredRun):
-                    self._note(part)
-                yield part
 
     def runs(
         self, form_of: Callable[[NamedTransaction], F], singly: int

@@ -9,33 +9,12 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import InputError
 from mbtool.sources.files import PACKET_KINDS, CaptureKind, open_capture, place_of
-from mbtool.workflows.shared.part_reading import PartReading
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from mbtool.workflows.shared.column_reading import ColumnReading
     from mbtool.workflows.shared.reading import ReadingOptions
-
-
-_WORTH_BYTES = 256 * 1024
-"""Commands that only count read a capture of at least this size (bytes) as arrays. For a smaller
-one, importing numpy takes longer than arrays save: measured with 1500, 3000 and 6000 packets."""
-
-
-def part_reading(
-    paths: Sequence[str], options: ReadingOptions, *, is_filtered: bool = False
-) -> PartReading:
-    """Return an object that reads the files once, with the array decoder if that is possible and
-    faster.
-
-    `is_filtered` is True if the user's options exclude some transactions by their fields. Then each
-    transaction must be looked at by itself, and the array decoder is not used.
-    """
-    if is_filtered or len(paths) != 1:
-        return PartReading(paths, options)
-    columns = column_reading(paths, options, at_least=_WORTH_BYTES)
-    return columns or PartReading(paths, options)
 
 
 def column_reading(
