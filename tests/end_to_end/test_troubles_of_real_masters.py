@@ -1,0 +1,149 @@
+"""pymodbus polls on a virtual line that `mbtool sniff` hears; `check` must say why requests fail.
+
+How many requests failed is what pymodbus counts itself.
+"""
+
+from __future__ import annotations
+
+import json
+from contextlib import ExitStack, contextmanager
+from threading import Event, Thread
+from typing import TYPE_CHECKING, Any
+
+import pytest
+import serial
+from pymodbus.client import ModbusSerialClient
+from pymodbus.exceptions import ModbusException
+
+import mbtool as api
+from mbtool.modbus import rtu_adu
+from tests.end_to_end.programs import mbtool
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+BAUD = 19200
+REQUEST = 8
+
+
+class RawSlave:
+    """Answers reads of its units after their delay (s), in order, whatever else comes."""
+
+    def __init__(self, port: str, delays: dict[int, float]) -> None:
+        self._serial = serial.Serial(port, BAUD, timeout=0.02)
+        self._delays = delays
+        self._ends = Event()
+        self._thread = Thread(target=self._run)
+
+    def __enter__(self) -> RawSlave:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ends.set()
+        self._thread.join()
+        self._serial.close()
+
+    def _run(self) -> None:
+        heard = bytearray()
+        while not self._ends.is_set():
+            heard += self._serial.read(64)
+            while (at := _request_at(heard)) is not None:
+                unit, quantity = heard[at], int.from_bytes(heard[at + 4 : at + 6])
+                del heard[: at + REQUEST]
+                if unit in self._delays:
+                    self._ends.wait(self._delays[unit])
+                    self._serial.write(
+                        rtu_adu(unit, bytes([3, 2 * quantity]) + bytes(2 * quantity))
+                    )
+
+
+def _request_at(heard: bytes) -> int | None:
+    for at in range(len(heard) - REQUEST + 1):
+        one = bytes(heard[at : at + REQUEST])
+        if one[1] == 3 and rtu_adu(one[0], one[1:-2]) == one:
+            return at
+    return None
+
+
+def poll(port: str, units: list[int], cycles: int, *, timeout: float, pause: float) -> int:
+    """Ask each unit in turn; return how many requests pymodbus gave up."""
+    client = ModbusSerialClient(port, baudrate=BAUD, timeout=timeout, retries=0)
+    assert client.connect()  # type: ignore[no-untyped-call]
+    failed = 0
+    for _ in range(cycles):
+        for unit in units:
+            try:
+                failed += client.read_holding_registers(unit, count=4, device_id=unit).isError()
+            except ModbusException:
+                failed += 1
+        Event().wait(pause)
+    client.close()  # type: ignore[no-untyped-call]
+    return failed
+
+
+@contextmanager
+def heard(link: str, log: Path) -> Iterator[None]:
+    with mbtool("sniff", link, "-w", str(log)) as program:
+        program.said.find("listening on .*")
+        yield
+        assert program.interrupt() == 130, program.said.text
+
+
+def troubles_of(log: Path) -> list[dict[str, Any]]:
+    with mbtool("check", str(log), "--format", "json") as program:
+        program.wait()
+        told: list[dict[str, Any]] = json.loads(program.printed.text)["troubles"]
+    return told
+
+
+def test_a_slave_slower_than_the_time_out_is_late(tmp_path: Path) -> None:
+    log = tmp_path / "late.mcap"
+    with ExitStack() as stack:
+        line = stack.enter_context(api.line(ends=3))
+        stack.enter_context(RawSlave(line.ports[1], {1: 0.005, 2: 0.3}))
+        stack.enter_context(heard(line.link(2), log))
+        failed = poll(line.ports[0], [2, 1], 10, timeout=0.2, pause=0.2)
+    assert failed >= 8
+    (trouble,) = (one for one in troubles_of(log) if one["severity"] == "error")
+    assert (trouble["code"], trouble["unit"]) == ("LINE-LATE", 2)
+    assert trouble["count"] == pytest.approx(failed, abs=2)
+
+
+def test_a_dead_unit_is_silent_and_the_others_are_well(tmp_path: Path) -> None:
+    log = tmp_path / "dead.mcap"
+    with ExitStack() as stack:
+        line = stack.enter_context(api.line(ends=3))
+        stack.enter_context(RawSlave(line.ports[1], {1: 0.005, 3: 0.01}))
+        stack.enter_context(heard(line.link(2), log))
+        failed = poll(line.ports[0], [1, 2, 3], 8, timeout=0.2, pause=0.02)
+    (trouble,) = (one for one in troubles_of(log) if one["severity"] == "error")
+    assert (trouble["code"], trouble["unit"], trouble["count"]) == ("UNIT-SILENT", 2, failed)
+
+
+def test_a_well_line_is_green(tmp_path: Path) -> None:
+    log = tmp_path / "well.mcap"
+    with ExitStack() as stack:
+        line = stack.enter_context(api.line(ends=3))
+        stack.enter_context(RawSlave(line.ports[1], {1: 0.005, 2: 0.01}))
+        stack.enter_context(heard(line.link(2), log))
+        failed = poll(line.ports[0], [1, 2], 15, timeout=1.0, pause=0.02)
+    assert failed == 0
+    assert [one for one in troubles_of(log) if one["severity"] == "error"] == []
+
+
+def test_two_masters_that_disturb_each_other_are_told(tmp_path: Path) -> None:
+    log = tmp_path / "two.mcap"
+    with ExitStack() as stack:
+        line = stack.enter_context(api.line(ends=4))
+        stack.enter_context(RawSlave(line.ports[1], {1: 0.01, 2: 0.03, 3: 0.03}))
+        stack.enter_context(heard(line.link(2), log))
+        other = Thread(
+            target=poll, args=(line.ports[3], [3], 60), kwargs={"timeout": 0.15, "pause": 0.05}
+        )
+        other.start()
+        failed = poll(line.ports[0], [1, 2], 40, timeout=0.15, pause=0.07)
+        other.join()
+    assert failed
+    assert "LINE-TWO-MASTERS" in [one["code"] for one in troubles_of(log)]
