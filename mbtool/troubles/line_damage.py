@@ -245,7 +245,7 @@ class LineDamage(SortedSense):
 
 def _of_line(link: str, line: _DamagedLine) -> Iterator[Trouble]:
     collisions = line.merged + line.interrupted
-    if line.is_told or line.merged > 1 or collisions >= ENOUGH:
+    if line.is_told or line.merged or collisions >= ENOUGH:
         yield Trouble(
             code="LINE-TWO-MASTERS", link=link, count=max(collisions, 1), of=line.transactions,
             sureness=Sureness.CERTAIN if line.is_told or line.merged else Sureness.LIKELY,

@@ -172,7 +172,7 @@ def _of_unit(link: str, number: int, unit: _LateUnit, tally: RequestTally) -> It
         return
     if unit.missing < ENOUGH or not unit.waits or tally.latency.count < ENOUGH:
         return
-    wait_ns = sorted(unit.waits)[len(unit.waits) // 4]
+    wait_ns = min(unit.waits)
     slowest_ns = tally.latency.percentile(95)
     if NEAR * wait_ns <= slowest_ns <= wait_ns / NEAR and unit.missing >= FEW * tally.requests:
         yield Trouble(

@@ -46,7 +46,8 @@ _ROWS = (
         "listen again with rtu:PORT@auto, which finds the settings; if only a part of the "
         "recording is so, look who changed them then",
         "line", "settings wrong",
-        ("RTU-201", "RTU-202", "RTU-203", "RTU-204", *_BLAMED, *_DAMAGED),
+        ("RTU-201", "RTU-202", "RTU-203", "RTU-204", "POLL-PAUSED", "LINE-NOISE", "LINE-LOST-BYTES",
+         "LINE-SAME-UNIT", "LINE-FOREIGN", *_BLAMED, *_DAMAGED),
     ),
     Words(
         "LINE-ONE-SIDE", _E,
@@ -110,7 +111,9 @@ _ROWS = (
         "{share} of the bytes of {link} are another protocol ({form}), while {answered} of the "
         "requests are answered",
         "find the device that talks another protocol on these wires, and give it a line of its own",
-        "line", "another protocol", ("RTU-202", "RTU-204"),
+        "line", "another protocol",
+        ("RTU-201", "RTU-202", "RTU-204", "MB-403", "LINE-NOISE", "LINE-LOST-BYTES",
+         "LINE-SAME-UNIT", *_BLAMED, *_DAMAGED),
     ),
     Words(
         "LINE-REPEATED", _W,
