@@ -33,6 +33,9 @@ if TYPE_CHECKING:
 LAST_UNIT = 247
 """The highest unit on a serial line; 248 to 255 are reserved (Serial Line 2.2)."""
 
+RESERVED = frozenset((9, 10, 13, 14, 41, 42, 91, 125, 126, 127))
+"""The function codes that the standard reserves for old products of some companies (Application
+Protocol, Annex A), without 90 (5AH), of which SEC-103 tells what matters."""
 _WRITE_BITS = 0x0F
 _HAS_PADDING = READ_BITS | {_WRITE_BITS}
 _BYTE_COUNT_END = {0x0F: 6, 0x10: 6, 0x17: 10}
@@ -54,6 +57,8 @@ def request_codes(
     if not 0 < function < EXCEPTION_BIT:
         yield "MB-107"
         return
+    if function in RESERVED:
+        yield "MB-109"
     if is_quantity_wrong(function, quantity, written):
         yield "MB-104"
     ends = [written[0] + written[1]] if written is not None else []

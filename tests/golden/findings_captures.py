@@ -468,8 +468,9 @@ CASES = (
         exchange("0F 0000 0003 01 05", "0F 0000 0003"),
     ),
     Case("MB-106", exchange("03 FFFF 0002", "83 02"), exchange("03 FFFE 0002", "83 02")),
-    Case("MB-107", exchange("00 00", "80 01"), exchange("7F 00", "FF 01")),
+    Case("MB-107", exchange("00 00", "80 01"), exchange("7C 00", "FC 01")),
     Case("MB-108", on_a_line(248, READ, VALUE), on_a_line(247, READ, VALUE)),
+    Case("MB-109", exchange("2A 00", "AA 01"), exchange("41 00", "C1 01")),
     # Answers.
     Case(
         "MB-201", exchange("06 0001 1234", "06 0001 1235"), exchange("06 0001 1234", "06 0001 1234")

@@ -66,7 +66,8 @@ def test_a_scan_of_a_line_is_found(tmp_path: Path) -> None:
 def test_the_first_minutes_are_those_of_the_first_part_of_a_capture(tmp_path: Path) -> None:
     net = Net()
     talk = net.open()
-    net.asked(talk)
+    for _ in range(5):
+        net.wait(100_000).asked(talk)
     first = net.file()
     net.packets.clear()
     net.wait(400_000).asked(talk)

@@ -84,6 +84,8 @@ _ROWS = (
     ("MB-107", _E, "A request has function code 00H, or one from 80H on, which mark exceptions.",
      "Application Protocol 4.1"),
     ("MB-108", _E, "A unit above 247 is on a serial line.", "Serial Line 2.2"),
+    ("MB-109", _N, "A request has a function code that the standard reserves.",
+     "Application Protocol, Annex A"),
     # Rules about responses.
     ("MB-201", _E, "A write's answer does not repeat its request.",
      "Application Protocol 6.5, 6.6, 6.11, 6.12, 6.16"),

@@ -78,6 +78,8 @@ class TransactionRules:
             return f"{request_text(transaction)}: {_range_too_long(transaction)}"
         if code == "MB-108":
             return f"{request_text(transaction)}: unit {transaction.unit}, 247 is the last"
+        if code == "MB-109":
+            return f"a request with function {transaction.function:02X}H, which is reserved"
         if code == "MB-107":
             return f"a request with function {transaction.function:02X}H"
         return f"{request_text(transaction)}: {finding_text(code, profile)}"

@@ -5,14 +5,15 @@
 #
 # A file of packets continues the capture of the file before it if its first packet is later than
 # the first packet of that file, at most BACK_NS earlier than its last packet, and has a link type
-# that also occurs in that file.
+# that also occurs in that file; and if it does not come later than GAP_NS, and than the capture so
+# far is long. A rotated capture goes on at once, or as soon as somebody speaks again.
 #
 # A log continues the log before it if both have the same metadata of the recording, links, devices
 # and profiles, if its part number is the next one, and if it does not begin earlier.
 #
 # Any other file is a new capture, whose connections are not joined to earlier ones. Two unrelated
-# files of packets in order of time are taken as parts of one capture. This does no harm: sequence
-# numbers and the time between the files keep their connections apart (packets/reassembler.py).
+# files of packets that follow each other soon are taken as parts of one capture. Sequence numbers
+# and the time between the files keep their connections apart (packets/reassembler.py).
 
 from __future__ import annotations
 
@@ -29,6 +30,10 @@ BACK_NS = 1_000_000_000
 """The first packet or chunk of a file that continues a capture may be earlier than the last one of
 the file before by up to this time (ns). Packets of several interfaces, and bytes of several ports,
 are written slightly out of order."""
+
+GAP_NS = 60_000_000_000
+"""The first packet of a file that continues a capture is at most this (ns) later than the last one
+of the file before, or as much later as the capture so far is long."""
 
 _PART = "part"
 
@@ -90,6 +95,10 @@ class Seam:
             return False
         if isinstance(item, Packet) and self._types and item.link_type not in self._types:
             return False
+        if isinstance(item, Packet):
+            longest_ns = max(GAP_NS, self._last_ns - self._first_ns)
+            if item.ts_ns - self._last_ns > longest_ns:
+                return False
         return item.ts_ns >= self._last_ns - BACK_NS
 
     def is_overtaken_by(self, item: Evidence) -> bool:

@@ -12,7 +12,7 @@ from mbtool.decode.decoder import Decoder
 from mbtool.devices import Namer
 from mbtool.logs import LogWriter, RotatingLog, Rotation
 from mbtool.logs.links import SPEC
-from mbtool.workflows.shared.capture_parts import BACK_NS, Part, Seam
+from mbtool.workflows.shared.capture_parts import BACK_NS, GAP_NS, Part, Seam
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
 from tests.packets.building import pcap
 from tests.records import without_origins
@@ -184,6 +184,16 @@ def test_a_capture_of_another_link_type_is_another() -> None:
     assert seam.is_continued_by(replace(one, ts_ns=one.ts_ns - BACK_NS))
     assert not seam.is_continued_by(replace(one, ts_ns=one.ts_ns - BACK_NS - 1))
     assert not seam.is_continued_by(replace(one, link_type=113))
+
+
+def test_a_capture_that_begins_much_later_is_another() -> None:
+    one = captured(1)[0]
+    seam = Seam()
+    seam.note(one)
+    assert seam.is_continued_by(replace(one, ts_ns=one.ts_ns + GAP_NS))
+    assert not seam.is_continued_by(replace(one, ts_ns=one.ts_ns + GAP_NS + 1))
+    seam.note(replace(one, ts_ns=one.ts_ns + 10 * GAP_NS))
+    assert seam.is_continued_by(replace(one, ts_ns=one.ts_ns + 20 * GAP_NS))
 
 
 def test_a_capture_that_begins_no_later_than_the_one_before_it_is_another() -> None:
