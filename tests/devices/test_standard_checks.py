@@ -26,7 +26,8 @@ from tests.devices.transactions import transaction as bare
         (0x41, None, None, []),  # Its maker knows.
         (0x00, None, None, ["MB-107"]),
         (0x83, None, None, ["MB-107"]),
-        (0x7F, None, None, []),
+        (0x7C, None, None, []),
+        (0x7F, None, None, ["MB-109"]),  # The standard reserves it.
         (0x03, None, None, []),
     ],
 )

@@ -59,7 +59,7 @@ class RawSlave:
                     )
 
 
-def _request_at(heard: bytes) -> int | None:
+def _request_at(heard: bytearray) -> int | None:
     for at in range(len(heard) - REQUEST + 1):
         one = bytes(heard[at : at + REQUEST])
         if one[1] == 3 and rtu_adu(one[0], one[1:-2]) == one:
@@ -70,7 +70,7 @@ def _request_at(heard: bytes) -> int | None:
 def poll(port: str, units: list[int], cycles: int, *, timeout: float, pause: float) -> int:
     """Ask each unit in turn; return how many requests pymodbus gave up."""
     client = ModbusSerialClient(port, baudrate=BAUD, timeout=timeout, retries=0)
-    assert client.connect()  # type: ignore[no-untyped-call]
+    assert client.connect()
     failed = 0
     for _ in range(cycles):
         for unit in units:

@@ -46,7 +46,7 @@ def test_a_log_names_its_devices_and_its_lines() -> None:
     assert codes(FOLDER / "ft1a-touch-line.mcap") == ["FT1A-F15", "FT1A-A3"]
     log = FOLDER / "torn-and-glued-frames.mcap"
     assert "RTU-104" in codes(log)
-    assert "MB-402" in codes(log)
+    assert "MB-401" in codes(log)
 
 
 def test_the_users_profiles_replace_those_of_the_log() -> None:
@@ -63,8 +63,8 @@ def in_part(path: Path, start: str | None = None, end: str | None = None) -> Che
 @pytest.mark.parametrize(
     ("start", "end", "transactions", "found"),
     [
-        (None, None, 63, ["MB-402"]),
-        ("7", None, 41, ["MB-402"]),
+        (None, None, 63, ["MB-401"]),
+        ("7", None, 41, ["MB-401"]),
         ("8.5", None, 35, []),
         (None, "7", 22, []),
         ("2026-01-01T00:00:07", "2026-01-01T00:00:08.100", 6, ["MB-402"]),

@@ -48,8 +48,8 @@ class Checker:
     def __init__(self, context: CaptureContext | None = None) -> None:
         self._context = context or CaptureContext()
         self._transactions = TransactionRules()
-        self._responses = ResponseRules()
         self._polls = PollRules()
+        self._responses = ResponseRules(self._polls.usual_ns)
         self._lines = LineRules(self._context.has_exact_times)
         self._damaged = DamagedFrames()
         self._connections = ConnectionRules(self._context.ports)

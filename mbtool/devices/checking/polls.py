@@ -39,6 +39,8 @@ MAX_PERIODS = 256
 MIN_PERIODS = 20
 """A poll with fewer periods (times from one request to the next) gets no finding: the median of so
 few is too uncertain."""
+ENOUGH_PERIODS = 5
+"""With fewer periods than this, the usual period of a poll is not known."""
 MIN_IRREGULAR = 5
 MIN_IRREGULAR_SHARE = 0.03
 """A poll with a smaller share of irregular periods, 0 to 1, gets no finding: every capture has a
@@ -123,6 +125,13 @@ class PollRules:
             poll.first, poll.last_ns = transaction, at_ns
         else:
             poll.note(at_ns)
+
+    def usual_ns(self, transaction: NamedTransaction) -> float | None:
+        """Return the median period (ns) of a transaction's poll; None if too few are known."""
+        poll = self._polls.get(_key(transaction))
+        if poll is None or len(poll.sample) < ENOUGH_PERIODS:
+            return None
+        return median(period for _, period in poll.sample)
 
     def takes(self, run: QuietRun) -> bool:
         """True if the method `run` may add these transactions together, not one by one.

@@ -5,7 +5,8 @@
 # MB-403  a response has no request in the capture
 #
 # A request without a response is therefore pending until a retry gets a response, or until
-# PATIENCE_NS have passed. There is no finding if the capture may simply lack the other half:
+# PATIENCE_NS have passed. An equal request that comes at the usual period of its poll is no retry,
+# but the next poll. There is no finding if the capture may simply lack the other half:
 #
 #     a request at the end of the capture, whose response may follow later
 #     a response at the beginning of the capture, whose request may have come before
@@ -35,7 +36,7 @@ from mbtool.modbus.pdu import whole_pdu
 from mbtool.modbus.transaction import Outcome
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterable, Iterator
 
     from mbtool.devices.checking.quiet_run import QuietRun
     from mbtool.devices.model import Profile
@@ -49,6 +50,9 @@ capture."""
 EDGE_NS = 1_000_000_000
 """If the capture ends less than so many ns after a request, the response may have come after the
 capture's end."""
+
+USUAL = 0.25
+"""A request comes at the usual period of its poll if it differs from it by at most this share."""
 
 _DIAGNOSTICS, _FORCE_LISTEN_ONLY = 0x08, 0x04
 _LOST = frozenset((EventKind.GAP, EventKind.CUT, EventKind.DISCARDED))
@@ -88,7 +92,13 @@ class ResponseRules:
     The caller passes transactions and events in the order in which they are decoded.
     """
 
-    def __init__(self) -> None:
+    def __init__(
+        self, usual_period_ns: Callable[[NamedTransaction], float | None] = lambda _: None
+    ) -> None:
+        """`usual_period_ns` returns the usual time (ns) from one request of a transaction's poll to
+        the next; None if it is not known.
+        """
+        self._usual_period_ns = usual_period_ns
         self._states: LruDict[_Connection, _ConnectionState] = LruDict(_ConnectionState)
         self._has_responded: LruDict[tuple[str, int], list[bool]] = LruDict(lambda: [False])
         """By link and unit: a list with one element, which is True if the unit has responded."""
@@ -139,7 +149,7 @@ class ResponseRules:
             earlier = self._pending.pop(request, None)
             if earlier:
                 self._pending_count -= len(earlier)
-                yield _retry_finding(earlier[0], transaction, len(earlier) + 1)
+                yield from self._repeated(earlier, transaction)
             elif transaction.retries:
                 self._retries[request].append(_Retry(transaction))
 
@@ -232,6 +242,8 @@ class ResponseRules:
         # Over TCP, the transaction of a request without a response is decoded when its timeout
         # ends. So an answered retry of this request may have been decoded before.
         for retry in self._retries.get(request) or ():
+            if self._is_next_poll(transaction, retry.transaction):
+                continue
             if 0 < retry.transaction.start_ns - transaction.start_ns <= PATIENCE_NS:
                 if not retry.is_reported:
                     retry.is_reported = True
@@ -242,6 +254,25 @@ class ResponseRules:
         self._pending_count += 1
         if self._pending_count > MAX_PENDING:
             yield self._give_up_oldest()
+
+    def _repeated(
+        self, earlier: Iterable[NamedTransaction], answered: NamedTransaction
+    ) -> Iterator[Finding]:
+        """Report the unanswered requests `earlier`, which equal the answered one."""
+        retried = []
+        for one in earlier:
+            if self._is_next_poll(one, answered):
+                yield self._no_response_finding(one)
+            else:
+                retried.append(one)
+        if retried:
+            yield _retry_finding(retried[0], answered, len(retried) + 1)
+
+    def _is_next_poll(self, one: NamedTransaction, other: NamedTransaction) -> bool:
+        """True if `other` comes after the equal request `one` as the next poll does."""
+        usual_ns = self._usual_period_ns(one)
+        since_ns = other.start_ns - one.start_ns
+        return usual_ns is not None and abs(since_ns - usual_ns) <= USUAL * usual_ns
 
     def _give_up_oldest(self) -> Finding:
         request, transactions = next(iter(self._pending.items()))

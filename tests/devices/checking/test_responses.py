@@ -118,6 +118,16 @@ def test_a_tcp_request_can_time_out_after_the_response_to_its_retry() -> None:
     ]
 
 
+def test_an_equal_request_at_the_usual_period_of_its_poll_is_the_next_poll() -> None:
+    def told(usual_ms: float) -> list[str]:
+        rules = ResponseRules(lambda _: usual_ms * 1e6)
+        records = [transaction(response=None), transaction(at_ms=900)]
+        return [one.code for one in _findings(rules, records, None)]
+
+    assert told(usual_ms=1000) == ["MB-401"]
+    assert told(usual_ms=3000) == ["MB-402"]
+
+
 def test_a_response_without_a_request_is_found() -> None:
     assert found(opened(), transaction("", "03 02 1234")) == [
         ("MB-403", "answer to read holding registers, which no request in the capture asked for")
