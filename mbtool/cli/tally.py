@@ -20,6 +20,7 @@ CONNECTION_EVENTS = frozenset((EventKind.OPENED, EventKind.CLOSED))
 _WORDS = {
     Outcome.OK: "ok",
     Outcome.EXCEPTION: "exception",
+    Outcome.LATE: "late",
     Outcome.NO_ANSWER: "without answer",
     Outcome.NOT_CAPTURED: "not captured",
     Outcome.UNSOLICITED: "unsolicited",

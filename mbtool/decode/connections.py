@@ -318,7 +318,7 @@ def _paired(
             decoded.append(event)
             decoded += pairing.feed(event)
         else:
-            decoded += pairing.advance(event.ts_ns)
+            decoded += pairing.note_skipped(event)
             decoded.append(skipped_event(event, link, endpoints))
     return decoded
 

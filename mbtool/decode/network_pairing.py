@@ -39,7 +39,7 @@ from mbtool.core import Direction
 from mbtool.core.limits import MAX_OPEN_REQUESTS
 from mbtool.decode.dropped_requests import DroppedRequests
 from mbtool.decode.giving_up import give_up_late, give_up_lost, give_up_repeated, request_key
-from mbtool.decode.master_habits import MasterHabits
+from mbtool.decode.master_habits import FIRST_LATE_NS, MasterHabits
 from mbtool.decode.open_requests import OpenRequest
 from mbtool.decode.pairing_readings import (
     MARGIN,
@@ -59,6 +59,7 @@ from mbtool.decode.stream_progress import AduPlace
 from mbtool.decode.transactions import (
     Ends,
     capture_ended,
+    late,
     no_answer,
     response_not_captured,
     unsolicited,
@@ -66,7 +67,7 @@ from mbtool.decode.transactions import (
 )
 from mbtool.decode.unanswered_counts import UnansweredCounts
 from mbtool.decode.unfinished import unfinished_in
-from mbtool.modbus.adu import Adu, Verdict
+from mbtool.modbus.adu import Adu, Skipped, Verdict
 from mbtool.modbus.transaction import Outcome
 
 if TYPE_CHECKING:
@@ -182,6 +183,10 @@ class NetworkPairing:
                     self._close(requests.pop(0), done)
         return done
 
+    def note_skipped(self, skipped: Skipped) -> list[Transaction]:
+        """Take the next bytes that were not decoded; return the transactions that time out."""
+        return self.advance(skipped.ts_ns)
+
     def close(self, end_ns: int | None = None) -> list[Transaction]:
         """End the connection: return the transactions of the requests that got no response.
 
@@ -248,6 +253,8 @@ class NetworkPairing:
             is_pipelined=is_pipelined,
             counts=request is not None and not request.missing,
         )
+        if self._readings[0].waiting:
+            self._readings[0].waiting[-1].next_ns = at_ns
         for reading in self._readings:
             if reading.waiting and reading.someone_waits:
                 reading.behind_others |= {one.number}
@@ -419,7 +426,14 @@ class NetworkPairing:
         if is_sure and not is_late:
             self._habits.note_answered(one.number)
         retries, confidence = self._take_retries(one), 1.0 if is_sure else DOUBTFUL
-        return with_response(self._ends, one.adu, response, retries, verdicts, confidence)
+        done = with_response(self._ends, one.adu, response, retries, verdicts, confidence)
+        return late(done) if self._was_given_up(one) else done
+
+    def _was_given_up(self, one: OpenRequest) -> bool:
+        """True if the master sent its next request because it no longer waited for this one."""
+        if one.next_ns is None or not self._habits.is_sequential:
+            return False
+        return one.next_ns - one.since_ns >= FIRST_LATE_NS
 
     def _take_retries(self, answered: OpenRequest) -> int:
         """Count the unanswered requests that `answered` repeats; no later request counts them."""

@@ -42,6 +42,8 @@ class OpenRequest(msgspec.Struct, gc=False, eq=False, kw_only=True):
     repeats_lost_id: bool = False
     """True if ids count up, the capture lacks a request before this one, and no id is missing for
     it. The lost request may then have had the id of this one."""
+    next_ns: int | None = None
+    """The time (ns) at which the next request was complete; None while there is none."""
     counts: bool = True
     """False if a later equal request has already counted this one in its `retries`, or if the
     capture lacks bytes of this request."""

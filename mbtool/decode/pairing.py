@@ -1,31 +1,47 @@
 """Pairs the requests and responses of one serial line, and makes their transactions."""
 
-# One request is pending at a time. The next request ends it without an answer, with one exception:
-# if the next request is for another unit while the master of the pending request may still wait, a
-# second master may have overtaken the first. Then the response to the overtaken request is accepted
-# until one more request comes. If the times do not prove that the first master still waited, it may
-# have given the request up, and the response may be late. Until the line has shown ENOUGH_OVERTAKEN
-# such responses among the last RECENT_REQUESTS requests, that is supposed: the request has no
-# answer, the response is unsolicited, and both are marked as ambiguous. (network_pairing.py pairs
-# the requests and responses of a TCP connection.)
+# The last request is the pending one; earlier requests without a response stay open for a while
+# (line_requests.py). A response belongs to an open request of its unit and function:
+#
+#     form      The response fits the request: the number of values, what it repeats of the request.
+#               A response that fits no open request goes to the pending one, as malformed.
+#     pending   The pending request comes first, then the oldest one: a slave answers in order.
+#     time      The unit never answers in less than half of its shortest time so far.
+#     the next  If a response fits the pending request and one before, it is held back. If a
+#               response of the unit then comes without a request to it, each held response belongs
+#               to the request before.
+#
+# A response to an earlier request is late if its master had given the request up, so that it sent
+# the next one. If the master certainly still waited, and only one request was sent since, a second
+# master has overtaken the first, and the response is in time. If the times do not tell which of the
+# two is true, the response is late, until the line has shown ENOUGH_OVERTAKEN such responses among
+# the last RECENT_REQUESTS requests. Equal waits (EQUAL) before the next request are the time-out of
+# one master. (network_pairing.py pairs the requests and responses of a TCP connection.)
+#
+# Right behind bytes that belong to no frame, a response may be to a request that was damaged. It
+# then goes to no earlier request.
 #
 # A request without an answer is a transaction of its own. `retries` of the next equal request
-# counts the requests before it that had no answer.
+# counts the requests before it that had no answer. The transactions of one unit come in the order
+# of their requests.
 #
-# Memory: two requests, and at most MAX_OPEN_REQUESTS counts of unanswered requests.
+# Memory: the open requests (see line_requests.py), MAX_HELD responses for each of at most 247
+# units, and at most MAX_OPEN_REQUESTS counts of unanswered requests.
 
 from __future__ import annotations
 
 from collections import deque
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from msgspec.structs import replace
 
 from mbtool.core import Direction, EventKind, WireEvent
+from mbtool.decode.line_requests import OpenLineRequest, OpenLineRequests, fits, has_code
 from mbtool.decode.transactions import (
     Ends,
     broadcast,
     capture_ended,
+    late,
     no_answer,
     unsolicited,
     with_response,
@@ -33,14 +49,14 @@ from mbtool.decode.transactions import (
 from mbtool.decode.unanswered_counts import UnansweredCounts
 from mbtool.decode.unfinished import may_be_answered
 from mbtool.modbus.adu import Verdict
-from mbtool.modbus.request_match import is_response_code
+from mbtool.modbus.transaction import Outcome
 from mbtool.serial_line.line_statistics import LatencyStatistics
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from mbtool.decode.stream_progress import AduPlace
-    from mbtool.modbus.adu import Adu
+    from mbtool.modbus.adu import Adu, Skipped
     from mbtool.modbus.transaction import Transaction
 
 BUS_TIMEOUT_NS = 5_000_000_000
@@ -51,12 +67,49 @@ ENOUGH_OVERTAKEN = 3
 another request and then answered. With one master, a response comes after the next request only if
 it is late, and late responses are rarer than this."""
 RECENT_REQUESTS = 100
-EVEN = 0.5
-"""The confidence (0 to 1) of each of two explanations that are equally likely."""
+EQUAL = 0.8
+"""Waits are equal if the shortest is at least this share (0 to 1) of the longest."""
+MAX_HELD = 4
+"""The most responses of one unit that are held back."""
+LEAST_DAMAGED = 4
+"""So many bytes that belong to no frame may be a damaged request."""
 TWO_MASTERS = (
     "requests come while others wait for their response: two masters share this line, or one does "
     "not wait long enough"
 )
+
+APART = 0.25
+"""Two responses of a unit are two answers if the second comes later than the first by at least this
+share (0 to 1) of the time that the first took; a repeated frame comes sooner."""
+
+
+class _HeldChain(NamedTuple):
+    """Responses that each belong to its own request, or else all to the request before it."""
+
+    requests: list[Adu]
+    """Requests to one unit; the first was given up without a response."""
+    responses: list[Adu]
+    """One response fewer than there are requests."""
+
+    @property
+    def until_ns(self) -> int:
+        """If the unit sends no other response until this time (ns), each response stays with its
+        own request.
+        """
+        return min(
+            self.responses[-1].end_ns + 2 * self._taken_ns,
+            self.requests[-2].end_ns + BUS_TIMEOUT_NS,
+        )
+
+    @property
+    def apart_ns(self) -> int:
+        """The unit's next answer comes at least so long (ns) after its last one."""
+        return int(APART * self._taken_ns)
+
+    @property
+    def _taken_ns(self) -> int:
+        """The time that the unit took for its last answer if that is to the request before."""
+        return self.responses[-1].start_ns - self.requests[-2].end_ns
 
 
 def waits_before_any_retry(waited_ns: int) -> bool | None:
@@ -79,19 +132,18 @@ class Pairing:
         """
         self._ends = ends
         self._still_waits = still_waits
-        self._open: Adu | None = None
-        self._overtaken: Adu | None = None
-        """The request before the pending one, if a second master overtook it and its response may
-        still come; else None."""
-        self._is_surely_overtaken: bool
-        """True if the master of the overtaken request certainly still waited. Set when a request is
-        overtaken."""
+        self._pending: Adu | None = None
+        self._earlier = OpenLineRequests()
+        self._held: dict[int, _HeldChain] = {}
+        """By unit, the responses that are held back."""
         self._requests = 0
         self._slowest_ns = 0
         """The longest time so far from a request's end to its response's start, in ns."""
-        self._answered_at: deque[int] = deque(maxlen=ENOUGH_OVERTAKEN)
-        """For each of the last overtaken requests that got a response: the number of requests heard
+        self._overtaken: deque[tuple[int, OpenLineRequest]] = deque(maxlen=ENOUGH_OVERTAKEN)
+        """The last overtaken requests that got a response, each with the number of requests heard
         by then."""
+        self._is_damaged = False
+        """True if bytes that belong to no frame came since the last ADU."""
         self._has_told = False
         """True once the event TWO_MASTERS (two masters on the line) was returned, so that it is not
         repeated."""
@@ -103,93 +155,29 @@ class Pairing:
         The event of kind TWO_MASTERS comes at most once.
         """
         done: list[Transaction | WireEvent] = []
-        if self._open is not None or self._overtaken is not None:
+        if self._pending is not None or self._earlier or self._held:
             done += self.advance(adu.start_ns)
-        if adu.direction is not Direction.RESPONSE:
-            self._requests += 1
-            if self._open is not None or self._overtaken is not None:
-                self._doubt_silence(adu)
-                done += self._make_way(adu)
-            if adu.unit == 0:
-                done.append(broadcast(self._ends, adu))
-            else:
-                self._open = adu
-            return done
-        if (request := self._open) is not None and _answers(adu, request):
-            self._open = None
-        elif (request := self._overtaken) is not None and _answers(adu, request):
-            self._overtaken = None
-            done += self._two_masters(adu)
-            if not (self._is_surely_overtaken or self._has_told):
-                done.append(self._unanswered_request(_in_doubt(request)))
-                done.append(unsolicited(self._ends, _in_doubt(adu)))
-                return done
-        else:
-            done.append(unsolicited(self._ends, adu))
-            return done
-        self._slowest_ns = max(self._slowest_ns, adu.start_ns - request.end_ns)
-        retries = self._unanswered.take(request) if self._unanswered else 0
-        done.append(with_response(self._ends, request, adu, retries, ()))
+        done += self._ask(adu) if adu.direction is not Direction.RESPONSE else self._respond(adu)
+        self._is_damaged = False
         return done
+
+    def note_skipped(self, skipped: Skipped) -> list[Transaction]:
+        """Take the next bytes that belong to no frame; return the transactions that time out."""
+        self._is_damaged |= len(skipped.raw) >= LEAST_DAMAGED
+        return self.advance(skipped.ts_ns)
 
     def advance(self, now_ns: int) -> list[Transaction]:
         """Give up requests that waited more than BUS_TIMEOUT_NS; return their transactions."""
         done: list[Transaction] = []
-        if (overtaken := self._overtaken) and now_ns - overtaken.end_ns > BUS_TIMEOUT_NS:
-            self._overtaken = None
-            done.append(self._unanswered_request(overtaken))
-        if self._open is not None and now_ns - self._open.end_ns > BUS_TIMEOUT_NS:
-            done += self.close()
+        for unit in [unit for unit, held in self._held.items() if now_ns > held.until_ns]:
+            done += self._release(unit)
+        limit_ns = now_ns - BUS_TIMEOUT_NS
+        if self._earlier:
+            done += self._unanswered_of(self._earlier.take_sent_before(limit_ns))
+        if self._pending is not None and self._pending.end_ns < limit_ns:
+            pending, self._pending = self._pending, None
+            done.append(self._unanswered_request(pending))
         return done
-
-    def _make_way(self, adu: Adu) -> list[Transaction]:
-        """End the pending requests when the request `adu` comes; return their transactions.
-
-        If `adu` may have overtaken the last one, that becomes `_overtaken` instead.
-        """
-        request = self._open
-        if request is None or adu.unit in (0, request.unit):
-            return self.close()
-        waits = self._still_waits(adu.start_ns - request.end_ns)
-        if waits is False:
-            return self.close()
-        self._open = None
-        done = self.close()
-        self._overtaken, self._is_surely_overtaken = request, waits is True
-        return done
-
-    def _two_masters(self, adu: Adu) -> list[WireEvent]:
-        """Count `adu`, a response to an overtaken request.
-
-        Returns the event TWO_MASTERS when ENOUGH_OVERTAKEN such responses were counted among the
-        last RECENT_REQUESTS requests; otherwise, and later, nothing.
-        """
-        numbers = self._answered_at
-        numbers.append(self._requests)
-        is_enough = len(numbers) == ENOUGH_OVERTAKEN and numbers[-1] - numbers[0] < RECENT_REQUESTS
-        if self._has_told or not is_enough:
-            return []
-        self._has_told = True
-        return [
-            WireEvent(
-                ts_ns=adu.start_ns,
-                link=self._ends.link,
-                kind=EventKind.TWO_MASTERS,
-                message=TWO_MASTERS,
-            )
-        ]
-
-    def _doubt_silence(self, adu: Adu) -> None:
-        """Mark the pending request as ambiguous if `adu` equals it and may be its response.
-
-        `adu` was taken for a request, but ambiguously. The outcome of the pending request is no
-        more certain than the direction of `adu`.
-        """
-        request = self._open
-        if request is not None and request.raw == adu.raw and Verdict.AMBIGUOUS in adu.verdicts:
-            verdicts = tuple(dict.fromkeys((*request.verdicts, Verdict.AMBIGUOUS)))
-            confidence = min(request.confidence, adu.confidence)
-            self._open = replace(request, confidence=confidence, verdicts=verdicts)
 
     def close(self, end_ns: int | None = None) -> list[Transaction]:
         """End the line: return the transactions of the requests that have no response.
@@ -198,13 +186,201 @@ class Pairing:
         later gets the outcome `not-captured`. If `end_ns` is None, all these requests get the
         outcome `no-answer`.
         """
-        requests, self._overtaken, self._open = (self._overtaken, self._open), None, None
+        done = [each for unit in [*self._held] for each in self._release(unit)]
+        requests = [one.adu for one in self._earlier.take_all()]
+        if self._pending is not None:
+            requests.append(self._pending)
+            self._pending = None
+        for request in requests:
+            if end_ns is not None and self._may_be_answered(request, end_ns):
+                done.append(capture_ended(self._ends, request))
+            else:
+                done.append(self._unanswered_request(request))
+        return done
+
+    def _ask(self, request: Adu) -> list[Transaction]:
+        """Take a request; the one that was pending becomes an earlier one."""
+        self._requests += 1
+        done: list[Transaction] = []
+        pending, self._pending = self._pending, None
+        if pending is not None:
+            if pending.unit in self._held:
+                done += self._release(pending.unit)
+            waited_ns = request.start_ns - pending.end_ns
+            waits = self._still_waits(waited_ns)
+            if request.unit == pending.unit and (waits is None or request.raw == pending.raw):
+                waits = False  # The master repeats its request, or asks its slave the next thing.
+            one = OpenLineRequest(_doubted(pending, request), self._requests, waited_ns, waits)
+            done += self._unanswered_of(self._earlier.add(one))
+        if request.unit:
+            self._pending = request
+        else:
+            done.append(broadcast(self._ends, request))
+        return done
+
+    def _respond(self, response: Adu) -> list[Transaction | WireEvent]:
+        """Take a response; return the transactions that it completes."""
+        done: list[Transaction | WireEvent] = []
+        pending = self._pending
+        if pending is not None and not has_code(pending, response):
+            pending = None
+        if response.unit in self._held:
+            if pending is not None and self._extends_held(pending, response):
+                return done
+            done += self._reconsider(pending, response)
+        earlier = self._earlier_of(response) if self._earlier else []
+        if pending is None:
+            done += self._answer_earlier(earlier[0], response) if earlier else self._alone(response)
+        elif not earlier:
+            done += self._answer_pending(pending, response)
+        elif not fits(pending, response) or self._is_surely_overtaken(earlier[0]):
+            done += self._answer_earlier(earlier[0], response)
+        elif self._earlier.is_too_early(response.unit, response.start_ns - pending.end_ns):
+            done += self._answer_earlier(earlier[0], response)
+            # The master takes the late response for that to the pending request.
+            self._earlier.put_back(pending)
+            self._pending = None
+        elif self._may_be_late(earlier[0], response):
+            self._hold(earlier[0], pending, response)
+        else:
+            done += self._answer_pending(pending, response)
+        return done
+
+    def _earlier_of(self, response: Adu) -> list[OpenLineRequest]:
+        """Return the earlier requests that a response may answer, the oldest first."""
+        found = self._earlier.fitting(response)
+        if self._is_damaged:
+            found = [one for one in found if self._is_surely_overtaken(one)]
+        return found
+
+    def _is_surely_overtaken(self, one: OpenLineRequest) -> bool:
+        """True if a second master sent the next request while the first still waited.
+
+        A slave answers in order, so its next response is to the first request.
+        """
+        return one.waits is True and self._is_overtaken(one)
+
+    def _is_overtaken(self, one: OpenLineRequest) -> bool:
+        """True if a second master may have sent the one request that followed an open one."""
+        return one.waits is not False and self._requests == one.next_number
+
+    def _alone(self, response: Adu) -> list[Transaction]:
+        """Return the transaction of a response that belongs to no request."""
+        self._earlier.note_heard(response.unit)
+        # The request of the first response was sent before the capture began.
+        outcome = Outcome.UNSOLICITED if self._requests else Outcome.NOT_CAPTURED
+        return [unsolicited(self._ends, response, outcome)]
+
+    def _may_be_late(self, earlier: OpenLineRequest, response: Adu) -> bool:
+        """True if a response may belong to a request that its master has given up."""
+        taken_ns = response.start_ns - earlier.adu.end_ns
+        can_be_late = self._ends.timed and earlier.waits is False
+        return can_be_late and self._earlier.can_take(response.unit, taken_ns)
+
+    def _answer_pending(self, pending: Adu, response: Adu) -> list[Transaction]:
+        self._pending = None
+        done = self._unanswered_of(self._earlier.take_all_of(response.unit))
+        return [*done, self._answered(pending, response)]
+
+    def _answer_earlier(
+        self, earlier: OpenLineRequest, response: Adu
+    ) -> list[Transaction | WireEvent]:
+        """Pair a response with a request that is not the line's last one."""
+        done: list[Transaction | WireEvent] = [*self._unanswered_of(self._earlier.take(earlier))]
+        is_overtaken = self._is_overtaken(earlier)
+        if is_overtaken:
+            done += self._two_masters(earlier, response)
+        is_in_time = is_overtaken and (earlier.waits or self._has_told)
+        done.append(self._answered(earlier.adu, response, is_late=not is_in_time))
+        return done
+
+    def _hold(self, earlier: OpenLineRequest, pending: Adu, response: Adu) -> None:
+        """Hold the pending request's response back, as it may belong to an `earlier` request."""
+        self._pending = None
+        self._held[response.unit] = _HeldChain([earlier.adu, pending], [response])
+
+    def _extends_held(self, pending: Adu, response: Adu) -> bool:
+        """Hold one more response of a unit back if it, too, may belong to the request before."""
+        held = self._held[response.unit]
+        last = held.requests[-1]
+        taken_ns = response.start_ns - last.end_ns
+        if not (fits(pending, response) and fits(last, response)):
+            return False
+        if len(held.responses) >= MAX_HELD or not self._earlier.can_take(response.unit, taken_ns):
+            return False
+        self._pending = None
+        held.requests.append(pending)
+        held.responses.append(response)
+        return True
+
+    def _reconsider(self, pending: Adu | None, response: Adu) -> list[Transaction]:
+        """Decide about a unit's held responses when the unit sends another one.
+
+        If that is an answer to the last of the held requests, because no other request waits for
+        it, each held response belongs to the request before. The last request is then open again.
+        """
+        unit = response.unit
+        held = self._held[unit]
+        is_answer = response.start_ns - held.responses[-1].end_ns >= held.apart_ns
+        if pending is not None or not (is_answer and fits(held.requests[-1], response)):
+            return self._release(unit)
+        del self._held[unit]
+        done = self._unanswered_of(
+            [one for one in self._earlier.take_all_of(unit) if one.adu is not held.requests[0]]
+        )
+        self._earlier.put_back(held.requests[-1])
+        for request, one in zip(held.requests, held.responses, strict=False):
+            done.append(self._answered(request, one, is_late=True))
+        return done
+
+    def _release(self, unit: int) -> list[Transaction]:
+        """Return the transactions of a unit's held responses, each with its own request, and those
+        of the requests before them.
+        """
+        held = self._held.pop(unit)
+        done = self._unanswered_of(self._earlier.take_all_of(unit))
+        for request, response in zip(held.requests[1:], held.responses, strict=True):
+            done.append(self._answered(request, response))
+        return done
+
+    def _answered(self, request: Adu, response: Adu, *, is_late: bool = False) -> Transaction:
+        """Return the transaction of a request and its response."""
+        taken_ns = response.start_ns - request.end_ns
+        self._slowest_ns = max(self._slowest_ns, taken_ns)
+        self._earlier.note_heard(request.unit)
+        if self._ends.timed:
+            self._earlier.note_time(request.unit, taken_ns)
+        retries = self._unanswered.take(request) if self._unanswered else 0
+        done = with_response(self._ends, request, response, retries, ())
+        return late(done) if is_late else done
+
+    def _unanswered_of(self, requests: list[OpenLineRequest]) -> list[Transaction]:
+        return [self._unanswered_request(one.adu) for one in requests]
+
+    def _two_masters(self, one: OpenLineRequest, response: Adu) -> list[WireEvent]:
+        """Count `one`, an overtaken request, which has now got its response.
+
+        Returns the event TWO_MASTERS when ENOUGH_OVERTAKEN such requests were counted among the
+        last RECENT_REQUESTS requests; otherwise, and later, nothing.
+        """
+        found = self._overtaken
+        found.append((self._requests, one))
+        if self._has_told or len(found) < ENOUGH_OVERTAKEN:
+            return []
+        waits = [each.waited_ns for _, each in found if not each.waits]
+        is_timeout = self._ends.timed and len(waits) == len(found)
+        if found[-1][0] - found[0][0] >= RECENT_REQUESTS:
+            return []
+        if is_timeout and min(waits) >= max(EQUAL * max(waits), LatencyStatistics.MIN_RETRY_NS):
+            return []
+        self._has_told = True
         return [
-            capture_ended(self._ends, request)
-            if end_ns is not None and self._may_be_answered(request, end_ns)
-            else self._unanswered_request(request)
-            for request in requests
-            if request is not None
+            WireEvent(
+                ts_ns=response.start_ns,
+                link=self._ends.link,
+                kind=EventKind.TWO_MASTERS,
+                message=TWO_MASTERS,
+            )
         ]
 
     def _may_be_answered(self, request: Adu, end_ns: int) -> bool:
@@ -217,12 +393,14 @@ class Pairing:
         return no_answer(self._ends, request, self._unanswered.add(request))
 
 
-def _in_doubt(adu: Adu) -> Adu:
-    """Return the ADU marked as ambiguous, because it may belong to another transaction."""
-    verdicts = tuple(dict.fromkeys((*adu.verdicts, Verdict.AMBIGUOUS)))
-    return replace(adu, confidence=min(adu.confidence, EVEN), verdicts=verdicts)
+def _doubted(pending: Adu, request: Adu) -> Adu:
+    """Return the pending request, marked as ambiguous if `request` equals it and may answer it.
 
-
-def _answers(response: Adu, request: Adu) -> bool:
-    """True if a response, or exception response, has the unit and the function of a request."""
-    return request.unit == response.unit and is_response_code(request.pdu[0], response.pdu[0])
+    `request` was taken for a request, but ambiguously. The outcome of the pending request is no
+    more certain than the direction of `request`.
+    """
+    if pending.raw != request.raw or Verdict.AMBIGUOUS not in request.verdicts:
+        return pending
+    verdicts = tuple(dict.fromkeys((*pending.verdicts, Verdict.AMBIGUOUS)))
+    confidence = min(pending.confidence, request.confidence)
+    return replace(pending, confidence=confidence, verdicts=verdicts)

@@ -443,7 +443,7 @@ def _has_bad_check(one: Decoded) -> bool:
 def _is_well_formed(one: Transaction) -> bool:
     """True if request and response were captured and have the structure of a known function."""
     return (
-        one.outcome in (Outcome.OK, Outcome.EXCEPTION)
+        one.outcome in (Outcome.OK, Outcome.EXCEPTION, Outcome.LATE)
         and one.function in FUNCTIONS
         and Verdict.MALFORMED_REQUEST not in one.verdicts
         and Verdict.MALFORMED_RESPONSE not in one.verdicts

@@ -181,7 +181,7 @@ class TapPair:
         event = side.events.popleft()
         self._check_ports(event, side.speaker, decoded)
         if isinstance(event, Skipped):
-            decoded += self._pairing.advance(event.ts_ns)
+            decoded += self._pairing.note_skipped(event)
             decoded.append(skipped_event(event, self._link, ("", ""), _SPEAKERS[side.speaker]))
             return
         decoded.append(event)

@@ -144,6 +144,13 @@ def _latency_ns(request: Adu, response: Adu) -> int | None:
     return max(response.start_ns - request.end_ns, 0)
 
 
+def late(answered: Transaction) -> Transaction:
+    """Return the transaction of a response that came after the master had given the request up."""
+    if answered.outcome not in (Outcome.OK, Outcome.EXCEPTION):
+        return answered
+    return msgspec.structs.replace(answered, outcome=Outcome.LATE)
+
+
 def no_answer(ends: Ends, request: Adu, retries: int) -> Transaction:
     """Make the transaction of a request without a response.
 

@@ -69,4 +69,4 @@ class NamedTransaction(Transaction, frozen=True, kw_only=True, omit_defaults=Tru
         That is so if it answered the read or write, or if a write was a broadcast. False if a
         master only asked for a write.
         """
-        return self.outcome in (Outcome.OK, Outcome.BROADCAST)
+        return self.outcome in (Outcome.OK, Outcome.LATE, Outcome.BROADCAST)

@@ -158,7 +158,7 @@ class ObservedSlave:
                 replies = self.requests[request] = Replies()
             if transaction.exception is not None:
                 replies.exceptions[transaction.exception] += 1
-            elif transaction.outcome in (Outcome.OK, Outcome.UNSOLICITED):
+            elif transaction.outcome in (Outcome.OK, Outcome.LATE, Outcome.UNSOLICITED):
                 replies.ok += 1
                 if self._with_values and values:
                     self._sample(request, values)

@@ -54,7 +54,7 @@ class ScaleFactors:
                 del self._slaves[next(iter(self._slaves))]
         self._slaves[key] = powers
         values = transaction.response_values
-        if values and transaction.outcome is Outcome.OK:
+        if values and transaction.outcome in (Outcome.OK, Outcome.LATE):
             for index, point in read:
                 if point.name in self._names and index < len(values):
                     power = point.value(values[index : index + 1]).value

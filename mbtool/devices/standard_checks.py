@@ -157,7 +157,7 @@ def padding_of(transaction: Transaction) -> tuple[int, int] | None:
         return None
     if transaction.function == _WRITE_BITS:
         pdu = _pdu(transaction, transaction.request_raw)
-    elif transaction.outcome is Outcome.OK:
+    elif transaction.outcome in (Outcome.OK, Outcome.LATE):
         pdu = _pdu(transaction, transaction.response_raw)
     else:
         return None

@@ -35,6 +35,7 @@ class UnitSum(IntEnum):
     OK = 1
     EXCEPTION = 2
     NO_ANSWER = 3
+    """Requests without a response, or with a late one."""
     OTHER = 4
     """Transactions with any other outcome: not captured, unsolicited, broadcast, malformed."""
     RETRIES = 5
@@ -72,6 +73,7 @@ class UnitRow(NamedTuple):
 _PLACES = {
     Outcome.OK: UnitSum.OK,
     Outcome.EXCEPTION: UnitSum.EXCEPTION,
+    Outcome.LATE: UnitSum.NO_ANSWER,
     Outcome.NO_ANSWER: UnitSum.NO_ANSWER,
 }
 

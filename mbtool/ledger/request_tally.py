@@ -129,6 +129,11 @@ class RequestTally:
         """The number of requests that got no response, or none with a right checksum."""
         return self.count(Outcome.NO_ANSWER)
 
+    @property
+    def not_in_time(self) -> int:
+        """The number of requests that got no response before their master gave them up."""
+        return self.count(Outcome.NO_ANSWER) + self.count(Outcome.LATE)
+
 
 def merged(tallies: list[RequestTally]) -> RequestTally:
     """Return a new tally with the counts and latencies of all `tallies` added up."""

@@ -206,7 +206,7 @@ class Statistics:
                 poll,
                 end_ns,
                 link.wire_ns(len(one.request_raw or b"")),
-                is_missing=one.outcome is Outcome.NO_ANSWER,
+                is_missing=one.outcome in (Outcome.NO_ANSWER, Outcome.LATE),
                 is_damaged=is_damaged,
             )
         return poll

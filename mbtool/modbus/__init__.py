@@ -25,10 +25,11 @@ from mbtool.modbus.register_access import (
 )
 from mbtool.modbus.response import Responder, Response
 from mbtool.modbus.tables import Table
-from mbtool.modbus.transaction import Outcome, Transaction
+from mbtool.modbus.transaction import RESPONDED, Outcome, Transaction
 
 __all__ = [
     "FUNCTIONS",
+    "RESPONDED",
     "TABLE_FUNCTIONS",
     "Adu",
     "ExceptionCode",

@@ -22,6 +22,8 @@ class Outcome(StrEnum):
 
     OK = "ok"
     EXCEPTION = "exception"
+    LATE = "late"
+    """A normal response or an exception response came after the master had given the request up."""
     NO_ANSWER = "no-answer"
     """The slave sent no response: the capture lacks no bytes here and shows no response."""
     NOT_CAPTURED = "not-captured"
@@ -33,6 +35,10 @@ class Outcome(StrEnum):
     """The transaction is a request to all units, to which no slave responds."""
     MALFORMED = "malformed"
     """The response does not have the form of its function."""
+
+
+RESPONDED = frozenset((Outcome.OK, Outcome.EXCEPTION, Outcome.LATE, Outcome.MALFORMED))
+"""The outcomes of requests that the slave answered, in time or not."""
 
 
 # gc=False saves time: a transaction is in no reference cycle, so no garbage collector is needed.

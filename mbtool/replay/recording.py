@@ -181,7 +181,7 @@ class Recording:
 
     def _add_values(self, transaction: Transaction) -> None:
         pdu = whole_pdu(transaction.transport, transaction.request_raw)
-        if pdu is None or transaction.outcome not in (Outcome.OK, Outcome.BROADCAST):
+        if pdu is None or transaction.outcome not in (Outcome.OK, Outcome.LATE, Outcome.BROADCAST):
             return
         request = parse_pdu(pdu, Direction.REQUEST)
         access = register_access(request)

@@ -197,7 +197,7 @@ class SlaveTraffic:
         if known.writes and transaction.function != _MASK_WRITE:
             where = address if transaction.write_address is None else transaction.write_address
             has_all = self._observe(table, where, transaction.request_values, is_written=True)
-        if transaction.outcome is Outcome.OK and (
+        if transaction.outcome in (Outcome.OK, Outcome.LATE) and (
             not known.writes or transaction.write_address is not None
         ):
             values = (transaction.response_values or [])[: transaction.quantity]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mbtool.modbus import Outcome
+from mbtool.modbus import RESPONDED
 
 if TYPE_CHECKING:
     from mbtool.ledger.request_tally import RequestTally
@@ -30,8 +30,7 @@ def is_grave(failed: int, asked: int) -> bool:
 
 def never_answers(tally: RequestTally) -> bool:
     """True if a unit was asked, and nothing was heard from it that could be read."""
-    answers = (Outcome.OK, Outcome.EXCEPTION, Outcome.MALFORMED)
-    is_heard = tally.requests < tally.transactions or any(map(tally.count, answers))
+    is_heard = tally.requests < tally.transactions or any(map(tally.count, RESPONDED))
     return tally.unanswered > 0 and not is_heard
 
 

@@ -144,7 +144,7 @@ class LineDamage(SortedSense):
             unit.asked += 1
         if one.outcome is Outcome.UNSOLICITED:
             self._note_alone(line, unit, one)
-        elif one.latency_ns is not None:
+        elif one.latency_ns is not None and one.outcome is not Outcome.LATE:
             unit.answered += 1
             unit.latency_ns += one.latency_ns
         self._give(line)

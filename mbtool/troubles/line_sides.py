@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING
 from mbtool.core import EventKind
 from mbtool.devices.named_transaction import NamedTransaction
 from mbtool.ledger.statistics import MAX_LINKS
-from mbtool.modbus import Outcome
+from mbtool.modbus import RESPONDED, Outcome
 from mbtool.troubles.sense import Sense
 from mbtool.troubles.trouble import MAX_EVIDENCE, Evidence, Sureness, Trouble
 
@@ -39,7 +39,6 @@ SOON_NS = 1_000_000_000
 """A copy of a response comes at most so long (ns) after it."""
 MOSTLY = 0.3
 """Responses are repeated if at least this share (0 to 1) of them come twice."""
-_RESPONDED = frozenset((Outcome.OK, Outcome.EXCEPTION, Outcome.MALFORMED, Outcome.UNSOLICITED))
 _ECHOING = frozenset((0x05, 0x06, 0x08, 0x0F, 0x10, 0x16))
 """Functions whose response can be taken for a request."""
 _BYTES = frozenset((EventKind.SKIPPED, EventKind.BAD_CHECK, EventKind.ECHO))
@@ -97,11 +96,11 @@ class HeardSides(Sense):
             line.other_requests += one.function not in _ECHOING
             if one.outcome is Outcome.NO_ANSWER:
                 _keep(line.asked_cases, Evidence.of(one))
-        if one.outcome not in _RESPONDED:
+        if one.outcome not in RESPONDED and one.request_ns is not None:
             return
         line.responses += 1
         last, line.last = line.last, one
-        if one.outcome is not Outcome.UNSOLICITED:
+        if one.request_ns is not None:
             return
         line.alone += 1
         _keep(line.alone_cases, Evidence.of(one))

@@ -51,7 +51,7 @@ HEADS = 64
 ENOUGH_BYTES = 100
 ENOUGH_PIECES = 5
 SHORTEST_NS = 2_000_000_000
-_ANSWERED = frozenset((Outcome.OK, Outcome.EXCEPTION))
+_ANSWERED = frozenset((Outcome.OK, Outcome.EXCEPTION, Outcome.LATE))
 _DAMAGE = frozenset((EventKind.SKIPPED, EventKind.BAD_CHECK))
 
 

@@ -34,7 +34,7 @@ MAX_HOSTS = 4096
 MAX_MACS = 4
 ENOUGH = 3
 LATER_NS = 30_000_000_000
-_ANSWERED = frozenset((Outcome.OK, Outcome.EXCEPTION))
+_ANSWERED = frozenset((Outcome.OK, Outcome.EXCEPTION, Outcome.LATE))
 _SHARED = ("00:00:5e:00:01:", "00:00:5e:00:02:", "00:00:0c:07:ac:", "00:00:0c:9f:f")
 _IN_A_NETWORK = re.compile(r"(\d+\.\d+\.\d+)\.\d+")
 

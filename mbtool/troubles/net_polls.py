@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 from mbtool.core import EventKind
 from mbtool.core.wording import counted, in_ms
 from mbtool.ledger.statistics import MAX_LINKS
-from mbtool.modbus import Outcome
+from mbtool.modbus import RESPONDED, Outcome
 from mbtool.troubles.sense import Sense
 from mbtool.troubles.trouble import Sureness, Trouble
 
@@ -37,7 +37,6 @@ TIMERS_NS = ((38_000_000, 46_000_000), (185_000_000, 225_000_000))
 """The least and the greatest latency (ns) by which a delayed acknowledgement is recognised."""
 QUICK_NS = 20_000_000
 _CUT = frozenset((EventKind.CUT, EventKind.GAP, EventKind.SKIPPED))
-_ANSWERED = (Outcome.OK, Outcome.EXCEPTION, Outcome.MALFORMED)
 
 
 class NetworkPolls(Sense):
@@ -62,7 +61,7 @@ class NetworkPolls(Sense):
 def _one_side(link: LinkReport) -> Iterator[Trouble]:
     tally = link.tally
     whole, lacking = tally.transactions, tally.count(Outcome.NOT_CAPTURED)
-    if lacking < ENOUGH or lacking < MOSTLY * whole or any(map(tally.count, _ANSWERED)):
+    if lacking < ENOUGH or lacking < MOSTLY * whole or any(map(tally.count, RESPONDED)):
         return
     if tally.requests >= MOSTLY * whole:
         side, other = "requests", "responses"

@@ -205,6 +205,7 @@ def result_text(
         text = f"{_EXCEPTION}{transaction.exception:02X}"
         if not name.startswith(text):  # The name of an unknown code has the number in it.
             text = f"{text} {name}".rstrip()
+        word = "late:" if transaction.outcome is Outcome.LATE else word
         return text if word is None else f"{word} {text}"
     match transaction.outcome:
         case Outcome.NO_ANSWER:
@@ -219,9 +220,15 @@ def result_text(
             f"{word} {_values(transaction, values, in_hex=in_hex)}" if values else word.rstrip(":")
         )
     read = transaction.read_points if points is None else points
+    is_late = transaction.outcome is Outcome.LATE
+    text = _DONE
     if read and not in_hex:
-        return "; ".join(describe_points(read))
-    return _values(transaction, values, in_hex=in_hex) if values else _DONE
+        text = "; ".join(describe_points(read))
+    elif values:
+        text = _values(transaction, values, in_hex=in_hex)
+    elif is_late:
+        return "late"
+    return f"late: {text}" if is_late else text
 
 
 def _lacking_response(transaction: NamedTransaction) -> str | None:

@@ -32,6 +32,7 @@ SCHEMA = 1
 _COUNTED = (
     (Outcome.OK, "ok"),
     (Outcome.EXCEPTION, "exception"),
+    (Outcome.LATE, "late"),
     (Outcome.NO_ANSWER, "no_answer"),
     (Outcome.NOT_CAPTURED, "not_captured"),
     (Outcome.UNSOLICITED, "unsolicited"),

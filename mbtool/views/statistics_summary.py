@@ -79,5 +79,8 @@ def _answered(total: RequestTally) -> str:
     Broadcasts, and requests whose outcome the capture does not show, are not counted.
     """
     answers = sum(total.count(one) for one in (Outcome.OK, Outcome.EXCEPTION, Outcome.MALFORMED))
-    asked = answers + total.unanswered
-    return f"{percent(answers / asked)} answered" if asked else "no request to be answered"
+    late, asked = total.count(Outcome.LATE), answers + total.not_in_time
+    if not asked:
+        return "no request to be answered"
+    text = f"{percent(answers / asked)} answered"
+    return f"{text}, {percent(late / asked)} late" if late else text

@@ -221,7 +221,7 @@ def _by_failures(tally: RequestTally) -> tuple[int, int]:
 
 
 def _failed(tally: RequestTally) -> int:
-    return sum(map(tally.count, (Outcome.NO_ANSWER, Outcome.EXCEPTION, Outcome.MALFORMED)))
+    return tally.count(Outcome.EXCEPTION) + tally.count(Outcome.MALFORMED) + tally.not_in_time
 
 
 def _of_master(link: LinkReport, one: PollReport) -> str:

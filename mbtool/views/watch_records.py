@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 _STYLES = {
     Outcome.EXCEPTION: "red",
+    Outcome.LATE: "bold red",
     Outcome.NO_ANSWER: "bold red",
     Outcome.MALFORMED: "bold red",
     Outcome.NOT_CAPTURED: "dim",

@@ -237,7 +237,7 @@ class Board:
         if one.outcome is Outcome.NOT_CAPTURED and _is_cut_off(one) and kept is not poll.last:
             return  # What the slave did before tells more.
         poll.last, poll.is_damaged = kept, is_damaged
-        if one.outcome is not Outcome.OK and one.outcome is not Outcome.BROADCAST:
+        if one.outcome not in (Outcome.OK, Outcome.LATE, Outcome.BROADCAST):
             return
         values = one.request_values if one.response_values is None else one.response_values
         is_same = values == poll.values and one.function != _READ_WRITE

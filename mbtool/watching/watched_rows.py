@@ -23,7 +23,7 @@ HISTORY = 32
 NEVER_NS = 0
 """Stands for the time of a change if there was none."""
 
-_FAULTS = (Outcome.EXCEPTION, Outcome.NO_ANSWER, Outcome.MALFORMED)
+_FAULTS = (Outcome.EXCEPTION, Outcome.LATE, Outcome.NO_ANSWER, Outcome.MALFORMED)
 """Outcomes that count as errors. A request whose response the capture lacks is not one of them."""
 
 

@@ -381,6 +381,7 @@ class CheckRun:
         polls = (poll.tally for poll in self.ledger.polls.values())
         tally = merged([*polls, *self.ledger.groups.values()])
         return {
+            "late": tally.count(Outcome.LATE),
             "no_answer": tally.unanswered,
             "wrong_crc": tally.damaged,
             "exception": tally.count(Outcome.EXCEPTION),

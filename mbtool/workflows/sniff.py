@@ -336,7 +336,7 @@ class Refusals:
         """
         link = record.link
         if not isinstance(record, WireEvent):
-            is_answered = record.outcome in (Outcome.OK, Outcome.EXCEPTION)
+            is_answered = record.outcome in (Outcome.OK, Outcome.EXCEPTION, Outcome.LATE)
             if is_answered and record.source in self._open.get(link, ()):
                 del self._reasons[link], self._open[link]
             return False

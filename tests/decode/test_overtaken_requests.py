@@ -6,21 +6,19 @@ import pytest
 from msgspec.structs import replace
 
 from mbtool.core import EventKind, WireEvent
-from mbtool.decode.pairing import (
-    BUS_TIMEOUT_NS,
-    EVEN,
-    Pairing,
-    waits_before_any_retry,
-)
+from mbtool.decode.line_requests import MAX_OF_UNIT, MAX_OPEN
+from mbtool.decode.pairing import BUS_TIMEOUT_NS, Pairing, waits_before_any_retry
 from mbtool.decode.transactions import Ends
-from mbtool.modbus.adu import Verdict
+from mbtool.modbus.adu import Adu, Skipped, Verdict
 from mbtool.modbus.transaction import Outcome, Transaction
 from mbtool.serial_line.line_statistics import LatencyStatistics
 from tests.decode.test_pairing import ANSWER, MS, READ, WRITE, asked, outcomes, told
 
 OK, NO_ANSWER, UNSOLICITED = Outcome.OK, Outcome.NO_ANSWER, Outcome.UNSOLICITED
+LATE = Outcome.LATE
 SURE: tuple[list[Verdict], float] = ([], 1.0)
-IN_DOUBT = [Verdict.AMBIGUOUS], EVEN
+READ_FOUR = "03 0000 0004"
+FOUR_VALUES = "03 08 0001 0002 0003 0004"
 
 Said = list[Transaction | WireEvent]
 
@@ -49,26 +47,19 @@ def rows(said: Said) -> list[tuple[int, Outcome, tuple[list[Verdict], float]]]:
     ]
 
 
-@pytest.mark.parametrize(
-    ("waits", "expected"),
-    [
-        (True, [(1, OK, SURE), (2, OK, SURE)]),
-        (None, [(1, NO_ANSWER, IN_DOUBT), (1, UNSOLICITED, IN_DOUBT), (2, OK, SURE)]),
-        (False, [(1, NO_ANSWER, SURE), (1, UNSOLICITED, SURE), (2, OK, SURE)]),
-    ],
-)
-def test_a_response_behind_another_request_is_as_sure_as_that_its_master_waits(
-    waits: bool | None, expected: list[object]
+@pytest.mark.parametrize(("waits", "outcome"), [(True, OK), (None, LATE), (False, LATE)])
+def test_a_response_behind_another_request_is_late_unless_its_master_surely_waits(
+    waits: bool | None, outcome: Outcome
 ) -> None:
-    assert rows(overtake(line(waits), 0)) == expected
+    assert rows(overtake(line(waits), 0)) == [(1, outcome, SURE), (2, OK, SURE)]
 
 
-def test_a_request_that_is_in_doubt_already_is_so_once() -> None:
+def test_a_late_response_keeps_the_doubt_about_its_request() -> None:
     pairing = line(None)
     doubtful = replace(asked(READ, 0), confidence=0.25, verdicts=(Verdict.AMBIGUOUS,))
     said = [*pairing.feed(doubtful), *pairing.feed(asked(WRITE, 5, unit=2))]
     said += pairing.feed(told(ANSWER, 10))
-    assert [one[2] for one in rows(said)] == [([Verdict.AMBIGUOUS], 0.25), IN_DOUBT]
+    assert rows(said) == [(1, LATE, ([Verdict.AMBIGUOUS], 0.25))]
 
 
 @pytest.mark.parametrize("waits", [True, None])
@@ -112,23 +103,117 @@ def test_overtaken_and_overtaking_request_are_given_up_each_in_its_time() -> Non
     assert pairing.close() == []
 
 
-def test_a_third_request_ends_the_one_that_was_overtaken_first() -> None:
+def test_a_third_request_leaves_the_first_open_until_its_unit_answers_a_later_one() -> None:
     pairing = line(True)
     for unit in (1, 2):
         assert pairing.feed(asked(READ, 5 * unit, unit=unit)) == []
-    assert rows(pairing.feed(asked(READ, 15, unit=3))) == [(1, NO_ANSWER, SURE)]
+    assert pairing.feed(asked(READ, 15, unit=3)) == []
     assert rows(pairing.feed(told(ANSWER, 20, unit=2))) == [(2, OK, SURE)]
     assert rows(pairing.feed(told(ANSWER, 25, unit=2))) == [(2, UNSOLICITED, SURE)]
-    assert rows([*pairing.close()]) == [(3, NO_ANSWER, SURE)]
+    assert rows([*pairing.close()]) == [(1, NO_ANSWER, SURE), (3, NO_ANSWER, SURE)]
 
 
-@pytest.mark.parametrize("unit", [0, 2], ids=["a broadcast", "the same unit again"])
-def test_a_request_that_overtakes_nothing_ends_both_that_wait(unit: int) -> None:
-    pairing = line(True)
-    for one in (1, 2):
-        pairing.feed(asked(READ, 5 * one, unit=one))
-    said = pairing.feed(asked(WRITE, 15, unit=unit))
-    assert outcomes(said)[:2] == [NO_ANSWER, NO_ANSWER]
+def poll(pairing: Pairing, taken_ms: int, number: int = 4) -> None:
+    """Let unit 1 answer `number` reads of one register, each after `taken_ms`."""
+    for at in range(number):
+        at_ms = 1000 * at - 1000 * number
+        assert rows(said(pairing, asked(READ, at_ms), told(ANSWER, at_ms + 1 + taken_ms)))
+
+
+def said(pairing: Pairing, *adus: Adu) -> Said:
+    return [each for one in adus for each in pairing.feed(one)]
+
+
+def latencies(said: Said) -> list[tuple[Outcome, int | None]]:
+    """The outcome and the latency in ms of each transaction."""
+    return [
+        (one.outcome, None if one.latency_ns is None else one.latency_ns // MS)
+        for one in said
+        if isinstance(one, Transaction)
+    ]
+
+
+def test_a_late_response_goes_to_the_request_that_it_fits() -> None:
+    done = said(line(False), asked(READ_FOUR, 0), asked(READ, 500), told(FOUR_VALUES, 701))
+    assert latencies(done) == [(LATE, 700)]
+
+
+def test_a_response_that_fits_no_open_request_is_the_pending_ones_and_malformed() -> None:
+    done = said(line(False), asked(READ_FOUR, 0), asked(READ, 500), told("03 04 0001 0002", 701))
+    assert [one[1] for one in rows(done)] == [NO_ANSWER, Outcome.MALFORMED]
+
+
+def test_a_response_sooner_than_the_unit_can_answer_is_to_the_request_before() -> None:
+    pairing = line(False)
+    poll(pairing, 450)
+    done = said(pairing, asked(READ, 0), asked(READ, 500), told(ANSWER, 601), told(ANSWER, 1051))
+    assert latencies(done) == [(LATE, 600), (LATE, 550)]
+
+
+def test_a_second_answer_shows_that_both_belong_to_the_request_before() -> None:
+    pairing = line(False)
+    poll(pairing, 450)
+    done = said(pairing, asked(READ, 0), asked(READ, 500), told(ANSWER, 781))
+    assert done == []  # 780 or 280 ms: both are possible.
+    done += said(pairing, told(ANSWER, 1281))
+    assert latencies(done) == [(LATE, 780), (LATE, 780)]
+
+
+def test_the_answers_of_a_unit_that_is_always_late_are_moved_together() -> None:
+    pairing = line(False)
+    polls = [(asked(READ, 500 * at), told(ANSWER, 500 * at + 251)) for at in range(1, 4)]
+    done = said(pairing, asked(READ, 0), *(one for each in polls for one in each))
+    assert done == []
+    done += said(pairing, told(ANSWER, 2251))
+    assert latencies(done) == [(LATE, 750)] * 4
+
+
+def test_without_a_second_answer_each_response_stays_with_its_own_request() -> None:
+    pairing = line(False)
+    poll(pairing, 450)
+    done = said(pairing, asked(READ, 0), asked(READ, 500), told(ANSWER, 781))
+    done += pairing.advance(782 * MS + 2 * 781 * MS)
+    assert latencies(done) == [(NO_ANSWER, None), (OK, 280)]
+
+
+def test_a_repeated_frame_is_no_second_answer() -> None:
+    pairing = line(False)
+    poll(pairing, 450)
+    done = said(pairing, asked(READ, 0), asked(READ, 500), told(ANSWER, 781), told(ANSWER, 785))
+    assert latencies(done) == [(NO_ANSWER, None), (OK, 280), (UNSOLICITED, None)]
+
+
+def test_a_unit_that_answers_at_once_is_not_late_when_it_answers_a_retry() -> None:
+    pairing = line(False)
+    poll(pairing, 10)
+    done = said(pairing, asked(READ, 0), asked(READ, 500), told(ANSWER, 511))
+    assert latencies(done) == [(NO_ANSWER, None), (OK, 10)]
+
+
+def test_a_response_right_behind_damaged_bytes_goes_to_no_earlier_request() -> None:
+    pairing = line(False)
+    done = said(pairing, asked(READ, 0), asked(WRITE, 500, unit=2))
+    done += pairing.note_skipped(Skipped(600 * MS, EventKind.BAD_CHECK, "a wrong CRC", bytes(8)))
+    done += said(pairing, told(ANSWER, 610))
+    assert latencies(done) == [(UNSOLICITED, None)]
+
+
+def test_a_unit_that_is_off_is_told_at_once_after_a_few_requests() -> None:
+    pairing = line(False)
+    for at in range(MAX_OF_UNIT + 1):
+        assert pairing.feed(asked(READ, 300 * at)) == []
+    done = pairing.feed(asked(READ, 2000))
+    assert latencies(done) == [(NO_ANSWER, None)] * (MAX_OF_UNIT + 1)
+    assert latencies(pairing.feed(asked(READ, 2300))) == [(NO_ANSWER, None)]
+
+
+def test_the_number_of_open_requests_is_bounded() -> None:
+    pairing = line(False)
+    done = [
+        each for unit in range(1, 248) for each in pairing.feed(asked(READ, 10 * unit, unit=unit))
+    ]
+    assert len(done) == 247 - 1 - MAX_OPEN
+    assert len(pairing.close()) == MAX_OPEN + 1
 
 
 def test_a_master_waits_at_least_as_long_as_before_any_retry() -> None:

@@ -106,7 +106,7 @@ def test_a_capture_that_begins_with_a_response_is_not_shifted_by_one() -> None:
     for value in range(12):
         wires.ask().answer(bytes([3, 2, 0, value]))
     first, *others = transactions(wires.decoded())
-    assert first.outcome is Outcome.UNSOLICITED
+    assert first.outcome is Outcome.NOT_CAPTURED
     assert [one.response_values for one in others] == [[value] for value in range(12)]
 
 
@@ -132,9 +132,9 @@ def test_a_response_that_is_read_after_the_next_request_belongs_to_its_own(late_
     ]
 
 
-def test_a_response_much_before_a_request_is_unsolicited() -> None:
+def test_a_response_much_before_the_first_request_answers_a_request_before_the_capture() -> None:
     wires = Wires().answer().ask(after_ms=0, late_ms=80)
-    assert [one.outcome for one in transactions(wires.decoded())] == ["unsolicited", "no-answer"]
+    assert [one.outcome for one in transactions(wires.decoded())] == ["not-captured", "no-answer"]
 
 
 def test_a_late_answer_of_a_slow_slave_is_not_the_next_requests() -> None:
@@ -428,10 +428,10 @@ def _has_structure(one: Exchange) -> bool:
 
 
 def said(decoded: list[Decoded]) -> list[tuple[object, ...]]:
-    """All that a transaction says beside times and what follows from them."""
+    """All that transactions say beside times and what follows from them, in order of requests."""
     return [
         (one.unit, one.outcome, one.request_raw, one.response_raw, one.retries)
-        for one in transactions(decoded)
+        for one in sorted(transactions(decoded), key=lambda one: one.start_ns)
     ]
 
 

@@ -104,7 +104,7 @@ def test_answers_after_the_time_out_are_late(plant: Plant, seconds: float, timin
 def test_a_late_unit_is_told_with_its_latency_and_the_masters_time_out() -> None:
     trouble = worst(judged(Plant(latency={**QUICK, 2: 700}).run(60)))
     assert trouble.sentence.startswith(
-        "unit 2 answers after 0.71 s, the master waits 0.51 s: 60 of 60 answers come too late: "
+        "unit 2 answers after 0.70 s, the master waits 0.51 s: 60 of 60 answers come too late: "
         "raise the master's time-out above "
     )
 

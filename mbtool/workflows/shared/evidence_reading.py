@@ -39,6 +39,8 @@ if TYPE_CHECKING:
     from mbtool.workflows.shared.read_all import Watch
     from mbtool.workflows.shared.reading import ReadingOptions
 
+_USUAL = (Outcome.OK, Outcome.EXCEPTION, Outcome.BROADCAST, Outcome.MALFORMED)
+
 
 @dataclass(slots=True)
 class EvidenceMarks:
@@ -174,7 +176,7 @@ def remarks_on(one: NamedTransaction) -> list[str]:
     """
     verdicts = [str(each) for each in one.verdicts if each is not Verdict.AMBIGUOUS]
     texts = [f"verdicts: {', '.join(verdicts)}"] if verdicts else []
-    if one.outcome in (Outcome.NO_ANSWER, Outcome.NOT_CAPTURED, Outcome.UNSOLICITED):
+    if one.outcome not in _USUAL:
         texts.append(f"outcome: {one.outcome}")
     return texts
 
