@@ -123,7 +123,8 @@ class Bus:
 class ConnectionDecoder:
     """Decodes a TCP connection between a master and a slave."""
 
-    def __init__(self, connection: Connection, *, rtu: bool = False) -> None:
+    def __init__(self, connection: Connection, *, rtu: bool = False, joined: bool = False) -> None:
+        """`joined` is True if the capture lacks the beginning of the connection."""
         self._link = connection.link
         master, slave = str(connection.master), str(connection.slave)
         self._endpoints = {
@@ -135,7 +136,7 @@ class ConnectionDecoder:
             each: RtuStreamSplitter(each) if rtu else MbapSplitter(each, by_segments=True)
             for each in self._endpoints
         }
-        self._pairing = NetworkPairing(Ends(self._link, master, slave))
+        self._pairing = NetworkPairing(Ends(self._link, master, slave), joined=joined)
         self._last_ns = 0
         """The time of the last segment with payload, in ns."""
         self._progress = {direction: StreamProgress() for direction in OTHER}

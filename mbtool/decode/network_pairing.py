@@ -16,6 +16,9 @@
 #                        long, unless the master is known never to pipeline. The slave answers a
 #                        given-up request as rarely as it leaves another one without a response.
 #
+# A response is late if it comes after the next request of a master that never pipelines. That
+# request must repeat the first, or have come when the master's usual time-out was over.
+#
 # pairing_readings.py weighs them. A transaction is returned as soon as no other request is a likely
 # one for its response. Where two readings (ways to give responses to requests) cost about the same,
 # the responses are held back until an ADU or a silence of the connection decides, at most MAX_HELD
@@ -31,6 +34,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -82,6 +86,11 @@ MAX_HELD = 32
 HOLD_NS = 3_000_000_000
 """The longest time, in ns, that a response is held back because it may answer one of several
 requests. A user who watches a live capture sees its transaction later by up to this time."""
+RECENT_WAITS = 16
+ENOUGH_WAITS = 3
+EVEN = 0.15
+"""The master has a time-out if ENOUGH_WAITS of its last RECENT_WAITS waits differ by at most this
+share (0 to 1)."""
 DOUBTFUL = 0.5
 """The confidence (0 to 1) of a transaction whose response may as well belong to another request."""
 
@@ -92,12 +101,16 @@ _USUAL_REQUEST = 12
 class NetworkPairing:
     """Takes the ADUs of one connection in order, returns complete transactions."""
 
-    def __init__(self, ends: Ends) -> None:
+    def __init__(self, ends: Ends, *, joined: bool = False) -> None:
+        """`joined` is True if the capture lacks the beginning of the connection."""
         self._ends = ends
+        self._joined = joined
         self._readings = [PairReading([], [])]
         self._habits = MasterHabits()
         self._requests = 0
         """The number of requests so far, with those that the capture lacks."""
+        self._waits: deque[int] = deque(maxlen=RECENT_WAITS)
+        """How long (ns) the master waited in vain before its next request, the last times."""
         self._unanswered = UnansweredCounts()
         self._dropped = DroppedRequests()
         self.response_is_cut = False
@@ -254,7 +267,7 @@ class NetworkPairing:
             counts=request is not None and not request.missing,
         )
         if self._readings[0].waiting:
-            self._readings[0].waiting[-1].next_ns = at_ns
+            self._note_next(self._readings[0].waiting[-1], request, at_ns)
         for reading in self._readings:
             if reading.waiting and reading.someone_waits:
                 reading.behind_others |= {one.number}
@@ -395,7 +408,10 @@ class NetworkPairing:
 
     def _responded(self, response: Adu, step: PairStep) -> Transaction:
         if not step.requests:
-            return unsolicited(self._ends, response)
+            # The request of the first response was sent before the capture began.
+            is_first = self._joined and not self._requests
+            outcome = Outcome.NOT_CAPTURED if is_first else Outcome.UNSOLICITED
+            return unsolicited(self._ends, response, outcome)
         return self._with_response(
             response, step.requests[0], step.since_ns, is_sure=step.is_sure, is_late=step.is_late
         )
@@ -433,7 +449,19 @@ class NetworkPairing:
         """True if the master sent its next request because it no longer waited for this one."""
         if one.next_ns is None or not self._habits.is_sequential:
             return False
-        return one.next_ns - one.since_ns >= FIRST_LATE_NS
+        waited_ns = one.next_ns - one.since_ns
+        if waited_ns < FIRST_LATE_NS:
+            return False
+        equal = [one for one in self._waits if abs(one - waited_ns) <= EVEN * waited_ns]
+        return one.is_repeated or len(equal) >= ENOUGH_WAITS
+
+    def _note_next(self, one: OpenRequest, request: Adu | None, at_ns: int) -> None:
+        """Note that a request was sent at `at_ns` (UTC ns) while `one` had no response."""
+        one.next_ns = at_ns
+        if request is not None and one.adu is not None:
+            one.is_repeated = request_key(request) == request_key(one.adu)
+        if at_ns - one.since_ns >= FIRST_LATE_NS:
+            self._waits.append(at_ns - one.since_ns)
 
     def _take_retries(self, answered: OpenRequest) -> int:
         """Count the unanswered requests that `answered` repeats; no later request counts them."""

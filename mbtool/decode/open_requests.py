@@ -44,6 +44,8 @@ class OpenRequest(msgspec.Struct, gc=False, eq=False, kw_only=True):
     it. The lost request may then have had the id of this one."""
     next_ns: int | None = None
     """The time (ns) at which the next request was complete; None while there is none."""
+    is_repeated: bool = False
+    """True if the next request has the same unit and PDU."""
     counts: bool = True
     """False if a later equal request has already counted this one in its `retries`, or if the
     capture lacks bytes of this request."""

@@ -18,8 +18,9 @@
 # the last RECENT_REQUESTS requests. Equal waits (EQUAL) before the next request are the time-out of
 # one master. (network_pairing.py pairs the requests and responses of a TCP connection.)
 #
-# Right behind bytes that belong to no frame, a response may be to a request that was damaged. It
-# then goes to no earlier request.
+# Bytes that belong to no frame, behind a request, are its damaged response: the request then has no
+# answer. Right behind such bytes, a response may be to a request that was damaged, and goes to no
+# earlier request.
 #
 # A request without an answer is a transaction of its own. `retries` of the next equal request
 # counts the requests before it that had no answer. The transactions of one unit come in the order
@@ -183,16 +184,19 @@ class Pairing:
         """End the line: return the transactions of the requests that have no response.
 
         `end_ns` is the time at which the capture ended: a request whose response may have come
-        later gets the outcome `not-captured`. If `end_ns` is None, all these requests get the
-        outcome `no-answer`.
+        later, in time or late, gets the outcome `not-captured`. If `end_ns` is None, all these
+        requests get the outcome `no-answer`.
         """
         done = [each for unit in [*self._held] for each in self._release(unit)]
-        requests = [one.adu for one in self._earlier.take_all()]
+        # Without times, a request that another one followed is not known to be recent.
+        timed = self._ends.timed
+        earlier = self._earlier.take_all()
+        requests = [(one.adu, timed or self._is_overtaken(one)) for one in earlier]
         if self._pending is not None:
-            requests.append(self._pending)
+            requests.append((self._pending, True))
             self._pending = None
-        for request in requests:
-            if end_ns is not None and self._may_be_answered(request, end_ns):
+        for request, may_be_recent in requests:
+            if end_ns is not None and may_be_recent and self._may_be_answered(request, end_ns):
                 done.append(capture_ended(self._ends, request))
             else:
                 done.append(self._unanswered_request(request))
@@ -210,8 +214,13 @@ class Pairing:
             waits = self._still_waits(waited_ns)
             if request.unit == pending.unit and (waits is None or request.raw == pending.raw):
                 waits = False  # The master repeats its request, or asks its slave the next thing.
-            one = OpenLineRequest(_doubted(pending, request), self._requests, waited_ns, waits)
-            done += self._unanswered_of(self._earlier.add(one))
+            pending = _doubted(pending, request)
+            if self._is_damaged and not waits:
+                done += self._unanswered_of(self._earlier.take_all_of(pending.unit))
+                done.append(self._unanswered_request(pending))
+            else:
+                one = OpenLineRequest(pending, self._requests, waited_ns, waits)
+                done += self._unanswered_of(self._earlier.add(one))
         if request.unit:
             self._pending = request
         else:

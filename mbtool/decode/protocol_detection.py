@@ -121,7 +121,11 @@ class ProtocolDetector:
         roles = (False, True) if joined and not expected else (swapped,)
         self._candidates = [
             _ProtocolCandidate(
-                connection, rtu=framing, swapped=swap, expected=expected and not (framing and tcp)
+                connection,
+                rtu=framing,
+                swapped=swap,
+                expected=expected and not (framing and tcp),
+                joined=joined,
             )
             # RTU comes first: an RTU frame like 01 03 00 00 00 02 C4 0B is a Modbus/TCP ADU, too.
             for swap in roles
@@ -315,10 +319,12 @@ class ProtocolDetector:
 class _ProtocolCandidate:
     """A candidate: one possible protocol, one of the two ends as master, and the evidence."""
 
-    def __init__(self, connection: Connection, *, rtu: bool, swapped: bool, expected: bool) -> None:
+    def __init__(
+        self, connection: Connection, *, rtu: bool, swapped: bool, expected: bool, joined: bool
+    ) -> None:
         if swapped:
             connection = replace(connection, master=connection.slave, slave=connection.master)
-        self.decoder = ConnectionDecoder(connection, rtu=rtu)
+        self.decoder = ConnectionDecoder(connection, rtu=rtu, joined=joined)
         self.decoded: list[Decoded] = []
         """The decoded results, kept until this candidate is accepted."""
         self.is_confirmed = False

@@ -35,7 +35,6 @@ class UnitSum(IntEnum):
     OK = 1
     EXCEPTION = 2
     NO_ANSWER = 3
-    """Requests without a response, or with a late one."""
     OTHER = 4
     """Transactions with any other outcome: not captured, unsolicited, broadcast, malformed."""
     RETRIES = 5
@@ -46,6 +45,7 @@ class UnitSum(IntEnum):
     """Number of transactions whose latency is known."""
     LATENCY_NS = 8
     """Sum of all known latencies, in ns."""
+    LATE = 9
 
 
 class LinkSum(IntEnum):
@@ -73,8 +73,8 @@ class UnitRow(NamedTuple):
 _PLACES = {
     Outcome.OK: UnitSum.OK,
     Outcome.EXCEPTION: UnitSum.EXCEPTION,
-    Outcome.LATE: UnitSum.NO_ANSWER,
     Outcome.NO_ANSWER: UnitSum.NO_ANSWER,
+    Outcome.LATE: UnitSum.LATE,
 }
 
 

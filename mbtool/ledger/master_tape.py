@@ -32,11 +32,13 @@ class TapedRequest(NamedTuple):
     """The time (UTC ns) of the response's last byte; without a response, of the request's last
     byte."""
     is_missing: bool
-    """True if the slave had to respond and did not, or only with a wrong CRC or LRC."""
+    """True if the slave had to respond and did not, or late, or only with a wrong CRC or LRC."""
     wire_ns: int
     """The time (ns) that the bytes of the request took on a serial line; 0 on a network."""
     is_damaged: bool = False
     """True if `is_missing` is True because the response had a wrong CRC or LRC."""
+    is_late: bool = False
+    """True if `is_missing` is True because the response was late; `end_ns` is the request's."""
 
 
 class MasterTape:

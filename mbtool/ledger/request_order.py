@@ -87,6 +87,7 @@ class RequestOrder:
         *,
         is_missing: bool,
         is_damaged: bool = False,
+        is_late: bool = False,
     ) -> None:
         """Add a request; the arguments are the fields of the same names in TapedRequest (times in
         UTC ns).
@@ -97,7 +98,9 @@ class RequestOrder:
             return
         heappush(
             self._heap,
-            TapedRequest(at_ns, self._taken, poll, end_ns, is_missing, wire_ns, is_damaged),
+            TapedRequest(
+                at_ns, self._taken, poll, end_ns, is_missing, wire_ns, is_damaged, is_late
+            ),
         )
         if len(self._heap) > WINDOW:
             self._order(heappop(self._heap))
@@ -201,7 +204,7 @@ class RequestOrder:
         self._ordered_ns = one.at_ns
         poll = one.poll
         link, master = poll.key.link, poll.key.master
-        self._links[link].hours.add(one.at_ns, is_missing=one.is_missing)
+        self._links[link].hours.add(one.at_ns, is_missing=one.is_missing and not one.is_late)
         if self._tape(link, master).add(one):
             change = poll.begin_again(one.at_ns)
             for at_ns in change.found:

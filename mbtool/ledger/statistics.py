@@ -198,16 +198,17 @@ class Statistics:
             times.answered_ns = end_ns
         if one.outcome is not Outcome.OK:
             times.note_failure(one.outcome, one.request_ns)
-        is_damaged = self._damaged.has(one)
+        is_damaged, is_late = self._damaged.has(one), one.outcome is Outcome.LATE
         poll.tally.damaged += is_damaged
         if link.has_times:
             self._order.add(
                 one.request_ns,
                 poll,
-                end_ns,
+                one.request_ns if is_late else end_ns,
                 link.wire_ns(len(one.request_raw or b"")),
-                is_missing=one.outcome in (Outcome.NO_ANSWER, Outcome.LATE),
+                is_missing=is_late or one.outcome is Outcome.NO_ANSWER,
                 is_damaged=is_damaged,
+                is_late=is_late,
             )
         return poll
 

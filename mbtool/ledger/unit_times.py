@@ -50,8 +50,6 @@ class UnitTimes:
             self.missing = _with(self.missing, at_ns)
             if at_ns > self.answered_ns:
                 self._note_silence(at_ns)
-        elif outcome is Outcome.LATE:
-            self.missing = _with(self.missing, at_ns)
         elif outcome is Outcome.EXCEPTION:
             self.refused = _with(self.refused, at_ns)
 

@@ -159,7 +159,7 @@ def _sections(
 def _links(links: Sequence[LinkReport], width: int | None, top: int) -> list[StyledLine]:
     if len(links) < 2:
         return []
-    ordered = sorted(links, key=lambda one: (-one.tally.unanswered, -one.tally.transactions))
+    ordered = sorted(links, key=lambda one: (-one.tally.not_in_time, -one.tally.transactions))
     rows = [
         StatisticsRow(
             f"{one.transport} {one.name or 'other links'} {one.settings or ''}".rstrip(),
@@ -176,7 +176,7 @@ def _functions(links: Sequence[LinkReport], width: int | None, top: int) -> list
     found = [(link, one) for link in links for one in link.functions]
     if len(found) < 2 or len(found) > _ALIKE * sum(len(link.polls) for link in links):
         return []  # This section would nearly repeat the section of polls.
-    found.sort(key=lambda one: (-one[1].tally.unanswered, -one[1].tally.transactions))
+    found.sort(key=lambda one: (-one[1].tally.not_in_time, -one[1].tally.transactions))
     rows = [
         StatisticsRow(
             _prefix(link, links) + _function_text(one),
@@ -242,7 +242,7 @@ def _poll_cells(one: PollReport, link: LinkReport) -> list[str]:
         "-" if jitter_ns is None else in_ms(jitter_ns),
         *_latency_cells(poll.tally),
         counted(poll.tally.count(Outcome.EXCEPTION)),
-        counted(poll.tally.unanswered),
+        counted(poll.tally.not_in_time),
         share,
     ]
 
@@ -252,7 +252,7 @@ def _tally_cells(tally: RequestTally, link: LinkReport) -> list[str]:
         f"{tally.requests:,}",
         per_second(link.rate(tally.requests)),
         counted(tally.count(Outcome.EXCEPTION)),
-        counted(tally.unanswered),
+        counted(tally.not_in_time),
         counted(tally.count(Outcome.NOT_CAPTURED)),
         *_latency_cells(tally),
     ]
@@ -266,7 +266,7 @@ def _latency_cells(tally: RequestTally) -> list[str]:
 
 
 def _style(tally: RequestTally) -> str:
-    return "red" if tally.unanswered or tally.count(Outcome.EXCEPTION) else ""
+    return "red" if tally.not_in_time or tally.count(Outcome.EXCEPTION) else ""
 
 
 def _prefix(link: LinkReport, links: Sequence[LinkReport]) -> str:

@@ -415,13 +415,13 @@ class _Master:
             self._reply(unit, response, None, Outcome.UNSOLICITED)
 
     def _answer_elsewhere(self, unit: int, request: bytes, response: bytes) -> None:
-        self._ask(unit, request)
+        late = self._ask(unit, request)
         self._now_ns += self._timeout_ns
         others = [poll for poll in self._polls if poll.unit != unit]
         poll = self._random.choice(others)
         exchange = self._ask(poll.unit, _request(poll))
         self._now_ns += self._latency_ns(unit)
-        self._reply(unit, response, None, Outcome.UNSOLICITED)
+        self._reply(unit, response, late, Outcome.LATE)
         self._now_ns += self._latency_ns(poll.unit)
         self._reply(poll.unit, self._answer(poll), exchange, Outcome.OK)
 

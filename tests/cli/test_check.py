@@ -59,7 +59,7 @@ def test_requests_without_a_good_answer_are_told_though_they_break_no_rule(
     told = tmp_path / "told.json"
     assert run(["check", silent, refused, "-o", str(told)]) == exit_codes.NO
     assert json.loads(told.read_text())["failed_requests"] == {
-        "no_answer": 1, "wrong_crc": 0, "exception": 5, "malformed": 0,
+        "late": 0, "no_answer": 1, "wrong_crc": 0, "exception": 5, "malformed": 0,
     }  # fmt: skip
 
 

@@ -158,7 +158,7 @@ def test_help_has_every_option_of_the_readme(mbtool: CommandLine) -> None:
         (["sniff", "tap:127.0.0.1:1704=127.0.0.1:0"], "nothing listens at port 0"),
         (["sniff", "rtu:/dev/ttyS0@99999999-8E1"], "no port has 99999999 baud; write 50 to"),
         (["line", "--settings", "1"], "no port has 1 baud; write 50 to 4000000"),
-        (["decode", "a", "--where", 'outcome == "no_answer"'], "it is ok, exception, no-answer,"),
+        (["decode", "a", "--where", 'outcome == "no_answer"'], "it is ok, exception, late,"),
         (["decode", "a", "--where", 'unit == "1"'], "unit is a number and '1' is a text"),
         (["sniff", "rtu:/dev/ttyUSB0@fast"], "line settings 'fast': write baud"),
         (["sniff", "tap:1502"], "link 'tap:1502': a tap needs where to listen"),

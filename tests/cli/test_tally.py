@@ -27,8 +27,8 @@ def _event(kind: EventKind) -> WireEvent:
         (
             list(Outcome),
             [EventKind.SKIPPED, EventKind.BAD_CHECK, EventKind.SKIPPED],
-            "7 transactions: 1 ok, 1 exception, 1 without answer, 1 not captured, 1 unsolicited, "
-            "1 broadcast, 1 malformed; 3 events: 1 bad-check, 2 skipped",
+            "8 transactions: 1 ok, 1 exception, 1 late, 1 without answer, 1 not captured, "
+            "1 unsolicited, 1 broadcast, 1 malformed; 3 events: 1 bad-check, 2 skipped",
         ),
         ([], [EventKind.OPENED, EventKind.CLOSED], "0 transactions"),
         ([], [EventKind.OPENED, EventKind.CUT], "0 transactions; 1 event: 1 cut"),

@@ -73,7 +73,7 @@ def test_an_enumeration_of_strings_lists_its_values_in_words() -> None:
     outcome = json.loads(json_schema("mbtool.Transaction"))["properties"]["outcome"]
     assert outcome["type"] == "string"
     assert outcome["description"].endswith(
-        ": ok, exception, no-answer, not-captured, unsolicited, broadcast, malformed"
+        ": ok, exception, late, no-answer, not-captured, unsolicited, broadcast, malformed"
     )
 
 

@@ -122,8 +122,8 @@ def test_a_name_in_a_list_that_does_not_apply_cannot_be_ordered() -> None:
     [
         (
             'outcome == "no_answer"',
-            "outcome is never 'no_answer'; it is ok, exception, no-answer, not-captured, "
-            "unsolicited, broadcast or malformed",
+            "outcome is never 'no_answer'; it is ok, exception, late, no-answer, "
+            "not-captured, unsolicited, broadcast or malformed",
         ),
         ('"fine" != outcome', "outcome is never 'fine'; it is ok, "),
         ('outcome in ("ok", "fine")', "outcome is never 'fine'; it is ok, "),

@@ -53,6 +53,7 @@ MAX_BARS = 200
 """Histograms beyond this have the coarse steps of `stats --json`."""
 _FAILURES = {
     "no_answer": UnitSum.NO_ANSWER,
+    "late": UnitSum.LATE,
     "exceptions": UnitSum.EXCEPTION,
     "retries": UnitSum.RETRIES,
     "bad_check": UnitSum.BAD_CHECK,

@@ -273,7 +273,8 @@ class _Transactions:
             return False
         group.joined += 1
         expected = Outcome.EXCEPTION if self._sent[response].is_exception else Outcome.OK
-        return told.outcome in (expected, None)
+        may_be_late = self._sent[response].is_late or len(group.requests) > 1
+        return told.outcome in (expected, None) or (may_be_late and told.outcome is Outcome.LATE)
 
     def _is_alone(self, told: ToldTransaction, request: int, group: _Group) -> bool:
         if self._sent[request].unit == 0:

@@ -358,7 +358,7 @@ function verdict() {
   const begins = stats.links.filter((link) => link.begin_ns !== null).map((link) => link.begin_ns / 1000);
   const facts = [
     ["transactions", count(stats.transactions)], ["links", count(stats.links.length)], ["units", `${stats.is_counted_together ? "at least " : ""}${count(unitsSeen())}`],
-    ["watched", watched ? span(watched) : "no times"], ["missing answers", count(all("no_answer"))],
+    ["watched", watched ? span(watched) : "no times"], ["missing answers", count(all("no_answer"))], ...(all("late") ? [["late answers", count(all("late"))]] : []),
     ["exceptions", count(all("exception"))], ["retries", count(all("repetitions"))], ["broken rules", brokenText()],
   ];
   get("figures").append(...facts.map(([name, value]) => el("div", {}, el("dt", {}, name), el("dd", {}, value))));
@@ -439,7 +439,7 @@ function against() {
     one.count > rows.length ? soft(`The first ${count(rows.length)} are listed.`) : null);
 }
 
-const FAILURES = [["no_answer", "missing answers", 1, "no_answer"], ["exceptions", "exceptions", 4, "exception"], ["bad_check", "wrong CRC", 6, "wrong_crc"], ["retries", "retries", 0, "repetitions"]];
+const FAILURES = [["no_answer", "missing answers", 1, "no_answer"], ["late", "late answers", 3, "late"], ["exceptions", "exceptions", 4, "exception"], ["bad_check", "wrong CRC", 6, "wrong_crc"], ["retries", "retries", 0, "repetitions"]];
 function failures() {
   if (!stats.transactions) return;
   const make = (columns, title) => {
@@ -461,14 +461,14 @@ function failures() {
   const whole = hasTimeline && make(bins.all, all);
   if (whole) place.append(whole);
   const rows = stats.links.flatMap((link) => link.functions.map((one) => [link, one]))
-    .filter(([, one]) => one.no_answer || one.exception || one.malformed || one.unsolicited || one.not_captured || one.repetitions)
-    .sort(([, a], [, b]) => b.no_answer + b.exception - a.no_answer - a.exception)
-    .map(([link, one]) => [...(several ? [link.link] : []), one.unit === null ? "other" : String(one.unit), functionText(one), count(one.requests), some(one.no_answer), some(one.wrong_crc), some(one.exception),
+    .filter(([, one]) => one.no_answer || one.late || one.exception || one.malformed || one.unsolicited || one.not_captured || one.repetitions)
+    .sort(([, a], [, b]) => b.no_answer + b.late + b.exception - a.no_answer - a.late - a.exception)
+    .map(([link, one]) => [...(several ? [link.link] : []), one.unit === null ? "other" : String(one.unit), functionText(one), count(one.requests), some(one.late), some(one.no_answer), some(one.wrong_crc), some(one.exception),
       one.exceptions.map((each) => `${hex(each.code)} ${each.name} ×${count(each.count)}`).join(", "), some(one.repetitions), some(one.malformed), some(one.unsolicited), some(one.not_captured)]);
   const sumOf = (name) => total(stats.links.flatMap((link) => link.functions.map((one) => one[name] ?? 0))), damaged = sumOf("wrong_crc");
   const sums = FAILURES.map(([, label, , name]) => (name === "wrong_crc" ? "" : sumOf(name) && `${count(sumOf(name))} ${label}${name === "no_answer" && damaged ? `, of these ${count(damaged)} with a wrong CRC` : ""}`)).filter(Boolean);
   show("failures", sums.length ? sums.join("; ") : "none", failing.length > 1 ? choice : null, place, whole || rows.length ? null : soft("No request failed."),
-    rows.length ? table("Failures by unit and function", [...(several ? ["link"] : []), ">unit", "~function", ">asked", ">no answer", ">of these wrong CRC", ">exceptions", "+which", ">retries", ">malformed", ">unasked", ">not captured"], rows) : null,
+    rows.length ? table("Failures by unit and function", [...(several ? ["link"] : []), ">unit", "~function", ">asked", ">late", ">no answer", ">of these wrong CRC", ">exceptions", "+which", ">retries", ">malformed", ">unasked", ">not captured"], rows) : null,
     rows.some((row) => row[row.length - 1]) ? soft("What was not captured is the capture’s loss, and no device’s fault.") : null,
     bins.units_left_out ? soft(`Of single units there are charts of the ${count(bins.units.length)} that are in trouble or were asked most; ${plural(unitsSeen() - bins.units.length, "unit")} left out.`) : null);
 }
@@ -619,9 +619,9 @@ function everyText(period) {
 function polls() {
   const all = stats.links.flatMap((link) => link.polls.map((poll) => [link, poll]));
   if (!all.length) return;
-  const failed = (one) => one.no_answer + one.exception + one.malformed;
+  const failed = (one) => one.no_answer + one.late + one.exception + one.malformed;
   const ranked = all.sort(([, a], [, b]) => failed(b) - failed(a) || (b.latency?.p95_ms ?? 0) - (a.latency?.p95_ms ?? 0));
-  const rows = ranked.map(([link, one]) => [...(several ? [link.link] : []), pollText(one), one.device || "", count(one.requests), ...everyText(one.period), digits(one.latency?.p50_ms), digits(one.latency?.p95_ms), digits(one.latency?.max_ms), some(one.exception), some(one.no_answer), one.load ? share(one.load.total_share) : ""]);
+  const rows = ranked.map(([link, one]) => [...(several ? [link.link] : []), pollText(one), one.device || "", count(one.requests), ...everyText(one.period), digits(one.latency?.p50_ms), digits(one.latency?.p95_ms), digits(one.latency?.max_ms), some(one.exception), some(one.no_answer + one.late), one.load ? share(one.load.total_share) : ""]);
   const listed = all.length < stats.polls_listed ? ` Of ${count(stats.polls_listed)} polls the ${count(all.length)} that were asked most.` : "";
   show("polls", count(all.length), soft(`Equal requests, ${all.some(([, one]) => failed(one)) ? "those that failed most first, then " : ""}the slowest first; unit, function and address.${listed}`),
     table("Polls", [...(several ? ["link"] : []), "~poll", "device", ">asked", ">every s", ">± ms", ">p50 ms", ">p95 ms", ">most ms", ">exceptions", ">no answer", ">line"], rows, false));
