@@ -90,9 +90,8 @@ def test_a_capture_that_begins_earlier_is_another(tmp_path: Path) -> None:
     assert _outcomes(_read([first, second])) == ["ok"] * 3
     # The cut divides an exchange.
     for paths in ([second, other, first], [first, other]):
-        outcomes = _outcomes(_read(paths))
-        assert "not-captured" in outcomes
-        assert "unsolicited" in outcomes
+        outcomes = [*_outcomes(_read(paths))]
+        assert outcomes.count("not-captured") >= 2
 
 
 def _cut(path: Path) -> Path:
