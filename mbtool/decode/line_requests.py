@@ -55,11 +55,9 @@ class OpenLineRequests:
     """Holds open requests, the oldest first."""
 
     def __init__(self) -> None:
-        self._open: list[OpenLineRequest] = []
+        self.open: list[OpenLineRequest] = []
+        """The open requests, the oldest first. The caller only reads it."""
         self._units: dict[int, _Unit] = {}
-
-    def __len__(self) -> int:
-        return len(self._open)
 
     def add(self, one: OpenLineRequest) -> list[OpenLineRequest]:
         """Add a request that another one followed; return the requests that no longer stay open."""
@@ -68,22 +66,22 @@ class OpenLineRequests:
         unit.silent += 1
         if one.waits is False and unit.silent > MAX_OF_UNIT:
             return [*self._take(self._of_unit(number)), one]
-        self._open.append(one)
+        self.open.append(one)
         if len(of_unit := self._of_unit(number)) > MAX_OF_UNIT:
             return self._take(of_unit[:1])
-        return self._take(self._open[:1]) if len(self._open) > MAX_OPEN else []
+        return self._take(self.open[:1]) if len(self.open) > MAX_OPEN else []
 
     def put_back(self, request: Adu) -> None:
         """Add a request whose response turned out to belong to an earlier request."""
-        self._open.append(OpenLineRequest(request, 0, 0, waits=False))
-        self._open.sort(key=lambda one: one.adu.end_ns)
+        self.open.append(OpenLineRequest(request, 0, 0, waits=False))
+        self.open.sort(key=lambda one: one.adu.end_ns)
 
     def fitting(self, response: Adu) -> list[OpenLineRequest]:
         """Return the requests that a response fits in its form, and in its time if that is known.
 
         If the response fits none in its time, returns the last one that it fits in its form.
         """
-        found = [one for one in self._open if fits(one.adu, response)]
+        found = [one for one in self.open if fits(one.adu, response)]
         start_ns = response.start_ns
         in_time = [one for one in found if self.can_take(response.unit, start_ns - one.adu.end_ns)]
         return in_time or found[-1:]
@@ -99,26 +97,31 @@ class OpenLineRequests:
 
     def take_all_of(self, unit: int) -> list[OpenLineRequest]:
         """Take out the requests to a unit that answered a later request."""
-        return self._take(self._of_unit(unit)) if self._open else []
+        return self._take(self._of_unit(unit)) if self.open else []
 
     def take_sent_before(self, time_ns: int) -> list[OpenLineRequest]:
         """Take out the requests that ended before `time_ns`."""
-        return self._take([one for one in self._open if one.adu.end_ns < time_ns])
+        return self._take([one for one in self.open if one.adu.end_ns < time_ns])
 
     def take_all(self) -> list[OpenLineRequest]:
-        taken, self._open = self._open, []
+        taken, self.open = self.open, []
         return taken
 
-    def note_heard(self, unit: int) -> None:
-        """Note that a unit has sent a response."""
-        self._of(unit).silent = 0
+    def note_heard(self, number: int) -> None:
+        """Note that a unit has sent a response that belongs to no request."""
+        self._of(number).silent = 0
 
-    def note_time(self, unit: int, taken_ns: int) -> None:
+    def note_response(self, number: int, taken_ns: int) -> None:
         """Note the time (ns) that a unit took to respond."""
-        times = self._of(unit)
-        times.number += 1
-        times.fastest_ns = min(times.fastest_ns, taken_ns)
-        times.slowest_ns = max(times.slowest_ns, taken_ns)
+        unit = self._units.get(number)
+        if unit is None:
+            unit = self._of(number)
+        unit.silent = 0
+        unit.number += 1
+        if taken_ns > unit.slowest_ns:
+            unit.slowest_ns = taken_ns
+        if taken_ns < unit.fastest_ns:
+            unit.fastest_ns = taken_ns
 
     def is_too_early(self, unit: int, taken_ns: int) -> bool:
         """True if a unit never responded in less than twice `taken_ns`."""
@@ -137,11 +140,11 @@ class OpenLineRequests:
         return found
 
     def _of_unit(self, unit: int) -> list[OpenLineRequest]:
-        return [one for one in self._open if one.adu.unit == unit]
+        return [one for one in self.open if one.adu.unit == unit]
 
     def _take(self, some: list[OpenLineRequest]) -> list[OpenLineRequest]:
         if some:
-            self._open = [one for one in self._open if one not in some]
+            self.open = [one for one in self.open if one not in some]
         return some
 
 

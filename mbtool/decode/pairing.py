@@ -14,9 +14,10 @@
 # A response to an earlier request is late if its master had given the request up, so that it sent
 # the next one. If the master certainly still waited, and only one request was sent since, a second
 # master has overtaken the first, and the response is in time. If the times do not tell which of the
-# two is true, the response is late, until the line has shown ENOUGH_OVERTAKEN such responses among
-# the last RECENT_REQUESTS requests. Equal waits (EQUAL) before the next request are the time-out of
-# one master. (network_pairing.py pairs the requests and responses of a TCP connection.)
+# two is true, the response is late, and ambiguous, until the line has shown ENOUGH_OVERTAKEN such
+# responses among the last RECENT_REQUESTS requests. Equal waits (EQUAL) before the next request are
+# then the time-out of one master, and different ones show two masters. (network_pairing.py pairs
+# the requests and responses of a TCP connection.)
 #
 # Bytes that belong to no frame, behind a request, are its damaged response: the request then has no
 # answer. Right behind such bytes, a response may be to a request that was damaged, and goes to no
@@ -68,6 +69,8 @@ ENOUGH_OVERTAKEN = 3
 another request and then answered. With one master, a response comes after the next request only if
 it is late, and late responses are rarer than this."""
 RECENT_REQUESTS = 100
+EVEN = 0.5
+"""The confidence (0 to 1) of each of two explanations that are equally likely."""
 EQUAL = 0.8
 """Waits are equal if the shortest is at least this share (0 to 1) of the longest."""
 MAX_HELD = 4
@@ -156,7 +159,7 @@ class Pairing:
         The event of kind TWO_MASTERS comes at most once.
         """
         done: list[Transaction | WireEvent] = []
-        if self._pending is not None or self._earlier or self._held:
+        if self._pending is not None or self._earlier.open or self._held:
             done += self.advance(adu.start_ns)
         done += self._ask(adu) if adu.direction is not Direction.RESPONSE else self._respond(adu)
         self._is_damaged = False
@@ -173,7 +176,7 @@ class Pairing:
         for unit in [unit for unit, held in self._held.items() if now_ns > held.until_ns]:
             done += self._release(unit)
         limit_ns = now_ns - BUS_TIMEOUT_NS
-        if self._earlier:
+        if self._earlier.open:
             done += self._unanswered_of(self._earlier.take_sent_before(limit_ns))
         if self._pending is not None and self._pending.end_ns < limit_ns:
             pending, self._pending = self._pending, None
@@ -229,15 +232,18 @@ class Pairing:
 
     def _respond(self, response: Adu) -> list[Transaction | WireEvent]:
         """Take a response; return the transactions that it completes."""
-        done: list[Transaction | WireEvent] = []
         pending = self._pending
         if pending is not None and not has_code(pending, response):
             pending = None
+        if pending is not None and not (self._earlier.open or self._held):
+            self._pending = None
+            return [self._answered(pending, response)]  # The usual case, before the general one.
+        done: list[Transaction | WireEvent] = []
         if response.unit in self._held:
             if pending is not None and self._extends_held(pending, response):
                 return done
             done += self._reconsider(pending, response)
-        earlier = self._earlier_of(response) if self._earlier else []
+        earlier = self._earlier_of(response) if self._earlier.open else []
         if pending is None:
             done += self._answer_earlier(earlier[0], response) if earlier else self._alone(response)
         elif not earlier:
@@ -296,11 +302,14 @@ class Pairing:
     ) -> list[Transaction | WireEvent]:
         """Pair a response with a request that is not the line's last one."""
         done: list[Transaction | WireEvent] = [*self._unanswered_of(self._earlier.take(earlier))]
-        is_overtaken = self._is_overtaken(earlier)
-        if is_overtaken:
-            done += self._two_masters(earlier, response)
-        is_in_time = is_overtaken and (earlier.waits or self._has_told)
-        done.append(self._answered(earlier.adu, response, is_late=not is_in_time))
+        request, is_late = earlier.adu, True
+        if self._is_overtaken(earlier):
+            self._overtaken.append((self._requests, earlier))
+            done += self._two_masters(response)
+            is_late = not (earlier.waits or self._has_told)
+            if is_late and not self._has_timeout():
+                request = _in_doubt(request)
+        done.append(self._answered(request, response, is_late=is_late))
         return done
 
     def _hold(self, earlier: OpenLineRequest, pending: Adu, response: Adu) -> None:
@@ -355,10 +364,12 @@ class Pairing:
     def _answered(self, request: Adu, response: Adu, *, is_late: bool = False) -> Transaction:
         """Return the transaction of a request and its response."""
         taken_ns = response.start_ns - request.end_ns
-        self._slowest_ns = max(self._slowest_ns, taken_ns)
-        self._earlier.note_heard(request.unit)
+        if taken_ns > self._slowest_ns:
+            self._slowest_ns = taken_ns
         if self._ends.timed:
-            self._earlier.note_time(request.unit, taken_ns)
+            self._earlier.note_response(request.unit, taken_ns)
+        else:
+            self._earlier.note_heard(request.unit)
         retries = self._unanswered.take(request) if self._unanswered else 0
         done = with_response(self._ends, request, response, retries, ())
         return late(done) if is_late else done
@@ -366,21 +377,16 @@ class Pairing:
     def _unanswered_of(self, requests: list[OpenLineRequest]) -> list[Transaction]:
         return [self._unanswered_request(one.adu) for one in requests]
 
-    def _two_masters(self, one: OpenLineRequest, response: Adu) -> list[WireEvent]:
-        """Count `one`, an overtaken request, which has now got its response.
+    def _two_masters(self, response: Adu) -> list[WireEvent]:
+        """Return the event TWO_MASTERS if the last overtaken requests show that.
 
-        Returns the event TWO_MASTERS when ENOUGH_OVERTAKEN such requests were counted among the
-        last RECENT_REQUESTS requests; otherwise, and later, nothing.
+        ENOUGH_OVERTAKEN of the last RECENT_REQUESTS requests must have been overtaken and then
+        answered. The event comes only once.
         """
         found = self._overtaken
-        found.append((self._requests, one))
-        if self._has_told or len(found) < ENOUGH_OVERTAKEN:
+        if self._has_told or len(found) < ENOUGH_OVERTAKEN or self._has_timeout():
             return []
-        waits = [each.waited_ns for _, each in found if not each.waits]
-        is_timeout = self._ends.timed and len(waits) == len(found)
         if found[-1][0] - found[0][0] >= RECENT_REQUESTS:
-            return []
-        if is_timeout and min(waits) >= max(EQUAL * max(waits), LatencyStatistics.MIN_RETRY_NS):
             return []
         self._has_told = True
         return [
@@ -391,6 +397,16 @@ class Pairing:
                 message=TWO_MASTERS,
             )
         ]
+
+    def _has_timeout(self) -> bool:
+        """True if the last requests with a response behind the next one were given up after equal
+        times: the time-out of one master.
+        """
+        found = [one for _, one in self._overtaken]
+        if len(found) < ENOUGH_OVERTAKEN or not self._ends.timed or any(one.waits for one in found):
+            return False
+        waits = [one.waited_ns for one in found]
+        return min(waits) >= max(EQUAL * max(waits), LatencyStatistics.MIN_RETRY_NS)
 
     def _may_be_answered(self, request: Adu, end_ns: int) -> bool:
         """True if the response to a request may come after `end_ns`, when the capture ends."""
@@ -413,3 +429,9 @@ def _doubted(pending: Adu, request: Adu) -> Adu:
     verdicts = tuple(dict.fromkeys((*pending.verdicts, Verdict.AMBIGUOUS)))
     confidence = min(pending.confidence, request.confidence)
     return replace(pending, confidence=confidence, verdicts=verdicts)
+
+
+def _in_doubt(adu: Adu) -> Adu:
+    """Return the ADU marked as ambiguous, as its response may be in time or late."""
+    verdicts = tuple(dict.fromkeys((*adu.verdicts, Verdict.AMBIGUOUS)))
+    return replace(adu, confidence=min(adu.confidence, EVEN), verdicts=verdicts)

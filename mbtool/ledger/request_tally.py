@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from mbtool.ledger.distribution import Distribution
-from mbtool.modbus import Outcome, exception_name
+from mbtool.modbus import Outcome, Verdict, exception_name
 from mbtool.modbus.functions import ExceptionCode
 
 if TYPE_CHECKING:
@@ -26,6 +26,8 @@ class RequestTally:
     """
 
     __slots__ = (
+        "ambiguous",
+        "ambiguously_unanswered",
         "damaged",
         "exception_names",
         "exceptions",
@@ -50,6 +52,12 @@ class RequestTally:
         call a code otherwise. A code that the standard lacks has the name of its first response."""
         self.unsolicited_exceptions = 0
         """The number of exception responses without a request; these are not in `exceptions`."""
+        self.ambiguous = 0
+        """The number of transactions that are ambiguous: the recording does not decide what they
+        are. They are in the other counts as what they most likely are."""
+        self.ambiguously_unanswered = 0
+        """The number of ambiguous transactions with no response, perhaps because the request was
+        itself a response."""
         self.damaged = 0
         """The number of requests without a valid response, because the response that came had a
         wrong CRC or LRC. They are counted as unanswered, too."""
@@ -80,6 +88,10 @@ class RequestTally:
             self.unsolicited_exceptions += number
         elif code is not None and outcome is Outcome.EXCEPTION:
             self._count_exception(code, transaction.exception_name or "", number)
+        if transaction.verdicts and Verdict.AMBIGUOUS in transaction.verdicts:
+            self.ambiguous += number
+            if outcome is Outcome.NO_ANSWER:
+                self.ambiguously_unanswered += number
         if transaction.retries > 0:
             self.retries += number
         if transaction.request_raw is not None:
@@ -101,6 +113,8 @@ class RequestTally:
             self.exception_names.setdefault(code, other.exception_names[code])
         self.requests += other.requests
         self.unsolicited_exceptions += other.unsolicited_exceptions
+        self.ambiguous += other.ambiguous
+        self.ambiguously_unanswered += other.ambiguously_unanswered
         self.damaged += other.damaged
         self.retries += other.retries
         self.latency.merge(other.latency)
@@ -128,6 +142,11 @@ class RequestTally:
     def unanswered(self) -> int:
         """The number of requests that got no response, or none with a right checksum."""
         return self.count(Outcome.NO_ANSWER)
+
+    @property
+    def surely_unanswered(self) -> int:
+        """The number of requests of `unanswered` that are not ambiguous."""
+        return self.unanswered - self.ambiguously_unanswered
 
     @property
     def not_in_time(self) -> int:

@@ -43,13 +43,14 @@ class FailedShare(NamedTuple):
 
 
 def missing_share(tally: RequestTally, times: UnitTimes | None) -> FailedShare | None:
-    """Return which share of a unit's requests got no answer; None if all got one.
+    """Return which share of a unit's requests got no answer; None if all got one. Ambiguous ones
+    are left out.
 
     If the failures came late or have ended, the share is of the requests from the first failure to
     the last one or the end. Else, and without `times`, it is of all. If that is a small thing, but
     the unit is silent in the end, the share is of the requests since.
     """
-    share = _share(tally.unanswered, tally, times, None if times is None else times.missing)
+    share = _share(tally.surely_unanswered, tally, times, None if times is None else times.missing)
     if share is None or times is None:
         return share
     is_silent = times.silent_since_ns > times.answered_ns

@@ -31,7 +31,7 @@ def is_grave(failed: int, asked: int) -> bool:
 def never_answers(tally: RequestTally) -> bool:
     """True if a unit was asked, and nothing was heard from it that could be read."""
     is_heard = tally.requests < tally.transactions or any(map(tally.count, RESPONDED))
-    return tally.unanswered > 0 and not is_heard
+    return tally.surely_unanswered > 0 and not is_heard
 
 
 def are_damaged(tally: RequestTally) -> bool:

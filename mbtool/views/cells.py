@@ -153,8 +153,9 @@ def function_text(transaction: NamedTransaction) -> str:
 def what_text(transaction: NamedTransaction, *, in_hex: bool = False) -> str:
     """Return the reference of a request and the values that it writes: `HR400001 := 5`.
 
-    It ends in `(asked 3x)` if two equal requests before this one had no answer, and in
-    `(ambiguous)` if its pairing with the response is ambiguous.
+    It ends in `(asked 3x)` if it got a response and two equal requests before it had none, in
+    `(3 in a row)` if it got none either, and in `(ambiguous)` if its direction or its pairing
+    with the response is ambiguous.
     """
     function = FUNCTIONS.get(transaction.function)
     writes = function is not None and function.writes
@@ -166,7 +167,9 @@ def what_text(transaction: NamedTransaction, *, in_hex: bool = False) -> str:
     elif not text and transaction.sub_function is not None:
         text = f"sub-function {transaction.sub_function:02X}"
     if transaction.retries:
-        text = f"{text} (asked {transaction.retries + 1}x)"
+        times = transaction.retries + 1
+        is_again = transaction.outcome is Outcome.NO_ANSWER
+        text = f"{text} ({times} in a row)" if is_again else f"{text} (asked {times}x)"
     if Verdict.AMBIGUOUS in transaction.verdicts:
         text = f"{text} (ambiguous)"
     return text.strip()

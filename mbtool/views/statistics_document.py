@@ -116,6 +116,7 @@ def _tally(tally: RequestTally, link: LinkReport) -> dict[str, Any]:
         "requests": tally.requests,
         "rate_per_s": link.rate(tally.requests),
         **{name: tally.count(outcome) for outcome, name in _COUNTED},
+        "ambiguous": tally.ambiguous,
         "exceptions": [
             {"code": code, "name": tally.exception_names[code], "count": count}
             for code, count in sorted(tally.exceptions.items())

@@ -83,4 +83,8 @@ def _answered(total: RequestTally) -> str:
     if not asked:
         return "no request to be answered"
     text = f"{percent(answers / asked)} answered"
-    return f"{text}, {percent(late / asked)} late" if late else text
+    if late:
+        text = f"{text}, {percent(late / asked)} late"
+    if total.ambiguous:
+        text = f"{text}, {percent(total.ambiguous / total.transactions)} ambiguous"
+    return text

@@ -7,7 +7,7 @@ from msgspec.structs import replace
 
 from mbtool.core import EventKind, WireEvent
 from mbtool.decode.line_requests import MAX_OF_UNIT, MAX_OPEN
-from mbtool.decode.pairing import BUS_TIMEOUT_NS, Pairing, waits_before_any_retry
+from mbtool.decode.pairing import BUS_TIMEOUT_NS, EVEN, Pairing, waits_before_any_retry
 from mbtool.decode.transactions import Ends
 from mbtool.modbus.adu import Adu, Skipped, Verdict
 from mbtool.modbus.transaction import Outcome, Transaction
@@ -17,6 +17,7 @@ from tests.decode.test_pairing import ANSWER, MS, READ, WRITE, asked, outcomes, 
 OK, NO_ANSWER, UNSOLICITED = Outcome.OK, Outcome.NO_ANSWER, Outcome.UNSOLICITED
 LATE = Outcome.LATE
 SURE: tuple[list[Verdict], float] = ([], 1.0)
+IN_DOUBT = [Verdict.AMBIGUOUS], EVEN
 READ_FOUR = "03 0000 0004"
 FOUR_VALUES = "03 08 0001 0002 0003 0004"
 
@@ -47,11 +48,24 @@ def rows(said: Said) -> list[tuple[int, Outcome, tuple[list[Verdict], float]]]:
     ]
 
 
-@pytest.mark.parametrize(("waits", "outcome"), [(True, OK), (None, LATE), (False, LATE)])
+@pytest.mark.parametrize(
+    ("waits", "outcome", "doubt"), [(True, OK, SURE), (None, LATE, IN_DOUBT), (False, LATE, SURE)]
+)
 def test_a_response_behind_another_request_is_late_unless_its_master_surely_waits(
-    waits: bool | None, outcome: Outcome
+    waits: bool | None, outcome: Outcome, doubt: object
 ) -> None:
-    assert rows(overtake(line(waits), 0)) == [(1, outcome, SURE), (2, OK, SURE)]
+    assert rows(overtake(line(waits), 0)) == [(1, outcome, doubt), (2, OK, SURE)]
+
+
+def test_responses_behind_equal_waits_are_surely_late() -> None:
+    pairing = line(None)
+    done: Said = []
+    for at in range(4):
+        at_ms = 2000 * at
+        done += said(pairing, asked(READ, at_ms), asked(WRITE, at_ms + 500 + at, unit=2))
+        done += said(pairing, told(ANSWER, at_ms + 700), told(WRITE, at_ms + 710, unit=2))
+    assert [doubt for unit, _, doubt in rows(done) if unit == 1] == [IN_DOUBT, IN_DOUBT, SURE, SURE]
+    assert {outcome for unit, outcome, _ in rows(done) if unit == 1} == {LATE}
 
 
 def test_a_late_response_keeps_the_doubt_about_its_request() -> None:

@@ -154,6 +154,10 @@ def test_says_that_it_does_not_know_a_function() -> None:
         ({"function": 8, "sub_function": 4, "reference": None}, "sub-function 04"),
         ({"reference": "HR400001", "retries": 2}, "HR400001 (asked 3x)"),
         ({"function": 17, "reference": None, "retries": 1}, "(asked 2x)"),
+        (
+            {"reference": "HR400001", "retries": 2, "outcome": Outcome.NO_ANSWER},
+            "HR400001 (3 in a row)",
+        ),
         ({"reference": "HR400001", "verdicts": [Verdict.AMBIGUOUS]}, "HR400001 (ambiguous)"),
     ],
 )
