@@ -70,7 +70,7 @@ def line_time(tally: RequestTally, link: LinkStatistics, timeout_ns: int) -> Lin
     return LineTime(
         characters_ns=link.wire_ns(tally.wire_bytes),
         slaves_ns=tally.latency.total,
-        missing_ns=(tally.not_in_time - tally.damaged) * timeout_ns,
+        missing_ns=(tally.unanswered - tally.damaged) * timeout_ns,
     )
 
 
