@@ -44,6 +44,9 @@ class EventKind(StrEnum):
     """This program, playing the slave, distorted a response on purpose, as the user asked."""
     CLOCK_STEP = "clock-step"
     """Somebody set the system's clock during the recording. The times in the log do not jump."""
+    DISORDER = "disorder"
+    """Reads of a serial line have times a little before those of the reads before, so that its
+    silences are uncertain. Reported once for each line."""
     CUT = "cut"
     """The file ends in the middle of a record, or the capture kept only part of a packet."""
 

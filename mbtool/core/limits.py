@@ -12,6 +12,10 @@ MAX_CLOCK_STEP_NS = 1_000_000_000
 """If a chunk's time is earlier than the previous chunk's by more than this, in ns, the clock was
 set back. A smaller difference is normal: two ports on one line are read at different moments."""
 
+MAX_BACK_NS = 20_000_000
+"""If the time of a serial line's read is earlier than that of the read before by at most this, in
+ns, it is wrong: the bytes count as sent right behind those before. By more, the clock was set
+back."""
 RESPONSE_TIMEOUT_NS = 1_000_000_000
 """The default time in ns that a master waits for a response."""
 TURNAROUND_NS = 100_000_000

@@ -30,6 +30,10 @@ if TYPE_CHECKING:
     from mbtool.packets.plain_bytes import RestPlace
 
 Decoded = Adu | Transaction | WireEvent
+DISORDER = (
+    "times of reads are earlier than those of the reads before: silences are uncertain here, "
+    "and the bytes decide"
+)
 
 
 class _LostBytes(NamedTuple):
@@ -71,6 +75,7 @@ class Bus:
             model = BusModel(timed=timed, response_timeout_ns=response_timeout_ns)
             self._splitter = RtuSplitter(line, model, timed=timed)
             self._pairing = Pairing(self._ends, model.history.master_still_waits)
+        self._told_disorder = False
         self._origins: SerialOrigins | None = None
         """Finds where each frame stands in the capture file; None until bytes come whose place in a
         file is known."""
@@ -117,7 +122,20 @@ class Bus:
     def _paired(self, events: list[Adu | Skipped]) -> list[Decoded]:
         if self._origins is not None:
             events = self._origins.added_to(events)
-        return _paired(events, self._pairing, self._ends.link, ("", ""))
+        decoded = _paired(events, self._pairing, self._ends.link, ("", ""))
+        if self._splitter.has_disorder and not self._told_disorder and events:
+            self._told_disorder = True
+            decoded.append(
+                WireEvent(
+                    ts_ns=events[-1].ts_ns
+                    if isinstance(events[-1], Skipped)
+                    else events[-1].end_ns,
+                    link=self._ends.link,
+                    kind=EventKind.DISORDER,
+                    message=DISORDER,
+                )
+            )
+        return decoded
 
 
 class ConnectionDecoder:

@@ -215,8 +215,8 @@ class Pairing:
                 done += self._release(pending.unit)
             waited_ns = request.start_ns - pending.end_ns
             waits = self._still_waits(waited_ns)
-            if request.unit == pending.unit and (waits is None or request.raw == pending.raw):
-                waits = False  # The master repeats its request, or asks its slave the next thing.
+            if (request.unit, request.pdu) == (pending.unit, pending.pdu):
+                waits = False  # The master repeats its request.
             pending = _doubted(pending, request)
             if self._is_damaged and not waits:
                 done += self._unanswered_of(self._earlier.take_all_of(pending.unit))
@@ -289,7 +289,7 @@ class Pairing:
     def _may_be_late(self, earlier: OpenLineRequest, response: Adu) -> bool:
         """True if a response may belong to a request that its master has given up."""
         taken_ns = response.start_ns - earlier.adu.end_ns
-        can_be_late = self._ends.timed and earlier.waits is False
+        can_be_late = self._ends.timed and earlier.waits is not True
         return can_be_late and self._earlier.can_take(response.unit, taken_ns)
 
     def _answer_pending(self, pending: Adu, response: Adu) -> list[Transaction]:

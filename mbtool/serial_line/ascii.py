@@ -21,6 +21,7 @@ import re
 from typing import TYPE_CHECKING
 
 from mbtool.core import Direction, EventKind
+from mbtool.core.limits import MAX_BACK_NS
 from mbtool.framing.skips import SkipRun
 from mbtool.modbus.adu import MAX_ASCII_ADU, Adu, DirectionBy, Skipped, Transport, Verdict
 from mbtool.modbus.ascii_frame import (
@@ -72,6 +73,8 @@ class AsciiSplitter:
         self._resynchronised = False
         self._first_ns = 0
         self._last_ns = 0
+        self.has_disorder = False
+        """True once the time of a read was a little earlier than that of the read before."""
         self._read_ns = 0
         """The time at which the first character of the current read ended, in ns."""
         self._least_ns = 0
@@ -93,7 +96,10 @@ class AsciiSplitter:
         if not data:
             return events
         first_ns = ts_ns - (len(data) - 1) * self._character_ns
-        if ts_ns < self._last_ns:
+        if self._timed and ts_ns < self._last_ns <= ts_ns + MAX_BACK_NS:
+            self.has_disorder = True
+            first_ns = self._last_ns + self._character_ns
+        if first_ns + (len(data) - 1) * self._character_ns < self._last_ns:
             if self._timed:
                 events += self.close()
             self._last_ns, self._given_ns = first_ns, None

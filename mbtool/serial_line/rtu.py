@@ -13,7 +13,8 @@
 #
 # The time of a byte is the end of its last bit. The bytes of one read get their times from the time
 # of the last one, a character time apart. The output depends on these times only, not on how the
-# bytes were divided into reads. When the clock was set back, all buffered bytes are returned.
+# bytes were divided into reads. When the clock was set back, all buffered bytes are returned; a
+# step back of at most MAX_BACK_NS is a wrong time of a read.
 # Memory: less than WINDOW bytes.
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from typing import TYPE_CHECKING
 from msgspec.structs import replace
 
 from mbtool.core import Direction, EventKind
+from mbtool.core.limits import MAX_BACK_NS
 from mbtool.framing.rtu_lengths import MIN_FRAME, has_frame, is_frame_between, why_skipped
 from mbtool.modbus.adu import MAX_RTU_ADU, Adu, Checksum, DirectionBy, Skipped, Transport, Verdict
 from mbtool.modbus.functions import ECHOING, NEVER_ECHOED
@@ -41,8 +43,9 @@ if TYPE_CHECKING:
 
 WINDOW = 512
 """The number of bytes at which the search decides without a silence: two frames of full size."""
-HOLD_NS = 300_000_000
-"""An incomplete frame waits this long, in ns, for more bytes. FTDI adapters wait at most 255 ms."""
+HOLD_NS = 1_000_000_000
+"""An incomplete frame waits this long, in ns, for more bytes. FTDI adapters wait at most 255 ms,
+and radio modems pause up to 0.5 s within a frame."""
 MAX_SILENCES = 16
 """After this many silences of t3.5, the search must decide what the buffered bytes are, even if
 they may end with an incomplete frame. A frame of 256 bytes that comes in pieces of 32 bytes has 8
@@ -87,6 +90,8 @@ class RtuSplitter:
         self._statistics = LineStatistics(timed=timed)
         self._bursts = BurstStatistics()
         self._echo = AdapterEcho()
+        self.has_disorder = False
+        """True once the time of a read was a little earlier than that of the read before."""
         self._data = b""
         self._times: list[int] = []
         self._decided_size = 0
@@ -131,7 +136,10 @@ class RtuSplitter:
             times += (ts_ns,) if size == 1 else range(first_ns, ts_ns + 1, step_ns)
             return events
         last_ns = times[-1] if times else self._last_end and self._last_end[0]
-        if last_ns is not None and ts_ns < last_ns:
+        if last_ns is not None and ts_ns < last_ns <= ts_ns + MAX_BACK_NS:
+            self.has_disorder = True
+            first_ns = last_ns + step_ns
+        if last_ns is not None and first_ns + (size - 1) * step_ns < last_ns:
             events += self._restart()
         elif times:
             silence_ns = first_ns - step_ns - times[-1]

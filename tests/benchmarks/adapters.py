@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import StrEnum
+from random import Random
 from typing import TYPE_CHECKING
 
 from mbtool.core import SerialFormat
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from random import Random
 
     from tests.benchmarks.bus_traffic import Traffic
 
@@ -37,6 +37,8 @@ FTDI_BYTES = 62
 BURST_FLUSH_NS = 255_000_000
 """The longest that an FTDI latency timer can be set to."""
 FILE_READ = 4096
+STEPS_BACK = 0.05
+"""The share of the reads with a wrong time."""
 
 
 class Damage(StrEnum):
@@ -175,6 +177,14 @@ def by_count(data: bytes, times: list[int], size: int) -> Iterator[Read]:
             begin = at + 1
     if begin < len(data):
         yield data[begin:], times[begin] + BURST_FLUSH_NS
+
+
+def with_steps_back(data: bytes, times: list[int]) -> Iterator[Read]:
+    """Each byte alone; STEPS_BACK of them have a time 1 to 3 ms too early."""
+    random = Random(len(data))
+    for at, time_ns in enumerate(times):
+        early_ns = random.randint(1_000_000, 3_000_000) if random.random() < STEPS_BACK else 0
+        yield data[at : at + 1], time_ns - early_ns
 
 
 def untimed(data: bytes, start_ns: int, line: SerialFormat) -> Iterator[Read]:

@@ -24,8 +24,11 @@ if TYPE_CHECKING:
 
 SEED = 11
 READ_RIGHTLY = [
-    *((plant, adapter) for plant in ("clean", "glued", "register scan", "late responses")
+    *((plant, adapter)
+      for plant in ("clean", "glued", "register scan", "late responses", "radio gaps", "slow slave")
       for adapter in Adapter),
+    *((plant, adapter) for plant in ("slave of two", "set points")
+      for adapter in (Adapter.EXACT, Adapter.GRID, Adapter.FTDI, Adapter.BACK)),
     *((plant, Adapter.EXACT) for plant in ("dead units", "lost responses", "unit scan",
                                            "user-defined")),
     *((plant, Adapter.NO_TIMES) for plant in ("lost responses", "slow writes", "user-defined",

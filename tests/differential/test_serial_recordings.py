@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from mbtool.core import SerialFormat, WireEvent, parse_line
+from mbtool.core import EventKind, SerialFormat, WireEvent, parse_line
 from mbtool.modbus import Outcome, rtu_adu
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
 
@@ -171,7 +171,8 @@ def test_a_recording_printed_by_another_program_is_transactions(
     path = tmp_path / "record.csv"
     path.write_text(_as_byte_times(printed.read_text()))
     transactions, events = _read(path, "rtu@19200-8E1")
-    assert events == []
+    # The program that printed the frames stamped some of them a little too early.
+    assert {one.kind for one in events} <= {EventKind.DISORDER}
     assert len(transactions) == 38
     assert {one.outcome for one in transactions} == {Outcome.OK}
     assert {(one.address, one.quantity) for one in transactions} == {

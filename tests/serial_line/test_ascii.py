@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from mbtool.core import Direction, EventKind, SerialFormat
+from mbtool.core.limits import MAX_BACK_NS
 from mbtool.decode import Bus
 from mbtool.framing.skips import MAX_RUN
 from mbtool.modbus.adu import MAX_ASCII_ADU, Adu, Checksum, DirectionBy, Skipped, Transport, Verdict
@@ -157,8 +158,16 @@ def test_frame_that_an_adapter_glued_to_the_one_before_is_noticed() -> None:
 
 
 def test_what_was_held_goes_on_with_nothing_behind_a_clock_that_was_set_back() -> None:
-    events = feed_all(splitter(), [(REQUEST[:9], START_NS), (REQUEST[9:], START_NS - 1_000)])
+    back_ns = START_NS - MAX_BACK_NS - 1
+    events = feed_all(splitter(), [(REQUEST[:9], START_NS), (REQUEST[9:], back_ns)])
     assert [one.raw for one in skipped(events)] == [REQUEST[:9], REQUEST[9:]]
+
+
+def test_a_read_with_a_time_a_little_too_early_goes_on_with_what_was_held() -> None:
+    fed = splitter()
+    events = feed_all(fed, [(REQUEST[:9], START_NS), (REQUEST[9:], START_NS - MAX_BACK_NS)])
+    assert [one.raw for one in adus(events)] == [REQUEST]
+    assert fed.has_disorder
 
 
 def test_no_character_comes_before_one_of_the_read_before() -> None:

@@ -510,7 +510,7 @@ def test_beginning_of_a_frame_is_held_for_a_while_only() -> None:
 
 
 def test_hold_lasts_for_t3_5_where_that_is_longer() -> None:
-    slow = SerialFormat(100)
+    slow = SerialFormat(30)
     fed = RtuSplitter(slow)
     fed.feed(READ_HOLDING_REQUEST[:5], START_NS)
     assert slow.t3_5_ns > HOLD_NS

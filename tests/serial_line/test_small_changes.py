@@ -85,11 +85,11 @@ def test_frame_may_come_in_sixteen_pieces(count: int, is_whole: bool, silence_ns
     assert ([adu.raw for adu in adus(heard(sent))] == [response]) is is_whole
 
 
-def test_beginning_of_a_frame_is_held_for_300_ms() -> None:
+def test_beginning_of_a_frame_is_held_for_a_second() -> None:
     fed = RtuSplitter(FORMAT)
     fed.feed(READ[:5], START_NS)
-    assert fed.advance(START_NS + 300 * MS - 1) == []
-    assert raws(fed.advance(START_NS + 300 * MS)) == [READ[:5]]
+    assert fed.advance(START_NS + 1000 * MS - 1) == []
+    assert raws(fed.advance(START_NS + 1000 * MS)) == [READ[:5]]
 
 
 def test_whole_frame_after_a_silence_ends_the_wait_for_the_one_before() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from random import Random
 from typing import TYPE_CHECKING
 
-from tests.benchmarks.plants import disturbed_plants, polling_plants, silent_plants
+from tests.benchmarks.plants import disturbed_plants, odd_plants, polling_plants, silent_plants
 from tests.benchmarks.plants.site import Site
 
 if TYPE_CHECKING:
@@ -46,6 +46,10 @@ PLANTS: dict[str, Plant] = {
     "glued": polling_plants.glued,
     "user-defined": polling_plants.user_defined,
     "mixed": mixed,
+    "radio gaps": odd_plants.radio_gaps,
+    "slow slave": odd_plants.slow_slave,
+    "slave of two": odd_plants.slave_of_two,
+    "set points": odd_plants.set_points,
 }
 
 

@@ -23,6 +23,8 @@ class Adapter(StrEnum):
     """A USB adapter that is asked each millisecond."""
     FTDI = "FTDI 16 ms"
     """The default of FTDI's driver: each 16 ms, or as soon as there are 62 bytes."""
+    BACK = "steps back"
+    """A UART whose driver gives one of twenty reads a time 1 to 3 ms too early."""
     BURST_32 = "bursts of 32"
     BURST_62 = "bursts of 62"
     BURST_64 = "bursts of 64"
@@ -51,6 +53,8 @@ def delivered(recording: Recording, adapter: Adapter) -> list[Read]:
             return list(adapters.by_timer(data, times, adapters.POLL_NS, len(data)))
         case Adapter.FTDI:
             return list(adapters.by_timer(data, times, adapters.FTDI_TIMER_NS, adapters.FTDI_BYTES))
+        case Adapter.BACK:
+            return list(adapters.with_steps_back(data, times))
         case Adapter.BURST_32 | Adapter.BURST_62 | Adapter.BURST_64:
             return list(adapters.by_count(data, times, int(adapter.rpartition(" ")[2])))
         case Adapter.FLUSHED:

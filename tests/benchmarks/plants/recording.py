@@ -91,6 +91,9 @@ class Bus:
         """After which time the adapter gives each request again; None: it does not."""
         self.hesitates = 0.02
         """The share of the frames with a pause of up to t1.5 inside."""
+        self.gapped = 0.0
+        """The share of the frames with a gap of `gap_ms` inside."""
+        self.gap_ms = (0, 0)
         self._random = random
 
     def wait(self, duration_ns: float) -> None:
@@ -124,7 +127,12 @@ class Bus:
         pauses_at = -1
         if role is not Role.NOISE and len(raw) > 1 and random.random() < self.hesitates:
             pauses_at = random.randrange(1, len(raw))
+        gap_at = -1
+        if self.gapped and len(raw) > 1 and random.random() < self.gapped:
+            gap_at = random.randrange(1, len(raw))
         for at in range(len(raw)):
+            if at == gap_at:
+                self.now_ns += random.randint(*self.gap_ms) * MS
             if at == pauses_at:
                 self.now_ns += random.randint(0, recording.line.t1_5_ns)
             self.now_ns += recording.line.character_ns
