@@ -29,6 +29,7 @@ from mbtool.modbus.functions import ECHOING
 from mbtool.modbus.pdu import pdu_length
 from mbtool.serial_line import costs
 from mbtool.serial_line.bus_state import (
+    ENOUGH_CHANGES,
     NO_RIVAL_CONFIDENCE,
     BusState,
     CostedState,
@@ -414,10 +415,14 @@ class BusModel:
             overdue, answered, pending = (overdue if pending else None), pending or overdue, None
             if answered and history.trusts_silences:
                 after_ns = start_ns - answered.awaited_from_ns
-        known = by_form or state.direction_known
+        changes, known = state.changes, by_form or state.direction_known
+        if not known and role is Direction.REQUEST and state.answered is not None:
+            is_echo = state.last_response == state.answered.pdu
+            changes = min(changes + (is_echo and not is_repeat), ENOUGH_CHANGES)
+            known = changes == ENOUGH_CHANGES
         return BusState(
-            pending, overdue, answered, after_ns, retries, is_repeat, pdu, False, known, end_ns,
-            silence_ns,
+            pending, overdue, answered, after_ns, retries, is_repeat, pdu, False, known, changes,
+            end_ns, silence_ns,
         )  # fmt: skip
 
 

@@ -24,6 +24,7 @@ no doubt about the best one."""
 MAX_PENDING_NS = 1_000_000_000
 """A request is pending for at most this time, in ns; after that the master may send again. Serial
 Line V1.02, 2.4.1, gives 1 s to several seconds as the usual response timeout."""
+ENOUGH_CHANGES = 3
 MAX_STATES = 4
 """The most bus states that are considered possible at once."""
 
@@ -78,7 +79,12 @@ class BusState(msgspec.Struct, frozen=True, gc=False):
     follows_damage: bool = False
     """True if damaged bytes came last. They may have held a request."""
     direction_known: bool = False
-    """True if some earlier frame, by its form, could only be a request or only a response."""
+    """True if some earlier frame, by its form, could only be a request or only a response, or if
+    there were ENOUGH_CHANGES `changes`."""
+    changes: int = 0
+    """The number of times, up to ENOUGH_CHANGES, that a request followed a response which repeated
+    its request, and differed from it. If requests and responses were mixed up, the differing frame
+    would be the response to that response."""
     last_ns: int | None = None
     """The time at which the last frame ended, in ns; None at the start of a capture."""
     unexplained_silence_ns: int = 0
