@@ -51,6 +51,7 @@ from mbtool.decode.transactions import (
 from mbtool.decode.unanswered_counts import UnansweredCounts
 from mbtool.decode.unfinished import may_be_answered
 from mbtool.modbus.adu import Verdict
+from mbtool.modbus.functions import WRITE_SEVERAL
 from mbtool.modbus.transaction import Outcome
 from mbtool.serial_line.line_statistics import LatencyStatistics
 
@@ -75,6 +76,8 @@ EQUAL = 0.8
 """Waits are equal if the shortest is at least this share (0 to 1) of the longest."""
 MAX_HELD = 4
 """The most responses of one unit that are held back."""
+LEAST_LATENCY_NS = 2_000_000
+"""No slave answers sooner than this, in ns; an adapter that hears itself repeats a frame sooner."""
 LEAST_DAMAGED = 4
 """So many bytes that belong to no frame may be a damaged request."""
 TWO_MASTERS = (
@@ -146,6 +149,8 @@ class Pairing:
         self._overtaken: deque[tuple[int, OpenLineRequest]] = deque(maxlen=ENOUGH_OVERTAKEN)
         """The last overtaken requests that got a response, each with the number of requests heard
         by then."""
+        self._has_copies = False
+        """True once a request came twice at once, sooner than any master repeats it."""
         self._is_damaged = False
         """True if bytes that belong to no frame came since the last ADU."""
         self._has_told = False
@@ -211,9 +216,11 @@ class Pairing:
         done: list[Transaction] = []
         pending, self._pending = self._pending, None
         if pending is not None:
+            waited_ns = request.start_ns - pending.end_ns
+            if self._is_odd_response(pending, request, waited_ns):
+                return [self._answered(pending, replace(request, direction=Direction.RESPONSE))]
             if pending.unit in self._held:
                 done += self._release(pending.unit)
-            waited_ns = request.start_ns - pending.end_ns
             waits = self._still_waits(waited_ns)
             if (request.unit, request.pdu) == (pending.unit, pending.pdu):
                 waits = False  # The master repeats its request.
@@ -235,6 +242,9 @@ class Pairing:
         pending = self._pending
         if pending is not None and not has_code(pending, response):
             pending = None
+        if self._is_damaged and pending is not None and not fits(pending, response):
+            # The damaged bytes were its request.
+            return [*self._alone(response, Outcome.NOT_CAPTURED)]
         if pending is not None and not (self._earlier.open or self._held):
             self._pending = None
             return [self._answered(pending, response)]  # The usual case, before the general one.
@@ -279,12 +289,25 @@ class Pairing:
         """True if a second master may have sent the one request that followed an open one."""
         return one.waits is not False and self._requests == one.next_number
 
-    def _alone(self, response: Adu) -> list[Transaction]:
+    def _alone(self, response: Adu, outcome: Outcome = Outcome.UNSOLICITED) -> list[Transaction]:
         """Return the transaction of a response that belongs to no request."""
         self._earlier.note_heard(response.unit)
-        # The request of the first response was sent before the capture began.
-        outcome = Outcome.UNSOLICITED if self._requests else Outcome.NOT_CAPTURED
+        if not self._requests:  # Its request was sent before the capture began.
+            outcome = Outcome.NOT_CAPTURED
         return [unsolicited(self._ends, response, outcome)]
+
+    def _is_odd_response(self, pending: Adu, request: Adu, waited_ns: int) -> bool:
+        """True if a `request` that equals the pending one is the slave's response to it.
+
+        Some slaves answer a write of several values with the whole request. No master repeats a
+        request so soon; a repeater or an adapter that hears itself copies reads, too.
+        """
+        is_copy = (request.unit, request.pdu) == (pending.unit, pending.pdu)
+        if not (is_copy and self._ends.timed and waited_ns < LatencyStatistics.MIN_RETRY_NS):
+            return False
+        self._has_copies |= pending.pdu[0] not in WRITE_SEVERAL
+        is_pause = waited_ns >= LEAST_LATENCY_NS
+        return is_pause and pending.pdu[0] in WRITE_SEVERAL and not self._has_copies
 
     def _may_be_late(self, earlier: OpenLineRequest, response: Adu) -> bool:
         """True if a response may belong to a request that its master has given up."""

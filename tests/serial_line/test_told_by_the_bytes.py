@@ -1,0 +1,155 @@
+"""Cases in which times mislead or habits fail, and the bytes on the line tell what happened."""
+
+from __future__ import annotations
+
+from random import Random
+
+import pytest
+
+from mbtool.core import Direction, EventKind, SerialFormat, WireEvent
+from mbtool.decode import Bus
+from mbtool.modbus import Adu, Outcome, Transaction, Verdict, rtu_adu
+from tests.feeding import START_NS
+
+LINE = SerialFormat(9600)
+MS = 1_000_000
+READ = bytes.fromhex("03 0010 0002")
+CLOCKED = pytest.mark.parametrize("timed", [True, False], ids=["with times", "without times"])
+
+
+class Wire:
+    """The bytes of a line, each as a read of its own."""
+
+    def __init__(self) -> None:
+        self.now_ns = START_NS
+        self.reads: list[tuple[bytes, int]] = []
+        self._random = Random(1)
+
+    def say(self, adu: bytes, pause_ms: float, *, gap_at: int = -1, gap_ms: int = 0) -> Wire:
+        """Send a frame after a pause, with a gap before the byte `gap_at`."""
+        self.now_ns += int(pause_ms * MS)
+        for at, byte in enumerate(adu):
+            self.now_ns += LINE.character_ns + (gap_ms * MS if at == gap_at else 0)
+            self.reads.append((bytes([byte]), self.now_ns))
+        return self
+
+    def exchange(self, unit: int, request: bytes, response: bytes) -> Wire:
+        self.say(rtu_adu(unit, request), self._random.uniform(45, 55))
+        return self.say(rtu_adu(unit, response), self._random.uniform(9, 11))
+
+    def poll(self, number: int = 10) -> Wire:
+        """Let the master read two registers of units 1 and 2, so many times each."""
+        for _ in range(number):
+            for unit in (1, 2):
+                self.exchange(unit, READ, bytes([3, 4]) + self._random.randbytes(4))
+        return self
+
+    def heard(self, *, timed: bool = True) -> list[Adu | Transaction | WireEvent]:
+        bus = Bus("line", LINE, timed=timed)
+        found = [one for data, ts_ns in self.reads for one in bus.feed(data, ts_ns)]
+        return found + bus.close()
+
+
+def transactions(found: list[Adu | Transaction | WireEvent]) -> list[Transaction]:
+    return [one for one in found if isinstance(one, Transaction)]
+
+
+def odd(found: list[Adu | Transaction | WireEvent]) -> list[tuple[int, Outcome]]:
+    """Unit and outcome of all transactions that are not ok."""
+    return [(one.unit, one.outcome) for one in transactions(found) if one.outcome is not Outcome.OK]
+
+
+@CLOCKED
+@pytest.mark.parametrize("gap_ms", [50, 300, 500, 900])
+def test_a_gap_inside_a_frame_tears_nothing(gap_ms: int, timed: bool) -> None:
+    wire = Wire().poll()
+    for gap_at in range(1, 8):
+        wire.say(rtu_adu(1, READ), 50, gap_at=gap_at, gap_ms=gap_ms)
+        wire.say(rtu_adu(1, bytes.fromhex("03 04 00010002")), 10, gap_at=gap_at, gap_ms=gap_ms)
+    found = wire.heard(timed=timed)
+    assert odd(found) == []
+    assert len(transactions(found)) == 27
+
+
+def test_times_that_go_back_a_little_cost_nothing_and_are_told_once() -> None:
+    wire, random = Wire().poll(50), Random(2)
+    wire.reads = [
+        (data, ts_ns - random.randint(1, 3) * MS if random.random() < 0.05 else ts_ns)
+        for data, ts_ns in wire.reads
+    ]
+    found = wire.heard()
+    assert len(transactions(found)) == 100
+    assert odd(found) == []
+    (event,) = [one for one in found if isinstance(one, WireEvent)]
+    assert event.kind is EventKind.DISORDER
+
+
+def test_the_direction_of_writes_is_known_once_their_values_have_changed() -> None:
+    wire = Wire()
+    for value in range(50):
+        request = bytes.fromhex("06 0001") + value.to_bytes(2, "big")
+        wire.exchange(1 + value % 2, request, request)
+    adus = [one for one in wire.heard() if isinstance(one, Adu)]
+    assert [one.direction for one in adus] == [Direction.REQUEST, Direction.RESPONSE] * 50
+    assert sum(Verdict.AMBIGUOUS in one.verdicts for one in adus) <= 6
+
+
+def test_the_direction_of_equal_writes_stays_ambiguous() -> None:
+    wire = Wire()
+    request = bytes.fromhex("06 0001 0005")
+    for _ in range(50):
+        wire.exchange(1, request, request)
+    adus = [one for one in wire.heard() if isinstance(one, Adu)]
+    assert sum(Verdict.AMBIGUOUS in one.verdicts for one in adus) >= 90
+
+
+@pytest.mark.parametrize(
+    ("request_", "response"),
+    [("06 0001 01F4", "06 0001 0064"), ("05 0001 FF00", "05 0001 0000")],
+    ids=["a clamped value", "another coil state"],
+)
+def test_a_wrong_echo_of_a_unit_that_answers_is_a_wrong_answer(
+    request_: str, response: str
+) -> None:
+    wire = Wire().poll()
+    for _ in range(4):
+        wire.exchange(1, bytes.fromhex(request_), bytes.fromhex(response)).poll(2)
+    assert odd(wire.heard()) == [(1, Outcome.MALFORMED)] * 4
+
+
+def test_a_write_that_is_answered_with_the_whole_request_is_answered_wrongly() -> None:
+    wire, request = Wire().poll(), bytes.fromhex("10 0001 0002 04 00010002")
+    for _ in range(4):
+        wire.exchange(3, request, request).poll(1)
+    assert odd(wire.heard()) == [(3, Outcome.MALFORMED)] * 4
+
+
+def test_a_line_on_which_every_frame_comes_twice_has_no_such_answers() -> None:
+    wire = Wire()
+    write, answer = bytes.fromhex("10 0001 0002 04 00010002"), bytes.fromhex("10 0001 0002")
+    for _ in range(10):
+        for request, response in ((READ, bytes.fromhex("03 04 00010002")), (write, answer)):
+            for frame, pause_ms in ((request, 50), (request, 3), (response, 10), (response, 3)):
+                wire.say(rtu_adu(1, frame), pause_ms)
+    assert Outcome.MALFORMED not in {outcome for _, outcome in odd(wire.heard())}
+
+
+@CLOCKED
+def test_the_answer_to_a_damaged_request_blames_no_slave(timed: bool) -> None:
+    damaged = bytearray(rtu_adu(1, bytes.fromhex("03 0020 0003")))
+    damaged[3] ^= 4
+    wire = Wire().poll().say(rtu_adu(1, READ), 50).say(bytes(damaged), 500)
+    wire.say(rtu_adu(1, bytes.fromhex("03 06 0001 0002 0003")), 10).poll(3)
+    assert sorted(odd(wire.heard(timed=timed))) == [
+        (1, Outcome.NO_ANSWER), (1, Outcome.NOT_CAPTURED),
+    ]  # fmt: skip
+
+
+def test_a_late_answer_goes_to_the_request_whose_size_it_has() -> None:
+    long = bytes.fromhex("03 0200 007D")
+    wire = Wire().poll().say(rtu_adu(1, bytes.fromhex("03 0100 0001")), 50)
+    wire.say(rtu_adu(1, long), 500).say(rtu_adu(1, bytes.fromhex("03 02 0000")), 10)
+    wire.say(rtu_adu(1, bytes([3, 250]) + bytes(250)), 10)
+    one, two = transactions(wire.heard())[-2:]
+    assert (one.quantity, one.outcome, one.confidence) == (1, Outcome.LATE, 1.0)
+    assert (two.quantity, two.outcome) == (125, Outcome.OK)
