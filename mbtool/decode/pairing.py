@@ -217,11 +217,13 @@ class Pairing:
         pending, self._pending = self._pending, None
         if pending is not None:
             waited_ns = request.start_ns - pending.end_ns
-            if self._is_odd_response(pending, request, waited_ns):
-                return [self._answered(pending, replace(request, direction=Direction.RESPONSE))]
+            waits = self._still_waits(waited_ns)
             if pending.unit in self._held:
                 done += self._release(pending.unit)
-            waits = self._still_waits(waited_ns)
+            if waits and self._is_odd_response(pending, request, waited_ns):
+                done += self._unanswered_of(self._earlier.take_all_of(pending.unit))
+                response = replace(request, direction=Direction.RESPONSE)
+                return [*done, self._answered(pending, response)]
             if (request.unit, request.pdu) == (pending.unit, pending.pdu):
                 waits = False  # The master repeats its request.
             pending = _doubted(pending, request)
