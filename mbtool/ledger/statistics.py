@@ -92,6 +92,9 @@ class Statistics:
         self.transactions = 0
         self._order = RequestOrder(self.links, on_retry)
         self._damaged = DamagedAnswers()
+        self.damaged_ns: int | None = None
+        """The time (UTC ns) of the damaged response to the last request that was added; None if it
+        had none."""
         self._hosts: dict[str, str] = {}
         self._spans: list[tuple[int, int]] = []
         """The first request and the last response (UTC ns) of each capture before the present one;
@@ -179,6 +182,7 @@ class Statistics:
 
     def _add_transaction(self, one: NamedTransaction) -> PollStatistics | None:
         self.transactions += 1
+        self.damaged_ns = self._damaged.frame_of(one)
         link = self._link(one.link)
         link.note(one)
         name = one.link if one.link in self.links else OTHER_LINKS
@@ -198,7 +202,7 @@ class Statistics:
             times.answered_ns = end_ns
         if one.outcome is not Outcome.OK:
             times.note_failure(one.outcome, one.request_ns)
-        is_damaged, is_late = self._damaged.has(one), one.outcome is Outcome.LATE
+        is_damaged, is_late = self.damaged_ns is not None, one.outcome is Outcome.LATE
         poll.tally.damaged += is_damaged
         if link.has_times:
             self._order.add(

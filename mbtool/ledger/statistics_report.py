@@ -141,15 +141,17 @@ def is_counted_together(links: Sequence[LinkReport]) -> bool:
     )
 
 
-def unit_tallies(links: Sequence[LinkReport]) -> dict[tuple[str, int], RequestTally]:
+def unit_tallies(
+    links: Sequence[LinkReport], *, broadcasts: bool = False
+) -> dict[tuple[str, int], RequestTally]:
     """Return the counts of each unit; the key is link and unit.
 
-    Units that only got broadcasts are left out, as no unit answers these.
+    Units that only got broadcasts are left out, as no unit answers these, unless `broadcasts`.
     """
     tallies: dict[tuple[str, int], list[RequestTally]] = {}
     for link in links:
         for one in link.functions:
-            if not one.tally.is_of_broadcasts:
+            if broadcasts or not one.tally.is_of_broadcasts:
                 tallies.setdefault((link.name, one.unit), []).append(one.tally)
     return {unit: merged(some) for unit, some in tallies.items()}
 

@@ -18,7 +18,7 @@ from mbtool.core import EventKind, WireEvent
 from mbtool.devices.references import write_reference
 from mbtool.ledger.statistics import MAX_POLLS, Statistics
 from mbtool.modbus import FUNCTIONS, Outcome, Verdict
-from mbtool.modbus.damaged_answers import MAX_FRAMES, DamagedAnswers
+from mbtool.modbus.damaged_answers import MAX_FRAMES
 from mbtool.watching.watched_rows import (
     NEVER_NS,
     KeptRecord,
@@ -82,7 +82,6 @@ class Board:
         self._asked_again: OrderedDict[RetryKey, int] = OrderedDict()
         """On a board for a filter, the last requests that may be retries, and the numbers of their
         polls."""
-        self._damaged = DamagedAnswers()
         self._bad_checks: dict[str, deque[tuple[int, KeptRecord]]] = {}
         """By link, times (UTC ns) and events of the last frames with a wrong CRC or LRC that
         belong to no unit so far. They are one more than can still be matched with a request, so
@@ -128,12 +127,12 @@ class Board:
         at_ns = kept.at_ns
         if at_ns > self.last_ns:
             self.last_ns = at_ns
-        frame_ns = self._damaged.frame_of(record)
+        self._note_slave(record)
+        statistics = self.statistics.add(record)
+        frame_ns = self.statistics.damaged_ns
         is_damaged = frame_ns is not None
         if frame_ns is not None:
             self._blame(record, kept, frame_ns)
-        self._note_slave(record, is_damaged=is_damaged)
-        statistics = self.statistics.add(record)
         if statistics is not None:
             poll = self.polls.get(statistics.number)
             if poll is None:
@@ -159,7 +158,6 @@ class Board:
         self.events += 1
         self.statistics.add(event)
         self.last_ns = max(self.last_ns, event.ts_ns)
-        self._damaged.note(event)
         if event.kind is EventKind.BAD_CHECK:
             events = self._bad_checks.setdefault(event.link, deque(maxlen=MAX_FRAMES + 1))
             events.append((event.ts_ns, kept))
@@ -210,7 +208,7 @@ class Board:
         if poll is not None:
             poll.retries += by
 
-    def _note_slave(self, one: NamedTransaction, *, is_damaged: bool) -> None:
+    def _note_slave(self, one: NamedTransaction) -> None:
         key = one.link, one.unit
         slave = self.slaves.get(key)
         if slave is None:
@@ -218,7 +216,7 @@ class Board:
                 self.left_out += 1
                 return
             slave = self.slaves[key] = WatchedSlave(one.link, one.unit)
-        slave.add(one, is_damaged=is_damaged)
+        slave.add(one)
 
     def _note_poll(
         self,

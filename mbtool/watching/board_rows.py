@@ -7,6 +7,8 @@ from operator import attrgetter
 from typing import TYPE_CHECKING, NamedTuple, overload
 
 from mbtool.core import WireEvent
+from mbtool.ledger.request_tally import RequestTally
+from mbtool.ledger.statistics_report import report, unit_tallies
 from mbtool.modbus import Outcome
 from mbtool.watching.watched_rows import KeptRecord, errors_of
 
@@ -210,8 +212,11 @@ def slave_rows(board: Board) -> list[WatchedSlaveRow]:
         for one in trouble.all:
             if one.unit is not None:
                 troubles.setdefault((one.link, one.unit), []).append(one)
+    tallies = unit_tallies(report(board.statistics, with_cycles=False), broadcasts=True)
     return [
-        _slave_row(slave, every.get(key), tuple(troubles.get(key, ())))
+        _slave_row(
+            slave, tallies.get(key, RequestTally()), every.get(key), tuple(troubles.get(key, ()))
+        )
         for key, slave in sorted(board.slaves.items())
     ]
 
@@ -288,10 +293,10 @@ def _pair(point: WatchedPoint) -> tuple[int, int] | None:
 
 def _slave_row(
     slave: WatchedSlave,
+    tally: RequestTally,
     whole: WatchedSlaveRow | None,
     troubles: tuple[Trouble, ...],
 ) -> WatchedSlaveRow:
-    tally = slave.tally
     return WatchedSlaveRow(
         key=(slave.link, slave.unit),
         kept=None,

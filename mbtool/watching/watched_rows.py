@@ -8,13 +8,15 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.core import WireEvent
 from mbtool.devices.named_transaction import NamedTransaction
 from mbtool.ledger.poll_statistics import PollStatistics
-from mbtool.ledger.request_tally import RequestTally
 from mbtool.modbus import Outcome, Table
+
+if TYPE_CHECKING:
+    from mbtool.ledger.request_tally import RequestTally
 
 Record = NamedTransaction | WireEvent
 
@@ -143,12 +145,11 @@ class WatchedPoint:
 
 @dataclass(slots=True)
 class WatchedSlave:
-    """The figures of one unit of a link: how it answers."""
+    """What the statistics do not tell of one unit of a link."""
 
     link: str
     unit: int
     device: str | None = None
-    tally: RequestTally = field(default_factory=RequestTally)
     first_ns: int = 0
     last_ns: int = 0
     answered_ns: int | None = None
@@ -161,10 +162,8 @@ class WatchedSlave:
     """The number of retries, by the rule of the statistics: requests that repeat an unanswered one
     at once, not at the usual period of their poll."""
 
-    def add(self, one: NamedTransaction, *, is_damaged: bool = False) -> None:
+    def add(self, one: NamedTransaction) -> None:
         at_ns = one.start_ns
-        self.tally.add(one)
-        self.tally.damaged += is_damaged
         self.first_ns = self.first_ns or at_ns
         self.last_ns = max(at_ns, self.last_ns)
         self.device = one.device or self.device
