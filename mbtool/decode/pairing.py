@@ -268,7 +268,7 @@ class Pairing:
             self._earlier.put_back(pending)
             self._pending = None
         elif self._may_be_late(earlier[0], response):
-            self._hold(earlier[0], pending, response)
+            done += self._hold(earlier[0], pending, response)
         else:
             done += self._answer_pending(pending, response)
         return done
@@ -337,10 +337,16 @@ class Pairing:
         done.append(self._answered(request, response, is_late=is_late))
         return done
 
-    def _hold(self, earlier: OpenLineRequest, pending: Adu, response: Adu) -> None:
-        """Hold the pending request's response back, as it may belong to an `earlier` request."""
+    def _hold(self, earlier: OpenLineRequest, pending: Adu, response: Adu) -> list[Transaction]:
+        """Hold the pending request's response back, as it may belong to an `earlier` request.
+
+        Returns the transactions of the requests before `earlier`. The held responses own `earlier`,
+        so that it is told once.
+        """
         self._pending = None
+        done = self._unanswered_of(self._earlier.take(earlier))
         self._held[response.unit] = _HeldChain([earlier.adu, pending], [response])
+        return done
 
     def _extends_held(self, pending: Adu, response: Adu) -> bool:
         """Hold one more response of a unit back if it, too, may belong to the request before."""
@@ -368,9 +374,7 @@ class Pairing:
         if pending is not None or not (is_answer and fits(held.requests[-1], response)):
             return self._release(unit)
         del self._held[unit]
-        done = self._unanswered_of(
-            [one for one in self._earlier.take_all_of(unit) if one.adu is not held.requests[0]]
-        )
+        done = self._unanswered_of(self._earlier.take_all_of(unit))
         self._earlier.put_back(held.requests[-1])
         for request, one in zip(held.requests, held.responses, strict=False):
             done.append(self._answered(request, one, is_late=True))
@@ -381,7 +385,8 @@ class Pairing:
         of the requests before them.
         """
         held = self._held.pop(unit)
-        done = self._unanswered_of(self._earlier.take_all_of(unit))
+        done = [self._unanswered_request(held.requests[0])]
+        done += self._unanswered_of(self._earlier.take_all_of(unit))
         for request, response in zip(held.requests[1:], held.responses, strict=True):
             done.append(self._answered(request, response))
         return done
