@@ -16,6 +16,7 @@ MAX_BACK_NS = 20_000_000
 """If the time of a serial line's read is earlier than that of the read before by at most this, in
 ns, it is wrong: the bytes count as sent right behind those before. By more, the clock was set
 back."""
+
 RESPONSE_TIMEOUT_NS = 1_000_000_000
 """The default time in ns that a master waits for a response."""
 TURNAROUND_NS = 100_000_000

@@ -18,7 +18,9 @@ if TYPE_CHECKING:
     from mbtool.modbus.adu import Adu
 
 MAX_OF_UNIT = 4
+"""The most open requests of one unit."""
 MAX_OPEN = 32
+"""The most open requests of one line."""
 ENOUGH_TIMES = 3
 """The times of a unit are known once it has sent so many responses in time."""
 UNUSUAL = 2

@@ -110,7 +110,7 @@ class NetworkPairing:
         self._requests = 0
         """The number of requests so far, with those that the capture lacks."""
         self._waits: deque[int] = deque(maxlen=RECENT_WAITS)
-        """How long (ns) the master waited in vain before its next request, the last times."""
+        """The last times (ns) from a request without a response to the master's next request."""
         self._unanswered = UnansweredCounts()
         self._dropped = DroppedRequests()
         self.response_is_cut = False
@@ -452,7 +452,7 @@ class NetworkPairing:
         waited_ns = one.next_ns - one.since_ns
         if waited_ns < FIRST_LATE_NS:
             return False
-        equal = [one for one in self._waits if abs(one - waited_ns) <= EVEN * waited_ns]
+        equal = [each for each in self._waits if abs(each - waited_ns) <= EVEN * waited_ns]
         return one.is_repeated or len(equal) >= ENOUGH_WAITS
 
     def _note_next(self, one: OpenRequest, request: Adu | None, at_ns: int) -> None:

@@ -79,7 +79,7 @@ MAX_HELD = 4
 LEAST_LATENCY_NS = 2_000_000
 """No slave answers sooner than this, in ns; an adapter that hears itself repeats a frame sooner."""
 LEAST_DAMAGED = 4
-"""So many bytes that belong to no frame may be a damaged request."""
+"""The number of bytes that belong to no frame from which on they may be a damaged request."""
 TWO_MASTERS = (
     "requests come while others wait for their response: two masters share this line, or one does "
     "not wait long enough"

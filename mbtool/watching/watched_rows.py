@@ -145,7 +145,10 @@ class WatchedPoint:
 
 @dataclass(slots=True)
 class WatchedSlave:
-    """What the statistics do not tell of one unit of a link."""
+    """The device, the first and last times, and the findings of one unit of a link.
+
+    Its requests and responses are counted by the statistics.
+    """
 
     link: str
     unit: int
