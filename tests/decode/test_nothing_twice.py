@@ -7,7 +7,7 @@ from collections import Counter
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mbtool.core import Direction
+from mbtool.core import Direction, WireEvent
 from mbtool.decode.pairing import Pairing
 from mbtool.decode.transactions import Ends
 from mbtool.modbus.transaction import Transaction
@@ -26,7 +26,9 @@ def test_each_adu_stands_in_one_transaction(
     script: list[tuple[bool, int, int]], waits: bool | None, timed: bool
 ) -> None:
     pairing = Pairing(Ends("rs485", timed=timed), lambda _: waits)
-    now_ms, done, sent = 0, [], []
+    now_ms = 0
+    done: list[Transaction | WireEvent] = []
+    sent = []
     for is_request, unit, pause_ms in script:
         now_ms += pause_ms
         adu = asked(READ, now_ms, unit=unit) if is_request else told(ANSWER, now_ms, unit=unit)
@@ -44,12 +46,13 @@ def test_each_adu_stands_in_one_transaction(
 
 def test_a_held_request_that_grows_old_is_told_once() -> None:
     pairing = Pairing(Ends("rs485"), lambda _: False)
-    done = []
+    done: list[Transaction | WireEvent] = []
     for at_ms in (0, 1500, 3000, 4500):
         done += pairing.feed(asked(READ, at_ms))
         if at_ms:
             done += pairing.feed(told(ANSWER, at_ms + 450))
-    done += pairing.feed(told(ANSWER, 5500)) + pairing.close()
+    done += pairing.feed(told(ANSWER, 5500))
+    done += pairing.close()
     pairs = [one for one in done if isinstance(one, Transaction)]
     assert len(pairs) == 4
     assert len({one.request_ns for one in pairs}) == 4
