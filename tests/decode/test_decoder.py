@@ -733,10 +733,10 @@ def test_the_end_of_a_connection_reports_the_number_of_keep_alive_probes() -> No
         packets.append(talk.at(talk.master, talk.master.sequence))
     *_, closed = _decoded([*packets, *talk.goodbye()])
     assert isinstance(closed, WireEvent)
-    assert closed.message == "connection closed: finished, 3 keep-alive probes"
+    assert closed.message == "connection closed: finished by the master, 3 keep-alive probes"
     *_, quiet = _decoded(captured(1))
     assert isinstance(quiet, WireEvent)
-    assert quiet.message == "connection closed: finished"
+    assert quiet.message == "connection closed: finished by the master"
 
 
 def _seen_by(link: str, packets: Iterable[Packet], later_ns: int = 0) -> list[Packet]:
