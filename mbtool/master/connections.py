@@ -28,33 +28,22 @@ _NS = 1_000_000_000
 class ConnectionsMaster(MasterLink):
     """Sends requests on numbered connections."""
 
-    def __init__(
-        self,
-        link: TcpLink,
-        timeout_ns: int,
-        on_remark: Callable[[str], None],
-        *,
-        must_open: bool = False,
-    ) -> None:
-        """Prepare to connect to `link`; no connection is opened before `open` or `send`.
-
-        With `must_open`, it is an error if the first connection cannot be opened.
-        """
+    def __init__(self, link: TcpLink, timeout_ns: int, on_remark: Callable[[str], None]) -> None:
+        """Prepare to connect to `link`; no connection is opened before `open` or `send`."""
         super().__init__()
         self.transport = Transport.RTU_TCP if link.rtu else Transport.TCP
         self.limits = LinkLimits(timeout_ns=timeout_ns, one_at_a_time=link.rtu)
         self._link = link
         self._timeout_ns = timeout_ns
         self._on_remark = on_remark
-        self._must_open = must_open
         self._masters: dict[int, TcpMaster] = {}
         self._number = 0
         self._lost: list[int] = []
 
-    def open(self, number: int) -> bool:
+    def open(self, number: int, *, must_open: bool = False) -> bool:
         """Open the connection `number`; return False if the slave refuses it or does not answer.
 
-        Raises LinkError if this is the first call and the connection must be opened.
+        With `must_open`, LinkError is raised instead.
         """
         self._drop(number)
         try:
@@ -62,10 +51,9 @@ class ConnectionsMaster(MasterLink):
                 self._link, self._timeout_ns, self._on_remark, connect_s=RECONNECT_S
             )
         except LinkError:
-            if self._must_open:
+            if must_open:
                 raise
             return False
-        self._must_open = False
         return True
 
     def end(self, number: int, ending: ConnectionEnding) -> None:

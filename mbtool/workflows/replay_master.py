@@ -203,8 +203,10 @@ class MasterRun:
         options = self._options
         if not self._connections or not isinstance(link, TcpLink):
             return open_master(link, options.timeout_ns, self._on_remark)
-        must_open = self._connections[0].is_open
-        return ConnectionsMaster(link, options.timeout_ns, self._on_remark, must_open=must_open)
+        master = ConnectionsMaster(link, options.timeout_ns, self._on_remark)
+        if self._connections[0].is_open:
+            master.open(0, must_open=True)
+        return master
 
     def _take(
         self,
@@ -212,12 +214,10 @@ class MasterRun:
         judge: ResponseJudge,
         step: ConnectionStep,
     ) -> None:
-        """Open or end a connection as recorded; for an end by the slave, only wait for it.
-
-        Raises LinkError if the first connection cannot be opened.
-        """
+        """Open or end a connection as recorded; for an end by the slave, only wait for it."""
         if step.action is Action.OPEN:
-            is_open, must_open = master.open(step.number), step.recorded.is_open
+            must_open = step.recorded.is_open
+            is_open = master.is_open(step.number) or master.open(step.number)
             if not (is_open and must_open):
                 told = Beginning.OPENED if is_open else Beginning.REFUSED
                 judge.judge_connection(step.number, step.recorded.text, told)
