@@ -84,7 +84,7 @@ class Verdict(StrEnum):
     OVER_LENGTH = "over-length"
     """The ADU is longer than the standard allows, 260 bytes on Modbus/TCP."""
     LATE_PARTS = "late-parts"
-    """More than 30 s passed between the first and the last byte of a Modbus/TCP request."""
+    """More than 1 s passed between the first and the last byte of a Modbus/TCP request."""
     OVER_LIMIT = "over-limit"
     """The decoder dropped this request because of its limit of pending requests; or this is the
     response to such a request. The two are not joined."""
