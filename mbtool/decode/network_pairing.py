@@ -26,7 +26,9 @@
 #
 # A slave may respond with another id than the request's. Its response then belongs to the only
 # pending request if it fits, and if either no bytes are missing and this slave never repeated an id
-# correctly, or acknowledgements show that nothing came between the request and the response.
+# correctly, or acknowledgements show that nothing came between the request and the response. It may
+# also repeat the id and respond with another unit, as a module that ignores the unit does: then it
+# belongs to the only pending request, which no missing bytes and no other ADU separate from it.
 #
 # Memory: at most MAX_OPEN_REQUESTS waiting requests, and as many counts of unanswered requests. A
 # request beyond that is dropped with the verdict over-limit, and so is its response. If the master
@@ -340,9 +342,16 @@ class NetworkPairing:
         self, reading: PairReading, response: Adu, place: AduPlace | None
     ) -> OpenRequest | None:
         requests = [*reading.passed, *reading.waiting]
-        if len(requests) != 1 or not requests[0].can_get(response, place):
+        if len(requests) != 1:
             return None
         (one,) = requests
+        is_same_id = one.transaction_id == response.transaction_id
+        if not one.can_get(response, place, with_other_unit=is_same_id):
+            return None
+        if is_same_id:  # So the unit is another one.
+            is_next = place is None or one.is_next_to(response, place)
+            is_sure = is_next and reading.awaits(one) and not one.may_be_lost
+            return one if is_sure and one.fits(response) else None
         is_doubtful = self._habits.has_matching_ids or one.may_be_lost or not reading.awaits(one)
         if is_doubtful and not one.is_next_to(response, place):
             return None
@@ -433,6 +442,8 @@ class NetworkPairing:
             self._habits.has_matching_ids |= self._habits.ids_vary
         else:
             verdicts = (Verdict.OTHER_TRANSACTION_ID,)
+        if one.adu.unit != response.unit:
+            verdicts += (Verdict.OTHER_UNIT,)
         is_sure = is_sure and not self._is_shifted
         if not is_sure:
             verdicts += (Verdict.AMBIGUOUS,)

@@ -79,6 +79,9 @@ class Verdict(StrEnum):
     """The response's body does not have the form of its function, or does not fit the request."""
     OTHER_TRANSACTION_ID = "other-transaction-id"
     """The response has another transaction id than the only request that it can belong to."""
+    OTHER_UNIT = "other-unit"
+    """The response has another unit than the only request that it can belong to, and the same
+    transaction id."""
     CUT = "cut"
     """The capture has only the first bytes of the ADU, with the unit and the function."""
     OVER_LENGTH = "over-length"

@@ -131,6 +131,10 @@ class Net:
     def asked(self, talk: Talk, request: str = READ, answer: str = VALUE, *, unit: int = 1) -> Net:
         return self.ask(talk, request, unit=unit).answer(talk, answer, unit=unit)
 
+    def asked_of(self, unit: int, *, answered_by: int) -> Net:
+        talk = self.open()
+        return self.ask(talk, READ, unit=unit).answer(talk, VALUE, unit=answered_by)
+
     def file(self) -> bytes:
         return pcap(self.packets, magic=NANOSECONDS)
 
@@ -579,6 +583,11 @@ CASES = (
         lambda: single("04 0001 0001", "04 02 0E30"),
         lambda: single("04 0001 0001", "04 02 0000"),
         FA3,
+    ),
+    Case(
+        "TCP-104",
+        lambda: Net().asked_of(1, answered_by=2).file(),
+        lambda: Net().asked_of(1, answered_by=1).file(),
     ),
     Case("FA3-X12", lambda: single("42 00", "42 0013"), lambda: single("42 00", "42 0016"), FA3),
     Case("WAGO-X1", lambda: tripped(recovers=False), lambda: tripped(recovers=True), WAGO),

@@ -130,6 +130,7 @@ _ROWS = (
      "TCP/IP guide 3.1.3"),
     ("TCP-103", _W, "The protocol id is not 0, so the message is none of Modbus.",
      "TCP/IP guide 3.1.3"),
+    ("TCP-104", _W, "An answer does not repeat its request's unit.", "TCP/IP guide 3.1.3"),
     ("TCP-201", _W, "A connection to a Modbus port carries another protocol.", "TCP/IP guide 4.2"),
     ("TCP-202", _W, "Bytes in a Modbus/TCP connection are no ADU.", "TCP/IP guide 3.1.3"),
     ("TCP-203", _W, "A TCP retransmission has other bytes than the first copy.", "RFC 9293, 3.8.1"),
