@@ -269,6 +269,17 @@ class Point(_Part, frozen=True, kw_only=True):
             "The point that holds a power of ten, -10 to 10, by which the number is multiplied."
         ),
     ] = None
+    units_from: Annotated[
+        str | None,
+        _about(
+            "The beginning of the names of nibble fields whose number for this point's channel "
+            "chooses its unit."
+        ),
+    ] = None
+    units: Annotated[Texts, _about("The unit for each number of `units_from`.")] = {}
+    after: Annotated[
+        str | None, _about("Octets: the point with the octets before these, in one address.")
+    ] = None
     no_value: Annotated[int | None, _about("The number in the register that means: no value.")] = (
         None
     )

@@ -24,6 +24,7 @@ import msgspec
 
 from mbtool.devices.assignment import Assignments
 from mbtool.devices.identity import answer_word, identity_points
+from mbtool.devices.joined_words import JoinedWords
 from mbtool.devices.model import READ_AND_WRITE, AnswerWord, Point, Profile
 from mbtool.devices.named_transaction import NamedTransaction, PointValue
 from mbtool.devices.point_types import PointType
@@ -147,6 +148,7 @@ class _Vocabulary:
         self._scale_factors: ScaleFactors | None = None
         self._ranges: Ranges = {}
         self._fixed_data: dict[int, bytes] = {}
+        self._joined: JoinedWords | None = None
         self._silent = frozenset[int]()
         """The functions to whose requests the manual states no response."""
         if profile is not None:
@@ -158,6 +160,8 @@ class _Vocabulary:
             powers = self._scale_factors.after(transaction, meaning.read)
             meaning = meaning.scaled(powers)
         points = _points(meaning, transaction)
+        if self._joined is not None and points:
+            points = self._joined.words(transaction, points)
         function_name, exception_name = transaction.function_name, transaction.exception_name
         if meaning.function_name is not None:
             function_name = meaning.function_name
@@ -209,6 +213,7 @@ class _Vocabulary:
 
     def _compile(self, profile: Profile) -> None:
         self._ranges = value_ranges(profile)
+        self._joined = JoinedWords.of(profile)
         self._fixed_data = fixed_data(profile)
         self._silent = frozenset(
             int(code, 16) for code, rule in profile.functions.items() if not rule.answers
