@@ -175,7 +175,10 @@ class FunctionRule(_Part, frozen=True, kw_only=True):
     data: Annotated[
         str | None, _about("Hexadecimal bytes that must follow the function code; more may follow.")
     ] = None
-    title: Annotated[str | None, _about("The vendor's name for the vendor's own function.")] = None
+    title: Annotated[
+        str | None,
+        _about("The vendor's name for the function; decode shows that of the vendor's own only."),
+    ] = None
     answer: Annotated[AnswerWord | None, _about("The response to the vendor's function.")] = None
     answers: Annotated[bool, _about("False if the device gives no response.")] = True
     echoes: Annotated[bool, _about("True if the response to it repeats the request.")] = False

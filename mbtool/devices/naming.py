@@ -47,7 +47,7 @@ from mbtool.devices.scale_factors import ScaleFactors
 from mbtool.devices.standard_checks import LAST_UNIT, form_codes
 from mbtool.devices.values import PointInstance, point_instances, point_values
 from mbtool.modbus.adu import Verdict
-from mbtool.modbus.functions import FUNCTIONS
+from mbtool.modbus.functions import FUNCTIONS, TABLE_FUNCTIONS
 from mbtool.modbus.identification import ENCAPSULATED, REPORT_SERVER_ID
 from mbtool.modbus.tables import Table
 from mbtool.modbus.transaction import Outcome
@@ -254,7 +254,8 @@ class _Vocabulary:
         if self.profile is not None:
             rule = self.profile.rule(function)
             if rule is not None:
-                title = rule.title
+                # A function of the standard keeps its name; the profile's is for readers.
+                title = None if function in TABLE_FUNCTIONS else rule.title
                 if rule.answer is not None:
                     answer, texts = _answer_point(rule.answer, function), rule.answer.texts
         known = FUNCTIONS.get(function)

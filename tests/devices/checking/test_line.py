@@ -31,8 +31,9 @@ def findings(
     *records: NamedTransaction | WireEvent,
     format_: SerialFormat | None = FORMAT,
     profile: str | None = None,
+    exact: bool = False,
 ) -> list[Finding]:
-    rules, found = LineRules(), list[Finding]()
+    rules, found = LineRules(lambda _: exact), list[Finding]()
     for record in records:
         if isinstance(record, WireEvent):
             found += rules.event(record)
@@ -154,6 +155,13 @@ def test_a_master_faster_than_the_manual_allows_is_found() -> None:
     assert codes(first, soon[0]) == []
     assert codes(first, soon[0], profile="idec-ft1a-smartaxis") == []  # No rule of the slave's.
     assert codes(first, soon[0], profile=PATIENT, format_=None) == []
+
+
+def test_one_character_is_forgiven_only_where_bytes_have_no_exact_times() -> None:
+    first = on_line(unit=8, latency_ms=10)
+    nearly = on_line(unit=8, at_ms=10 + 4.8 + EIGHT_BYTES_MS)  # A character takes 0.57 ms.
+    assert codes(first, nearly, profile=PATIENT) == []
+    assert codes(first, nearly, profile=PATIENT, exact=True) == ["RTU-301"]
 
 
 def test_a_clock_that_was_set_back_gives_no_finding() -> None:
