@@ -60,6 +60,9 @@ class MasterOptions(PlayOptions):
 
     is_loop: bool = False
     timeout_ns: int = _NS
+    listen_ns: int | None = 0
+    """How long to listen for another master on a serial line before the first request, in ns; 0 for
+    not at all, None for the usual times."""
     ignore: Sequence[str] = ()
     """Ranges of registers and bits whose values may differ from the recording, as texts such as
     `holding 0..9`."""
@@ -170,6 +173,7 @@ class MasterRun:
         conductor, problem = None, None
         try:
             with open_master(link, options.timeout_ns, self._on_remark) as master:
+                master.take_line(options.listen_ns)
                 conductor = Conductor(self.script, clock, judge, master.limits)
                 steering = Steering(clock, conductor.allow_step)
                 look_ns = _LOOK_NS if controls is None else _STEERED_NS
