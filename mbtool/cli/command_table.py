@@ -24,6 +24,7 @@ _MODULES = {
     "read": "ask",
     "write": "ask",
     "poll": "poll",
+    "scan": "scan",
     "devices": "devices",
     **{name: name for name in ("links", "doctor", "line", "demo", "extcap")},
 }
