@@ -41,6 +41,7 @@ COMMANDS = (
     "read",
     "write",
     "poll",
+    "scan",
     "devices",
     "links",
     "doctor",
