@@ -59,6 +59,7 @@ def decode(line: SerialFormat, reads: Sequence[Read], *, timed: bool) -> Told:
             one.outcome,
             one.confidence,
             Verdict.AMBIGUOUS in one.verdicts,
+            one.confidence,
         )
         for one in transactions
     ]
