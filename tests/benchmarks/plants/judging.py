@@ -13,7 +13,7 @@
 # is told alone.
 #
 # Calibration is counted over frames, whose confidence is that of their direction, and over pairs of
-# a request and a response, whose confidence is their own.
+# a request and a response, whose confidence is that of the transaction.
 
 from __future__ import annotations
 
@@ -51,8 +51,6 @@ class ToldTransaction:
     """None if the decoder tells none."""
     confidence: float
     is_ambiguous: bool
-    pair_confidence: float | None = None
-    """That the response is to this request; None if the decoder does not say."""
 
 
 @dataclass(slots=True)
@@ -245,8 +243,7 @@ class _Transactions:
         if (
             told.request is not None
             and told.response is not None
-            and told.pair_confidence is not None
-            and told.pair_confidence >= SURE
+            and told.confidence >= SURE
             and not any(at in self._unclear.hidden for at in frames)
         ):
             self._figures.pairs_sure += 1
