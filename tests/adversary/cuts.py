@@ -24,7 +24,7 @@ from mbtool.modbus import Transport, Verdict
 from tests.adversary.judgement import NO_ANSWER, UNSOLICITED
 from tests.adversary.network import simulate
 from tests.adversary.removal import packets_of
-from tests.adversary.segments import Flow, Part, part_of
+from tests.adversary.segments import Flow, part_of
 from tests.captures import public_folder
 from tests.packets.building import cut
 
@@ -213,8 +213,10 @@ class WholeCapture:
         for one in self._pairs[start:]:
             if one.number > last:
                 return
-            if one.ask is not None and one.answer is not None and all(
-                self._has(self._bytes[half], places) for half in (one.ask, one.answer)
+            if (
+                one.ask is not None
+                and one.answer is not None
+                and all(self._has(self._bytes[half], places) for half in (one.ask, one.answer))
             ):
                 yield one
 
