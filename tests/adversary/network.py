@@ -162,7 +162,8 @@ def _start(
         run(plan(rng.choice(ONE_ID), third), 40003, lambda: run(again, 40003, None))
         return
     if master.startswith("pipelined"):
-        ids = Ids.COUNTING if "counting" in master else rng.choice(ONE_ID)
+        kinds = {"pipelined counting": Ids.COUNTING, "pipelined cycle": Ids.CYCLE}
+        ids = kinds.get(master) or rng.choice(ONE_ID)
         run(plan(ids, requests, rng.choice((2, 4, 8, 16)), bursts=rng.random() < 0.6), 40001, None)
         return
     ids = {"constant 0": Ids.ZERO, "constant 3": Ids.THREE, "cycle": Ids.CYCLE}.get(

@@ -5,7 +5,8 @@
 #          cases: it began when the first had already sent requests for at least the time of the
 #          rule's limit (security_limits.py); or both write, less than that time apart. If both
 #          began at about the same time and only one writes, the capture does not show who is the
-#          usual master, and there is no finding.
+#          usual master, and there is no finding. Nor does it where the capture begins within the
+#          connection of the second host: that host may have been there first.
 # SEC-205  a host reads the identification of a slave (2B/0E, 11H, or 42H, the model code of the FA3
 #          modules), and sent nothing in the first minutes of the capture: the time of the rule's
 #          limit. The usual masters of a plant do send something then; one that restarts later is
@@ -135,10 +136,22 @@ class MasterRules:
             master = self._slaves[one.destination][host]
             master.last_ns = max(master.last_ns, one.last_request_ns)
 
-    def _new_master(self, masters: dict[str, _Master], host: str, at_ns: int) -> _Master:
+    def joined(self, host: str, slave: str, at_ns: int) -> None:
+        """Note that the capture begins within a connection of `host` to `slave` (HOST:PORT).
+
+        So the host is one of the slave's masters since before the capture.
+        """
+        self.heard(host, at_ns)
+        masters = self._slaves[slave]
+        if host not in masters:
+            self._new_master(masters, host, at_ns, was_there=True)
+
+    def _new_master(
+        self, masters: dict[str, _Master], host: str, at_ns: int, *, was_there: bool = False
+    ) -> _Master:
         since_ns = at_ns - self._writes.window_ns
         hosts = (one.host for one in masters.values() if one.first_ns <= since_ns <= one.last_ns)
-        predecessor = next(hosts, None)
+        predecessor = None if was_there else next(hosts, None)
         if len(masters) >= MAX_MASTERS:
             del masters[min(masters, key=lambda one: masters[one].last_ns)]
         masters[host] = _Master(
