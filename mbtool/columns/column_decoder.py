@@ -128,7 +128,8 @@ class ColumnDecoder:
         """Decode a block. Yields its results once, or once per part if the block has so many flows
         (more than _FLOWS_AT_ONCE) that it is decoded in parts.
         """
-        headers = read_headers(block, self._ports)
+        self._flows.make_room()
+        headers = read_headers(block, self._ports, self._flows.addresses)
         segments = headers.segments
         numbers = self._flows.numbers(segments.lower, segments.upper)
         cuts = _cuts(segments, numbers)
@@ -168,7 +169,7 @@ class ColumnDecoder:
         if (segments.flags & (SYN | RST) == SYN | RST).any():
             return False
         flows = [self._flows.ends[one] for one in np.flatnonzero(np.bincount(numbers)).tolist()]
-        more = len(headers.hidden) + len(headers.apart)
+        more = len(headers.hidden)
         last_ns = int(block.ts_ns.max())
         return not self._decoder.reassembler.may_drop(last_ns, flows, more)
 
@@ -240,8 +241,7 @@ class _BlockPass:
             for number, packet in zip(asked.tolist(), begins[asked].tolist(), strict=True)
         ]
         due += [(packet, -1, place) for packet, place in self._fed_segments(is_whole)]
-        apart = {*self._headers.hidden.tolist(), *self._headers.apart.tolist()}
-        due += [(packet, -1, -1) for packet in apart]
+        due += [(packet, -1, -1) for packet in self._headers.hidden.tolist()]
         heapq.heapify(due)
         bounds = self._stretches.bounds.tolist()
         while due:
