@@ -26,7 +26,7 @@ from mbtool.serial_line.rtu import RtuSplitter
 
 if TYPE_CHECKING:
     from mbtool.core import Connection, SerialFormat, StreamPlace
-    from mbtool.decode.plain_stretch import PlainStretch
+    from mbtool.decode.plain_stretch import PlainLimits, PlainStretch
     from mbtool.packets.plain_bytes import RestPlace
 
 Decoded = Adu | Transaction | WireEvent
@@ -191,6 +191,10 @@ class ConnectionDecoder:
             and self._progress[Direction.RESPONSE].is_at_rest(response_position)
             and self._pairing.is_at_rest(now_ns)
         )
+
+    def limits(self) -> PlainLimits:
+        """Return which transactions the array decoder must leave to `feed`."""
+        return self._pairing.limits()
 
     def pass_plain(self, stretch: PlainStretch, place: RestPlace) -> None:
         """Note transactions of this connection that the array decoder (columns/) has decoded.

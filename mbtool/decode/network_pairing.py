@@ -58,7 +58,7 @@ from mbtool.decode.pairing_readings import (
     options,
     without_costly,
 )
-from mbtool.decode.plain_stretch import plain_request
+from mbtool.decode.plain_stretch import NO_LIMITS, PlainLimits, plain_request
 from mbtool.decode.stream_progress import AduPlace
 from mbtool.decode.transactions import (
     Ends,
@@ -130,14 +130,27 @@ class NetworkPairing:
         return done
 
     def is_at_rest(self, now_ns: int) -> bool:
-        """True if no request is pending, and no earlier one can count as a retry of a later one.
+        """True if no request is pending. Earlier ones may have got no response: `limits` tells.
 
         False also if `now_ns` is before the last response.
         """
         reading = self._readings[0]
-        is_open = len(self._readings) > 1 or reading.waiting or reading.passed or reading.steps
-        remembers = self._unanswered or not self._dropped.is_empty or self._is_shifted
+        is_open = len(self._readings) > 1 or reading.waiting or reading.steps
+        remembers = not self._dropped.is_empty or self._is_shifted
         return not (is_open or remembers) and self._habits.last_response_ns <= now_ns
+
+    def limits(self) -> PlainLimits:
+        """Return which transactions the array decoder must leave to `feed`, if it is at rest."""
+        passed = self._readings[0].passed
+        if not (passed or self._unanswered):
+            return NO_LIMITS
+        adus = [(one.adu, one.counts) for one in passed if one.adu is not None]
+        keys = [*(request_key(adu) for adu, counts in adus if counts), *self._unanswered]
+        return PlainLimits(
+            frozenset(bytes([unit]) + pdu for unit, pdu in keys),
+            frozenset((adu.transaction_id, adu.unit, adu.pdu[0]) for adu, _ in adus),
+            min((one.since_ns for one in passed), default=2**62) + TIMEOUT_NS,
+        )
 
     def pass_plain(self, stretch: PlainStretch) -> None:
         """Note transactions paired by the array decoder (columns/); no request is pending here."""

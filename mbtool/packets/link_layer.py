@@ -43,7 +43,7 @@ _MPLS = (b"\x88\x47", b"\x88\x48")
 
 # The address families of IP in the capturing machine's byte order: 2 is IPv4 everywhere; IPv6 is
 # 10 on Linux, 23 on Windows, 24 on NetBSD and OpenBSD, 28 on FreeBSD, 30 on macOS.
-_FAMILIES = frozenset(
+FAMILIES = frozenset(
     family.to_bytes(4, order) for family in (2, 10, 23, 24, 28, 30) for order in ("big", "little")
 )
 
@@ -147,7 +147,7 @@ def _wireless(data: bytes, start: int = 0, *, is_padded: bool = False) -> int:
 
 
 def _null(data: bytes) -> int:
-    return 4 if data[:4] in _FAMILIES else NOT_IP
+    return 4 if data[:4] in FAMILIES else NOT_IP
 
 
 def _raw(data: bytes) -> int:

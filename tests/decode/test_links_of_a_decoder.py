@@ -392,7 +392,9 @@ def test_a_connection_is_at_rest_while_nothing_of_it_is_open() -> None:
     assert decoder.at_rest(ends, talk.ts_ns) is not None
     # A request that nobody answered may be repeated later.
     decoded(decoder, talk.request(mbap_adu(3, 1, READ)), Quiet(talk.ts_ns + TIMEOUT_NS + 1, SLAVE))
-    assert decoder.at_rest(ends, talk.ts_ns + TIMEOUT_NS + 1) is None
+    resting = decoder.at_rest(ends, talk.ts_ns + TIMEOUT_NS + 1)
+    assert resting is not None
+    assert resting.decoder.limits().requests == {b"\1" + READ}
 
 
 def test_a_decoder_that_is_closed_keeps_nothing() -> None:
