@@ -104,7 +104,7 @@ def scan(
     format_: Annotated[ListFormat, typer.Option("--format", help="How to print.")] = "table",
     tls: TargetTlsOptions,
 ) -> None:
-    """Find the units on a link, and the registers that each lets read.
+    """Find units on a link, and their registers.
 
     Each unit is asked for a register, an echo and its identification; any answer counts, also a
     refusal. Only reads are sent, never a write. Exit 1 if no unit answers.
