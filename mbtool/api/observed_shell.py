@@ -168,8 +168,7 @@ class ObservedShell:
         ]
         if bool(found) if times is None else len(found) == times:
             return found
-        shown = [written] if isinstance(written, int) else written
-        raise AssertionError(_disappointment(what, times, shown, len(found), asked))
+        raise AssertionError(_disappointment(what, times, written, len(found), asked))
 
     def _contents(self, what: str, written: float | str | Sequence[int] | None) -> list[int] | None:
         """Return the contents of registers for a value that a request writes to `what`."""
