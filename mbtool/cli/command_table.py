@@ -25,6 +25,7 @@ _MODULES = {
     "write": "ask",
     "poll": "poll",
     "scan": "scan",
+    "test": "conformance",
     "devices": "devices",
     **{name: name for name in ("links", "doctor", "line", "demo", "extcap")},
 }

@@ -426,11 +426,9 @@ class SerialMaster(MasterLink):
         adu = (ascii_adu if self.link.ascii else rtu_adu)(unit, pdu)
         self._pending = number, unit
         self._expected = ExpectedResponse.of(pdu)
-        with port_in_use(self.link):
-            self._port.write(adu)
-            # The silence before the response, and the timeout, begin when the last byte of the
-            # request has been sent.
-            self._port.flush()
+        # The silence before the response, and the timeout, begin when the last byte of the request
+        # has been sent.
+        self.send_bytes(adu)
         self._note_request(unit, pdu, adu)
 
     def receive(self, timeout_ns: int) -> Sequence[ReceivedResponse]:
@@ -449,6 +447,14 @@ class SerialMaster(MasterLink):
 
     def close(self) -> None:
         self._port.close()
+
+    def send_bytes(self, raw: bytes) -> None:
+        """Send any bytes, and wait until the last of them has left. Raises LinkError if the port is
+        lost.
+        """
+        with port_in_use(self.link):
+            self._port.write(raw)
+            self._port.flush()
 
     def overhear(self, wait_ns: int) -> tuple[bytes, int]:
         """Return bytes that others sent, and the time of the last one, in ns of the monotonic

@@ -42,6 +42,7 @@ COMMANDS = (
     "write",
     "poll",
     "scan",
+    "test",
     "devices",
     "links",
     "doctor",
