@@ -43,6 +43,8 @@ class MasterHabits:
         self.pipelines = False
         """True once the master counts as pipelining: ENOUGH_OVERLAPS responses came while a further
         request waited."""
+        self.has_pipelined = False
+        """True once a request came while another one waited."""
         self.ids_vary = False
         """True once two requests in a row had different transaction ids."""
         self.ids_count_up = False
@@ -120,6 +122,7 @@ class MasterHabits:
 
     def note_request(self, transaction_id: int | None, *, others_wait: bool) -> None:
         self._in_a_row = 0 if others_wait else self._in_a_row + 1
+        self.has_pipelined |= others_wait
         if self._in_a_row >= ENOUGH_REQUESTS:
             self.is_sequential, self.pipelines = True, False
             self._overlaps = 0

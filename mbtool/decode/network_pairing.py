@@ -47,6 +47,7 @@ from mbtool.decode.master_habits import FIRST_LATE_NS, MasterHabits
 from mbtool.decode.open_requests import OpenRequest
 from mbtool.decode.pairing_readings import (
     MARGIN,
+    MAX_BEFORE,
     MAX_PASSED,
     UNASKED,
     PairOption,
@@ -57,6 +58,7 @@ from mbtool.decode.pairing_readings import (
     may_be_among,
     options,
     without_costly,
+    without_pipelined,
 )
 from mbtool.decode.plain_stretch import plain_request
 from mbtool.decode.stream_progress import AduPlace
@@ -105,7 +107,7 @@ class NetworkPairing:
         """`joined` is True if the capture lacks the beginning of the connection."""
         self._ends = ends
         self._joined = joined
-        self._readings = [PairReading([], [])]
+        self._readings = [PairReading([], [], before=MAX_BEFORE if joined else 0)]
         self._habits = MasterHabits()
         self._requests = 0
         """The number of requests so far, with those that the capture lacks."""
@@ -136,6 +138,7 @@ class NetworkPairing:
         """
         reading = self._readings[0]
         is_open = len(self._readings) > 1 or reading.waiting or reading.passed or reading.steps
+        is_open = is_open or reading.before
         remembers = self._unanswered or not self._dropped.is_empty or self._is_shifted
         return not (is_open or remembers) and self._habits.last_response_ns <= now_ns
 
@@ -208,7 +211,11 @@ class NetworkPairing:
         done: list[Transaction] = []
         unfinished = {id(one): unfinished_in(one, self._habits, end_ns) for one in self._readings}
         for reading in self._readings:
-            reading.give_up([one for one in reading.waiting if reading.awaits(one)])
+            ended = unfinished[id(reading)]
+            reading.give_up(
+                [one for one in reading.waiting if reading.awaits(one) and one.number not in ended]
+            )
+        self._settle(done)
         self._decide(done)
         (reading,) = self._readings
         rest = sorted((*reading.passed, *reading.waiting), key=lambda one: one.number)
@@ -230,6 +237,8 @@ class NetworkPairing:
             others_wait = is_pipelined and not all(one.adu is None for one in waiting)
             if not others_wait:
                 give_up_lost(self._readings, is_sequential=self._habits.is_sequential)
+            if self._habits.is_sequential:
+                self._readings = without_pipelined(self._readings)
             self._settle(done)
         elif self._is_shifted:
             since_ns = request.start_ns - self._habits.last_response_ns
@@ -382,6 +391,8 @@ class NetworkPairing:
 
     def _decide(self, done: list[Transaction]) -> None:
         """Keep the cheapest way to pair. Pairs that another remaining way lacks are ambiguous."""
+        if not self._habits.has_pipelined:
+            self._readings = without_pipelined(self._readings)
         best, *others = sorted(self._readings, key=likely_cost)
         steps = best.steps
         for other in others:
