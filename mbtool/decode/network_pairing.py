@@ -77,6 +77,8 @@ from mbtool.modbus.adu import Adu, Skipped, Verdict
 from mbtool.modbus.transaction import Outcome
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from mbtool.decode.plain_stretch import PlainStretch
     from mbtool.modbus.transaction import Transaction
 
@@ -358,25 +360,34 @@ class NetworkPairing:
         return one if one.fits(response) else None
 
     def _lose_responses(self, lost: int, at_ns: int) -> None:
-        runs = [
-            (reading.cost + cost, cost, start, count, reading)
-            for reading in self._readings
-            # If all ids differ, the ids of later responses show which responses are lost.
-            if not reading.has_different_ids(self._habits)
-            for cost, start, count in lost_runs(reading, lost)
-        ]
-        if runs:
-            limit = min(total for total, *_ in runs) + MARGIN
-            self._readings = []
-            for total, cost, start, count, reading in runs:
-                if total <= limit:
-                    other = reading.copy()
-                    other.lose(start, count, cost, at_ns)
-                    self._readings.append(other)
-            return
+        runs: list[tuple[float, float, int, int, PairReading]] = []
         for reading in self._readings:
-            for one in reading.waiting:
-                one.may_be_lost |= not lost or may_be_among(lost, one, reading.waiting)
+            found = [
+                (reading.cost + cost, cost, start, count, reading)
+                for cost, start, count in self._lost_runs(reading, lost)
+            ]
+            if not found:
+                for one in reading.waiting:
+                    one.may_be_lost |= not lost or may_be_among(lost, one, reading.waiting)
+                found = [(reading.cost, 0.0, 0, 0, reading)]
+            runs += found
+        limit = min(total for total, *_ in runs) + MARGIN
+        if len(runs) == 1 and not runs[0][3]:
+            return
+        self._readings = []
+        for total, cost, start, count, reading in runs:
+            if total <= limit:
+                other = reading.copy()
+                other.lose(start, count, cost, at_ns)
+                self._readings.append(other)
+
+    def _lost_runs(self, reading: PairReading, lost: int) -> Iterator[tuple[float, int, int]]:
+        """Find the waiting requests whose responses can be `lost` bytes, as `lost_runs` does.
+
+        Finds none if all ids differ: then the ids of later responses show which ones are lost.
+        """
+        if not reading.has_different_ids(self._habits):
+            yield from lost_runs(reading, lost)
 
     def _settle(self, done: list[Transaction]) -> None:
         """Drop costly ways to pair. If only one is left, add its transactions to `done`."""
