@@ -111,6 +111,11 @@ class MasterHabits:
             return self._slowest_ns[function]
         return max(self._slowest_ns.values(), default=None)
 
+    @property
+    def has_answered(self) -> bool:
+        """True once a captured request surely got its response."""
+        return self._latest_answered > 0
+
     def repeats_id(self, transaction_id: int | None) -> bool:
         """True if ids count up and `transaction_id`, of a new request, is the last id plus 1.
 

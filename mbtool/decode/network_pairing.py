@@ -25,8 +25,13 @@
 # responses or for HOLD_NS. Then the cheapest reading is taken, and its transactions are ambiguous.
 #
 # A slave may respond with another id than the request's. Its response then belongs to the only
-# pending request if it fits, and if either no bytes are missing and this slave never repeated an id
-# correctly, or acknowledgements show that nothing came between the request and the response.
+# pending request if it fits, if no earlier request can still wait for its response (the capture
+# lacks no bytes), and if either this slave never repeated an id correctly, or acknowledgements show
+# that nothing came between the request and the response.
+#
+# A response without a request is unsolicited. If the capture lacked requests of this connection in
+# the TIMEOUT_NS before it, its request may be among these, and is only not captured. So it is if
+# the capture begins within the connection, for TIMEOUT_NS or until the first request.
 #
 # Memory: at most MAX_OPEN_REQUESTS waiting requests, and as many counts of unanswered requests. A
 # request beyond that is dropped with the verdict over-limit, and so is its response. If the master
@@ -109,6 +114,11 @@ class NetworkPairing:
         """`joined` is True if the capture lacks the beginning of the connection."""
         self._ends = ends
         self._joined = joined
+        self._lost_ns: int | None = None
+        """The last time (ns) at which the capture lacked bytes; None if it lacks none."""
+        self._requests_lost_ns: int | None = None
+        """The last time (ns) at which the capture lacked requests; the first ADU's if the capture
+        lacks the beginning of the connection. None if it lacks none."""
         self._readings = [PairReading([], [], before=MAX_BEFORE if joined else 0)]
         self._habits = MasterHabits()
         self._requests = 0
@@ -129,6 +139,8 @@ class NetworkPairing:
     def feed(self, adu: Adu, place: AduPlace | None = None) -> list[Transaction]:
         """Take the next ADU, in order of time; return the transactions that it decides."""
         done = self.advance(adu.start_ns)
+        if self._joined and self._requests_lost_ns is None:
+            self._requests_lost_ns = adu.start_ns
         take = self._respond if adu.direction is Direction.RESPONSE else self._add_request
         take(adu, place, done)
         return done
@@ -166,7 +178,9 @@ class NetworkPairing:
         transactions that this decides, such as those of requests whose responses are lost.
         """
         done: list[Transaction] = []
+        self._lost_ns = at_ns
         if direction is Direction.REQUEST:
+            self._requests_lost_ns = at_ns
             waiting = self._readings[0].waiting
             if not (self._habits.pipelines or any(one.is_pipelined for one in waiting)):
                 give_up_late(self._readings, self._habits, at_ns, self._habits.late_ns)
@@ -350,14 +364,27 @@ class NetworkPairing:
     def _of_other_id(
         self, reading: PairReading, response: Adu, place: AduPlace | None
     ) -> OpenRequest | None:
+        """Return the request that a response with another id answers; None if that is doubtful.
+
+        It is doubtful if an earlier request may have no response yet: a slave that is late
+        acknowledges a new request with the response to an earlier one.
+        """
         requests = [*reading.passed, *reading.waiting]
         if len(requests) != 1 or not requests[0].can_get(response, place):
             return None
         (one,) = requests
+        began_before = self._joined and not self._habits.has_answered
+        if began_before or self._is_near_loss(self._lost_ns, response):
+            return None
         is_doubtful = self._habits.has_matching_ids or one.may_be_lost or not reading.awaits(one)
         if is_doubtful and not one.is_next_to(response, place):
             return None
         return one if one.fits(response) else None
+
+    @staticmethod
+    def _is_near_loss(lost_ns: int | None, response: Adu) -> bool:
+        """True if a response may answer a request from the time at which the capture lost bytes."""
+        return lost_ns is not None and response.start_ns - lost_ns <= TIMEOUT_NS
 
     def _lose_responses(self, lost: int, at_ns: int) -> None:
         runs: list[tuple[float, float, int, int, PairReading]] = []
@@ -430,13 +457,19 @@ class NetworkPairing:
 
     def _responded(self, response: Adu, step: PairStep) -> Transaction:
         if not step.requests:
-            # The request of the first response was sent before the capture began.
-            is_first = self._joined and not self._requests
-            outcome = Outcome.NOT_CAPTURED if is_first else Outcome.UNSOLICITED
+            outcome = Outcome.UNSOLICITED
+            if self._may_lack_request_of(response):
+                outcome = Outcome.NOT_CAPTURED
             return unsolicited(self._ends, response, outcome)
         return self._with_response(
             response, step.requests[0], step.since_ns, is_sure=step.is_sure, is_late=step.is_late
         )
+
+    def _may_lack_request_of(self, response: Adu) -> bool:
+        """True if the capture may lack the request of a response that no captured one asked for."""
+        if not self._requests:
+            return self._joined
+        return self._is_near_loss(self._requests_lost_ns, response)
 
     def _with_response(
         self,

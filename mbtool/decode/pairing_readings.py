@@ -24,7 +24,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
+from mbtool.core import Direction
 from mbtool.decode.open_requests import SMALLEST_RESPONSE, OpenRequest
+from mbtool.modbus.pdu import parse_pdu
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -323,7 +325,9 @@ def _cost_before(response: Adu, reading: PairReading, habits: MasterHabits) -> f
         return 0.0
     if _captured_has_id(response, reading, habits):
         return OTHER_ID
-    return AGAIN_BEFORE if reading.used_before else BEFORE
+    cost = AGAIN_BEFORE if reading.used_before else BEFORE
+    is_damaged = not response.missing and parse_pdu(response.pdu, Direction.RESPONSE).problem
+    return cost + MISFIT if is_damaged else cost
 
 
 def _too_late(reading: PairReading, response: Adu, place: AduPlace | None) -> set[int]:
@@ -477,7 +481,7 @@ def without_pipelined(readings: list[PairReading]) -> list[PairReading]:
     Only readings that give responses to requests before the capture are left out: these readings
     say that the master always has one request more waiting.
     """
-    kept = [one for one in readings if not (one.used_before and one.someone_waits)]
+    kept = [one for one in readings if not (one.used_before and one.waiting)]
     return kept or readings
 
 
