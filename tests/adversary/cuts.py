@@ -39,6 +39,8 @@ MOST_PACKETS = 3000
 """A cut has at most this many packets of a capture, as decoding more takes long."""
 HEAD = 8
 """The first bytes of a Modbus/TCP ADU that tell its unit and function."""
+LONGEST = 2000
+"""No ADU has more bytes."""
 LOSSES = (0.01, 0.05, 0.2, 0.5)
 SNAPLENS = range(60, 121)
 KINDS = ("ends", "loss", "snaplen", "loss and snaplen")
@@ -318,14 +320,11 @@ class WholeCapture:
             for place in places:
                 part = self._parts[place]
                 assert part is not None
-                near = bisect_left(starts, part.sequence - 2000)
-                for half in halves[near:]:
-                    if half.sequence >= part.sequence + len(part.payload):
-                        break
-                    size = self._sizes[half][0]
-                    start, end = part.sequence - half.sequence, part.end - half.sequence
-                    if end > 0 and start < size:
-                        pieces[half].append((place, start, end))
+                length = len(part.payload)
+                for half in _near(halves, starts, part.sequence, length):
+                    start = _distance(part.sequence, half.sequence)
+                    if start + length > 0 and start < self._sizes[half][0]:
+                        pieces[half].append((place, start, start + length))
             for half, of_half in pieces.items():
                 size, head = self._sizes[half]
                 last = max(of_half, key=lambda one: min(one[2], size))
@@ -378,6 +377,22 @@ def _covers(parts: list[tuple[int, int]], size: int) -> bool:
             return False
         at = max(at, end)
     return at >= size
+
+
+def _near(
+    halves: Sequence[Half], starts: Sequence[int], sequence: int, length: int
+) -> Iterator[Half]:
+    """Give the ADUs that may have bytes in a segment; `starts` are their sequence numbers."""
+    for turn in (-(1 << 32), 0, 1 << 32):  # Behind 2^32 - 1, sequence numbers go on with 0.
+        first = bisect_left(starts, sequence - LONGEST + turn)
+        last = bisect_left(starts, sequence + length + turn)
+        yield from halves[first:last]
+
+
+def _distance(one: int, other: int) -> int:
+    """How far a sequence number is behind another one; negative if it is before it."""
+    distance = (one - other) & 0xFFFFFFFF
+    return distance if distance < 1 << 31 else distance - (1 << 32)
 
 
 def _is_at_or_after(one: int, other: int) -> bool:

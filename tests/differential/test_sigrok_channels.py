@@ -82,9 +82,8 @@ def test_polarity_order_and_further_channels_change_no_transaction(
         "a channel that is low": lambda sample: sample & ~(1 << SPARE),
         "a channel that is high": lambda sample: sample | 1 << SPARE,
     }
-    changes |= {
-        f"channel {line} inverted": lambda sample, line=line: sample ^ 1 << line for line in lines
-    }
+    for line in lines:
+        changes[f"channel {line} inverted"] = (1 << line).__xor__
     expected = told(path)
     assert len(expected) >= 9
     for what, change in changes.items():
