@@ -25,7 +25,7 @@ from mbtool.core import Direction
 from mbtool.modbus.adu import DirectionBy
 from mbtool.modbus.adu_bytes import RTU_EXTRA_BYTES
 from mbtool.modbus.expected_response import ExpectedResponse
-from mbtool.modbus.functions import ECHOING
+from mbtool.modbus.functions import ECHOING, WRITE_SEVERAL
 from mbtool.modbus.pdu import pdu_length
 from mbtool.serial_line import costs
 from mbtool.serial_line.bus_state import (
@@ -39,7 +39,7 @@ from mbtool.serial_line.bus_state import (
     most_likely,
 )
 from mbtool.serial_line.frame_costs import CostParts, frame_cost
-from mbtool.serial_line.line_history import LineHistory
+from mbtool.serial_line.line_history import ONE_SIDE, LineHistory
 from mbtool.serial_line.line_statistics import LatencyStatistics
 from mbtool.serial_line.response_timeout import ResponseTimeout
 
@@ -104,7 +104,8 @@ class BusModel:
                 if pending is not None and pending.fits(unit, pdu):
                     return FITTING_RESPONSE
                 return _RESPONSE_BY_FORM
-            return REQUEST_BY_FORM
+            if not self._may_be_whole_echo(unit, pdu):
+                return REQUEST_BY_FORM
         request, response = (self._least_cost(unit, pdu, role, at_ns) for role in ROLES)
         if request[0] + request[1] <= response[0] + response[1]:
             best, other, direction, by = request, response, Direction.REQUEST, DirectionBy.IDLE
@@ -113,6 +114,12 @@ class BusModel:
         if best[0] > other[0]:  # Without the silences, the other direction would win.
             by = DirectionBy.TIMING
         return Classification(direction, by, confidence_of(sum(other) - sum(best)))
+
+    def _may_be_whole_echo(self, unit: int, pdu: bytes) -> bool:
+        """True if a write of several values equals the pending one: some slaves answer so."""
+        if pdu[0] not in WRITE_SEVERAL:
+            return False
+        return any(one.pending and one.pending.is_same(unit, pdu) for _, one in self.states)
 
     def cost(self, state: BusState, unit: int, pdu: bytes, role: Direction, at_ns: int) -> float:
         """Return the cost, in bits, of taking a frame for `role` in a bus state.
@@ -200,6 +207,8 @@ class BusModel:
         """
         role, state, history = classification.direction, self.states[0][1], self.history
         is_sure = classification.confidence >= SURE
+        if history.unasked or state.pending is None:
+            self._learn_side(classification, unit, pdu)
         if role is Direction.REQUEST:
             if is_sure:
                 # Ordinary polling teaches nothing here; this test makes decoding it 3 % faster.
@@ -211,6 +220,8 @@ class BusModel:
             classification is FITTING_RESPONSE or state.pending.fits(unit, pdu)
         ):
             self._learn_response(state.pending, pdu, start_ns, is_sure)
+        elif state.pending and state.pending.has_address_of(unit, pdu):
+            history.learn_wrong_echo(unit, pdu[0])
         if state.unexplained_silence_ns and state.settles_silence(role, start_ns, inside_ns):
             history.unexplained_silences.learn_capped(state.unexplained_silence_ns)
         by_form = classification.by in CERTAIN_BY
@@ -220,11 +231,22 @@ class BusModel:
             return
         states = self._states_after(*frame)
         other = ROLES[role is Direction.REQUEST]
-        if not by_form and other in roles_of(pdu):
+        may_be_other = other in roles_of(pdu) or self._may_be_whole_echo(unit, pdu)
+        if not by_form and may_be_other:
             extra = bits_of(classification.confidence)
             rivals = self._states_after(unit, pdu, other, start_ns, end_ns, inside_ns, by_form)
             states += [(bits + extra, rival) for bits, rival in rivals]
         self.states = most_likely(states)
+
+    def _learn_side(self, classification: Classification, unit: int, pdu: bytes) -> None:
+        """Learn if only one side of the line is heard, from a frame that is certain by its form."""
+        state, history = self.state, self.history
+        if classification.by is not DirectionBy.FORM and classification is not FITTING_RESPONSE:
+            return
+        if classification.direction is Direction.REQUEST:
+            history.unasked = 0
+        elif state.pending is None and state.answered is None and not state.follows_damage:
+            history.unasked = min(history.unasked + 1, ONE_SIDE)
 
     def _learn_response(
         self, pending: PendingRequest, pdu: bytes, start_ns: int, is_sure: bool
@@ -235,6 +257,8 @@ class BusModel:
         """
         history = self.history
         latency_ns = start_ns - pending.awaited_from_ns
+        if pdu[0] in WRITE_SEVERAL and history.wrong_echoes:
+            history.wrong_echoes.pop((pending.unit, pdu[0]), None)
         if is_sure and pdu != pending.pdu:
             if history.unanswered or pending.unit not in history.answering:
                 history.learn_answer(pending.unit)
@@ -261,6 +285,9 @@ class BusModel:
         history, answered, latency_ns = self.history, state.answered, state.answered_after_ns
         if state.pending is not None:
             history.learn_no_answer(state.pending.unit)
+            code = state.pending.pdu[0]
+            if state.retries == 1 and code in WRITE_SEVERAL and pdu != state.pending.pdu:
+                history.learn_wrong_echo(state.pending.unit, code)  # The retry may have been one.
         elif (
             answered is not None
             and answered.pdu == state.last_response

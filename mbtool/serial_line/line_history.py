@@ -1,7 +1,7 @@
 """The history of a serial line: the requests, response times and repetitions heard so far."""
 
-# Memory: at most MAX_REQUESTS requests, and for each function of each unit one entry in `functions`
-# and one in `echo_latencies`.
+# Memory: at most MAX_REQUESTS requests, and for each function of each unit one entry in each of
+# `functions`, `echo_latencies` and `wrong_echoes`.
 
 from __future__ import annotations
 
@@ -23,6 +23,9 @@ forgotten."""
 PAUSE_GROWTH = 1.01
 """Each pause (the silence from a response to the next request) makes the shortest pause on record
 1 % longer, so that one unusually short pause is forgotten."""
+ONE_SIDE = 3
+"""After this many responses in a row that nobody requested, only the slaves count as heard. A
+capture begins as if there had been one."""
 ENOUGH_PAUSES = 16
 """After this many pauses the shortest pause of the line counts as known."""
 
@@ -56,11 +59,31 @@ class LineHistory:
         no response was missing."""
         self.repeat = LearnedCost(costs.REPEAT_AFTER_RESPONSE, costs.REPEAT_AFTER_RESPONSE_LIMITS)
         self.retry = LearnedCost(costs.RETRY, costs.RETRY_LIMITS)
+        self.rewrite = LearnedCost(costs.REWRITE, costs.REWRITE_LIMITS)
+        self.wrong_echoes: dict[tuple[int, int], int] = {}
+        """By unit and function, the number of responses that were probably wrong echoes, up to
+        costs.WRONG_ECHOES. A wrong echo repeats another value than the request, or, of 0FH and 10H,
+        the whole request."""
+        self.answered_in_a_row = 0
+        """The number of requests since one got no response; then half as many."""
         self.requests: dict[tuple[int, bytes], None] = {}
         """Unit and PDU of the requests heard, in the order in which they were last heard."""
         self.functions: set[tuple[int, int]] = set()
         """The pairs of unit and function code that some request has had."""
         self.units: set[int] = set()
+        self.unasked = 1
+        """The number of responses, certain by their form, that nobody requested and that had no
+        damaged bytes before them, since the last request that was certain by its form."""
+
+    @property
+    def hears_only_slaves(self) -> bool:
+        """True if only the slaves are heard, as on one pair of a four-wire line."""
+        return self.unasked >= ONE_SIDE
+
+    @property
+    def may_hear_only_slaves(self) -> bool:
+        """True if the only frames that are certain by their form are responses."""
+        return 1 < self.unasked < ONE_SIDE
 
     def has_function(self, head: bytes) -> bool:
         """True if some request had the unit, and the function, with which a frame begins.
@@ -99,6 +122,12 @@ class LineHistory:
             return bits
         return bits + costs.SILENT_UNIT if self.answering else bits
 
+    @property
+    def unanswered_bits(self) -> float:
+        """The cost, in bits, of supposing that a request gets no response."""
+        bits = log2(self.answered_in_a_row + 2)
+        return min(max(bits, costs.PREVIOUS_UNANSWERED), costs.MAX_UNANSWERED)
+
     def learn_request(
         self, state: BusState, unit: int, pdu: bytes, by_form: bool, start_ns: int
     ) -> None:
@@ -115,7 +144,11 @@ class LineHistory:
         requests[request] = None
         if len(requests) > MAX_REQUESTS:
             del requests[next(iter(requests))]
+        before = state.answered or state.pending
+        if pdu[0] in ECHOING and before is not None:
+            self.rewrite.learn(before.has_address_of(unit, pdu) and before.pdu != pdu)
         if state.answered is not None:
+            self.answered_in_a_row += 1
             is_repeat = state.answered.is_same(unit, pdu)
             if is_repeat or not self.repeat.is_at_rest:
                 self.repeat.learn(is_repeat)
@@ -155,6 +188,11 @@ class LineHistory:
         self.echo_latencies.setdefault(key, LatencyStatistics()).learn(latency_ns)
         self.all_echo_latencies.learn(latency_ns)
 
+    def learn_wrong_echo(self, unit: int, function: int) -> None:
+        """Note a response of a unit that was probably a wrong echo."""
+        times = self.wrong_echoes.get((unit, function), 0) + 1
+        self.wrong_echoes[unit, function] = min(times, costs.WRONG_ECHOES)
+
     def learn_answer(self, unit: int) -> None:
         """Note that a unit has answered, by a response that cannot be a retry."""
         self.answering.add(unit)
@@ -162,4 +200,5 @@ class LineHistory:
 
     def learn_no_answer(self, unit: int) -> None:
         """Note that a request to a unit had no response."""
+        self.answered_in_a_row //= 2
         self.unanswered[unit] = self.unanswered.get(unit, 0) + 1

@@ -309,7 +309,13 @@ class RtuSplitter:
             must_decide=must_decide,
         )
         segments = PathSearch(window, self._model, self._statistics, self._roles).segments()
+        history = self._model.history
+        hears_only_slaves = history.hears_only_slaves
         for segment in segments:
+            if history.hears_only_slaves is not hears_only_slaves:
+                # The search did not know this yet, so its later segments may be wrong.
+                self._search(events, may_continue=may_continue, must_decide=must_decide, keep=keep)
+                return
             size, decidable = segment.size, end - keep - segment.offset
             if segment.kind is SegmentKind.SKIPPED:
                 size = min(size, decidable)
@@ -367,7 +373,8 @@ class RtuSplitter:
         unit, pdu, confidence = raw[0], raw[1:-2], classification.confidence
         if pdu[0] in ECHOING and self._speaker is None:
             model = self._model
-            if model.may_be_reversed(start_ns) or model.may_be_retry(unit, pdu):
+            is_one_sided = model.history.may_hear_only_slaves
+            if is_one_sided or model.may_be_reversed(start_ns) or model.may_be_retry(unit, pdu):
                 confidence = min(confidence, UNSURE)
             if model.may_be_slow(unit, pdu, start_ns):
                 confidence = min(confidence, UNSURE)
