@@ -83,6 +83,9 @@ class BusModel:
         self.states: list[CostedState] = [(0.0, BusState())]
         """The possible bus states, each with its cost in bits above the most likely one, which
         comes first."""
+        self._repeated_write: tuple[int, bytes] | None = None
+        """The unit and PDU of a write of several values that was the last frame and the one before;
+        None if the last frame was anything else."""
 
     @property
     def state(self) -> BusState:
@@ -209,6 +212,8 @@ class BusModel:
         is_sure = classification.confidence >= SURE
         if history.unasked or state.pending is None:
             self._learn_side(classification, unit, pdu)
+        if self._repeated_write is not None or pdu[0] in WRITE_SEVERAL:
+            self._learn_whole_echo(role, unit, pdu)
         if role is Direction.REQUEST:
             if is_sure:
                 # Ordinary polling teaches nothing here; this test makes decoding it 3 % faster.
@@ -248,6 +253,20 @@ class BusModel:
         elif state.pending is None and state.answered is None and not state.follows_damage:
             history.unasked = min(history.unasked + 1, ONE_SIDE)
 
+    def _learn_whole_echo(self, role: Direction, unit: int, pdu: bytes) -> None:
+        """Learn that a write of several values came exactly twice, with no response of its form.
+
+        The second one may have been the response, as some slaves repeat the whole request.
+        """
+        repeated, self._repeated_write = self._repeated_write, None
+        if role is Direction.RESPONSE:
+            return
+        if repeated is not None and repeated != (unit, pdu):
+            self.history.learn_wrong_echo(repeated[0], repeated[1][0])
+        pending = self.state.pending
+        if pdu[0] in WRITE_SEVERAL and repeated is None and pending and pending.is_same(unit, pdu):
+            self._repeated_write = unit, pdu
+
     def _learn_response(
         self, pending: PendingRequest, pdu: bytes, start_ns: int, is_sure: bool
     ) -> None:
@@ -285,9 +304,6 @@ class BusModel:
         history, answered, latency_ns = self.history, state.answered, state.answered_after_ns
         if state.pending is not None:
             history.learn_no_answer(state.pending.unit)
-            code = state.pending.pdu[0]
-            if state.retries == 1 and code in WRITE_SEVERAL and pdu != state.pending.pdu:
-                history.learn_wrong_echo(state.pending.unit, code)  # The retry may have been one.
         elif (
             answered is not None
             and answered.pdu == state.last_response
