@@ -25,10 +25,7 @@ RESPONSE = 0.0
 """The cost, in bits, of a response that fits the pending request."""
 PREVIOUS_UNANSWERED = 5.0
 """Extra cost, in bits, of a request that differs from the one still pending: on a bad line, one
-request in thirty gets no response. Of n requests answered in a row, the next one is not once in
-n + 2 times: this is the cost until more have been answered."""
-MAX_UNANSWERED = 9.0
-"""The most bits that PREVIOUS_UNANSWERED becomes on a line whose slaves answer every request."""
+request in thirty gets no response."""
 RETRY = 4.0
 """Extra cost, in bits, of a request that equals the one still pending, as a retry does. A start
 value, which the line statistics replace."""

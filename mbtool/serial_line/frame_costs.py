@@ -91,7 +91,7 @@ def _request_cost(
         return cost, _short_pause_cost(history, state, at_ns) if is_repeat else 0.0
     silent = history.silent_bits(state, pending)
     if not is_retry:
-        cost += max(history.unanswered_bits - silent, costs.MIN_UNANSWERED)
+        cost += max(costs.PREVIOUS_UNANSWERED - silent, costs.MIN_UNANSWERED)
         if pdu[0] in ECHOING and pending.has_address_of(unit, pdu):
             cost += history.rewrite.bits
     elif overdue is not None and overdue.is_same(unit, pdu):

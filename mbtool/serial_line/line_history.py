@@ -64,8 +64,6 @@ class LineHistory:
         """By unit and function, the number of responses that were probably wrong echoes, up to
         costs.WRONG_ECHOES. A wrong echo repeats another value than the request, or, of 0FH and 10H,
         the whole request."""
-        self.answered_in_a_row = 0
-        """The number of requests since one got no response; then half as many."""
         self.requests: dict[tuple[int, bytes], None] = {}
         """Unit and PDU of the requests heard, in the order in which they were last heard."""
         self.functions: set[tuple[int, int]] = set()
@@ -122,12 +120,6 @@ class LineHistory:
             return bits
         return bits + costs.SILENT_UNIT if self.answering else bits
 
-    @property
-    def unanswered_bits(self) -> float:
-        """The cost, in bits, of supposing that a request gets no response."""
-        bits = log2(self.answered_in_a_row + 2)
-        return min(max(bits, costs.PREVIOUS_UNANSWERED), costs.MAX_UNANSWERED)
-
     def learn_request(
         self, state: BusState, unit: int, pdu: bytes, by_form: bool, start_ns: int
     ) -> None:
@@ -148,7 +140,6 @@ class LineHistory:
         if pdu[0] in ECHOING and before is not None:
             self.rewrite.learn(before.has_address_of(unit, pdu) and before.pdu != pdu)
         if state.answered is not None:
-            self.answered_in_a_row += 1
             is_repeat = state.answered.is_same(unit, pdu)
             if is_repeat or not self.repeat.is_at_rest:
                 self.repeat.learn(is_repeat)
@@ -200,5 +191,4 @@ class LineHistory:
 
     def learn_no_answer(self, unit: int) -> None:
         """Note that a request to a unit had no response."""
-        self.answered_in_a_row //= 2
         self.unanswered[unit] = self.unanswered.get(unit, 0) + 1
