@@ -219,7 +219,7 @@ class BusModel:
                 # Ordinary polling teaches nothing here; this test makes decoding it 3 % faster.
                 if state.pending or state.answered_after_ns > _SLOW_NS or len(self.states) > 1:
                     self._learn_from_outcome(unit, pdu, start_ns)
-                by_form = classification.by is DirectionBy.FORM
+                by_form = classification.by is DirectionBy.FORM or pdu[0] in WRITE_SEVERAL
                 history.learn_request(state, unit, pdu, by_form, start_ns)
         elif state.pending and (
             classification is FITTING_RESPONSE or state.pending.fits(unit, pdu)
@@ -368,12 +368,13 @@ class BusModel:
     def may_be_retry(self, unit: int, pdu: bytes) -> bool:
         """True if a frame equals the one before it, and nothing tells a response from a retry.
 
-        That is so if silences do not tell who speaks, and no response of the unit has differed from
-        its request. But two equal frames on a line with a single unit are taken for a request and
-        its response.
+        That is so if silences do not tell who speaks, or none was heard so far, and no response of
+        the unit has differed from its request. But two equal frames on a line with a single unit
+        are taken for a request and its response.
         """
         history, state = self.history, self.state
-        if history.trusts_silences or unit in history.answering or pdu[0] not in ECHOING:
+        is_heard = history.trusts_silences and history.hears_silences
+        if is_heard or unit in history.answering or pdu[0] not in ECHOING:
             return False
         if state.pending is not None:
             is_third = state.is_repeat or state.retries > 0

@@ -69,7 +69,7 @@ WRONG_ECHOES = 2
 WRONG_ECHO_OF_SILENT_UNIT = 6.0
 """Extra cost, in bits, of a wrong echo from a unit that has left requests unanswered and never sent
 a response that differs from its request: it may be absent, and the frame another request."""
-WRONG_ECHO_OF_NEW_UNIT = 2.0
+WRONG_ECHO_OF_NEW_UNIT = 3.0
 """Extra cost, in bits, of a wrong echo from a unit of which nothing else is known."""
 REWRITE = 3.0
 """Extra cost, in bits, of a request that writes another value to the address that the last request

@@ -123,6 +123,8 @@ def _early_cost(
     which begins at `at_ns`, equals `pending`. 0 if the master has waited long enough.
     """
     waited_ns, overdue = at_ns - pending.awaited_from_ns, state.overdue
+    if waited_ns <= 0 and not history.hears_silences:
+        return 0.0  # All frames so far were merged, so nothing tells how long the master waited.
     if history.latency.is_known and history.latency.doublings_late(waited_ns) < 0:
         is_whole = is_retry and pending.pdu[0] in WRITE_SEVERAL and not history.timeout.is_known
         return max(costs.EARLY_REQUEST, _short_timeout_cost(waited_ns) if is_whole else 0.0)

@@ -39,6 +39,9 @@ class LineHistory:
         self.trusts_silences = timed
         """True if silences tell who speaks. False if the bytes have no known times, or if the
         adapter merges frames."""
+        self.hears_silences = False
+        """True once a silence of t3.5 was heard between two frames that is shorter than those of an
+        adapter that merges a request and its retry."""
         self.latency = LatencyStatistics()
         self.timeout = ResponseTimeout()
         self.echo_latencies: dict[tuple[int, int], LatencyStatistics] = {}
@@ -180,7 +183,9 @@ class LineHistory:
         self.all_echo_latencies.learn(latency_ns)
 
     def learn_wrong_echo(self, unit: int, function: int) -> None:
-        """Note a response of a unit that was probably a wrong echo."""
+        """Note a response that was probably a wrong echo, of a unit that also answers otherwise."""
+        if unit not in self.answering:
+            return
         times = self.wrong_echoes.get((unit, function), 0) + 1
         self.wrong_echoes[unit, function] = min(times, costs.WRONG_ECHOES)
 

@@ -35,7 +35,7 @@ from mbtool.framing.rtu_lengths import (
 from mbtool.modbus.adu import MAX_RTU_ADU, Adu, Checksum, DirectionBy, Skipped, Transport, Verdict
 from mbtool.modbus.functions import ECHOING, NEVER_ECHOED
 from mbtool.serial_line.adapter_echo import AdapterEcho
-from mbtool.serial_line.burst_statistics import MAX_GLUED, BurstStatistics
+from mbtool.serial_line.burst_statistics import MAX_GLUED, MERGING_NS, BurstStatistics
 from mbtool.serial_line.bus_model import ROLES, SURE, BusModel, Classification
 from mbtool.serial_line.candidates import LONG_SKIP, NOISE, ByteWindow
 from mbtool.serial_line.fast_path import FastPath
@@ -373,8 +373,11 @@ class RtuSplitter:
         unit, pdu, confidence = raw[0], raw[1:-2], classification.confidence
         if pdu[0] in ECHOING and self._speaker is None:
             model = self._model
-            is_one_sided = model.history.may_hear_only_slaves
-            if is_one_sided or model.may_be_reversed(start_ns) or model.may_be_retry(unit, pdu):
+            if (
+                model.history.may_hear_only_slaves
+                or model.may_be_reversed(start_ns)
+                or model.may_be_retry(unit, pdu)
+            ):
                 confidence = min(confidence, UNSURE)
             if model.may_be_slow(unit, pdu, start_ns):
                 confidence = min(confidence, UNSURE)
@@ -424,6 +427,8 @@ class RtuSplitter:
             is_split = longest_ns >= self._t3_5_ns
             if before_ns is not None and not was_skipped:
                 is_glued, glue = before_ns < self._t3_5_ns, statistics.glue
+                if not is_glued and before_ns < MERGING_NS:
+                    self._model.history.hears_silences = True
                 glue.learn(is_glued)
                 bursts = self._bursts
                 if before_ns == 0 or bursts.has_merged:
