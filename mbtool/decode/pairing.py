@@ -52,7 +52,6 @@ from mbtool.decode.transactions import (
 from mbtool.decode.unanswered_counts import UnansweredCounts
 from mbtool.decode.unfinished import may_be_answered
 from mbtool.modbus.adu import Verdict
-from mbtool.modbus.functions import WRITE_SEVERAL
 from mbtool.modbus.transaction import Outcome
 from mbtool.serial_line.line_statistics import LatencyStatistics
 
@@ -77,8 +76,6 @@ EQUAL = 0.8
 """Waits are equal if the shortest is at least this share (0 to 1) of the longest."""
 MAX_HELD = 4
 """The most responses of one unit that are held back."""
-LEAST_LATENCY_NS = 2_000_000
-"""No slave answers sooner than this, in ns; an adapter that hears itself repeats a frame sooner."""
 LEAST_DAMAGED = 4
 """The number of bytes that belong to no frame from which on they may be a damaged request."""
 TWO_MASTERS = (
@@ -150,8 +147,6 @@ class Pairing:
         self._overtaken: deque[tuple[int, OpenLineRequest]] = deque(maxlen=ENOUGH_OVERTAKEN)
         """The last overtaken requests that got a response, each with the number of requests heard
         by then."""
-        self._has_copies = False
-        """True once a request came twice at once, sooner than any master repeats it."""
         self._last_answer = b""
         """The bytes of the last frame if it was a response; otherwise empty."""
         self._is_damaged = False
@@ -224,10 +219,6 @@ class Pairing:
             waits = self._still_waits(waited_ns)
             if pending.unit in self._held:
                 done += self._release(pending.unit)
-            if waits and self._is_odd_response(pending, request, waited_ns):
-                done += self._unanswered_of(self._earlier.take_all_of(pending.unit))
-                response = replace(request, direction=Direction.RESPONSE)
-                return [*done, self._answered(pending, response)]
             if (request.unit, request.pdu) == (pending.unit, pending.pdu):
                 waits = False  # The master repeats its request.
             pending = _doubted(pending, request)
@@ -302,22 +293,10 @@ class Pairing:
             outcome = Outcome.NOT_CAPTURED
         # Without silences that tell a retry, it may be a repeater's copy of the response before, or
         # the response to a retry.
-        is_doubted = response.raw == self._last_answer and self._still_waits(0) is None
+        is_heard = response.silence_before_ns != 0 and self._still_waits(0) is not None
+        is_doubted = response.raw == self._last_answer and not is_heard
         self._last_answer = response.raw
         return [doubted(unsolicited(self._ends, response, outcome), EVEN if is_doubted else 1.0)]
-
-    def _is_odd_response(self, pending: Adu, request: Adu, waited_ns: int) -> bool:
-        """True if a `request` that equals the pending one is the slave's response to it.
-
-        Some slaves answer a write of several values with the whole request. No master repeats a
-        request so soon; a repeater or an adapter that hears itself copies reads, too.
-        """
-        is_copy = (request.unit, request.pdu) == (pending.unit, pending.pdu)
-        if not (is_copy and self._ends.timed and waited_ns < LatencyStatistics.MIN_RETRY_NS):
-            return False
-        self._has_copies |= pending.pdu[0] not in WRITE_SEVERAL
-        is_pause = waited_ns >= LEAST_LATENCY_NS
-        return is_pause and pending.pdu[0] in WRITE_SEVERAL and not self._has_copies
 
     def _may_be_late(self, earlier: OpenLineRequest, response: Adu) -> bool:
         """True if a response may belong to a request that its master has given up."""

@@ -35,7 +35,7 @@ from mbtool.framing.rtu_lengths import (
 from mbtool.modbus.adu import MAX_RTU_ADU, Adu, Checksum, DirectionBy, Skipped, Transport, Verdict
 from mbtool.modbus.functions import ECHOING, NEVER_ECHOED
 from mbtool.serial_line.adapter_echo import AdapterEcho
-from mbtool.serial_line.burst_statistics import MAX_GLUED, BurstStatistics
+from mbtool.serial_line.burst_statistics import MAX_GLUED, MERGING_NS, BurstStatistics
 from mbtool.serial_line.bus_model import ROLES, SURE, BusModel, Classification
 from mbtool.serial_line.candidates import LONG_SKIP, NOISE, ByteWindow
 from mbtool.serial_line.fast_path import FastPath
@@ -309,7 +309,13 @@ class RtuSplitter:
             must_decide=must_decide,
         )
         segments = PathSearch(window, self._model, self._statistics, self._roles).segments()
+        history = self._model.history
+        hears_only_slaves = history.hears_only_slaves
         for segment in segments:
+            if history.hears_only_slaves is not hears_only_slaves:
+                # The search did not know this yet, so its later segments may be wrong.
+                self._search(events, may_continue=may_continue, must_decide=must_decide, keep=keep)
+                return
             size, decidable = segment.size, end - keep - segment.offset
             if segment.kind is SegmentKind.SKIPPED:
                 size = min(size, decidable)
@@ -367,7 +373,11 @@ class RtuSplitter:
         unit, pdu, confidence = raw[0], raw[1:-2], classification.confidence
         if pdu[0] in ECHOING and self._speaker is None:
             model = self._model
-            if model.may_be_reversed(start_ns) or model.may_be_retry(unit, pdu):
+            if (
+                model.history.may_hear_only_slaves
+                or model.may_be_reversed(start_ns)
+                or model.may_be_retry(unit, pdu)
+            ):
                 confidence = min(confidence, UNSURE)
             if model.may_be_slow(unit, pdu, start_ns):
                 confidence = min(confidence, UNSURE)
@@ -417,6 +427,8 @@ class RtuSplitter:
             is_split = longest_ns >= self._t3_5_ns
             if before_ns is not None and not was_skipped:
                 is_glued, glue = before_ns < self._t3_5_ns, statistics.glue
+                if not is_glued and before_ns < MERGING_NS:
+                    self._model.history.hears_silences = True
                 glue.learn(is_glued)
                 bursts = self._bursts
                 if before_ns == 0 or bursts.has_merged:
