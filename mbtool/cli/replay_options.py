@@ -199,6 +199,14 @@ class PaceOptions(OptionGroup):
     loop: Annotated[
         bool, typer.Option("--loop", help="Again from the beginning, until Ctrl-C.")
     ] = False
+    answers_only: Annotated[
+        bool,
+        typer.Option(
+            "--answers-only",
+            help="Play requests and answers only: connections are neither opened, refused nor "
+            "ended as recorded.",
+        ),
+    ] = False
     start: Annotated[
         str,
         typer.Option(
@@ -222,6 +230,7 @@ class PaceOptions(OptionGroup):
             "wanted": wanted,
             "rate": self._rate(),
             "window": self._window(),
+            "answers_only": self.answers_only,
         }
 
     def as_bus(self, shared: dict[str, Any]) -> BusOptions:

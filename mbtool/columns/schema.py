@@ -44,6 +44,7 @@ SCHEMA = pa.schema(
         ("exception_name", _WORD),
         ("outcome", _WORD),
         ("request_ns", pa.int64()),
+        ("request_parts_ns", pa.int64()),
         ("response_ns", pa.int64()),
         ("latency_ns", pa.int64()),
         ("retries", pa.uint32()),

@@ -27,7 +27,9 @@
 # A slave may respond with another id than the request's. Its response then belongs to the only
 # pending request if it fits, if no earlier request can still wait for its response (the capture
 # lacks no bytes), and if either this slave never repeated an id correctly, or acknowledgements show
-# that nothing came between the request and the response.
+# that nothing came between the request and the response. It may also repeat the id and respond with
+# another unit, as a module that ignores the unit does: then it belongs to the only pending request,
+# which no missing bytes and no other ADU separate from it.
 #
 # A response without a request is unsolicited. If the capture lacked requests of this connection in
 # the TIMEOUT_NS before it, its request may be among these, and is only not captured. So it is if
@@ -382,9 +384,16 @@ class NetworkPairing:
         acknowledges a new request with the response to an earlier one.
         """
         requests = [*reading.passed, *reading.waiting]
-        if len(requests) != 1 or not requests[0].can_get(response, place):
+        if len(requests) != 1:
             return None
         (one,) = requests
+        is_same_id = one.transaction_id == response.transaction_id
+        if not one.can_get(response, place, with_other_unit=is_same_id):
+            return None
+        if is_same_id:  # So the unit is another one.
+            is_next = place is None or one.is_next_to(response, place)
+            is_sure = is_next and reading.awaits(one) and not one.may_be_lost
+            return one if is_sure and one.fits(response) else None
         began_before = self._joined and not self._habits.has_answered
         if began_before or self._is_near_loss(self._lost_ns, response):
             return None
@@ -500,6 +509,8 @@ class NetworkPairing:
             self._habits.has_matching_ids |= self._habits.ids_vary
         else:
             verdicts = (Verdict.OTHER_TRANSACTION_ID,)
+        if one.adu.unit != response.unit:
+            verdicts += (Verdict.OTHER_UNIT,)
         is_sure = is_sure and not self._is_shifted
         if not is_sure:
             verdicts += (Verdict.AMBIGUOUS,)

@@ -318,6 +318,8 @@ def _record(
     answered = None if response is None else response.origin
     if asked is not None or answered is not None:
         add_origins(fields, asked, answered)
+    if request is not None and Verdict.LATE_PARTS in request.verdicts:
+        fields["request_parts_ns"] = request.end_ns - request.start_ns
     return Transaction(
         link=ends.link,
         transport=adu.transport,

@@ -147,6 +147,8 @@ class _Vocabulary:
         self._scale_factors: ScaleFactors | None = None
         self._ranges: Ranges = {}
         self._fixed_data: dict[int, bytes] = {}
+        self._silent = frozenset[int]()
+        """The functions to whose requests the manual states no response."""
         if profile is not None:
             self._compile(profile)
 
@@ -168,6 +170,8 @@ class _Vocabulary:
         fields["reference"] = meaning.reference
         fields["points"] = points
         fields["findings"] = self._findings(meaning, transaction, points)
+        if transaction.outcome is Outcome.NO_ANSWER and transaction.function in self._silent:
+            fields["outcome"] = Outcome.OK  # The manual states that success has no response.
         return NamedTransaction(**fields)
 
     def _findings(
@@ -206,6 +210,9 @@ class _Vocabulary:
     def _compile(self, profile: Profile) -> None:
         self._ranges = value_ranges(profile)
         self._fixed_data = fixed_data(profile)
+        self._silent = frozenset(
+            int(code, 16) for code, rule in profile.functions.items() if not rule.answers
+        )
         sources = {one.scale_from for one in profile.points if one.scale_from is not None}
         if sources:
             self._scale_factors = ScaleFactors(sources)

@@ -42,6 +42,7 @@ _ONE_LINE = str.maketrans("\r\n", "  ")
 
 CSV_COLUMNS = (
     "request_ns",
+    "request_parts_ns",
     "response_ns",
     "latency_ns",
     "link",

@@ -104,6 +104,8 @@ _DESCRIPTIONS: dict[type, dict[str, str]] = {
         "exception_name": "The exception in words",
         "outcome": "How the transaction ended",
         "request_ns": "When the request was complete on the wire, UTC nanoseconds",
+        "request_parts_ns": "From the first to the last byte of a Modbus/TCP request, nanoseconds, "
+        "if more than 1 s",
         "response_ns": "When the response was complete on the wire, UTC nanoseconds",
         "latency_ns": "Nanoseconds from the end of the request to the start of the response",
         "retries": "How many equal requests before this one went unanswered",

@@ -42,9 +42,11 @@ from mbtool.master.other_master import (
 from mbtool.modbus import Adu, ascii_adu, mbap_adu, rtu_adu
 from mbtool.modbus.adu import MAX_PDU, DirectionBy, Transport
 from mbtool.modbus.expected_response import ExpectedResponse
+from mbtool.modbus.response import ConnectionEnding
 from mbtool.ports.arrival_times import SerialArrivals, note_arrivals, receive
 from mbtool.ports.host_names import why_failed, why_unknown
 from mbtool.ports.serial_opening import open_port, port_in_use
+from mbtool.ports.tcp_listener import reset_on_close
 from mbtool.ports.tls import client_context, failure
 from mbtool.serial_line import AsciiSplitter, RtuSplitter
 
@@ -251,8 +253,11 @@ class TcpMaster(MasterLink):
         timeout_ns: int,
         on_remark: Callable[[str], None] = lambda _: None,
         tls: TargetTls | None = None,
+        connect_s: float = CONNECT_S,
     ) -> None:
-        """Connect to the slave; see open_master. Raises LinkError if it cannot be reached."""
+        """Connect to the slave, for at most `connect_s` seconds; see open_master. Raises LinkError
+        if it cannot be reached.
+        """
         super().__init__()
         self.transport = Transport.RTU_TCP if link.rtu else Transport.TCP
         self.limits = LinkLimits(timeout_ns=timeout_ns, one_at_a_time=link.rtu)
@@ -268,11 +273,13 @@ class TcpMaster(MasterLink):
         such ids: at most one request is pending, with the key 0."""
         self._lost: deque[int] = deque(maxlen=MAX_OPEN_REQUESTS)
         self._last_id = 0
-        self._socket: socket.socket | None = self._connect(CONNECT_S)
+        self.ended: ConnectionEnding | None = None
+        """How the slave ended the connection that was opened last; None if it did not."""
+        self.socket: socket.socket | None = self._connect(connect_s)
 
     def send(self, number: int, unit: int, pdu: bytes) -> None:
-        if self._socket is None:
-            self._socket = self._reconnect()
+        if self.socket is None:
+            self.socket = self._reconnect()
         if self._link.rtu:
             self._pending.clear()
             adu = rtu_adu(unit, pdu)
@@ -280,26 +287,27 @@ class TcpMaster(MasterLink):
             self._last_id = self._last_id % 0xFFFF + 1
             adu = mbap_adu(self._last_id, unit, pdu)
         self._note_request(unit, pdu, adu, None if self._link.rtu else self._last_id)
-        if self._socket is None:
+        if self.socket is None:
             self._lost.append(number)
             return
         self._pending[self._last_id] = number, unit
         if len(self._pending) > MAX_OPEN_REQUESTS:
             del self._pending[next(iter(self._pending))]
         try:
-            self._socket.sendall(adu)
+            self.socket.sendall(adu)
         except OSError:
+            self.ended = ConnectionEnding.RESET
             self._lose()
 
     def receive(self, timeout_ns: int) -> Sequence[ReceivedResponse]:
         wait_s = min(max(timeout_ns / _NS, 0.0), LONGEST_WAIT_S)
-        if self._socket is None:
+        if self.socket is None:
             time.sleep(wait_s)
             return ()
-        if not self._has_bytes(self._socket, wait_s):
+        if not self._has_bytes(self.socket, wait_s):
             return ()
         try:
-            data, arrived_ns = receive(self._socket, READ_BYTES)
+            data, arrived_ns = receive(self.socket, READ_BYTES)
         except (TimeoutError, ssl.SSLWantReadError):
             return ()  # Only TLS's own messages came, no data.
         except OSError as error:
@@ -307,7 +315,9 @@ class TcpMaster(MasterLink):
             if why is not None:
                 self._on_remark(f"mbtool: {self._link}: {why}")
             data, arrived_ns = b"", 0
+            self.ended = ConnectionEnding.RESET
         if not data:
+            self.ended = self.ended or ConnectionEnding.CLOSE
             self._lose()
             return ()
         return [
@@ -330,10 +340,16 @@ class TcpMaster(MasterLink):
         self._lost.clear()
         return numbers
 
+    def end(self, ending: ConnectionEnding) -> None:
+        """End the connection as the master, with a FIN or a RST. Pending requests are lost."""
+        if self.socket is not None and ending is ConnectionEnding.RESET:
+            reset_on_close(self.socket)
+        self._lose()
+
     def close(self) -> None:
-        if self._socket is not None:
-            self._socket.close()
-            self._socket = None
+        if self.socket is not None:
+            self.socket.close()
+            self.socket = None
 
     def _matched(self, event: Adu | Skipped) -> ReceivedResponse | None:
         if not isinstance(event, Adu):

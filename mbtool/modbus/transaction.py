@@ -76,6 +76,9 @@ class Transaction(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True,
     outcome: Outcome
     request_ns: Nanoseconds | None = None
     """The time at which the last byte of the request was on the wire, in UTC ns."""
+    request_parts_ns: Nanoseconds | None = None
+    """The time from the first to the last byte of a Modbus/TCP request, in ns, if it is more than 1
+    s (verdict late-parts); otherwise None."""
     response_ns: Nanoseconds | None = None
     """The time at which the last byte of the response was on the wire, in UTC ns."""
     latency_ns: Nanoseconds | None = None

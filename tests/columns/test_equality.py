@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from mbtool.core import Direction
 from mbtool.modbus import encode_pdu, exception_pdu, mbap_adu
+from mbtool.packets.segment import ACK, FIN
 from tests.captures import public_folder
 from tests.columns.both_ways import as_arrays, damaged, differences, generated
 from tests.columns.disturbed_captures import disturbed
@@ -52,6 +53,16 @@ def test_a_connection_that_the_capture_has_whole_is_read_as_arrays() -> None:
     assert differences(capture) == []
     assert as_arrays(capture).plain == 50
     assert differences(capture, 60) == []
+
+
+def test_connections_that_the_slave_ends_are_read_as_arrays() -> None:
+    talk = Talk()
+    packets = [*talk.handshake(), *poll(talk, 5)]
+    packets += [talk.send(talk.slave, flags=FIN | ACK), talk.send(talk.master, flags=FIN | ACK)]
+    capture = pcap([*packets, talk.send(talk.slave)])
+    assert differences(capture) == []
+    assert as_arrays(capture).plain == 5
+    assert as_arrays(capture).events[-1].message == "connection closed: finished by the slave"
 
 
 @pytest.mark.parametrize("flows_at_once", [3, 2048])

@@ -68,7 +68,7 @@ def test_gives_the_bytes_of_a_connection_with_its_ends_and_times() -> None:
             stamp=Stamp.AT_ONCE,
             connection=connection,
         ),
-        StreamClosed(7 * _MS, connection, CloseReason.FINISHED),
+        StreamClosed(7 * _MS, connection, CloseReason.FINISHED, Direction.REQUEST),
     ]
 
 
