@@ -3,6 +3,7 @@
 from mbtool.core.errors import (
     CutError,
     DamageError,
+    EmptyError,
     InputError,
     LinkError,
     MbtoolError,
@@ -46,6 +47,7 @@ __all__ = [
     "CutError",
     "DamageError",
     "Direction",
+    "EmptyError",
     "Endpoint",
     "EventKind",
     "InputError",

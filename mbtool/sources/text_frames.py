@@ -1,0 +1,342 @@
+"""Finds whole Modbus frames among the bytes that a log shows, and decides who sent each."""
+
+# Bytes are a frame if the CRC of an RTU frame holds at the length that its function tells, the LRC
+# of an ASCII frame, or the length of an MBAP header together with that of its function. Bytes that
+# are no frame may be a part of one: they are kept with those of the same place in the log's lines
+# (its "voice", such as `recv:`), and joined with the next ones. RTU frames are found anywhere among
+# joined bytes, the others only at their beginning, as zeros look like an MBAP header.
+#
+# The direction of a frame is that of its form, if only a request or only a response has it. Else it
+# is that of the voice, as its other frames have shown; else that of its word (`Tx`), as other
+# frames of that word have shown; else the frame is a response if it answers the last request; else
+# the word decides, and a frame without one is a request. Many programs show a frame twice, and an
+# adapter may hear what it sends. So a frame is left out if the frame before is equal, in the same
+# direction, and of another voice; a request of the same voice is a retry.
+#
+# A log is taken for Modbus once it has given enough evidence (ENOUGH). Frames before that are held.
+#
+# Memory: MAX_HELD frames, MAX_VOICES voices with at most MAX_PART bytes each.
+
+from __future__ import annotations
+
+import re
+from collections import OrderedDict, defaultdict, deque
+from functools import lru_cache
+from typing import TYPE_CHECKING, NamedTuple
+
+from mbtool.core import Direction
+from mbtool.framing.rtu_lengths import frame_size
+from mbtool.modbus.adu import MAX_RTU_ADU, Transport
+from mbtool.modbus.adu_bytes import MBAP_BYTES, crc, mbap_size
+from mbtool.modbus.ascii_frame import read_frame
+from mbtool.modbus.expected_response import ExpectedResponse
+from mbtool.modbus.functions import EXCEPTION_BIT, FUNCTIONS
+from mbtool.modbus.pdu import parse_pdu, pdu_of
+
+if TYPE_CHECKING:
+    from mbtool.sources.text_marks import Mark
+
+MAX_HELD = 256
+MAX_VOICES = 256
+MAX_PART = 2 * MAX_RTU_ADU
+MAX_LINES_APART = 64
+"""Bytes are joined with those before them if at most this many lines lie between."""
+ENOUGH = 3
+"""The evidence from which on a log is taken for Modbus: a request with its response counts 3, an
+RTU frame that a word or arrow gives a direction 3, any other RTU frame 1, one of another kind with
+a direction 1. One of 65,536 runs of random bytes has a right CRC, and one of 10 of those the length
+of a function."""
+
+_MIN_RTU, _MIN_MBAP = 4, MBAP_BYTES + 1
+_MAX_UNIT = 247
+_SENDERS = (Direction.REQUEST, Direction.RESPONSE)
+_CODES = bytes(sorted({*FUNCTIONS, *(code | EXCEPTION_BIT for code in FUNCTIONS)}))
+_RTU_START = re.compile(rb"(?=[\x00-\xf7][%s])" % re.escape(_CODES), re.DOTALL)
+_ASCII = re.compile(rb":(?:[0-9A-Fa-f]{2}){4,255}\r?\n?")
+
+
+class TextFrame(NamedTuple):
+    """A whole ADU from a log."""
+
+    ts_ns: int | None
+    """The time that the log gives; None if it gives none."""
+    raw: bytes
+    transport: Transport
+    direction: Direction
+    row: int
+    """The number of its line in the file, from 1."""
+
+
+class Voice(NamedTuple):
+    """Where bytes stand in the lines of a log: the text before them, and its mark."""
+
+    text: bytes
+    mark: Mark | None
+
+
+class _Part(NamedTuple):
+    data: bytes
+    row: int
+
+
+class TextFrames:
+    """Takes the bytes of one line after the other; returns frames."""
+
+    def __init__(self) -> None:
+        self._parts: OrderedDict[bytes, _Part] = OrderedDict()
+        self._voices: dict[bytes, list[int]] = {}
+        self._words: defaultdict[bytes, list[int]] = defaultdict(lambda: [0, 0])
+        self._last: tuple[TextFrame, bytes] | None = None
+        """The last frame, and the text of its voice."""
+        self._pending: TextFrame | None = None
+        self._held: deque[TextFrame] = deque(maxlen=MAX_HELD)
+        self._evidence = 0
+        self.left_out = 0
+        """The number of frames that were shown twice."""
+
+    @property
+    def is_modbus(self) -> bool:
+        """True once the log has shown that it has Modbus frames."""
+        return self._evidence >= ENOUGH
+
+    def feed(
+        self, choices: list[bytes], voice: Voice, ts_ns: int | None, row: int
+    ) -> list[TextFrame]:
+        """Take the bytes at one place of a line, and other readings of the same place.
+
+        Returns the frames that are complete, if the log is known to be Modbus.
+        """
+        for data in choices:
+            found = whole_frames(data, labelled=voice.mark is not None)
+            if found:
+                self._parts.pop(voice.text, None)
+                break
+        else:
+            found = self._joined(choices[0], voice, row)
+        frames = [
+            frame
+            for transport, raw in found
+            if (frame := self._frame(transport, raw, voice, ts_ns, row)) is not None
+        ]
+        if self.is_modbus:
+            if self._held:
+                frames = [*self._held, *frames]
+                self._held.clear()
+            return frames
+        return []
+
+    def drop_parts(self) -> None:
+        """Forget incomplete bytes, as at the beginning of another dump."""
+        self._parts.clear()
+
+    def _joined(self, data: bytes, voice: Voice, row: int) -> list[tuple[Transport, bytes]]:
+        before = self._parts.pop(voice.text, None)
+        if before is not None and row - before.row <= MAX_LINES_APART:
+            data = before.data + data
+            found = whole_frames(data, labelled=voice.mark is not None)
+            if found:
+                return found
+        found, end = _frames_within(data)
+        rest = data[end:][-MAX_PART:]
+        if rest:
+            self._parts[voice.text] = _Part(rest, row)
+            if len(self._parts) > MAX_VOICES:
+                self._parts.popitem(last=False)
+        return found
+
+    def _frame(
+        self, transport: Transport, raw: bytes, voice: Voice, ts_ns: int | None, row: int
+    ) -> TextFrame | None:
+        """Decide the direction of a frame; None if it is one that was shown before."""
+        form = forms(transport, raw)
+        direction, is_sure = self._direction(transport, raw, form, voice)
+        frame = TextFrame(ts_ns, raw, transport, direction, row)
+        if is_sure:
+            self._learn(voice, direction)
+        if self._is_shown_twice(frame, voice, is_sure=is_sure):
+            self.left_out += 1
+            return None
+        self._last = frame, voice.text
+        is_pair = False
+        if direction is Direction.REQUEST:
+            self._pending = frame
+        elif self._pending is not None:
+            is_pair = _answers(self._pending, transport, raw)
+            self._pending = None
+        if not self.is_modbus:
+            self._weigh(transport, is_pair=is_pair, is_labelled=voice.mark is not None)
+            self._held.append(frame)
+            if self._evidence < ENOUGH:
+                return None
+            self._held.pop()
+        return frame
+
+    def _weigh(self, transport: Transport, *, is_pair: bool, is_labelled: bool) -> None:
+        if is_pair:
+            self._evidence += ENOUGH
+        elif transport is Transport.RTU:
+            self._evidence += ENOUGH if is_labelled else 1
+        else:
+            self._evidence += is_labelled
+
+    def _direction(
+        self, transport: Transport, raw: bytes, form: tuple[Direction, ...], voice: Voice
+    ) -> tuple[Direction, bool]:
+        """Return the direction of a frame, and True if its form alone shows it."""
+        if len(form) == 1:
+            return form[0], True
+        of_voice = _decided(self._voices.get(voice.text))
+        if of_voice is not None:
+            return of_voice, False
+        of_word = _decided(self._words[voice.mark.word]) if voice.mark is not None else None
+        if of_word is not None:
+            return of_word, False
+        if self._pending is not None and _answers(self._pending, transport, raw):
+            return Direction.RESPONSE, False
+        if voice.mark is None:
+            return Direction.REQUEST, False
+        return (Direction.REQUEST if voice.mark.is_sent else Direction.RESPONSE), False
+
+    def _learn(self, voice: Voice, direction: Direction) -> None:
+        which = direction is Direction.RESPONSE
+        if len(self._voices) >= MAX_VOICES and voice.text not in self._voices:
+            self._voices.clear()
+        self._voices.setdefault(voice.text, [0, 0])[which] += 1
+        if voice.mark is not None:
+            self._words[voice.mark.word][which] += 1
+
+    def _is_shown_twice(self, frame: TextFrame, voice: Voice, *, is_sure: bool) -> bool:
+        if self._last is None:
+            return False
+        last, text = self._last
+        if last.raw != frame.raw or (last.direction is not frame.direction and voice.mark):
+            return False
+        if last.direction is frame.direction is Direction.RESPONSE:
+            return True
+        return text != voice.text and (
+            is_sure or voice.mark is None or last.direction is frame.direction
+        )
+
+
+def _decided(votes: list[int] | None) -> Direction | None:
+    """Return the direction that has at least three of four votes; None if neither has."""
+    if votes is None or 4 * max(votes) < 3 * sum(votes) or not sum(votes):
+        return None
+    return _SENDERS[votes[1] > votes[0]]
+
+
+def _answers(request: TextFrame, transport: Transport, raw: bytes) -> bool:
+    """True if a frame can be the response to a request."""
+    if request.transport is not transport:
+        return False
+    if transport is Transport.TCP and request.raw[:2] != raw[:2]:
+        return False
+    unit, asked = pdu_of(transport, request.raw)
+    other, pdu = pdu_of(transport, raw)
+    expected = ExpectedResponse.of(asked)
+    return unit == other and expected is not None and expected.fits(pdu)
+
+
+@lru_cache(maxsize=1024)
+def forms(transport: Transport, raw: bytes) -> tuple[Direction, ...]:
+    """The directions of which an ADU has the form."""
+    _, pdu = pdu_of(transport, raw)
+    found = tuple(each for each in _SENDERS if parse_pdu(pdu, each).problem is None)
+    if pdu[0] & EXCEPTION_BIT:
+        return (Direction.RESPONSE,) if Direction.RESPONSE in found else ()
+    return found
+
+
+@lru_cache(maxsize=1024)
+def whole_frames(data: bytes, *, labelled: bool = False) -> list[tuple[Transport, bytes]]:
+    """Return the frames of which bytes consist, without a rest; an empty list if they do not.
+
+    `labelled` is True if a word says that the bytes were sent or received. Then a function that no
+    table knows is accepted, too.
+    """
+    if data[:1] == b":":
+        return _ascii_frames(data)
+    return _rtu_frames(data, labelled=labelled) or _mbap_frames(data)
+
+
+def _rtu_frames(data: bytes, *, labelled: bool) -> list[tuple[Transport, bytes]]:
+    found = []
+    at = 0
+    while at < len(data):
+        size = _rtu_size(data, at)
+        if not size:
+            break
+        found.append((Transport.RTU, data[at : at + size]))
+        at += size
+    if at == len(data):
+        return found
+    is_known = len(data) > 1 and (data[1] & ~EXCEPTION_BIT) in FUNCTIONS
+    if _MIN_RTU <= len(data) <= MAX_RTU_ADU and (labelled or is_known) and crc(data) == 0:
+        return [(Transport.RTU, data)] if data[1] > 0 else []
+    return []
+
+
+def _rtu_size(data: bytes, at: int) -> int:
+    """The size of the RTU frame of a known function that begins at `at`; 0 if there is none."""
+    start = data[at : at + MAX_RTU_ADU]
+    if len(start) < _MIN_RTU or start[0] > _MAX_UNIT:
+        return 0
+    for direction in _SENDERS:
+        size = frame_size(start, direction)
+        if size and size <= len(start) and crc(start[:size]) == 0:
+            return size
+    return 0
+
+
+def _mbap_frames(data: bytes) -> list[tuple[Transport, bytes]]:
+    found = []
+    at = 0
+    while at < len(data):
+        header = data[at : at + _MIN_MBAP]
+        if len(header) < _MIN_MBAP or header[2:4] != b"\0\0":
+            return []
+        size = mbap_size(header)
+        raw = data[at : at + size]
+        if size < _MIN_MBAP or len(raw) < size or not forms(Transport.TCP, raw):
+            return []
+        if raw[7] & ~EXCEPTION_BIT not in FUNCTIONS:
+            return []
+        found.append((Transport.TCP, raw))
+        at += size
+    return found
+
+
+def _ascii_frames(data: bytes) -> list[tuple[Transport, bytes]]:
+    found = []
+    at = 0
+    while match := _ASCII.match(data, at):
+        raw = match[0].rstrip(b"\r\n") + b"\r\n"
+        frame = read_frame(raw)
+        if frame is None or not frame.checksum.ok or frame.body[0] > _MAX_UNIT:
+            return []
+        if not forms(Transport.ASCII, raw):
+            return []
+        found.append((Transport.ASCII, raw))
+        at = match.end()
+    return found if at == len(data) else []
+
+
+def _frames_within(data: bytes) -> tuple[list[tuple[Transport, bytes]], int]:
+    """Return the frames among bytes, and the offset from which on bytes may be part of a frame."""
+    found: list[tuple[Transport, bytes]] = []
+    end = 0
+    for match in _RTU_START.finditer(data):
+        at = match.start()
+        if at < end:
+            continue
+        size = _rtu_size(data, at)
+        if size:
+            found.append((Transport.RTU, data[at : at + size]))
+            end = at + size
+    if found:
+        return found, end
+    for match in _ASCII.finditer(data):
+        if match[0].endswith((b"\r", b"\n")):
+            found += _ascii_frames(match[0])
+            end = match.end()
+    return found, end
