@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.core import Direction
 from mbtool.framing.rtu_lengths import frame_size
-from mbtool.modbus.adu import MAX_RTU_ADU, Transport
+from mbtool.modbus.adu import MAX_RTU_ADU, MAX_TCP_ADU, Transport
 from mbtool.modbus.adu_bytes import MBAP_BYTES, crc, mbap_size
 from mbtool.modbus.ascii_frame import read_frame
 from mbtool.modbus.expected_response import ExpectedResponse
@@ -41,11 +41,14 @@ MAX_VOICES = 256
 MAX_PART = 2 * MAX_RTU_ADU
 MAX_LINES_APART = 64
 """Bytes are joined with those before them if at most this many lines lie between."""
-ENOUGH = 3
-"""The evidence from which on a log is taken for Modbus: a request with its response counts 3, an
-RTU frame that a word or arrow gives a direction 3, any other RTU frame 1, one of another kind with
-a direction 1. One of 65,536 runs of random bytes has a right CRC, and one of 10 of those the length
-of a function."""
+ENOUGH = 4
+"""The evidence from which on a log is taken for Modbus. A request with its response right behind it
+is enough; an RTU frame counts 2 if a word or arrow gives it a direction, otherwise 1; a frame of
+another kind counts 1 if it has a direction. A frame must have the form of its function. One of
+65,536 random runs of bytes has a right CRC, and few of these have the length of a function."""
+MAX_MISSES = 32
+"""After this many runs of bytes without a frame, the evidence so far counts no more. The rows of a
+dump of one frame are 17 at most."""
 
 _MIN_RTU, _MIN_MBAP = 4, MBAP_BYTES + 1
 _MAX_UNIT = 247
@@ -74,9 +77,74 @@ class Voice(NamedTuple):
     mark: Mark | None
 
 
-class _Part(NamedTuple):
-    data: bytes
-    row: int
+class _Part:
+    """Bytes of one voice that are no whole frame yet, at most MAX_PART."""
+
+    def __init__(self) -> None:
+        self.data = b""
+        self.row = 0
+        """The number of the last line that brought bytes."""
+        self._open: list[tuple[int, int]] = []
+        """The places, begin and end, at which an RTU frame may stand that is not complete."""
+        self._searched = 0
+        """The offset up to which beginnings of RTU frames were looked for."""
+
+    def feed(self, data: bytes, *, labelled: bool) -> list[tuple[Transport, bytes]]:
+        """Take more bytes; return the frames that they complete, and forget all before these."""
+        is_first = not self.data
+        self.data += data
+        if not is_first and len(self.data) <= MAX_TCP_ADU:
+            found = whole_frames(self.data, labelled=labelled)
+            if found:
+                self._drop(len(self.data))
+                return found
+        found = []
+        self._search()
+        while (place := self._complete()) is not None:
+            begin, end = place
+            found.append((Transport.RTU, self.data[begin:end]))
+            self._drop(end)
+        if not found and b":" in self.data:
+            found = self._ascii()
+        if len(self.data) > MAX_PART:
+            self._drop(len(self.data) - MAX_PART)
+        return found
+
+    def _search(self) -> None:
+        """Look for places at which an RTU frame may begin, once for each byte."""
+        for match in _RTU_START.finditer(self.data, self._searched):
+            at = match.start()
+            start = self.data[at : at + MAX_RTU_ADU]
+            sizes = [frame_size(start, direction) for direction in _SENDERS]
+            if None in sizes:
+                self._searched = at
+                return
+            self._open += [(at, at + size) for size in {*sizes} if size]
+        self._searched = max(self._searched, len(self.data) - 1)
+
+    def _complete(self) -> tuple[int, int] | None:
+        """Return the first place with a whole RTU frame; forget the places without one."""
+        size = len(self.data)
+        for place in [one for one in self._open if one[1] <= size]:
+            if crc(self.data[place[0] : place[1]]) == 0:
+                return place
+        self._open = [one for one in self._open if one[1] > size]
+        return None
+
+    def _ascii(self) -> list[tuple[Transport, bytes]]:
+        found = []
+        end = 0
+        for match in _ASCII.finditer(self.data):
+            if match[0].endswith((b"\r", b"\n")):
+                found += _ascii_frames(match[0])
+                end = match.end()
+        self._drop(end)
+        return found
+
+    def _drop(self, count: int) -> None:
+        self.data = self.data[count:]
+        self._open = [(begin - count, end - count) for begin, end in self._open if begin >= count]
+        self._searched = max(0, self._searched - count)
 
 
 class TextFrames:
@@ -91,6 +159,8 @@ class TextFrames:
         self._pending: TextFrame | None = None
         self._held: deque[TextFrame] = deque(maxlen=MAX_HELD)
         self._evidence = 0
+        self._misses = 0
+        self._has_missed = False
         self.left_out = 0
         """The number of frames that were shown twice."""
 
@@ -113,6 +183,8 @@ class TextFrames:
                 break
         else:
             found = self._joined(choices[0], voice, row)
+        if not self.is_modbus:
+            self._note_miss(choices[0], is_miss=not found)
         frames = [
             frame
             for transport, raw in found
@@ -125,21 +197,34 @@ class TextFrames:
             return frames
         return []
 
+    def close(self) -> list[TextFrame]:
+        """Return the frames of a log that ends before it has given enough evidence.
+
+        There are some only if all bytes of the log were frames.
+        """
+        if self.is_modbus or self._has_missed or not self._evidence:
+            return []
+        return [*self._held]
+
     def drop_parts(self) -> None:
         """Forget incomplete bytes, as at the beginning of another dump."""
         self._parts.clear()
 
+    def _note_miss(self, data: bytes, *, is_miss: bool) -> None:
+        self._misses = self._misses + (len(data) >= _MIN_RTU) if is_miss else 0
+        self._has_missed |= is_miss
+        if self._misses >= MAX_MISSES:
+            self._evidence = 0
+            self._held.clear()
+
     def _joined(self, data: bytes, voice: Voice, row: int) -> list[tuple[Transport, bytes]]:
-        before = self._parts.pop(voice.text, None)
-        if before is not None and row - before.row <= MAX_LINES_APART:
-            data = before.data + data
-            found = whole_frames(data, labelled=voice.mark is not None)
-            if found:
-                return found
-        found, end = _frames_within(data)
-        rest = data[end:][-MAX_PART:]
-        if rest:
-            self._parts[voice.text] = _Part(rest, row)
+        part = self._parts.pop(voice.text, None)
+        if part is None or row - part.row > MAX_LINES_APART:
+            part = _Part()
+        part.row = row
+        found = part.feed(data, labelled=voice.mark is not None)
+        if part.data:
+            self._parts[voice.text] = part
             if len(self._parts) > MAX_VOICES:
                 self._parts.popitem(last=False)
         return found
@@ -164,20 +249,13 @@ class TextFrames:
             is_pair = _answers(self._pending, transport, raw)
             self._pending = None
         if not self.is_modbus:
-            self._weigh(transport, is_pair=is_pair, is_labelled=voice.mark is not None)
+            is_labelled = voice.mark is not None and voice.mark.is_strong
+            self._evidence += ENOUGH if is_pair else _weight(transport, form, is_labelled)
             self._held.append(frame)
             if self._evidence < ENOUGH:
                 return None
             self._held.pop()
         return frame
-
-    def _weigh(self, transport: Transport, *, is_pair: bool, is_labelled: bool) -> None:
-        if is_pair:
-            self._evidence += ENOUGH
-        elif transport is Transport.RTU:
-            self._evidence += ENOUGH if is_labelled else 1
-        else:
-            self._evidence += is_labelled
 
     def _direction(
         self, transport: Transport, raw: bytes, form: tuple[Direction, ...], voice: Voice
@@ -216,6 +294,12 @@ class TextFrames:
         return text != voice.text and (
             is_sure or voice.mark is None or last.direction is frame.direction
         )
+
+
+def _weight(transport: Transport, form: tuple[Direction, ...], is_labelled: bool) -> int:
+    if not form:
+        return 0
+    return is_labelled + (transport is Transport.RTU)
 
 
 def _decided(votes: list[int] | None) -> Direction | None:
@@ -319,24 +403,3 @@ def _ascii_frames(data: bytes) -> list[tuple[Transport, bytes]]:
         found.append((Transport.ASCII, raw))
         at = match.end()
     return found if at == len(data) else []
-
-
-def _frames_within(data: bytes) -> tuple[list[tuple[Transport, bytes]], int]:
-    """Return the frames among bytes, and the offset from which on bytes may be part of a frame."""
-    found: list[tuple[Transport, bytes]] = []
-    end = 0
-    for match in _RTU_START.finditer(data):
-        at = match.start()
-        if at < end:
-            continue
-        size = _rtu_size(data, at)
-        if size:
-            found.append((Transport.RTU, data[at : at + size]))
-            end = at + size
-    if found:
-        return found, end
-    for match in _ASCII.finditer(data):
-        if match[0].endswith((b"\r", b"\n")):
-            found += _ascii_frames(match[0])
-            end = match.end()
-    return found, end

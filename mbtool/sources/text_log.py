@@ -120,6 +120,8 @@ class TextLog:
                     for frame in self._read(line, plan):
                         yield self._chunk(frame)
                 self._recent.append(line)
+        for frame in self._frames.close():
+            yield self._chunk(frame)
 
     def _blocks(self) -> Iterator[list[bytes]]:
         """Yield the lines of the file, many at a time, without their ends and without colours."""

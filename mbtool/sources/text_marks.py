@@ -166,6 +166,8 @@ class Mark(NamedTuple):
     is_sent: bool
     """True if the word stands for what the program sends, False for what it receives. In the log of
     a slave, what is received is the request."""
+    is_strong: bool = True
+    """False for a word that has other meanings, too, and for one behind the bytes."""
 
 
 def find_mark(text: bytes, *, last: bool = True, is_strong: bool = False) -> Mark | None:
@@ -177,5 +179,7 @@ def find_mark(text: bytes, *, last: bool = True, is_strong: bool = False) -> Mar
         every = [*pattern.finditer(text)]
         if every:
             found = every[-1 if last else 0]
-            return Mark(found[0].strip().lower(), bool(found[1] or found[3]))
+            is_sent = bool(found[1] or found[3])
+            strong = pattern is _STRONG and last
+            return Mark(found[0].strip().lower(), is_sent, strong)
     return None
