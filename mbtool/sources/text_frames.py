@@ -31,7 +31,7 @@ from mbtool.modbus.adu_bytes import MBAP_BYTES, crc, mbap_size
 from mbtool.modbus.ascii_frame import read_frame
 from mbtool.modbus.expected_response import ExpectedResponse
 from mbtool.modbus.functions import EXCEPTION_BIT, FUNCTIONS
-from mbtool.modbus.pdu import parse_pdu, pdu_of
+from mbtool.modbus.pdu import parse_pdu, pdu_length, pdu_of
 
 if TYPE_CHECKING:
     from mbtool.sources.text_marks import Mark
@@ -325,10 +325,12 @@ def _answers(request: TextFrame, transport: Transport, raw: bytes) -> bool:
 def forms(transport: Transport, raw: bytes) -> tuple[Direction, ...]:
     """The directions of which an ADU has the form."""
     _, pdu = pdu_of(transport, raw)
-    found = tuple(each for each in _SENDERS if parse_pdu(pdu, each).problem is None)
+    found = tuple(each for each in _SENDERS if pdu_length(pdu, each) in (len(pdu), 0))
     if pdu[0] & EXCEPTION_BIT:
         return (Direction.RESPONSE,) if Direction.RESPONSE in found else ()
-    return found
+    if len(found) == 1 and pdu[0] in FUNCTIONS:
+        return found
+    return tuple(each for each in _SENDERS if parse_pdu(pdu, each).problem is None)
 
 
 @lru_cache(maxsize=1024)

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 DAY_NS = 86_400 * 10**9
 MAX_TIME_NS = 1 << 62
+NEAR = 120
+"""A mark is looked for in this many characters next to the bytes."""
 LOOKED_AT = 120
 """A time is looked for in this many characters at the front of a line."""
 
@@ -42,16 +44,29 @@ class Time(NamedTuple):
 
 
 def _iso(text: bytes) -> int:
-    match = _ISO.match(text)
+    rest = text[19:]
+    if rest[:1] == b" " and rest[1:2].isdigit():
+        raise ValueError
+    ns = _second_ns(text[:19])
+    if not rest:
+        return ns
+    match = _FRACTION.match(rest)
     if match is None:
         raise ValueError
-    year, month, day, hours, minutes, seconds, fraction, zone = match.groups()
-    ns = _date_ns(year, month, day) + _clock_ns(hours, minutes, seconds, fraction)
+    fraction, zone = match.groups()
+    ns += int(fraction.ljust(9, b"0")) if fraction else 0
     if zone and zone != b"Z":
         digits = zone[1:].replace(b":", b"")
         shift = int(digits[:2]) * 3600 + int(digits[2:] or b"0") * 60
         ns += (-shift if zone[:1] == b"+" else shift) * 10**9
     return ns
+
+
+@lru_cache(maxsize=1024)
+def _second_ns(text: bytes) -> int:
+    """Read a date and a time in seconds, 2024-01-20 12:00:00, to ns."""
+    clock = _clock_ns(text[11:13], text[14:16], text[17:19], None)
+    return _date_ns(text[:4], text[5:7], text[8:10]) + clock
 
 
 def _day_first(text: bytes) -> int:
@@ -99,9 +114,10 @@ def _milliseconds(text: bytes) -> int:
 
 
 _ISO = re.compile(
-    rb"(\d{4})[-/.](\d\d)[-/.](\d\d)[ T_,]{1,2}" + _CLOCK[:-len(rb"(?!\d|:\d)")]
-    + rb" ?(Z|[+-]\d\d:?\d\d)?(?!\d|:\d)"
-)  # fmt: skip
+    rb"\d{4}[-/.]\d\d[-/.]\d\d[ T_,]\d\d:\d\d:\d\d(?:[.,:]\d{1,9})?(?: ?(?:Z|[+-]\d\d:?\d\d))?"
+    rb"(?!\d|:\d)"
+)
+_FRACTION = re.compile(rb"(?:[.,:](\d{1,9}))? ?(Z|[+-]\d\d:?\d\d)?")
 _SHORT = re.compile(
     rb"(\d{1,2})([./-])(\d{1,2})[./-](\d{4}),?[ T]{1,2}" + _CLOCK + rb"(?: ?([aApP][mM]))?"
 )
@@ -170,11 +186,21 @@ class Mark(NamedTuple):
     """False for a word that has other meanings, too, and for one behind the bytes."""
 
 
+_NUMBERS = b"0123456789"
+
+
 def find_mark(text: bytes, *, last: bool = True, is_strong: bool = False) -> Mark | None:
     """Return the last mark in a text, or the first one; None if there is none.
 
-    With `is_strong`, words that have other meanings, too, do not count.
+    With `is_strong`, words that have other meanings, too, do not count. Only the NEAR characters at
+    that end of the text are looked at.
     """
+    near = text[-NEAR:] if last else text[:NEAR]
+    return _find_mark(near.translate(None, _NUMBERS), last, is_strong)
+
+
+@lru_cache(maxsize=1024)
+def _find_mark(text: bytes, last: bool, is_strong: bool) -> Mark | None:
     for pattern in (_STRONG,) if is_strong else (_STRONG, _WEAK):
         every = [*pattern.finditer(text)]
         if every:

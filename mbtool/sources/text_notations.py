@@ -43,6 +43,8 @@ class Found(NamedTuple):
 class Notation(NamedTuple):
     """A way to write bytes: how it looks in a shape, and how to read it."""
 
+    hints: tuple[bytes, ...]
+    """Texts of which one is in the shape wherever the pattern is. Looking for them is quick."""
     pattern: re.Pattern[bytes]
     read: Callable[[bytes], bytes]
 
@@ -51,11 +53,18 @@ def _digits(text: bytes) -> bytes:
     return bytes.fromhex(text.translate(None, _PUNCTUATION).decode())
 
 
-_PREFIX = re.compile(rb"0[xX]([0-9A-Fa-f]+)")
+_VALUES = {
+    f"{value:{width}}".encode(): value for value in range(256) for width in ("x", "X", "02x", "02X")
+}
+_SPACES = bytes.maketrans(b",;:\t", b"    ")
 
 
 def _prefixed(text: bytes) -> bytes:
-    return bytes(int(each, 16) for each in _PREFIX.findall(text))
+    words = text.translate(_SPACES).replace(b"0x", b" ").replace(b"0X", b" ").split()
+    try:
+        return bytes(map(_VALUES.__getitem__, words))
+    except KeyError:
+        return bytes(int(word, 16) for word in words)
 
 
 def _decimal(text: bytes) -> bytes:
@@ -69,17 +78,25 @@ def _ascii_frame(text: bytes) -> bytes:
     return text + b"\r\n"
 
 
+def _long(text: bytes) -> bytes:
+    return _digits(text[2:] if text[1:2] in b"xX" else text)
+
+
 NOTATIONS = (
     # 0x1 0x3, 0x01,0x03, 0x01 0x03
     Notation(
-        re.compile(_BEFORE + rb"0[xX]00?(?:[ \t,;:]{0,3}0[xX]00?)*" + _AFTER), _prefixed
+        (b"0x0", b"0X0"),
+        re.compile(_BEFORE + rb"0[xX]00?(?:[ \t,;:]{0,3}0[xX]00?)*" + _AFTER),
+        _prefixed,
     ),
     # [01][03], <01><03>, \x01\x03
-    Notation(re.compile(rb"(?:\[00\][ ,]?)+"), _digits),
-    Notation(re.compile(rb"(?:<00>[ ,]?)+"), _digits),
-    Notation(re.compile(rb"(?:\\x00 ?)+"), _digits),
+    Notation((b"[00]",), re.compile(rb"(?:\[00\][ ,]?)+"), _digits),
+    Notation((b"<00>",), re.compile(rb"(?:<00>[ ,]?)+"), _digits),
+    Notation((b"\\x00",), re.compile(rb"(?:\\x00 ?)+"), _digits),
     # 01 03, 01:03, 01-03, 01,03, 01, 03, with a second space behind the eighth byte of a dump
     Notation(
+        (b"00 00", b"00  00", b"00, 00", b"00,00", b"00:00", b"00-00", b"00|00", b"00;00",
+         b"00_00", b"00\t00"),
         re.compile(
             _BEFORE + rb"00(?:(?: {1,2}00)+|(?:, ?00)+|(?::00)+|(?:-00)+|(?:\|00)+|(?:;00)+"
             rb"|(?:_00)+|(?:\t00)+)" + _AFTER
@@ -87,18 +104,31 @@ NOTATIONS = (
         _digits,
     ),
     # 01h 03h, 01H,03H
-    Notation(re.compile(_BEFORE + rb"00[hH](?:[ ,]{0,2}00[hH])+" + _AFTER), _digits),
+    Notation(
+        (b"00h", b"00H"),
+        re.compile(_BEFORE + rb"00[hH](?:[ ,]{0,2}00[hH])+" + _AFTER),
+        _digits,
+    ),
     # :0103000000025A, a frame of Modbus ASCII as it is
-    Notation(re.compile(rb":(?:00){4,}" + _AFTER), _ascii_frame),
+    Notation((b":00000000",), re.compile(rb":(?:00){4,}" + _AFTER), _ascii_frame),
     # 0103000000020BC4, 0x0103000000020BC4
     Notation(
+        (b"00000000",),
         re.compile(_BEFORE + rb"(?:0[xX])?(?:00){4,}[hH]?" + _AFTER),
-        lambda text: _digits(text[2:] if text[1:2] in b"xX" else text),
+        _long,
     ),
 )  # fmt: skip
-_GROUPS = Notation(re.compile(_BEFORE + rb"(?:00)+(?: (?:00)+)+" + _AFTER), _digits)
+_GROUPS = Notation(
+    (b"0000 00", b"00 0000"),
+    re.compile(_BEFORE + rb"(?:00)+(?: (?:00)+)+" + _AFTER),
+    _digits,
+)
 """0103 0000 0002 0BC4: xxd, and bytes grouped by fields."""
-_DECIMALS = Notation(re.compile(rb"[\[({]\s?0{1,3}(?:[, ]\s?0{1,3}){3,}\s?[\])}]"), _decimal)
+_DECIMALS = Notation(
+    (b"0, 0", b"0,0", b"0 0"),
+    re.compile(rb"[\[({]\s?0{1,3}(?:[, ]\s?0{1,3}){3,}\s?[\])}]"),
+    _decimal,
+)
 """[1, 3, 0, 0, 0, 2, 196, 11]: Python, JavaScript, Go."""
 _SINGLE = re.compile(rb"(?:[:=>\]]\s?|^\s*)(00)(?:\s{3,}\S{1,3})?\s*$")
 """A single byte at the end of a line, as programs write that log each byte; or in a row of its own,
@@ -124,13 +154,9 @@ def find_bytes(line: bytes, shape: bytes, skip_to: int = 0) -> list[Found]:
         row = _row(shape, offset.end())
         if row is not None:
             return [row]
-    places = [
-        Found(*match.span(), each.read)
-        for each in NOTATIONS
-        for match in each.pattern.finditer(shape, skip_to)
-    ]
+    places = [one for each in NOTATIONS for one in _found(each, shape, skip_to)]
     if all(_size(shape, one) < MIN_PURE for one in places):
-        places += [Found(*one.span(), _digits) for one in _GROUPS.pattern.finditer(shape, skip_to)]
+        places += _found(_GROUPS, shape, skip_to)
     places.sort(key=lambda one: one.start - one.end)
     chosen: list[Found] = []
     for one in places:
@@ -142,8 +168,14 @@ def find_bytes(line: bytes, shape: bytes, skip_to: int = 0) -> list[Found]:
             chosen.append(Found(*single.span(1), _digits))
     if b"\\" in line:
         chosen += _quoted(line, skip_to)
-    chosen += [Found(*one.span(), _decimal) for one in _DECIMALS.pattern.finditer(shape, skip_to)]
+    chosen += _found(_DECIMALS, shape, skip_to)
     return sorted(chosen, key=lambda one: one.start)
+
+
+def _found(notation: Notation, shape: bytes, skip_to: int) -> list[Found]:
+    if not any(hint in shape for hint in notation.hints):
+        return []
+    return [Found(*one.span(), notation.read) for one in notation.pattern.finditer(shape, skip_to)]
 
 
 def _size(shape: bytes, one: Found) -> int:
