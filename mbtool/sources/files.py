@@ -66,7 +66,7 @@ FREE_BYTES, the limit for other files, as the chunks inside a log are unpacked o
 PROBED = 64 * 1024
 """A text up to this size, in bytes, is searched for frames when it is opened."""
 
-_HEAD = 64
+_HEAD = 256
 _BUFFER = 64 * 1024
 _GZIP = b"\x1f\x8b"
 _ZSTD = b"\x28\xb5\x2f\xfd"

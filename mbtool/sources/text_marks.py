@@ -43,7 +43,8 @@ class Time(NamedTuple):
     """True for seconds or milliseconds, which are mere digits."""
 
 
-def _iso(text: bytes) -> int:
+def iso_ns(text: bytes) -> int:
+    """Read 2024-01-20 12:00:00.123+01:00 to ns. Raises ValueError for another text."""
     rest = text[19:]
     if rest[:1] == b" " and rest[1:2].isdigit():
         raise ValueError
@@ -125,7 +126,7 @@ _SYSLOG = re.compile(rb"(?i)\b([a-z]{3})\s+(\d{1,2})(?:,? (\d{4}))?,? +" + _CLOC
 _DAY_MONTH = re.compile(rb"(?i)\b(\d{1,2})[ /-]([a-z]{3})[ /-](\d{4})[ :T]" + _CLOCK)
 _OF_DAY = re.compile(rb"(?<![\d:.])" + _CLOCK)
 _FORMS: tuple[tuple[re.Pattern[bytes], Callable[[bytes], int], int, bool], ...] = (
-    (_ISO, _iso, 0, False),
+    (_ISO, iso_ns, 0, False),
     (_SHORT, _day_first, 0, False),
     (_SYSLOG, _syslog, 0, False),
     (_DAY_MONTH, _day_month, 0, False),
