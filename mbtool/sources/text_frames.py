@@ -77,7 +77,7 @@ class Voice(NamedTuple):
     mark: Mark | None
 
 
-class _Part:
+class _OpenBytes:
     """Bytes of one voice that are no whole frame yet, at most MAX_PART."""
 
     def __init__(self) -> None:
@@ -151,7 +151,7 @@ class TextFrames:
     """Takes the bytes of one line after the other; returns frames."""
 
     def __init__(self) -> None:
-        self._parts: OrderedDict[bytes, _Part] = OrderedDict()
+        self._parts: OrderedDict[bytes, _OpenBytes] = OrderedDict()
         self._voices: dict[bytes, list[int]] = {}
         self._words: defaultdict[bytes, list[int]] = defaultdict(lambda: [0, 0])
         self._last: tuple[TextFrame, bytes] | None = None
@@ -220,7 +220,7 @@ class TextFrames:
     def _joined(self, data: bytes, voice: Voice, row: int) -> list[tuple[Transport, bytes]]:
         part = self._parts.pop(voice.text, None)
         if part is None or row - part.row > MAX_LINES_APART:
-            part = _Part()
+            part = _OpenBytes()
         part.row = row
         found = part.feed(data, labelled=voice.mark is not None)
         if part.data:

@@ -30,7 +30,7 @@ from mbtool.core.link_spec import MODBUS_PORT
 from mbtool.modbus.adu import Transport
 from mbtool.sources.text_frames import TextFrame, TextFrames, Voice
 from mbtool.sources.text_marks import DAY_NS, MAX_TIME_NS, Time, find_mark, find_time
-from mbtool.sources.text_notations import SHAPE, Found, find_bytes
+from mbtool.sources.text_notations import SHAPE, FoundBytes, find_bytes
 
 if TYPE_CHECKING:
     import io
@@ -60,10 +60,10 @@ _COLOURS = re.compile(rb"\x1b\[[0-9;]*[A-Za-z]")
 _ESCAPE = b"\x1b"
 
 
-class _Place(NamedTuple):
+class _BytesPlace(NamedTuple):
     """A place of a line at which bytes are written, with what stands before it."""
 
-    readings: tuple[Found, ...]
+    readings: tuple[FoundBytes, ...]
     voice: Voice
 
 
@@ -71,7 +71,7 @@ class _Plan(NamedTuple):
     """What to read in lines of one shape."""
 
     time: Time | None
-    places: tuple[_Place, ...]
+    places: tuple[_BytesPlace, ...]
 
 
 class TextLog:
@@ -261,7 +261,7 @@ def _plan(line: bytes, shape: bytes) -> _Plan | None:
             time, found = None, all_found  # The first byte of [01][03] is no time.
         elif not found:
             found = [one for one in all_found if one.end <= time.start]
-    places: list[_Place] = []
+    places: list[_BytesPlace] = []
     end = 0
     for one in found:
         if places and one.start < end:
@@ -273,6 +273,6 @@ def _plan(line: bytes, shape: bytes) -> _Plan | None:
         mark = find_mark(before) or (places[-1].voice.mark if places else None)
         mark = mark or find_mark(line[one.end :], last=False)
         text = _UNIMPORTANT.sub(b"", shape[end : one.start])[-80:]
-        places.append(_Place((one,), Voice(text, mark)))
+        places.append(_BytesPlace((one,), Voice(text, mark)))
         end = one.end
     return _Plan(time, tuple(places)) if places else None

@@ -29,7 +29,7 @@ _OFFSET = re.compile(rb"[^0]{0,3}\b(?:0x)?(?:0{4}|0{6,8}|0{10,12})(?::|h|\t| ) {
 """The offset at the front of a row of a dump: hexdump -C, xxd, Wireshark, tcpdump."""
 
 
-class Found(NamedTuple):
+class FoundBytes(NamedTuple):
     """A place in a line at which bytes are written."""
 
     start: int
@@ -143,7 +143,7 @@ _LETTERS = {
 }  # fmt: skip
 
 
-def find_bytes(line: bytes, shape: bytes, skip_to: int = 0) -> list[Found]:
+def find_bytes(line: bytes, shape: bytes, skip_to: int = 0) -> list[FoundBytes]:
     """Return the places of a line at which bytes are written, in their order.
 
     `shape` is the shape of `line`; nothing is looked for before `skip_to`, where its time ends.
@@ -158,44 +158,46 @@ def find_bytes(line: bytes, shape: bytes, skip_to: int = 0) -> list[Found]:
     if all(_size(shape, one) < MIN_PURE for one in places):
         places += _found(_GROUPS, shape, skip_to)
     places.sort(key=lambda one: one.start - one.end)
-    chosen: list[Found] = []
+    chosen: list[FoundBytes] = []
     for one in places:
         if all(one.end <= other.start or other.end <= one.start for other in chosen):
             chosen.append(one)
     if not chosen:
         single = _SINGLE.search(shape, skip_to)
         if single is not None:
-            chosen.append(Found(*single.span(1), _digits))
+            chosen.append(FoundBytes(*single.span(1), _digits))
     if b"\\" in line:
         chosen += _quoted(line, skip_to)
     chosen += _found(_DECIMALS, shape, skip_to)
     return sorted(chosen, key=lambda one: one.start)
 
 
-def _found(notation: Notation, shape: bytes, skip_to: int) -> list[Found]:
+def _found(notation: Notation, shape: bytes, skip_to: int) -> list[FoundBytes]:
     if not any(hint in shape for hint in notation.hints):
         return []
-    return [Found(*one.span(), notation.read) for one in notation.pattern.finditer(shape, skip_to)]
+    return [
+        FoundBytes(*one.span(), notation.read) for one in notation.pattern.finditer(shape, skip_to)
+    ]
 
 
-def _size(shape: bytes, one: Found) -> int:
+def _size(shape: bytes, one: FoundBytes) -> int:
     return shape.count(b"00", one.start, one.end)
 
 
 _ROW = re.compile(rb"00(?: {0,2}00){0,%d}(?![0-9A-Za-z])" % (DUMP_ROW - 1))
 
 
-def _row(shape: bytes, start: int) -> Found | None:
+def _row(shape: bytes, start: int) -> FoundBytes | None:
     """The bytes of a row of a dump, which begin at `start`; None if there are none."""
     match = _ROW.match(shape, start)
-    return None if match is None else Found(*match.span(), _digits, is_row=True)
+    return None if match is None else FoundBytes(*match.span(), _digits, is_row=True)
 
 
-def _quoted(line: bytes, skip_to: int) -> Iterator[Found]:
+def _quoted(line: bytes, skip_to: int) -> Iterator[FoundBytes]:
     for match in _QUOTED.finditer(line, skip_to):
         which = 1 if match[1] is not None else 2
         if _CODED.search(match[which]):
-            yield Found(*match.span(which), unescaped)
+            yield FoundBytes(*match.span(which), unescaped)
 
 
 def unescaped(text: bytes) -> bytes:
