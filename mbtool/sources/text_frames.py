@@ -44,12 +44,18 @@ MAX_LINES_APART = 64
 ENOUGH = 4
 """The evidence from which on a log is taken for Modbus. A request with its response right behind it
 is enough; an RTU frame counts 2 if a word or arrow gives it a direction, otherwise 1; a frame of
-another kind counts 1 if it has a direction. A frame must have the form of its function. One of
-65,536 random runs of bytes has a right CRC, and few of these have the length of a function."""
+another kind counts 1 if it has a direction, and 1 if its transaction id is the next one. A frame
+must have the form of its function. One of 65,536 random runs of bytes has a right CRC, and few of
+these have the length of a function."""
 MAX_MISSES = 32
 """After this many runs of bytes without a frame, the evidence so far counts no more. The rows of a
 dump of one frame are 17 at most."""
 
+FEW_MISSES = 16
+"""A log of a single RTU frame that has a direction counts if at most so many runs of bytes are no
+frame."""
+
+_LABELLED = 2
 _MIN_RTU, _MIN_MBAP = 4, MBAP_BYTES + 1
 _MAX_UNIT = 247
 _SENDERS = (Direction.REQUEST, Direction.RESPONSE)
@@ -158,9 +164,12 @@ class TextFrames:
         """The last frame, and the text of its voice."""
         self._pending: TextFrame | None = None
         self._held: deque[TextFrame] = deque(maxlen=MAX_HELD)
+        self._is_network = False
+        """True once a Modbus/TCP ADU was shown as an RTU frame, too."""
         self._evidence = 0
         self._misses = 0
-        self._has_missed = False
+        self._missed = 0
+        """The number of runs of bytes without a frame before the log was known."""
         self.left_out = 0
         """The number of frames that were shown twice."""
 
@@ -200,9 +209,10 @@ class TextFrames:
     def close(self) -> list[TextFrame]:
         """Return the frames of a log that ends before it has given enough evidence.
 
-        There are some only if all bytes of the log were frames.
+        There are some only if all bytes of the log were frames, or nearly all.
         """
-        if self.is_modbus or self._has_missed or not self._evidence:
+        most = FEW_MISSES if self._evidence >= _LABELLED else 0
+        if self.is_modbus or self._missed > most or not self._evidence:
             return []
         return [*self._held]
 
@@ -211,8 +221,10 @@ class TextFrames:
         self._parts.clear()
 
     def _note_miss(self, data: bytes, *, is_miss: bool) -> None:
+        if is_miss and self._last is not None and data in self._last[0].raw:
+            return  # The program shows a part of the frame again.
         self._misses = self._misses + (len(data) >= _MIN_RTU) if is_miss else 0
-        self._has_missed |= is_miss
+        self._missed += is_miss
         if self._misses >= MAX_MISSES:
             self._evidence = 0
             self._held.clear()
@@ -233,15 +245,23 @@ class TextFrames:
         self, transport: Transport, raw: bytes, voice: Voice, ts_ns: int | None, row: int
     ) -> TextFrame | None:
         """Decide the direction of a frame; None if it is one that was shown before."""
+        if self._is_network and transport is not Transport.TCP:
+            self.left_out += 1
+            return None
         form = forms(transport, raw)
         direction, is_sure = self._direction(transport, raw, form, voice)
         frame = TextFrame(ts_ns, raw, transport, direction, row)
         if is_sure:
             self._learn(voice, direction)
-        if self._is_shown_twice(frame, voice, is_sure=is_sure):
+        if self._is_other_form(frame):
+            self._keep_network()
+            if transport is not Transport.TCP:
+                self.left_out += 1
+                return None
+        elif self._is_shown_twice(frame, voice, is_sure=is_sure):
             self.left_out += 1
             return None
-        self._last = frame, voice.text
+        before, self._last = self._last, (frame, voice.text)
         is_pair = False
         if direction is Direction.REQUEST:
             self._pending = frame
@@ -250,7 +270,9 @@ class TextFrames:
             self._pending = None
         if not self.is_modbus:
             is_labelled = voice.mark is not None and voice.mark.is_strong
-            self._evidence += ENOUGH if is_pair else _weight(transport, form, is_labelled)
+            is_next = before is not None and _follows(before[0], frame)
+            weight = _weight(transport, form, is_labelled) + is_next
+            self._evidence += ENOUGH if is_pair else weight
             self._held.append(frame)
             if self._evidence < ENOUGH:
                 return None
@@ -283,6 +305,23 @@ class TextFrames:
         if voice.mark is not None:
             self._words[voice.mark.word][which] += 1
 
+    def _is_other_form(self, frame: TextFrame) -> bool:
+        """True if a frame is the one before in another form: of a Modbus/TCP ADU some programs show
+        the RTU frame, too.
+        """
+        if self._last is None or self._last[0].transport is frame.transport:
+            return False
+        last = self._last[0]
+        return pdu_of(last.transport, last.raw) == pdu_of(frame.transport, frame.raw)
+
+    def _keep_network(self) -> None:
+        """From now on, leave out the frames that are not of Modbus/TCP; forget those held."""
+        self._is_network = True
+        kept = [one for one in self._held if one.transport is Transport.TCP]
+        self.left_out += len(self._held) - len(kept)
+        self._held = deque(kept, MAX_HELD)
+        self._pending = None
+
     def _is_shown_twice(self, frame: TextFrame, voice: Voice, *, is_sure: bool) -> bool:
         if self._last is None:
             return False
@@ -300,6 +339,14 @@ def _weight(transport: Transport, form: tuple[Direction, ...], is_labelled: bool
     if not form:
         return 0
     return is_labelled + (transport is Transport.RTU)
+
+
+def _follows(before: TextFrame, frame: TextFrame) -> bool:
+    """True if two Modbus/TCP ADUs have transaction ids in a row."""
+    if before.transport is not Transport.TCP or frame.transport is not Transport.TCP:
+        return False
+    ids = [int.from_bytes(one.raw[:2]) for one in (before, frame)]
+    return ids[1] == ids[0] + 1
 
 
 def _decided(votes: list[int] | None) -> Direction | None:

@@ -88,6 +88,8 @@ class TextLog:
         self._recent: deque[bytes] = deque(maxlen=LOOK_BACK)
         self._last_row: tuple[int, Voice] | None = None
         """The number and the voice of the last row of a dump."""
+        self._last_mark: tuple[int, Mark | None] = 0, None
+        """The number and the mark of the last line that had bytes."""
         self._day_ns = 0
         self._clock_ns = 0
         self._time_ns: int | None = None
@@ -175,6 +177,7 @@ class TextLog:
                 voice, ts_ns = self._of_lines_before(voice, ts_ns)
             if len(choices[0]) < LEAST_BYTES and voice.mark is None and not first.is_row:
                 continue
+            self._last_mark = self.lines, voice.mark
             self._time_ns = ts_ns if ts_ns is not None else self._time_ns
             frames += self._frames.feed(choices, voice, self._time_ns, self.lines)
         return frames
@@ -197,13 +200,17 @@ class TextLog:
     def _of_lines_before(self, voice: Voice, ts_ns: int | None) -> tuple[Voice, int | None]:
         """Return the voice and the time, each from the lines before if the line has none."""
         mark: Mark | None = voice.mark
+        row = self.lines
         for line in reversed(self._recent):
+            row -= 1
             if mark is None:
                 mark = find_mark(line, is_strong=True)
             if ts_ns is None and (time := find_time(line)) is not None:
                 ts_ns = self._ns(time, line)
-            plan = self._plans.get(line.translate(SHAPE))
-            if (mark is not None and ts_ns is not None) or plan is not None:
+            is_of_bytes = self._plans.get(line.translate(SHAPE)) is not None
+            if is_of_bytes and mark is None and self._last_mark[0] == row and line[:1].isspace():
+                mark = self._last_mark[1]  # Both lines are of one object that has several.
+            if (mark is not None and ts_ns is not None) or is_of_bytes:
                 break
         if mark is not None and voice.mark is None:
             voice = Voice(voice.text + b"/" + mark.word, mark)

@@ -49,6 +49,12 @@ class Notation(NamedTuple):
     read: Callable[[bytes], bytes]
 
 
+_LETTERS = {
+    b"n": b"\n", b"r": b"\r", b"t": b"\t", b"a": b"\a", b"b": b"\b", b"f": b"\f", b"v": b"\v",
+    b"e": b"\x1b",
+}  # fmt: skip
+
+
 def _digits(text: bytes) -> bytes:
     return bytes.fromhex(text.translate(None, _PUNCTUATION).decode())
 
@@ -74,6 +80,13 @@ def _decimal(text: bytes) -> bytes:
     return bytes(map(int, numbers))
 
 
+def _slashed(text: bytes) -> bytes:
+    return b"".join(
+        _LETTERS[each] if each in _LETTERS else bytes.fromhex(each.decode())
+        for each in text.split(b"\\")[1:]
+    )
+
+
 def _ascii_frame(text: bytes) -> bytes:
     return text + b"\r\n"
 
@@ -93,6 +106,8 @@ NOTATIONS = (
     Notation((b"[00]",), re.compile(rb"(?:\[00\][ ,]?)+"), _digits),
     Notation((b"<00>",), re.compile(rb"(?:<00>[ ,]?)+"), _digits),
     Notation((b"\\x00",), re.compile(rb"(?:\\x00 ?)+"), _digits),
+    # \\00\\01\\n, pairs of digits behind a backslash
+    Notation((b"\\00\\00",), re.compile(rb"(?:\\(?:00(?!0)|[nrt])){4,}"), _slashed),
     # 01 03, 01:03, 01-03, 01,03, 01, 03, with a second space behind the eighth byte of a dump
     Notation(
         (b"00 00", b"00  00", b"00, 00", b"00,00", b"00:00", b"00-00", b"00|00", b"00;00",
@@ -137,10 +152,6 @@ _QUOTED = re.compile(rb"\"((?:[^\"\\]|\\.)*)\"|'((?:[^'\\]|\\.)*)'")
 _CODED = re.compile(rb"\\[xu0-7]|^:[0-9A-Fa-f]{8,}\\r")
 """A text in quotes may be bytes if it has an escape with digits, or is a frame of Modbus ASCII."""
 _ESCAPE = re.compile(rb"\\(?:x([0-9A-Fa-f]{2})|u00([0-9A-Fa-f]{2})|([0-7]{1,3})|(.))", re.DOTALL)
-_LETTERS = {
-    b"n": b"\n", b"r": b"\r", b"t": b"\t", b"a": b"\a", b"b": b"\b", b"f": b"\f", b"v": b"\v",
-    b"e": b"\x1b",
-}  # fmt: skip
 
 
 def find_bytes(line: bytes, shape: bytes, skip_to: int = 0) -> list[FoundBytes]:
