@@ -149,8 +149,12 @@ class Bus:
 class ConnectionDecoder:
     """Decodes a TCP connection between a master and a slave."""
 
-    def __init__(self, connection: Connection, *, rtu: bool = False, joined: bool = False) -> None:
-        """`joined` is True if the capture lacks the beginning of the connection."""
+    def __init__(
+        self, connection: Connection, *, rtu: bool = False, joined: bool = False, timed: bool = True
+    ) -> None:
+        """`joined` is True if the capture lacks the beginning of the connection, `timed` False if
+        its bytes have no known times.
+        """
         self._link = connection.link
         master, slave = str(connection.master), str(connection.slave)
         self._endpoints = {
@@ -162,7 +166,7 @@ class ConnectionDecoder:
             each: RtuStreamSplitter(each) if rtu else MbapSplitter(each, by_segments=True)
             for each in self._endpoints
         }
-        self._pairing = NetworkPairing(Ends(self._link, master, slave), joined=joined)
+        self._pairing = NetworkPairing(Ends(self._link, master, slave, timed=timed), joined=joined)
         self._last_adus: dict[Direction, Adu] = {}
         """The last frame of each direction of RTU over TCP."""
         self._bus: Bus | None = None
