@@ -60,8 +60,9 @@ class SecurityRules:
         return self._masters.takes(run) and self._scans.takes(run)
 
     def run(self, run: QuietRun) -> None:
-        """Count many answered reads together, with the same result as `transaction` for each."""
+        """Count many transactions together, with the same result as `transaction` for each."""
         self._masters.run(run)
+        self._commands.run(run)
         self._scans.run(run)
 
     def event(self, event: WireEvent) -> None:
