@@ -37,7 +37,7 @@ ENOUGH = 10
 ENOUGH_COPIES = 3
 SOON_NS = 1_000_000_000
 """A copy of a response comes at most so long (ns) after it."""
-MOSTLY = 0.3
+OFTEN = 0.1
 """Responses are repeated if at least this share (0 to 1) of them come twice."""
 _ECHOING = frozenset((0x05, 0x06, 0x08, 0x0F, 0x10, 0x16))
 """Functions whose response can be taken for a request."""
@@ -122,7 +122,7 @@ class HeardSides(Sense):
                     code="LINE-ECHO", link=link.name, count=line.echoes, of=line.requests,
                     evidence=tuple(line.echo_cases),
                 )  # fmt: skip
-            if line.copies >= ENOUGH_COPIES and line.copies >= MOSTLY * line.responses:
+            if line.copies >= ENOUGH_COPIES and line.copies >= OFTEN * line.responses:
                 yield Trouble(
                     code="LINE-REPEATED", link=link.name, count=line.copies, of=line.responses,
                     evidence=tuple(line.copy_cases),
