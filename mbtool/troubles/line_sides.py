@@ -38,7 +38,7 @@ ENOUGH = 10
 ENOUGH_COPIES = 3
 SOON_NS = 1_000_000_000
 """A copy of a response comes at most so long (ns) after it."""
-MOSTLY = 0.3
+OFTEN = 0.1
 """Responses are repeated if at least this share (0 to 1) of them come twice."""
 _ECHOING = frozenset((0x05, 0x06, 0x08, 0x0F, 0x10, 0x16))
 """Functions whose response can be taken for a request."""
@@ -121,7 +121,7 @@ class HeardSides(Sense):
             line = self._lines.get(link.name)
             if line is None or not link.is_whole:
                 continue
-            is_repeated = line.copies >= ENOUGH_COPIES and line.copies >= MOSTLY * line.responses
+            is_repeated = line.copies >= ENOUGH_COPIES and line.copies >= OFTEN * line.responses
             if line.echoes >= ENOUGH_COPIES and not is_repeated:
                 yield Trouble(
                     code="LINE-ECHO", link=link.name, count=line.echoes, of=line.requests,
