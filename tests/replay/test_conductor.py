@@ -11,7 +11,7 @@ from mbtool.devices import Namer
 from mbtool.replay.clock import PlayClock
 from mbtool.replay.conductor import Conductor
 from mbtool.replay.judging import ResponseJudge, Tolerance
-from mbtool.replay.script import Script
+from mbtool.replay.script import Script, Step
 from tests.replay.recorded import MS, answered, to_all, unanswered
 
 if TYPE_CHECKING:
