@@ -88,6 +88,19 @@ def results(
         return list(work.run(spans, lambda: ends_early and bool(failed(work.report.cases))))
 
 
+def test_the_embedded_slave_passes_with_rtu_over_tcp(stack: ExitStack) -> None:
+    profile = load_profile(TOUCH)
+    slave = stack.enter_context(
+        device_slave(profile, TcpLink(Endpoint("127.0.0.1", 0), rtu=True), UNIT)
+    )
+    link = parse_link(slave.place, "the slave")
+    with open_wire(link, TIMEOUT_NS, 0) as wire:
+        known = profile.in_mode(Transport.RTU_TCP)
+        cases = list(Conformance(known, link, wire, UNIT).run())
+    assert len(cases) > 40
+    assert failed(cases) == []
+
+
 def failed(cases: list[CaseResult]) -> list[str]:
     return [f"{one.name}: {one.problem}" for one in cases if one.result is Result.FAILED]
 
