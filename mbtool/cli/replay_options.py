@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import typer
 
+from mbtool.cli.ask_options import ListenOption, listen_ns
 from mbtool.cli.option_groups import OptionGroup
 
 if TYPE_CHECKING:
@@ -306,6 +307,7 @@ class AsMasterOptions(OptionGroup):
             help="As the master: how long to wait for an answer, in seconds.",
         ),
     ] = 1.0
+    listen: ListenOption = None
     latency_tolerance: Annotated[
         float | None,
         typer.Option(
@@ -344,6 +346,7 @@ class AsMasterOptions(OptionGroup):
             **shared,
             is_loop=is_loop,
             timeout_ns=round(self.timeout * 1e9),
+            listen_ns=listen_ns(self.listen),
             ignore=[*(self.ignore or ()), *ranges_of(self.ignore_from or ())],
             learns=self.learn is not None,
             tolerance=tolerance,

@@ -67,6 +67,7 @@ SCHEMA = pa.schema(
         ("source_mac", _WORD),
         ("destination_mac", _WORD),
         ("vlan", pa.uint16()),
+        ("pair_confidence", pa.float64()),
     ]
 )
 """The columns in order. Other programs rely on them: a column never changes its name, type or

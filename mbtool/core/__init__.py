@@ -3,6 +3,7 @@
 from mbtool.core.errors import (
     CutError,
     DamageError,
+    EmptyError,
     InputError,
     LinkError,
     MbtoolError,
@@ -55,6 +56,7 @@ __all__ = [
     "CutError",
     "DamageError",
     "Direction",
+    "EmptyError",
     "Endpoint",
     "EventKind",
     "InputError",

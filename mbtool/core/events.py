@@ -39,6 +39,9 @@ class EventKind(StrEnum):
     """The two ports of a link are in the wrong order: the one for the master receives responses."""
     ECHO = "echo"
     """The second copy of a request, from an adapter that also receives its own bytes."""
+    REPEATED = "repeated"
+    """The second copy of a response, from a repeater that sends each frame again, or from two taps
+    of one line."""
     TWO_MASTERS = "two-masters"
     """Several masters seem to be on a serial line: requests come while other requests still wait
     for their response. Reported once for each line."""

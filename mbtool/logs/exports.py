@@ -83,6 +83,7 @@ CSV_COLUMNS = (
     "source_mac",
     "destination_mac",
     "vlan",
+    "pair_confidence",
 )
 """The CSV columns in order. A column never changes its name or meaning; new ones come last."""
 

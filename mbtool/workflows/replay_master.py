@@ -64,6 +64,9 @@ class MasterOptions(PlayOptions):
 
     is_loop: bool = False
     timeout_ns: int = _NS
+    listen_ns: int | None = 0
+    """How long to listen for another master on a serial line before the first request, in ns; 0 for
+    not at all, None for the usual times."""
     ignore: Sequence[str] = ()
     """Ranges of registers and bits whose values may differ from the recording, as texts such as
     `holding 0..9`."""
@@ -180,6 +183,7 @@ class MasterRun:
         conductor, problem = None, None
         try:
             with self._open(link) as master:
+                master.take_line(options.listen_ns)
                 has_connections = isinstance(master, ConnectionsMaster)
                 conductor = Conductor(
                     self.script, clock, judge, master.limits, with_connections=has_connections

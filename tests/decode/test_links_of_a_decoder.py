@@ -190,8 +190,8 @@ def test_breaking_lines_leaves_connections_alone() -> None:
     decoder = plain()
     decoded(decoder, heard(0, READ), relayed(0, REQUEST, READ))
     assert [one.link for one in decoder.break_lines()] == [LINE.name]
-    assert told(decoder.feed(relayed(5, RESPONSE, VALUES))) == ["ok"]
-    assert decoder.close() == []
+    records = [*decoder.feed(relayed(5, RESPONSE, VALUES)), *decoder.close()]
+    assert told(records) == ["ok"]
 
 
 def test_a_gap_without_a_link_ends_connections_and_lines_and_keeps_its_place() -> None:
@@ -393,7 +393,9 @@ def test_a_connection_is_at_rest_while_nothing_of_it_is_open() -> None:
     assert decoder.at_rest(ends, talk.ts_ns) is not None
     # A request that nobody answered may be repeated later.
     decoded(decoder, talk.request(mbap_adu(3, 1, READ)), Quiet(talk.ts_ns + TIMEOUT_NS + 1, SLAVE))
-    assert decoder.at_rest(ends, talk.ts_ns + TIMEOUT_NS + 1) is None
+    resting = decoder.at_rest(ends, talk.ts_ns + TIMEOUT_NS + 1)
+    assert resting is not None
+    assert resting.decoder.limits().requests == {b"\1" + READ}
 
 
 def test_a_decoder_that_is_closed_keeps_nothing() -> None:
