@@ -19,7 +19,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from mbtool.devices.checking.finding import transaction_finding
+from mbtool.devices.checking.finding import packets_of, transaction_finding
 from mbtool.devices.checking.lru_dict import LruDict
 from mbtool.devices.checking.security_cases import (
     master_text,
@@ -90,23 +90,25 @@ class CommandRules:
     def _note_write(self, transaction: NamedTransaction, source: str, slave: str) -> None:
         windows = self._on_line if transaction.transport.is_serial else self._on_network
         window = windows[source, slave]
-        counted = window.add(transaction.start_ns)
+        counted = window.add(transaction.start_ns, packets_of(transaction))
         if counted:
             text = (
                 f"{master_text(transaction)} writes {{count}} times to {place_text(transaction)}, "
                 f"for example {request_text(transaction)}"
             )
             finding = transaction_finding("SEC-102", transaction, text, ts_ns=window.first_ns)
-            self._cases.add(source, replace(finding, function=None, reference=None), counted)
+            finding = replace(finding, function=None, reference=None)
+            self._cases.add(source, finding, counted, packets=window.last_packets(counted))
 
     def _note_command(self, transaction: NamedTransaction, source: str, command: str) -> None:
         window = self._commands[source, ""]
-        counted = window.add(transaction.start_ns)
+        counted = window.add(transaction.start_ns, packets_of(transaction))
         if counted:
             text = f"{master_text(transaction)} tells {{examples}}"
             finding = transaction_finding("SEC-103", transaction, text, ts_ns=window.first_ns)
             example = f"unit {transaction.unit} of {place_text(transaction)} to {command}"
-            self._cases.add(source, finding, counted, [example])
+            packets = window.last_packets(counted)
+            self._cases.add(source, finding, counted, [example], packets)
 
 
 def stop_command(transaction: NamedTransaction) -> str | None:

@@ -15,7 +15,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from mbtool.devices.checking.finding import event_finding, transaction_finding
+from mbtool.devices.checking.finding import event_finding, packets_of, transaction_finding
 from mbtool.devices.checking.security_cases import (
     host_of,
     master_text,
@@ -104,7 +104,12 @@ class ScanRules:
             return str(transaction.unit), _finding("SEC-202", transaction, text)
 
         is_polled = self._units.note(
-            (source, slave), transaction.unit, request, first_unit, is_answered=is_answered
+            (source, slave),
+            transaction.unit,
+            request,
+            first_unit,
+            is_answered=is_answered,
+            packets=packets_of(transaction),
         )
         if transaction.destination is None:
             return
@@ -118,6 +123,7 @@ class ScanRules:
             hash((request, transaction.unit)),
             lambda: (host, _finding("SEC-201", transaction, _hosts(source))),
             is_answered=is_answered,
+            packets=packets_of(transaction),
         )
 
     def _note_function(self, transaction: NamedTransaction, source: str, slave: str) -> None:
@@ -136,6 +142,7 @@ class ScanRules:
             _request(transaction),
             first_function,
             is_answered=transaction.response_raw is not None,
+            packets=packets_of(transaction),
         )
 
     def _note_register(self, transaction: NamedTransaction, source: str, slave: str) -> None:
@@ -153,6 +160,7 @@ class ScanRules:
             _request(transaction),
             first_register,
             is_answered=True,
+            packets=packets_of(transaction),
         )
 
 

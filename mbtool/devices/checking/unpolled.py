@@ -13,7 +13,7 @@
 # Memory: MAX_THINGS things that are not known to be polled, and as many that are. If there are
 # more, the oldest thing not known to be polled is counted as never polled. For each of at most
 # MAX_ENTRIES scopes (lru_dict.py): the times of recent cases (sliding_window.py), and as many
-# things as the rule's limit says.
+# things as the rule's limit says. Of each thing, the packets of MAX_PACKETS requests.
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING
 
 from mbtool.devices.checking.finding import Finding
 from mbtool.devices.checking.lru_dict import LruDict
+from mbtool.devices.checking.security_cases import Packets
 from mbtool.devices.checking.sliding_window import SlidingWindow
 
 if TYPE_CHECKING:
@@ -34,6 +35,8 @@ MAX_THINGS = 8192
 MAX_ATTEMPTS = 4
 """A master polls if it repeats a request without a response so many times. Most masters stop after
 three retries."""
+
+MAX_PACKETS = 16
 
 OPENED = 0
 """Stands for the opening of a connection in the place of a request's hash."""
@@ -62,6 +65,8 @@ class _Attempts:
     """The number of the master's requests to the thing so far."""
     repeats: int = 0
     """Number of times that the remembered request was repeated."""
+    more: tuple[Packets, ...] = ()
+    """The packets of the requests after the first one, at most MAX_PACKETS."""
 
     def is_poll(self, request: int, *, is_answered: bool) -> bool:
         """Take the master's next request to the thing into account.
@@ -136,13 +141,14 @@ class Unpolled:
         describe: Callable[[], tuple[str, Finding]],
         *,
         is_answered: bool = False,
+        packets: Packets = (),
     ) -> bool:
         """Take a request to a thing (an IP address, unit, function or register) into account.
 
         Returns True if the thing is now known to be polled. `request` is the hash of the request;
         `is_answered` is True if it has a response. `describe` is called for the first request to a
         thing. It returns the thing as text, for an example in a message, and the finding to use if
-        this is the first case of a scan.
+        this is the first case of a scan. `packets` are those of the request and its response.
         """
         thing = (scope, item)
         if thing in self._polled:
@@ -155,6 +161,8 @@ class Unpolled:
         elif attempts.is_poll(request, is_answered=is_answered):
             self.set_polled(scope, item)
             return True
+        elif len(attempts.more) < MAX_PACKETS:
+            attempts.more += (packets,)
         return False
 
     def close(self) -> None:
@@ -172,6 +180,7 @@ class Unpolled:
         scan.recent.append(attempts)
         counted = scan.window.add(attempts.finding.ts_ns)
         if counted:
-            first = scan.recent[-min(counted, len(scan.recent))]
+            new = [*scan.recent][-counted:]
             texts = [one.text for one in scan.recent]
-            self._cases.add(str(scope[0]), first.finding, counted, texts)
+            packets = [each for one in new for each in (one.finding.packets, *one.more)]
+            self._cases.add(str(scope[0]), new[0].finding, counted, texts, packets)
