@@ -64,6 +64,8 @@ class QuietWrite(NamedTuple):
     """The time of its request, in ns."""
     row: int
     """Its row number, for `QuietRun.transaction`."""
+    packets: tuple[int, int]
+    """The numbers of the packets of its request and its response."""
 
 
 @dataclass(slots=True)
