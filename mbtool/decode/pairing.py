@@ -395,7 +395,9 @@ class Pairing:
         else:
             self._earlier.note_heard(request.unit)
         retries = self._unanswered.take(request) if self._unanswered else 0
-        done = doubted(with_response(self._ends, request, response, retries, ()), confidence)
+        done = with_response(self._ends, request, response, retries, ())
+        if confidence < 1.0:
+            done = doubted(done, confidence)
         return late(done) if is_late else done
 
     def _unanswered_of(self, requests: list[OpenLineRequest]) -> list[Transaction]:

@@ -139,8 +139,7 @@ class LineHistory:
         requests[request] = None
         if len(requests) > MAX_REQUESTS:
             del requests[next(iter(requests))]
-        before = state.answered or state.pending
-        if pdu[0] in ECHOING and before is not None:
+        if pdu[0] in ECHOING and (before := state.answered or state.pending) is not None:
             self.rewrite.learn(before.has_address_of(unit, pdu) and before.pdu != pdu)
         if state.answered is not None:
             is_repeat = state.answered.is_same(unit, pdu)
