@@ -186,7 +186,9 @@ class BusModel:
         """
         if not state.unexplained_silence_ns:
             return 0.0
-        doublings = self.history.unexplained_silences.doublings_late(state.unexplained_silence_ns)
+        doublings = self.history.unexplained_silences.doublings_late(
+            state.unexplained_silence_ns, self.history.least_silence_ns
+        )
         if doublings <= LatencyStatistics.MARGIN_DOUBLINGS:
             return 0.0
         cost = min(costs.LATE + costs.LATE_PER_DOUBLING * doublings, costs.MAX_LATENESS)

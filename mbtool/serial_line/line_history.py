@@ -39,6 +39,8 @@ class LineHistory:
         self.trusts_silences = timed
         """True if silences tell who speaks. False if the bytes have no known times, or if the
         adapter merges frames."""
+        self.least_silence_ns = 0
+        """A silence up to this length, in ns, is usual on any line of this baud rate."""
         self.hears_silences = False
         """True once a silence of t3.5 was heard between two frames that is shorter than those of an
         adapter that merges a request and its retry."""

@@ -92,6 +92,7 @@ class RtuSplitter:
         self._speaker = speaker
         self._roles = ROLES if speaker is None else (speaker,)
         self._model = bus_model or BusModel(timed=timed)
+        self._model.history.least_silence_ns = 2 * line.t3_5_ns
         self._fast_path = FastPath(self._model, speaker, WINDOW)
         self._statistics = LineStatistics(timed=timed)
         self._bursts = BurstStatistics()
