@@ -20,6 +20,8 @@ MAX_REQUESTS = 1024
 """At most this many requests of a line are remembered; beyond that, the one heard least recently is
 forgotten."""
 
+KNOWN_HEAD = 4
+"""So many bytes tell a request that was heard before: unit, function and address."""
 PAUSE_GROWTH = 1.01
 """Each pause (the silence from a response to the next request) makes the shortest pause on record
 1 % longer, so that one unusually short pause is forgotten."""
@@ -97,6 +99,13 @@ class LineHistory:
         if len(head) == 1:
             return head[0] in self.units
         return len(head) == 2 and (head[0], head[1] & ~EXCEPTION_BIT) in self.functions
+
+    def begins_request(self, head: bytes) -> bool:
+        """True if a request that was heard before begins with `head`, up to its address."""
+        if len(head) < KNOWN_HEAD or not self.has_function(head[:2]):
+            return False
+        unit, begin = head[0], head[1:]
+        return any(pdu.startswith(begin[: len(pdu)]) for one, pdu in self.requests if one == unit)
 
     def master_still_waits(self, waited_ns: int) -> bool | None:
         """True if a master surely still waits for a response `waited_ns` after its request.
