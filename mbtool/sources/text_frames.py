@@ -4,7 +4,7 @@
 # of an ASCII frame, or the length of an MBAP header together with that of its function. Bytes that
 # are no frame may be a part of one: they are kept with those of the same place in the log's lines
 # (its "voice", such as `recv:`), and joined with the next ones. RTU frames are found anywhere among
-# joined bytes, the others only at their beginning, as zeros look like an MBAP header.
+# joined bytes, the others only where a piece begins, as zeros look like an MBAP header.
 #
 # The direction of a frame is that of its form, if only a request or only a response has it. Else it
 # is that of the voice, as its other frames have shown; else that of its word (`Tx`), as other
@@ -39,6 +39,9 @@ if TYPE_CHECKING:
 MAX_HELD = 256
 MAX_VOICES = 256
 MAX_PART = 2 * MAX_RTU_ADU
+MAX_BEGINS = 8
+"""A frame other than RTU is found in the first piece since the last frame and what follows, or in
+the last pieces, at most so many."""
 MAX_LINES_APART = 64
 """Bytes are joined with those before them if at most this many lines lie between."""
 ENOUGH = 4
@@ -90,6 +93,8 @@ class _OpenBytes:
         self.data = b""
         self.row = 0
         """The number of the last line that brought bytes."""
+        self._begins: list[int] = []
+        """The offsets at which the last pieces begin, at which a frame of any kind may begin."""
         self._open: list[tuple[int, int]] = []
         """The places, begin and end, at which an RTU frame may stand that is not complete."""
         self._searched = 0
@@ -97,14 +102,16 @@ class _OpenBytes:
 
     def feed(self, data: bytes, *, labelled: bool) -> list[tuple[Transport, bytes]]:
         """Take more bytes; return the frames that they complete, and forget all before these."""
-        is_first = not self.data
+        size = len(self.data)
         self.data += data
-        if not is_first and len(self.data) <= MAX_TCP_ADU:
-            found = whole_frames(self.data, labelled=labelled)
-            if found:
-                self._drop(len(self.data))
-                return found
-        found = []
+        found: list[tuple[Transport, bytes]] = []
+        for begin in self._begins:
+            if len(self.data) - begin <= MAX_TCP_ADU:
+                found = whole_frames(self.data[begin:], labelled=labelled)
+                if found:
+                    self._drop(len(self.data))
+                    return found
+        self._begins = [*self._begins[:1], *self._begins[1:][1 - MAX_BEGINS :], size]
         self._search()
         while (place := self._complete()) is not None:
             begin, end = place
@@ -150,6 +157,7 @@ class _OpenBytes:
     def _drop(self, count: int) -> None:
         self.data = self.data[count:]
         self._open = [(begin - count, end - count) for begin, end in self._open if begin >= count]
+        self._begins = [begin - count for begin in self._begins if begin >= count]
         self._searched = max(0, self._searched - count)
 
 
