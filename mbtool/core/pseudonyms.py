@@ -15,7 +15,8 @@
 #                   the text has the same length and form.
 #     name          its kind and a number, in the order of first use: line1, net2
 #     unit          another unit, 1 to 247; 0 and those above 247 stay
-#     time          all times are earlier by the same number of seconds, up to ten years
+#     time          all times are earlier by the same number of days, 1 to 3650, so that hours and
+#                   other divisions of the day, by which statistics count, stay the same
 #
 # Memory: the addresses and names met so far, at most MAX_KEPT of each kind are kept.
 
@@ -30,7 +31,8 @@ MAX_KEPT = 1 << 16
 _MULTICAST = 224
 _CLASS_BITS = 3
 """The bits of an IPv4 address that are all 1 in an address for many hosts."""
-_TEN_YEARS_S = 10 * 365 * 86_400
+_MAX_DAYS = 3650
+_DAY_NS = 86_400 * 10**9
 _MAX_UNIT = 247
 _CLASSES = tuple(
     each.encode() for each in (string.ascii_uppercase, string.ascii_lowercase, string.digits)
@@ -51,8 +53,8 @@ class Pseudonyms:
             range(1, _MAX_UNIT + 1), key=lambda unit: self._hash(b"unit", bytes((unit,)))
         )
         self._units = dict(zip(range(1, _MAX_UNIT + 1), order, strict=True))
-        self.shift_ns = int.from_bytes(self._hash(b"time", b"")[:6]) % _TEN_YEARS_S * 10**9
-        """Every time becomes earlier by this, in ns; a whole number of seconds."""
+        self.shift_ns = (1 + int.from_bytes(self._hash(b"time", b"")) % _MAX_DAYS) * _DAY_NS
+        """Every time becomes earlier by this, in ns; a whole number of days."""
         self.ip = lru_cache(maxsize=MAX_KEPT)(self._ip)
         self.mac = lru_cache(maxsize=MAX_KEPT)(self._mac)
 
