@@ -10,7 +10,14 @@ from mbtool.core.errors import (
     OutputError,
     UsageError,
 )
-from mbtool.core.events import CONNECTION_JOINED, CONNECTION_OPENED, EventKind, WireEvent
+from mbtool.core.events import (
+    CONNECTION_CLOSED,
+    CONNECTION_JOINED,
+    CONNECTION_OPENED,
+    ConnectionEnd,
+    EventKind,
+    WireEvent,
+)
 from mbtool.core.evidence import (
     Chunk,
     Connection,
@@ -39,11 +46,13 @@ from mbtool.core.serial_format import SerialFormat
 from mbtool.core.silence import Silence
 
 __all__ = [
+    "CONNECTION_CLOSED",
     "CONNECTION_JOINED",
     "CONNECTION_OPENED",
     "AutoLink",
     "Chunk",
     "Connection",
+    "ConnectionEnd",
     "CutError",
     "DamageError",
     "Direction",

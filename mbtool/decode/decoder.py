@@ -20,6 +20,7 @@ from collections import OrderedDict
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from mbtool.core import (
+    CONNECTION_CLOSED,
     CONNECTION_JOINED,
     CONNECTION_OPENED,
     Chunk,
@@ -309,7 +310,7 @@ class Decoder:
         probes = f", {item.keep_alives} keep-alive probes" if item.keep_alives else ""
         if item.unanswered_probes:
             probes += f", the last {item.unanswered_probes} unanswered"
-        text = _DROPPED if discarded else f"connection closed: {item.reason}"
+        text = _DROPPED if discarded else _closing_text(item)
         closed = _connection_event(item, kind, text + probes)
         return [*records, closed if detector is None else detector.in_detected_roles(closed)]
 
@@ -443,10 +444,19 @@ def opening_event(ts_ns: int, connection: Connection) -> WireEvent:
     return _connection_event(opened, EventKind.OPENED, CONNECTION_OPENED)
 
 
-def closing_event(ts_ns: int, connection: Connection) -> WireEvent:
-    """Make the event of a connection that both ends have ended with a FIN."""
-    closed = StreamClosed(ts_ns, connection, CloseReason.FINISHED)
-    return _connection_event(closed, EventKind.CLOSED, f"connection closed: {closed.reason}")
+def closing_event(ts_ns: int, connection: Connection, by: Direction) -> WireEvent:
+    """Make the event of a connection that both ends have ended with a FIN, first the end whose
+    bytes have the direction `by`.
+    """
+    closed = StreamClosed(ts_ns, connection, CloseReason.FINISHED, by)
+    return _connection_event(closed, EventKind.CLOSED, _closing_text(closed))
+
+
+def _closing_text(closed: StreamClosed) -> str:
+    """The message of a CLOSED event; ConnectionEnd (core/events.py) reads it."""
+    whose = {Direction.REQUEST: " by the master", Direction.RESPONSE: " by the slave"}
+    by = "" if closed.by is None else whose.get(closed.by, "")
+    return f"{CONNECTION_CLOSED}{closed.reason}{by}"
 
 
 def _connection_event(

@@ -402,8 +402,8 @@ class _ProtocolCandidate:
         return any(head and self._may_begin_adu(head, way) for way, head in heads.items())
 
     def _may_begin_adu(self, head: bytes, direction: Direction) -> bool:
-        if self._is_rtu:
-            return begins_with_frame(head, self.roles[direction]) is not False
+        if self._is_rtu:  # One direction may carry a whole line, and so begin with either.
+            return any(begins_with_frame(head, each) is not False for each in OTHER)
         return (LONG_HEADER if len(head) >= _MBAP_SIZE else _MBAP_PREFIX).match(head) is not None
 
     def add(self, decoded: list[Decoded]) -> None:

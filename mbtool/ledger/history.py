@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 MAX_ROWS = 256
 
-_NO_FRAME = frozenset((EventKind.SKIPPED, EventKind.FOREIGN, EventKind.ECHO))
+_NO_FRAME = frozenset((EventKind.SKIPPED, EventKind.FOREIGN, EventKind.ECHO, EventKind.REPEATED))
 _LACKING = frozenset((EventKind.GAP, EventKind.DISCARDED, EventKind.CUT))
 
 

@@ -41,7 +41,9 @@ MAX_PAIRS = 4096
 _MAX_HOSTS = 65_536
 
 _CONNECTIONS = frozenset((EventKind.OPENED, EventKind.CLOSED, EventKind.REFUSED))
-_NO_FRAME = frozenset((EventKind.SKIPPED, EventKind.BAD_CHECK, EventKind.FOREIGN, EventKind.ECHO))
+_NO_FRAME = frozenset((
+    EventKind.SKIPPED, EventKind.BAD_CHECK, EventKind.FOREIGN, EventKind.ECHO, EventKind.REPEATED,
+))  # fmt: skip
 
 Group = tuple[str, int, int]
 """The key of a group of transactions: link name, unit and function code."""

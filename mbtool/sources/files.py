@@ -478,7 +478,10 @@ def _size(file: io.BufferedIOBase) -> int | None:
 
 def _unreadable(name: str, error: OSError | ValueError) -> InputError:
     if isinstance(error, FileNotFoundError):
-        return InputError(f"{name}: there is no such file")
+        stem, suffix = os.path.splitext(name)
+        parts = f"; its parts are {stem}-0001{suffix} and following: name {stem}-*{suffix}"
+        is_rotated = os.path.exists(f"{stem}-0001{suffix}")
+        return InputError(f"{name}: there is no such file{parts if is_rotated else ''}")
     if isinstance(error, IsADirectoryError):
         return InputError(f"{name}: a directory; name a capture file in it")
     if isinstance(error, PermissionError):

@@ -76,7 +76,9 @@ class ReportRun:
         """
         self._files = files
         self._options = options
-        self._check = CheckRun(files, options, codes, window=window, on_retry=self._add_retry)
+        self._check = CheckRun(
+            files, options, codes, window=window, on_retry=self._add_retry, reads_only=True
+        )
         self.reading = self._check.reading
         self.statistics = self._check.ledger
         self._inventory = Inventory()

@@ -41,6 +41,8 @@ COMMANDS = (
     "read",
     "write",
     "poll",
+    "scan",
+    "test",
     "devices",
     "links",
     "doctor",
