@@ -13,6 +13,10 @@
 # adapter may hear what it sends. So a frame is left out if the frame before is equal, in the same
 # direction, and of another voice; a request of the same voice is a retry.
 #
+# Some programs show unit and PDU without a frame. Such bytes count, as RTU frames with the CRC that
+# they would have, in a log without frames: a request of the form of its function, and behind it the
+# response that fits it, both with a word or arrow.
+#
 # A log is taken for Modbus once it has given enough evidence (ENOUGH). Frames before that are held.
 #
 # Memory: MAX_HELD frames, MAX_VOICES voices with at most MAX_PART bytes each.
@@ -59,7 +63,7 @@ FEW_MISSES = 16
 frame."""
 
 _LABELLED = 2
-_MIN_RTU, _MIN_MBAP = 4, MBAP_BYTES + 1
+_MIN_RTU, _MIN_MBAP, _MIN_BARE = 4, MBAP_BYTES + 1, 3
 _MAX_UNIT = 247
 _SENDERS = (Direction.REQUEST, Direction.RESPONSE)
 _CODES = bytes(sorted({*FUNCTIONS, *(code | EXCEPTION_BIT for code in FUNCTIONS)}))
@@ -178,6 +182,10 @@ class TextFrames:
         self._misses = 0
         self._missed = 0
         """The number of runs of bytes without a frame before the log was known."""
+        self._bare_request: bytes | None = None
+        """The last request that was shown without a frame, with the CRC that it would have."""
+        self.bare = 0
+        """The number of frames that were shown without their CRC."""
         self.left_out = 0
         """The number of frames that were shown twice."""
 
@@ -200,12 +208,16 @@ class TextFrames:
                 break
         else:
             found = self._joined(choices[0], voice, row)
+        ways: list[Direction | None] = [None] * len(found)
+        if not found:
+            found = self._bare(choices[0], voice)
+            ways = [*_SENDERS]
         if not self.is_modbus:
             self._note_miss(choices[0], is_miss=not found)
         frames = [
             frame
-            for transport, raw in found
-            if (frame := self._frame(transport, raw, voice, ts_ns, row)) is not None
+            for (transport, raw), way in zip(found, ways, strict=False)
+            if (frame := self._frame(transport, raw, voice, ts_ns, row, way)) is not None
         ]
         if self.is_modbus:
             if self._held:
@@ -227,6 +239,23 @@ class TextFrames:
     def drop_parts(self) -> None:
         """Forget incomplete bytes, as at the beginning of another dump."""
         self._parts.clear()
+
+    def _bare(self, data: bytes, voice: Voice) -> list[tuple[Transport, bytes]]:
+        """Return a request and its response that are shown without a frame, once both are there."""
+        is_framed = self._last is not None and not self.bare
+        if is_framed or voice.mark is None or not _MIN_BARE <= len(data) <= MAX_RTU_ADU - 2:
+            return []
+        raw = data + crc(data).to_bytes(2, "little")
+        form = forms(Transport.RTU, raw) if data[1] & ~EXCEPTION_BIT in FUNCTIONS else ()
+        asked, self._bare_request = self._bare_request, None
+        if asked is not None and Direction.RESPONSE in form:
+            request = TextFrame(None, asked, Transport.RTU, Direction.REQUEST, 0)
+            if _answers(request, Transport.RTU, raw):
+                self.bare += 2
+                return [(Transport.RTU, asked), (Transport.RTU, raw)]
+        if Direction.REQUEST in form and data[0] <= _MAX_UNIT:
+            self._bare_request = raw
+        return []
 
     def _note_miss(self, data: bytes, *, is_miss: bool) -> None:
         if is_miss and self._last is not None and data in self._last[0].raw:
@@ -250,14 +279,22 @@ class TextFrames:
         return found
 
     def _frame(
-        self, transport: Transport, raw: bytes, voice: Voice, ts_ns: int | None, row: int
+        self,
+        transport: Transport,
+        raw: bytes,
+        voice: Voice,
+        ts_ns: int | None,
+        row: int,
+        way: Direction | None = None,
     ) -> TextFrame | None:
-        """Decide the direction of a frame; None if it is one that was shown before."""
+        """Decide the direction of a frame, unless `way` names it; None if it was shown before."""
         if self._is_network and transport is not Transport.TCP:
             self.left_out += 1
             return None
         form = forms(transport, raw)
-        direction, is_sure = self._direction(transport, raw, form, voice)
+        direction, is_sure = way, False
+        if direction is None:
+            direction, is_sure = self._direction(transport, raw, form, voice)
         frame = TextFrame(ts_ns, raw, transport, direction, row)
         if is_sure:
             self._learn(voice, direction)

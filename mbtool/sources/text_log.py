@@ -108,6 +108,11 @@ class TextLog:
         """The number of frames that the log shows twice, and which count once."""
         return self._frames.left_out
 
+    @property
+    def bare(self) -> int:
+        """The number of frames that the log shows without their CRC, which was computed."""
+        return self._frames.bare
+
     def chunks(self) -> Iterator[Chunk]:
         """Yield the frames of the log, each as a chunk; none if it is not known to be Modbus."""
         for lines in self._blocks():

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from mbtool.core import WireEvent
+from mbtool.core import InputError, WireEvent
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
 from tests.sources.text_logs import BY_WORD, FORMS, TIMED, conversation, expected
 
@@ -45,6 +45,20 @@ def test_a_stream_of_rtu_needs_no_word(tmp_path: Path, form: str) -> None:
     path = tmp_path / "log.txt"
     path.write_text(FORMS[form](conversation()))
     assert _told(_read(path)) == expected()
+
+
+def test_requests_and_responses_need_no_frame_if_they_fit_each_other(tmp_path: Path) -> None:
+    path = tmp_path / "log.txt"
+    lines = [
+        f"conn[10.0.0.9]: {'request' if one.is_request else 'response'}: "
+        + "".join(f"[{byte:02x}]" for byte in one.data[:-2])
+        for one in conversation()
+    ]
+    path.write_text("\n".join(lines))
+    assert _told(_read(path)) == [one for one in expected() if one[1] != "no-answer"]
+    path.write_text("\n".join(line for line in lines if "request" in line))
+    with pytest.raises(InputError):
+        _read(path)
 
 
 @pytest.mark.parametrize("form", sorted(TIMED))
