@@ -104,14 +104,14 @@ class _OpenBytes:
         self._searched = 0
         """The offset up to which beginnings of RTU frames were looked for."""
 
-    def feed(self, data: bytes, *, labelled: bool) -> list[tuple[Transport, bytes]]:
+    def feed(self, data: bytes) -> list[tuple[Transport, bytes]]:
         """Take more bytes; return the frames that they complete, and forget all before these."""
         size = len(self.data)
         self.data += data
         found: list[tuple[Transport, bytes]] = []
         for begin in self._begins:
             if len(self.data) - begin <= MAX_TCP_ADU:
-                found = whole_frames(self.data[begin:], labelled=labelled)
+                found = whole_frames(self.data[begin:])
                 if found:
                     self._drop(len(self.data))
                     return found
@@ -271,7 +271,7 @@ class TextFrames:
         if part is None or row - part.row > MAX_LINES_APART:
             part = _OpenBytes()
         part.row = row
-        found = part.feed(data, labelled=voice.mark is not None)
+        found = part.feed(data)
         if part.data:
             self._parts[voice.text] = part
             if len(self._parts) > MAX_VOICES:
@@ -429,8 +429,8 @@ def forms(transport: Transport, raw: bytes) -> tuple[Direction, ...]:
 def whole_frames(data: bytes, *, labelled: bool = False) -> list[tuple[Transport, bytes]]:
     """Return the frames of which bytes consist, without a rest; an empty list if they do not.
 
-    `labelled` is True if a word says that the bytes were sent or received. Then a function that no
-    table knows is accepted, too.
+    `labelled` is True if a word says that the bytes were sent or received. Then one RTU frame
+    counts that has not the length of its function, or a function that no table knows.
     """
     if data[:1] == b":":
         return _ascii_frames(data)
@@ -448,10 +448,8 @@ def _rtu_frames(data: bytes, *, labelled: bool) -> list[tuple[Transport, bytes]]
         at += size
     if at == len(data):
         return found
-    is_known = len(data) > 1 and (data[1] & ~EXCEPTION_BIT) in FUNCTIONS
-    if _MIN_RTU <= len(data) <= MAX_RTU_ADU and (labelled or is_known) and crc(data) == 0:
-        return [(Transport.RTU, data)] if data[1] > 0 else []
-    return []
+    is_frame = labelled and _MIN_RTU <= len(data) <= MAX_RTU_ADU and crc(data) == 0
+    return [(Transport.RTU, data)] if is_frame and data[1] > 0 else []
 
 
 def _rtu_size(data: bytes, at: int) -> int:
