@@ -187,6 +187,8 @@ class CaptureFile:
         if text is None or not text.found:
             return None
         twice = f"; {counted(text.shown_twice, 'frame')} shown twice" if text.shown_twice else ""
+        if text.bare:
+            twice += f"; {counted(text.bare, 'frame')} shown without CRC, which is computed"
         found = f"{counted(text.found, 'frame')} in {counted(text.lines, 'line')}"
         return f"{self.name}: {found} of text, all else passed over{twice}"
 
