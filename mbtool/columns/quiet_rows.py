@@ -127,9 +127,9 @@ class _QuietBlock:
 
     def run(self, begin: int, end: int) -> QuietRun:
         return QuietRun(
-            [self._quiet_poll(places) for places in _alike(self._poll, begin, end)],
             [self._quiet_connection(places) for places in _alike(self._connection, begin, end)],
-            self._quiet_writes(begin, end),
+            lambda: [self._quiet_poll(places) for places in _alike(self._poll, begin, end)],
+            lambda: self._quiet_writes(begin, end),
             self.transaction,
         )
 

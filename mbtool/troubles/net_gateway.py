@@ -64,7 +64,11 @@ class _Slow(NamedTuple):
 
 @dataclass(slots=True)
 class _MasterTalk:
-    recent: deque[NamedTransaction] = field(default_factory=lambda: deque(maxlen=RECENT))
+    recent: deque[tuple[int, NamedTransaction]] = field(
+        default_factory=lambda: deque(maxlen=RECENT)
+    )
+    """The last transactions, and when each began."""
+    number: int = 0
     overlaps: int = 0
     """How often a request came while another one was not answered yet, until `late` is full."""
     late: list[tuple[NamedTransaction, int]] = field(default_factory=list)
@@ -118,7 +122,13 @@ class Gateways(Sense):
             if len(self._connections) >= MAX_LINKS:
                 self._connections.popitem(last=False)
             connection = self._connections[key] = _MasterTalk()
-        for other in connection.recent:
+        connection.number += 1
+        begin_ns = one.start_ns
+        for other_ns, other in connection.recent:
+            if (begin_ns >= other_ns and (other.response_ns or 0) <= begin_ns) or (
+                begin_ns < other_ns and (one.response_ns or 0) <= other_ns
+            ):
+                continue  # The usual case: no two requests were open at once.
             first, second = sorted((one, other), key=lambda each: each.start_ns)
             end_ns = first.response_ns
             if end_ns is not None and first.start_ns < second.start_ns < end_ns:
@@ -127,7 +137,7 @@ class Gateways(Sense):
                     connection.overlaps += 1
                     if waited_ns >= SLOW_NS:
                         connection.late.append((first, waited_ns))
-        connection.recent.append(one)
+        connection.recent.append((begin_ns, one))
 
     def troubles(self, links: Sequence[LinkReport]) -> Iterator[Trouble]:
         asked = {
