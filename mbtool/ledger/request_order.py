@@ -1,4 +1,4 @@
-"""Sorts requests by time, as needed for periods of polls, poll cycles and counts by hour."""
+"""Sorts requests by time, as needed for periods of polls, retries and poll cycles."""
 
 # A request without a response is reported only after its timeout, so after many requests that were
 # sent later. So each request waits in a heap until WINDOW further requests have been added. A
@@ -17,10 +17,9 @@ from typing import TYPE_CHECKING, NamedTuple
 from mbtool.ledger.master_tape import MasterTape, TapedRequest
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence, Set
+    from collections.abc import Callable, Sequence, Set
 
     from mbtool.ledger.answered_run import AnsweredRun
-    from mbtool.ledger.link_statistics import LinkStatistics
     from mbtool.ledger.poll_statistics import PollStatistics
 
 MAX_TAPES = 256
@@ -40,19 +39,14 @@ class _AskedColumns(NamedTuple):
 
 
 class RequestOrder:
-    """Sorts requests by time and passes each on to three places: the counts per hour of its link,
-    the periods of its poll, and its master's tape (the list of the master's last requests).
+    """Sorts requests by time and passes each on to two places: the periods of its poll, and its
+    master's tape (the list of the master's last requests).
     """
 
-    def __init__(
-        self,
-        links: Mapping[str, LinkStatistics],
-        on_retry: Callable[[PollStatistics, int, int], None],
-    ) -> None:
+    def __init__(self, on_retry: Callable[[PollStatistics, int, int], None] | None) -> None:
         """`on_retry` is called with a poll, the time (UTC ns) of a retry, and 1; or with -1, if a
-        request that was told as a retry turns out to be none.
+        request that was told as a retry turns out to be none. None if nobody asks for retries.
         """
-        self._links = links
         self._on_retry = on_retry
         self.tapes: OrderedDict[tuple[str, str], MasterTape] = OrderedDict()
         """The tape (the last requests) of each master; the key is the link and the master's
@@ -171,13 +165,9 @@ class RequestOrder:
             note_time(at_ns[one])
             note_place(one)
         self._ordered_ns = at_ns[order[-1]]
-        by_link: dict[str, list[int]] = {}
         for poll, times in by_poll.items():
             if times:
                 poll.begin_all(times)
-                by_link.setdefault(poll.key.link, []).extend(times)
-        for link, times in by_link.items():
-            self._links[link].hours.add_answered(times)
         # Masters come in the order of their last requests, because `_tape` moves each to the end of
         # `tapes`.
         used = [(at_ns[last[-1]], last[-1], key) for key, last in by_tape.items() if last]
@@ -203,16 +193,15 @@ class RequestOrder:
     def _order(self, one: TapedRequest) -> None:
         self._ordered_ns = one.at_ns
         poll = one.poll
-        link, master = poll.key.link, poll.key.master
-        self._links[link].hours.add(one.at_ns, is_missing=one.is_missing and not one.is_late)
-        if self._tape(link, master).add(one):
-            change = poll.begin_again(one.at_ns)
+        if not self._tape(poll.key.link, poll.key.master).add(one):
+            poll.begin(one.at_ns)
+            return
+        change = poll.begin_again(one.at_ns)
+        if self._on_retry is not None:
             for at_ns in change.found:
                 self._on_retry(poll, at_ns, 1)
             for at_ns in change.withdrawn:
                 self._on_retry(poll, at_ns, -1)
-        else:
-            poll.begin(one.at_ns)
 
     def _tape(self, link: str, master: str) -> MasterTape:
         key = link, master

@@ -22,8 +22,8 @@ from mbtool.devices.checking.finding import Finding, event_finding
 from mbtool.devices.checking.rules import RULES, Severity
 from mbtool.devices.checking.security_limits import SecurityLimits
 from mbtool.devices.profile_checks import finding_prefix
+from mbtool.ledger.account import Account
 from mbtool.ledger.request_tally import merged
-from mbtool.ledger.statistics import Statistics
 from mbtool.modbus import Outcome
 from mbtool.sources.files import STANDARD_INPUT
 from mbtool.troubles.judge import Judge
@@ -167,13 +167,14 @@ class CheckRun:
         window: TimeWindow | None = None,
         *,
         wanted: Where | None = None,
-        on_retry: Callable[[PollStatistics, int, int], None] = lambda *_: None,
+        on_retry: Callable[[PollStatistics, int, int], None] | None = None,
+        observes: bool = False,
     ) -> None:
         """Prepare to read. `codes` chooses the findings, `limits` are those of attacks and scans,
         `window` the time that is checked.
 
         `wanted` returns True for the transactions to count, and to report findings of; None for
-        all. `on_retry` is that of Statistics.
+        all. `on_retry` and `observes` are those of Account.
         """
         self._wanted = wanted
         self._codes = codes or CodeFilter()
@@ -187,7 +188,7 @@ class CheckRun:
         self._ports: frozenset[int] | None = None
         if options.any_port:
             self._ports = frozenset((*options.ports, *options.rtu_ports, MODBUS_PORT))
-        self.ledger = Statistics(self._format_of, on_retry)
+        self.ledger = Account(self._format_of, on_retry, observes=observes)
         """The account of all files."""
         self._judge = Judge(
             self.ledger,
@@ -379,7 +380,7 @@ class CheckRun:
         names that the JSON of `stats` has for them.
         """
         polls = (poll.tally for poll in self.ledger.polls.values())
-        tally = merged([*polls, *self.ledger.groups.values()])
+        tally = merged([*polls, *(one.tally for one in self.ledger.uses.values())])
         return {
             "late": tally.count(Outcome.LATE),
             "no_answer": tally.unanswered,

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 
 from msgspec.structs import replace
 
-from mbtool.ledger.history import UnitRow
+from mbtool.ledger.unit_account import UnitKey
 from mbtool.modbus import Outcome
 from mbtool.modbus.damaged_answers import DamagedAnswers
 from mbtool.views.cells import result_text, transaction_text
@@ -102,7 +102,7 @@ class TransactionRows:
             if frame_ns is not None:
                 self._by_time[one.link, one.unit, frame_ns] = row, codes
         elif one.latency_ns is not None:
-            unit = UnitRow(one.link, one.unit)
+            unit = UnitKey(one.link, one.unit)
             self._late.offer(unit, one.latency_ns, self.transactions, lambda: one)
 
     def first_of(self, count: int) -> int:
@@ -117,7 +117,7 @@ class TransactionRows:
         """
         for one in slow:
             number = self.transactions + 1 + one.place
-            self._late.offer(UnitRow(one.link, one.unit), one.latency_ns, number, one.transaction)
+            self._late.offer(UnitKey(one.link, one.unit), one.latency_ns, number, one.transaction)
         self.transactions += count
 
     def mark(self, finding: Finding) -> None:
@@ -132,7 +132,7 @@ class TransactionRows:
         codes[finding.code] = None
         row[_CODES] = self._place(" ".join(codes))
 
-    def mark_retry(self, row: UnitRow, at_ns: int, number: int) -> None:
+    def mark_retry(self, row: UnitKey, at_ns: int, number: int) -> None:
         """Mark the row of a request as that of a retry, or as that of none if `number` is -1.
 
         `at_ns` is the time of the request in ns since 1970.
@@ -143,7 +143,7 @@ class TransactionRows:
             change(found[0][_NUMBER])
 
     def document(
-        self, late_ns: Mapping[UnitRow, int], pauses_ns: Collection[int] = ()
+        self, late_ns: Mapping[UnitKey, int], pauses_ns: Collection[int] = ()
     ) -> dict[str, Any]:
         """Return rows, texts and counts as JSON data for the page.
 
