@@ -22,11 +22,12 @@ from typing import TYPE_CHECKING
 from mbtool.core import EventKind, WireEvent
 from mbtool.devices.model import READ_AND_WRITE
 from mbtool.ledger.link_statistics import LinkStatistics
+from mbtool.ledger.master_tape import Lacks
 from mbtool.ledger.observation import Observation
 from mbtool.ledger.poll_statistics import PollKey, PollStatistics, poll_key
 from mbtool.ledger.request_order import RequestOrder
 from mbtool.ledger.statistics_connections import ConnectionTally
-from mbtool.ledger.time_bins import LINK_BINS, UNIT_BINS, LinkSum, TimeBins, UnitSum
+from mbtool.ledger.time_bins import LinkSum, TimeBins, UnitSum
 from mbtool.ledger.unit_account import MasterAccount, UnitAccount, UnitKey, UseAccount, UseKey
 from mbtool.modbus import Outcome
 from mbtool.modbus.damaged_answers import DamagedAnswers
@@ -184,7 +185,8 @@ class Account:
             poll.tally.latency.add_all(latencies)
         self._count_links(run)
         self._touch(run, polls)
-        self._order.add_run(run, polls)
+        of_kind = [polls[kind] for kind in run.kind]
+        self._order.add_answered(run.request_ns, of_kind, run.response_ns)
 
     def begin_capture(self) -> None:
         """Note that the next transaction or event belongs to another capture, perhaps of another
@@ -249,16 +251,13 @@ class Account:
         cell[LinkSum.NO_ANSWER] += is_missing
         self._count_request(use, one, at_ns, end_ns)
         if poll is not None and link.has_times:
-            is_late = one.outcome is Outcome.LATE
-            self._order.add(
-                at_ns,
-                poll,
-                at_ns if is_late else end_ns,
-                link.wire_ns(len(one.request_raw or b"")),
-                is_missing=is_late or is_missing,
-                is_damaged=is_damaged,
-                is_late=is_late,
-            )
+            lacks = Lacks.RESPONSE if is_missing else Lacks.NOTHING
+            if is_damaged:
+                lacks = Lacks.CHECK
+            elif one.outcome is Outcome.LATE:
+                lacks, end_ns = Lacks.RESPONSE, at_ns
+            wire_ns = link.wire_ns(len(one.request_raw or b""))
+            self._order.add((at_ns, poll, end_ns, wire_ns, lacks))
         return poll
 
     def _count_request(
@@ -373,7 +372,8 @@ class Account:
         cell[place] += 1
         if place is not LinkSum.LACKING:
             cell[LinkSum.BYTES] += len(event.raw)
-            link.other_bytes += len(event.raw)
+            if link.transport is not None:  # The time before its first request is not watched.
+                link.other_bytes += len(event.raw)
         link.bad_checks += place is LinkSum.BAD_CHECK
 
     def _link(self, name: str) -> LinkStatistics:
@@ -383,7 +383,7 @@ class Account:
                 name = OTHER_LINKS
             link = self.links.get(name)
             if link is None:
-                link = self.links[name] = LinkStatistics(self._format_of, self.bins.row(LINK_BINS))
+                link = self.links[name] = LinkStatistics(self._format_of, self.bins.row())
         return link
 
     def _poll(self, one: NamedTransaction) -> PollStatistics:
@@ -411,14 +411,14 @@ class Account:
         name = key.link
         unit = self.units.get(UnitKey(name, one.unit))
         if unit is None and len(self.units) < MAX_UNITS:
-            unit = UnitAccount(UnitKey(name, one.unit), one, self.bins.row(UNIT_BINS))
+            unit = UnitAccount(UnitKey(name, one.unit), one, self.bins.row())
             self.units[unit.key] = unit
         if unit is None or len(self.uses) >= MAX_USES:
             key = UseKey(name, OTHER_UNITS, 0, "")
             use = self.uses.get(key)
             if use is not None:
                 return use
-            unit = UnitAccount(UnitKey(name, OTHER_UNITS), one, self.bins.row(UNIT_BINS))
+            unit = UnitAccount(UnitKey(name, OTHER_UNITS), one, self.bins.row())
         use = UseAccount(key, one.function_name, unit, self._master(one, key.master))
         self.uses[key] = use
         return use

@@ -108,13 +108,13 @@ class PollStatistics:
         """The time (UTC ns) of the last request that is no retry."""
         self._asked_ns = 0
         """The time (UTC ns) of the last request, be it a retry or not; 0 if `_last_ns` is None."""
-        self._again_ns: list[int] = []
+        self._again_ns: tuple[int, ...] = ()
         """The times (UTC ns) of the last retries, if the poll has no usual period; at most
         _STEADY."""
 
     def begin(self, at_ns: int) -> None:
         """Note a request of the poll that is no retry. `at_ns` (UTC ns) is its time."""
-        self._again_ns.clear()
+        self._again_ns = ()
         if self._last_ns is not None:
             self.period.add(at_ns - self._last_ns)
             self._note_longest((at_ns - self._last_ns,), (self._last_ns,))
@@ -153,13 +153,13 @@ class PollStatistics:
             self.begin(at_ns)
             return RetryChange()
         if self.period.count < _ENOUGH_PERIODS:
-            self._again_ns.append(at_ns)
+            self._again_ns = (*self._again_ns, at_ns)
             times = (last_ns, *self._again_ns)[-_STEADY - 1 :]
             if len(times) > _STEADY and _are_steady(times):
-                again_ns = self._again_ns.copy()
+                again_ns = self._again_ns
                 self.begin_all(again_ns)
                 return RetryChange(withdrawn=again_ns[:-1])
-            del self._again_ns[:-_STEADY]
+            self._again_ns = self._again_ns[-_STEADY:]
         return RetryChange(found=(at_ns,))
 
     def _is_usual(self, *distances_ns: int) -> bool:
@@ -174,7 +174,7 @@ class PollStatistics:
         period.
         """
         self._last_ns, self._asked_ns = None, 0
-        self._again_ns.clear()
+        self._again_ns = ()
 
     @property
     def has_regular_period(self) -> bool:

@@ -5,9 +5,9 @@
 # narrower ones, and rows of different widths can be shown in one chart. The width depends on what
 # was counted, and not on the order in which it came, as long as MAX_CELLS is not reached.
 #
-# Memory: for each row at most LINK_BINS or UNIT_BINS bins; empty ones take none. At most MAX_CELLS
-# in all rows together: beyond that, each row may have half as many. With the greatest width, all
-# times of 64 bits of ns are in 215 bins.
+# Memory: for each row at most MAX_BINS bins, or MAX_HOURS if they are an hour wide or wider; empty
+# ones take none. At most MAX_CELLS in all rows together: beyond that, each row may have half as
+# many. With the greatest width, all times of 64 bits of ns are in 215 bins.
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from typing import TYPE_CHECKING, NamedTuple
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-LINK_BINS = 768
-"""With bins of an hour, this is one month."""
-UNIT_BINS = 300
+MAX_BINS = 256
+MAX_HOURS = 768
+"""One month."""
 MAX_CELLS = 1 << 20
 _MS = 1_000_000
 _S = 1000 * _MS
@@ -101,20 +101,20 @@ class TimeBins:
 
     def __init__(self) -> None:
         self.share = 1
-        """Each row may have its greatest number of bins, divided by this."""
+        """Each row may have the greatest number of bins, divided by this."""
+        self.cells = 0
+        """The number of bins of all rows."""
         self._rows: list[Row] = []
-        self._cells = 0
 
-    def row(self, limit: int) -> Row:
-        """Return a new row without bins, which may have `limit` bins."""
-        row = Row(self, limit)
+    def row(self) -> Row:
+        """Return a new row without bins."""
+        row = Row(self)
         self._rows.append(row)
         return row
 
-    def count(self, cells: int) -> None:
-        """Note that rows have so many bins more, or less; called by rows."""
-        self._cells += cells
-        while self._cells > MAX_CELLS and self.share < UNIT_BINS:
+    def fit(self) -> None:
+        """Make the bins of all rows wider while there are too many."""
+        while self.cells > MAX_CELLS and self.share < MAX_BINS:
             self.share *= 2
             for row in self._rows:
                 row.fit()
@@ -137,11 +137,10 @@ class TimeBins:
 class Row:
     """The bins of one unit or link."""
 
-    __slots__ = ("_every", "_limit", "_step", "cells", "width_ns")
+    __slots__ = ("_every", "_step", "cells", "width_ns")
 
-    def __init__(self, every: TimeBins, limit: int) -> None:
+    def __init__(self, every: TimeBins) -> None:
         self._every = every
-        self._limit = limit
         self._step = 0
         self.width_ns = _WIDTHS_NS[0]
         self.cells: dict[int, Cell] = {}
@@ -207,9 +206,8 @@ class Row:
 
     def fit(self) -> None:
         """Make the bins wider while there are too many."""
-        before = len(self.cells)
-        most = self._limit // self._every.share
-        while len(self.cells) > most and self._step + 1 < len(_WIDTHS_NS):
+        while len(self.cells) > self._most and self._step + 1 < len(_WIDTHS_NS):
+            before = len(self.cells)
             self._step += 1
             ratio = _WIDTHS_NS[self._step] // self.width_ns
             self.width_ns = _WIDTHS_NS[self._step]
@@ -218,13 +216,21 @@ class Row:
                 other = wider.get(number // ratio)
                 wider[number // ratio] = cell if other is None else _added(other, cell)
             self.cells = wider
-        if len(self.cells) < before:
-            self._every.count(len(self.cells) - before)
+            self._every.cells -= before - len(wider)
+
+    @property
+    def _most(self) -> int:
+        most = MAX_HOURS if self.width_ns >= HOUR_NS else MAX_BINS
+        return most // self._every.share
 
     def _new_cell(self, at_ns: int) -> Cell:
-        self.cells[at_ns // self.width_ns] = _EMPTY.copy()
-        self._every.count(1)
+        every, cells = self._every, self.cells
+        cell = cells[at_ns // self.width_ns] = _EMPTY.copy()
+        every.cells += 1
+        if len(cells) * every.share <= MAX_BINS and every.cells <= MAX_CELLS:
+            return cell
         self.fit()
+        every.fit()
         return self.cells[at_ns // self.width_ns]
 
     def _joined(self, ratio: int, *places: int) -> dict[int, list[int]]:

@@ -138,12 +138,14 @@ class UseKey(NamedTuple):
 class UseAccount:
     """The use of one function of a unit by one master: addresses, and counts without a poll."""
 
-    __slots__ = ("key", "master", "name", "ranges", "repetitions", "tally", "unit")
+    __slots__ = ("key", "master", "name", "ranges", "repetitions", "tally", "tape_key", "unit")
 
     def __init__(
         self, key: UseKey, name: str, unit: UnitAccount, master: MasterAccount | None
     ) -> None:
         self.key = key
+        self.tape_key = key.link, key.master
+        """The key of the master's tape (RequestOrder)."""
         self.name = name
         self.unit = unit
         self.master = master

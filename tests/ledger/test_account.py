@@ -92,10 +92,10 @@ def test_a_missing_answer_that_is_told_late_does_not_spoil_periods() -> None:
 
 
 def test_what_comes_later_than_the_window_is_counted_but_has_no_period() -> None:
-    many = [request(at * 10, at % 7) for at in range(request_order.WINDOW + 50)]
+    many = [request(at * 10, at % 7) for at in range(2 * request_order.WINDOW + 50)]
     account = counted(*many, request(1, 99), request(2, 99))
     assert account.late == 2
-    assert account.transactions == request_order.WINDOW + 52
+    assert account.transactions == 2 * request_order.WINDOW + 52
     poll = next(one for one in report(account)[0].polls if one.poll.key.address == 99)
     assert (poll.poll.tally.transactions, poll.poll.period.count) == (2, 0)
 
@@ -231,7 +231,7 @@ def test_memory_is_bounded_however_many_polls_links_and_masters_there_are(
     assert len(account.links) <= 11
     assert len(account.tapes) == 5
     assert len(account.connections) == 7
-    assert len(account._order._heap) <= 16
+    assert len(account._order._waiting) <= 32
     total = sum(link.tally.transactions for link in report(account))
     assert total == account.transactions == 2000
 

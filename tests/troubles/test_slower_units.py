@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from mbtool.ledger.time_bins import UNIT_BINS, TimeBins
+from mbtool.ledger.time_bins import TimeBins
 from mbtool.troubles.slower_units import Slower, became_slower
 from tests.ledger.masters import MS, START_NS
 from tests.ledger.test_time_bins import add
@@ -19,7 +19,7 @@ S = 1000 * MS
 
 def slower(latencies_ms: Sequence[float], every_ns: int = S) -> Slower | None:
     times = ((START_NS + at * every_ns, round(ms * MS)) for at, ms in enumerate(latencies_ms))
-    return became_slower(add(TimeBins().row(UNIT_BINS), times).bins())
+    return became_slower(add(TimeBins().row(), times).bins())
 
 
 @pytest.mark.parametrize("every_ns", [S // 5, S, 3600 * S])
