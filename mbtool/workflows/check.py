@@ -142,9 +142,8 @@ class CheckedRecord(NamedTuple):
     """The same reads grouped by poll; None if there is no `rows`."""
     poll: PollStatistics | None = None
     """The poll that the transaction belongs to, in the account; None if it has none."""
-
-    is_left_out: bool = False
-    """True for a transaction that the user's filter leaves out of the account."""
+    damaged_ns: int | None = None
+    """The time (UTC ns) of the damaged response to the transaction; None if it had none."""
 
     @property
     def row_count(self) -> int:
@@ -218,7 +217,6 @@ class CheckRun:
         self.problem: str | None = None
         """The error that ended the reading before the end of the files; None if there was none."""
         self._hints = ModelHints(self.reading.profile_for)
-        self.transactions = 0
         self.counts: Counter[str] = Counter()
         """By code, the number of findings that the filter has chosen."""
 
@@ -233,6 +231,11 @@ class CheckRun:
             self._codes.demand_known(known)
         except UsageError:
             self._codes.demand_known([*known, *profiles_of_logs(self._paths, self._line)])
+
+    @property
+    def transactions(self) -> int:
+        """The number of transactions that were checked."""
+        return self.ledger.transactions + self.ledger.left_out
 
     @property
     def remarks(self) -> list[str]:
@@ -329,7 +332,6 @@ class CheckRun:
         yield from self._chosen(self._judge.end_capture())
 
     def _check_rows(self, rows: BlockRows) -> Iterator[CheckedRecord]:
-        self.transactions += len(rows)
         for some, found in self._judge.check_rows(rows):
             findings = list(self._chosen(found))
             if isinstance(some, NamedTransaction):
@@ -353,14 +355,14 @@ class CheckRun:
         is_wanted = True
         if not isinstance(record, WireEvent):
             is_wanted = self._wanted is None or self._wanted(record)
-            self.transactions += 1
             self._hints.note(record)
             if self._namer is not None:
                 named = self._namer.name(record)
         poll = self._judge.count(named, is_wanted=is_wanted)
         found = list(self._judge.check(named))
         chosen = list(self._chosen(found if is_wanted else ()))
-        return CheckedRecord(record, named, chosen, poll=poll, is_left_out=not is_wanted)
+        damaged_ns = None if poll is None else self.ledger.damaged_ns
+        return CheckedRecord(record, named, chosen, poll=poll, damaged_ns=damaged_ns)
 
     def _format_of(self, link: str) -> SerialFormat | None:
         """Return the baud rate and character format of a line in the current capture; None if they

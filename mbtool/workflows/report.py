@@ -142,7 +142,7 @@ class ReportRun:
                 self._note_event(record)
             else:
                 self._values.add(named)
-                self._rows.add(named, _codes_of(named, findings))
+                self._rows.add(named, _codes_of(named, findings), one.damaged_ns)
             if one.poll is not None and not isinstance(named, WireEvent):
                 self._rows.pauses.note(one.poll.key, self._rows.transactions, named)
         if one.rows is not None and one.answered is not None:
@@ -178,7 +178,6 @@ class ReportRun:
     def _note_event(self, record: object) -> None:
         if not isinstance(record, WireEvent):
             return
-        self._rows.note_event(record)
         if record.kind in _LACKING:
             self._number_lacking += 1
             if len(self._lacking) < MAX_LACKING:
