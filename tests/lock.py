@@ -1,4 +1,4 @@
-"""Makes requirements-ci.txt from a report of pip; docs/dependencies.md has the command.
+"""Makes .ci/requirements.txt from a report of pip; docs/dependencies.md has the command.
 
 The report lists each package that `pip install '.[test]'` chooses, with the hash of its file.
 """

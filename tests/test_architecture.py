@@ -30,7 +30,7 @@ PAGES = sorted(
         *ROOT.glob("*.md"),
         *ROOT.glob("docs/**/*.md"),
         *ROOT.glob("captures/*.md"),
-        *ROOT.glob("examples/**/*.md"),
+        *ROOT.glob(".github/*.md"),
     ]
 )
 

@@ -1,4 +1,4 @@
-"""The scripts and the notebook in examples/ run, and print what they promise."""
+"""The scripts and the notebook in docs/examples/ run, and print what they promise."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import pytest
 
 ROOT = Path(__file__).parents[1]
-EXAMPLES = ROOT / "examples"
+EXAMPLES = ROOT / "docs" / "examples"
 LINE = str(ROOT / "captures/ft1a-touch-line.mcap")
 PACKETS = str(ROOT / "captures/fa3-at1m8x-setup.pcap")
 

@@ -9,7 +9,9 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
+from functools import cached_property
 from os import fspath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
@@ -19,6 +21,7 @@ from mbtool.core.link_spec import ANSWERED
 from mbtool.core.wording import clock_time
 from mbtool.devices import Span, find_span
 from mbtool.modbus import FUNCTIONS, Outcome
+from mbtool.slave.device.value_targets import ValueTarget, ValueTargets
 from mbtool.slave.shells import TcpSlave, slave_link
 from mbtool.views.cells import event_text, transaction_text
 from mbtool.workflows.shared.fault_switch import FaultSwitch
@@ -137,13 +140,15 @@ class ObservedShell:
         *,
         unit: int | None = None,
         function: int | None = None,
-        written: int | Sequence[int] | None = None,
+        written: float | str | Sequence[int] | None = None,
     ) -> list[NamedTransaction]:
         """Assert that masters asked for a register or bit, and return those requests.
 
         `what` is a reference of the device ("HR400001"), a range ("HR400001..400004"), or without a
         profile "holding 0..3". A request counts if it reads or writes at least one address of
-        `what`; with `written`, if it writes these values from the first address of `what` on.
+        `what`; with `written`, if it writes these values from the first address of `what` on. Of a
+        named point `written` is its value in its unit, as in
+        `assert_asked("Setpoint", written=21.5)`; else it has the contents of registers.
         Without `times`, one request is enough; with `times=0` there must be none.
 
         Raises AssertionError with a list of the requests that came, UsageError for an unknown
@@ -151,7 +156,7 @@ class ObservedShell:
         """
         __tracebackhide__ = True
         span = self._span(what)
-        values = [written] if isinstance(written, int) else written
+        values = self._contents(what, written)
         asked = self.asked
         found = [
             one
@@ -159,11 +164,39 @@ class ObservedShell:
             if (unit is None or one.unit == unit)
             and (function is None or one.function == function)
             and _touches(one, span)
-            and (values is None or _written_at(one, span) == list(values))
+            and (values is None or _written_at(one, span) == values)
         ]
         if bool(found) if times is None else len(found) == times:
             return found
-        raise AssertionError(_disappointment(what, times, values, len(found), asked))
+        raise AssertionError(_disappointment(what, times, written, len(found), asked))
+
+    def _contents(self, what: str, written: float | str | Sequence[int] | None) -> list[int] | None:
+        """Return the contents of registers for a value that a request writes to `what`."""
+        __tracebackhide__ = True
+        if written is None:
+            return None
+        if not isinstance(written, int | float | str):
+            return list(written)
+        target = self._target(what)
+        if target is not None and (target.point is not None or isinstance(written, int)):
+            try:
+                return target.registers(written)
+            except UsageError as error:
+                raise UsageError(f"{what}: written={written!r}: {error}") from None
+        if not isinstance(written, int):
+            raise UsageError(f"{what}: written={written!r}: no profile has a point there")
+        return [written]
+
+    def _target(self, what: str) -> ValueTarget | None:
+        """Find the register or point of the first profile that knows `what`; None if none does."""
+        for targets in self._value_targets:
+            with suppress(UsageError):
+                return targets.find(what)
+        return None
+
+    @cached_property
+    def _value_targets(self) -> list[ValueTargets]:
+        return [ValueTargets(profile) for profile in self._profiles]
 
     def _span(self, what: str) -> Span:
         __tracebackhide__ = True
@@ -173,6 +206,9 @@ class ObservedShell:
             raise error.with_traceback(None) from None  # Without the calls inside mbtool.
         if span is not None:
             return span
+        named = self._target(what)
+        if named is not None:
+            return Span(named.table, named.address, named.address + named.words - 1)
         names = " or ".join(one.name for one in self._profiles)
         of_device = f" of {names}; write it as the manual does, or" if names else "; write"
         raise UsageError(

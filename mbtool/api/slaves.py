@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from enum import StrEnum
 from fractions import Fraction
 from os import fspath
@@ -12,16 +12,17 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from mbtool.api.arguments import assignments_of, condition_of, profile_of
 from mbtool.api.observed_shell import ObservedShell, monitor_of
 from mbtool.core import UsageError
+from mbtool.devices.values import PointInstance
 from mbtool.ports.allowed_peers import AllowedPeers
 from mbtool.replay import MatchStrategy, OnEnd, OnMiss, TimeRange
 from mbtool.slave.device.image_file import load_image
-from mbtool.slave.device.value_targets import ValueTargets
 from mbtool.workflows.replay_slave import SlaveOptions, SlaveRun
 from mbtool.workflows.shared.reading import ReadingOptions
 from mbtool.workflows.slave import Station, device_slave
 
 if TYPE_CHECKING:
     from mbtool.api.arguments import AnyPath, Devices, ProfileName
+    from mbtool.slave.device.value_targets import ValueTarget
 
 _Choice = TypeVar("_Choice", bound=StrEnum)
 
@@ -30,6 +31,17 @@ LOOPBACK = "tcp:127.0.0.1:0"
 
 Values = Mapping[str, object]
 """Values by reference or name, as in a file for `--image`: {"HR400001": 4660, "C1": 1}."""
+
+
+class RawValues:
+    """Gives the registers or bits that a reference or a name stands for, as a list."""
+
+    def __init__(self, read: Callable[[str], list[int]]) -> None:
+        self._read = read
+
+    def __getitem__(self, what: str) -> list[int]:
+        """Return the contents of the registers. Raises UsageError for an unknown reference."""
+        return self._read(what)
 
 
 class Slave(ObservedShell):
@@ -78,26 +90,37 @@ class Slave(ObservedShell):
             strict_timing=strict_timing,
             wrapped=self._wrapped,
         )
-        self._targets = ValueTargets(own)
+        self._targets = self._value_targets[0]
         self._behaviour = self._monitor.behaviours[unit]
         if faults is not None:
             self._add_faults(faults)
 
-    def __getitem__(self, what: str) -> int | list[int]:
-        """Return the value of a register or bit, or a list with all registers of a named point.
+    def __getitem__(self, what: str) -> float | str | list[int]:
+        """Return the value of a register or bit, or that of a named point in its unit and type.
 
-        `what` is a reference or a name; a point in one register gives its value alone. Raises
-        UsageError for an unknown reference.
+        `what` is a reference, which gives the content of a register (a list if its point has
+        several), or the name of a point: 21.5, a text for a string. Raises UsageError for an
+        unknown reference.
         """
         target = self._targets.find(what)
+        values = self._registers(target)
+        if target.is_named and not target.is_reference and target.point is not None:
+            shown = PointInstance(target.point, target.address, what).value(values)
+            return shown.text if shown.value is None else shown.value
+        return values[0] if len(values) == 1 else values
+
+    @property
+    def raw(self) -> RawValues:
+        """The registers themselves: `slave.raw["Setpoint"] == [215]`, also those of a reference."""
+        return RawValues(lambda what: self._registers(self._targets.find(what)))
+
+    def _registers(self, target: ValueTarget) -> list[int]:
         image = self._behaviour.image
         with self._lock:
             if target.point is not None and target.point.block is not None:
                 span = range(target.address, target.address + target.words)
-                values = image.blocks.get(target.table, span) or []
-            else:
-                values = image.get(target.table, target.address, target.words)
-        return values[0] if len(values) == 1 else values
+                return image.blocks.get(target.table, span) or []
+            return image.get(target.table, target.address, target.words)
 
     def __setitem__(self, what: str, value: object) -> None:
         """Set a register, bit or point; a list sets consecutive registers, as in `image`.

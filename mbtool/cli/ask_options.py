@@ -38,6 +38,25 @@ ReferencesArgument = Annotated[
         "0..9 with --function.",
     ),
 ]
+ListenOption = Annotated[
+    str | None,
+    typer.Option(
+        "--listen",
+        metavar="TIME",
+        help="On a serial line, listen first for so long, and send nothing if another master asks "
+        "there. 0s: send at once. [default: 1s, or 5s if anything is heard]",
+    ),
+]
+_MOST_LISTEN_NS = 86_400_000_000_000
+
+
+def listen_ns(text: str | None) -> int | None:
+    """Parse the value of --listen; None if it is not given. Raises UsageError if it is no time up
+    to a day.
+    """
+    from mbtool.core.moments import parse_duration
+
+    return None if text is None else parse_duration(text, "--listen", 0, _MOST_LISTEN_NS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,6 +94,15 @@ class AskOptions(TargetTlsOptions):
             help="How long to wait for an answer, in seconds.",
         ),
     ] = 1.0
+    listen: ListenOption = None
+    between: Annotated[
+        bool,
+        typer.Option(
+            "--between",
+            help="On a serial line that another master polls: send only in its pauses, if they are "
+            "long enough.",
+        ),
+    ] = False
 
     def read(self, link_text: str) -> AskedSlave:
         """Combine LINK and the options. Raises UsageError for a text that is not understood."""
@@ -93,7 +121,16 @@ class AskOptions(TargetTlsOptions):
         if self.function is not None:
             code = parse_number(self.function, "function code", UNITS, "--function")
         timeout_ns = round(self.timeout * 1e9)
-        return AskedSlave(link, unit, profile, Wording(profile, code), timeout_ns, self.target())
+        return AskedSlave(
+            link,
+            unit,
+            profile,
+            Wording(profile, code),
+            timeout_ns,
+            self.target(),
+            listen_ns(self.listen),
+            self.between,
+        )
 
     def _profile(self, unit: int) -> Profile | None:
         from mbtool.core import UsageError
@@ -119,6 +156,10 @@ class AskedSlave:
     wording: Wording
     timeout_ns: int
     tls: TargetTls | None
+    listen_ns: int | None
+    """How long to listen for another master first, in ns; None for the usual times."""
+    is_between: bool
+    """True if requests are sent in the pauses of another master."""
 
     @contextmanager
     def open(
@@ -133,7 +174,7 @@ class AskedSlave:
 
         With `is_summed`, a line that counts the transactions is printed at the end. If Ctrl-C
         comes before the first transaction, it prints `if_interrupted` instead. Raises LinkError if
-        the slave cannot be reached.
+        the slave cannot be reached, or if another master asks on the line.
         """
         from mbtool.cli.options import condition
         from mbtool.cli.output import open_output
@@ -142,6 +183,7 @@ class AskedSlave:
         from mbtool.workflows.ask import Asker
 
         with open_master(self.link, self.timeout_ns, say, self.tls) as master:
+            master.take_line(self.listen_ns, between=self.is_between)
             asker = Asker(master, self.link, self.unit, self.profile)
             with open_output(
                 None,

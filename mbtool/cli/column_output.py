@@ -71,7 +71,7 @@ def print_columns(
 
     columns.on_block = note_block
     with out.told_as_lost(), ExitStack() as ended:
-        processes = _processes(out, jobs)
+        processes = _processes(columns, out, jobs)
         if processes is not None:
             _print_apart(columns, out, note, interrupt, ended.enter_context(processes))
         elif out.takes_tables:
@@ -114,12 +114,13 @@ def _print_runs(
             out.add(part)
 
 
-def _processes(out: RecordOutput, jobs: int) -> BlockProcesses | None:
+def _processes(columns: ColumnReading, out: RecordOutput, jobs: int) -> BlockProcesses | None:
     """Start `jobs` processes that turn decoded transactions into output.
 
-    Returns None if `jobs` is 1, or if the system starts no more processes.
+    Returns None if `jobs` is 1, if profiles are in use, which these processes do not know, or if
+    the system starts no more processes.
     """
-    if jobs == 1:
+    if jobs == 1 or any(columns.assignments):
         return None
     from mbtool.cli.printers import LinesPrinter
     from mbtool.workflows.shared.block_processes import BlockProcesses

@@ -24,6 +24,8 @@ _MODULES = {
     "read": "ask",
     "write": "ask",
     "poll": "poll",
+    "scan": "scan",
+    "test": "conformance",
     "devices": "devices",
     **{name: name for name in ("links", "doctor", "line", "demo", "extcap")},
 }

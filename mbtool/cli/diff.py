@@ -34,6 +34,13 @@ def diff(
     latency: Annotated[
         bool, typer.Option("--latency/--no-latency", help="Compare latencies, too.")
     ] = True,
+    connections: Annotated[
+        bool,
+        typer.Option(
+            "--connections/--no-connections",
+            help="Compare how TCP connections began and ended, too.",
+        ),
+    ] = True,
     format_: Annotated[
         Literal["table", "json"], typer.Option("--format", help="How to print.")
     ] = "table",
@@ -43,8 +50,8 @@ def diff(
     """Compare two captures by meaning; exit 1 when they differ.
 
     Ids, order and times do not count. What counts: slaves and requests that are in one only, ways
-    in which a request ended, values that registers had, and latencies that differ by more than
-    chance.
+    in which a request ended, values that registers had, latencies that differ by more than chance,
+    and ways in which TCP connections began and ended.
     """
     import msgspec
 
@@ -62,6 +69,7 @@ def diff(
         wanted=condition(where),
         ignore=ignore or (),
         latency=latency,
+        connections=connections,
     )
     with interruption_told("interrupted; nothing was compared"):
         compared = compare(a, b, options, say, with_progress)

@@ -94,6 +94,16 @@ EXAMPLES = {
         "mbtool write tcp:127.0.0.1:1502 'holding 0=77'",
         f"mbtool write {_PORT} HR400001=4660,22136 --device 5=idec-ft1a-touch",
     ),
+    "test": HelpExamples(
+        "master",
+        f"mbtool test my-device.toml {_PORT}@19200-8E1 --unit 5",
+        "mbtool test fa3-at1m8x tcp:192.168.3.250:502 --report result.xml",
+    ),
+    "scan": HelpExamples(
+        "master",
+        f"mbtool scan {_PORT}@19200-8E1",
+        "mbtool scan tcp:192.168.3.250:502 --units 1 -o plc.toml",
+    ),
     "poll": HelpExamples(
         "master",
         "mbtool poll tcp:127.0.0.1:1502 'input 0..3' --every 250ms",

@@ -111,6 +111,9 @@ def _outcome(report: Report) -> str:
     elif report.not_asked:
         asked = f"{asked}, {report.not_asked:,} not asked"
     text = f"{asked}; {counted(report.different, 'answer', ',')} not as recorded"
+    if report.different_connections:
+        wrong = report.different_connections
+        text += f"; {wrong:,} of {counted(report.connections, 'connection', ',')} not as recorded"
     if report.unsolicited:
         text = f"{text}; {report.unsolicited:,} that nobody asked for"
     if report.uncompared_latencies:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import typer
 
+from mbtool.cli.ask_options import ListenOption, listen_ns
 from mbtool.cli.option_groups import OptionGroup
 
 if TYPE_CHECKING:
@@ -198,6 +199,14 @@ class PaceOptions(OptionGroup):
     loop: Annotated[
         bool, typer.Option("--loop", help="Again from the beginning, until Ctrl-C.")
     ] = False
+    answers_only: Annotated[
+        bool,
+        typer.Option(
+            "--answers-only",
+            help="Play requests and answers only: connections are neither opened, refused nor "
+            "ended as recorded.",
+        ),
+    ] = False
     start: Annotated[
         str,
         typer.Option(
@@ -221,6 +230,7 @@ class PaceOptions(OptionGroup):
             "wanted": wanted,
             "rate": self._rate(),
             "window": self._window(),
+            "answers_only": self.answers_only,
         }
 
     def as_bus(self, shared: dict[str, Any]) -> BusOptions:
@@ -297,6 +307,7 @@ class AsMasterOptions(OptionGroup):
             help="As the master: how long to wait for an answer, in seconds.",
         ),
     ] = 1.0
+    listen: ListenOption = None
     latency_tolerance: Annotated[
         float | None,
         typer.Option(
@@ -335,6 +346,7 @@ class AsMasterOptions(OptionGroup):
             **shared,
             is_loop=is_loop,
             timeout_ns=round(self.timeout * 1e9),
+            listen_ns=listen_ns(self.listen),
             ignore=[*(self.ignore or ()), *ranges_of(self.ignore_from or ())],
             learns=self.learn is not None,
             tolerance=tolerance,

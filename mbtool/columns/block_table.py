@@ -15,7 +15,7 @@ from mbtool.columns.plain_table import PlainTables
 from mbtool.columns.row_table import row_table
 from mbtool.core import WireEvent
 from mbtool.decode.decoder import Record
-from mbtool.devices import NamedTransaction
+from mbtool.devices import NamedTransaction, Namer
 
 if TYPE_CHECKING:
     from mbtool.columns.column_decoder import DecodedBlock
@@ -44,10 +44,10 @@ class TransactionBatch:
 
 
 class BlockTables:
-    """Makes a pyarrow table of each block of a capture that is decoded without device profiles."""
+    """Makes a pyarrow table of each block of a capture."""
 
-    def __init__(self) -> None:
-        self._plain = PlainTables()
+    def __init__(self, namer: Namer | None = None) -> None:
+        self._plain = PlainTables(namer or Namer())
 
     def batch(self, decoded: DecodedBlock) -> TransactionBatch:
         records = decoded.sorted_records()

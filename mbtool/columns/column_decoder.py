@@ -17,10 +17,12 @@ other packets that may carry Modbus to the Decoder.
 # the arrays without asking the Decoder (whole_connections.py). The Decoder is only told that the
 # connection has ended.
 #
-# The Decoder is fed all packets of a block if the packets' times go back, or if the reassembler may
-# reach a limit (idle time, number of connections) and drop an open connection. Then the results
-# depend on the order of all packets of all connections. A block with very many connections is
-# decoded in several parts, each with so few that they cannot make the reassembler drop one of them.
+# Where the packets' times go back by PATIENCE_NS or more, or where the reassembler may reach a
+# limit (idle time, number of connections) and drop an open connection, the results depend on the
+# order of all packets of all connections. Then the block is cut in halves again and again, and the
+# Decoder is fed all packets of those parts that are SMALLEST or smaller. A block with very many
+# connections is decoded in several parts, each with so few that they cannot make the reassembler
+# drop one of them.
 
 from __future__ import annotations
 
@@ -31,6 +33,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mbtool.columns.arrays import narrow
 from mbtool.columns.flows import UNKNOWN, FlowNumbers
 from mbtool.columns.headers import read_headers
 from mbtool.columns.passed_connections import PassedConnections, pass_whole
@@ -38,7 +41,9 @@ from mbtool.columns.plain_rows import PlainRows, TransactionArrays
 from mbtool.columns.stretches import find_stretches
 from mbtool.core import WireEvent
 from mbtool.decode.decoder import Record
-from mbtool.packets.reassembler import MAX_CONNECTIONS
+from mbtool.decode.plain_stretch import NO_LIMITS
+from mbtool.packets.connection import PATIENCE_NS
+from mbtool.packets.reassembler import IDLE_NS, MAX_CONNECTIONS
 from mbtool.packets.segment import RST, SYN
 
 if TYPE_CHECKING:
@@ -52,6 +57,8 @@ if TYPE_CHECKING:
     from mbtool.decode.decoder import Decoder
     from mbtool.packets.connection import TcpConnection
 
+SMALLEST = 256
+"""A part of a block with so many packets or fewer is not cut further."""
 _FLOWS_AT_ONCE = MAX_CONNECTIONS // 2
 """At most this many flows (a flow is all segments between two TCP ends) are decoded in one part of
 a block. It is half of the connections that the reassembler keeps, so the flows of one part cannot
@@ -128,22 +135,34 @@ class ColumnDecoder:
         """Decode a block. Yields its results once, or once per part if the block has so many flows
         (more than _FLOWS_AT_ONCE) that it is decoded in parts.
         """
-        headers = read_headers(block, self._ports)
+        self._flows.make_room()
+        headers = read_headers(block, self._ports, self._flows.addresses)
         segments = headers.segments
         numbers = self._flows.numbers(segments.lower, segments.upper)
         cuts = _cuts(segments, numbers)
         if not cuts:
-            yield self._feed(block, headers, numbers)
+            yield from self._feed(block, headers, numbers)
             return
         for begin, end in pairwise((0, *cuts, len(block))):
-            part = headers.part(begin, end)
-            first = int(np.searchsorted(segments.index, begin))
-            some = numbers[first : first + len(part.segments.index)]
-            yield self._feed(block.part(begin, end), part, some)
+            yield from self._feed(*_part(block, headers, numbers, begin, end))
 
-    def _feed(self, block: PacketBlock, headers: Headers, numbers: Int64s) -> DecodedBlock:
-        if not self._may_skip(block, headers, numbers):
-            return self._fed(block)
+    def _feed(
+        self, block: PacketBlock, headers: Headers, numbers: Int64s
+    ) -> Iterator[DecodedBlock]:
+        """Decode a block; if the order of all its packets counts, its halves one after the other.
+
+        `numbers` has the flow number of each segment.
+        """
+        if self._may_skip(block, headers, numbers):
+            yield self._passed(block, headers, numbers)
+        elif len(block) <= SMALLEST:
+            yield self._fed(block)
+        else:
+            middle = len(block) // 2
+            for begin, end in ((0, middle), (middle, len(block))):
+                yield from self._feed(*_part(block, headers, numbers, begin, end))
+
+    def _passed(self, block: PacketBlock, headers: Headers, numbers: Int64s) -> DecodedBlock:
         stretches = find_stretches(headers, numbers, block.data)
         decoded = _BlockPass(self._decoder, self._flows, block, headers, numbers, stretches).run()
         if decoded.plain is not None:
@@ -163,14 +182,22 @@ class ColumnDecoder:
         segments = headers.segments
         if not len(segments.index):
             return True
-        if (np.diff(segments.ts_ns) < 0).any() or (numbers == UNKNOWN).any():
+        latest = np.maximum.accumulate(segments.ts_ns)
+        if (latest - segments.ts_ns).max() >= PATIENCE_NS or (numbers == UNKNOWN).any():
             return False
         if (segments.flags & (SYN | RST) == SYN | RST).any():
             return False
-        flows = [self._flows.ends[one] for one in np.flatnonzero(np.bincount(numbers)).tolist()]
-        more = len(headers.hidden) + len(headers.apart)
+        order = np.argsort(narrow(numbers), kind="stable")
+        flows, times = numbers[order], segments.ts_ns[order]
+        begins = np.flatnonzero(np.append(True, flows[1:] != flows[:-1]))
+        idle_ns = np.diff(times, append=latest[-1])
+        idle_ns[begins[1:] - 1] = latest[-1] - times[begins[1:] - 1]
+        if idle_ns.max() >= IDLE_NS - PATIENCE_NS:
+            return False
+        firsts = zip(flows[begins].tolist(), times[begins].tolist(), strict=True)
+        used = {self._flows.ends[flow]: first_ns for flow, first_ns in firsts}
         last_ns = int(block.ts_ns.max())
-        return not self._decoder.reassembler.may_drop(last_ns, flows, more)
+        return not self._decoder.reassembler.may_drop(last_ns, used, len(headers.hidden))
 
     def _fed(self, block: PacketBlock) -> DecodedBlock:
         decoded = DecodedBlock()
@@ -178,6 +205,18 @@ class ColumnDecoder:
             for record in self._decoder.feed(block.packet(index)):
                 decoded.records.append((2 * index + 1, record))
         return decoded
+
+
+def _part(
+    block: PacketBlock, headers: Headers, numbers: Int64s, begin: int, end: int
+) -> tuple[PacketBlock, Headers, Int64s]:
+    """Return the packets with the indices `begin` to `end` (exclusive) of a block, with their
+    headers and the flow numbers of their segments.
+    """
+    part = headers.part(begin, end)
+    first = int(np.searchsorted(headers.segments.index, begin))
+    some = numbers[first : first + len(part.segments.index)]
+    return block.part(begin, end), part, some
 
 
 def _cuts(segments: Segments, numbers: Int64s) -> list[int]:
@@ -215,6 +254,8 @@ class _BlockPass:
         self._numbers = numbers
         self._stretches = stretches
         self._times: list[int] = self._segments.ts_ns.tolist()
+        self._latest: list[int] = np.maximum.accumulate(self._segments.ts_ns).tolist()
+        """For each segment, the latest time so far: times may go back by less than PATIENCE_NS."""
         self._rows = TransactionArrays(stretches, self._segments)
         self._passed = 0
         """An index in `Segments`. The Decoder was fed each segment before it, or was told the
@@ -240,8 +281,7 @@ class _BlockPass:
             for number, packet in zip(asked.tolist(), begins[asked].tolist(), strict=True)
         ]
         due += [(packet, -1, place) for packet, place in self._fed_segments(is_whole)]
-        apart = {*self._headers.hidden.tolist(), *self._headers.apart.tolist()}
-        due += [(packet, -1, -1) for packet in apart]
+        due += [(packet, -1, -1) for packet in self._headers.hidden.tolist()]
         heapq.heapify(due)
         bounds = self._stretches.bounds.tolist()
         while due:
@@ -250,7 +290,11 @@ class _BlockPass:
                 self._feed(packet, place)
                 continue
             at = bounds[number] if place < 0 else place
-            if self._take(at, bounds[number + 1]):
+            until = self._take(at, bounds[number + 1])
+            if until > at:
+                if until < bounds[number + 1]:
+                    begin = int(self._rows.first_packet[until])
+                    heapq.heappush(due, (begin, number, until))
                 continue
             until = at + 1
             for one in self._rows.packets(at, until, bounds[number + 1]):
@@ -329,7 +373,7 @@ class _BlockPass:
         """
         if self._passed >= until:
             return
-        found = self._decoder.pass_times(self._times, self._passed, until)
+        found = self._decoder.pass_times(self._latest, self._passed, until)
         self._passed = until
         for at, records in found:
             packet = int(self._segments.index[at])
@@ -344,24 +388,29 @@ class _BlockPass:
         self._used = max(self._used, until)
         self._decoder.reassembler.note_used(self._flows.ends[one] for one in reversed(newest_first))
 
-    def _take(self, at: int, end: int) -> bool:
+    def _take(self, at: int, end: int) -> int:
         """Read the transactions with the indices `at` to `end` (exclusive) from arrays, if their
-        connection is at rest.
+        connection is at rest: those before the first one that may belong to an earlier request.
 
-        Returns False if it is not at rest: a request is pending, or bytes are missing or out of
-        order. Then nothing was read.
+        Returns the index behind those that were read. That is `at` if nothing was read: a request
+        is pending, or bytes are missing or out of order.
         """
         rows = self._rows
         place = int(self._stretches.order[rows.first_place[at]])
         ends = self._flows.ends[int(self._numbers[place])]
         resting = self._decoder.at_rest(ends, self._times[place])
         if resting is None:
-            return False
+            return at
         sequences = self._segments.sequence[place], self._segments.acknowledged[place]
         if sequences != (resting.place.request_sequence, resting.place.response_sequence):
-            return False
+            return at
+        limits = resting.decoder.limits()
+        if limits is not NO_LIMITS:
+            end = rows.end_within(limits, at, end)
+            if end == at:
+                return at
         stretch = rows.stretch(at, end)
         resting.pass_plain(stretch)
         self._ends_ns[resting.connection] = stretch.responses.last_ns
         self._taken.append((at, end, resting.connection.identity))
-        return True
+        return end

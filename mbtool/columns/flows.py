@@ -6,6 +6,9 @@ and a port).
 # same hash, only the first gets a number. A block with segments of the second is decoded packet by
 # packet.
 #
+# An end is the number port << PORT_AT | address. An IPv4 address is its own number. An IPv6 address
+# has a number that is given when it first comes, and the bit _SIX.
+#
 # Memory: about MAX_FLOWS flows are kept. If there are more, all are forgotten before the next block
 # and numbers begin at 0 again.
 
@@ -14,6 +17,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 
 if TYPE_CHECKING:
     from mbtool.columns.arrays import Int64s, Uint64s
@@ -21,16 +25,65 @@ if TYPE_CHECKING:
 
 MAX_FLOWS = 65_536
 UNKNOWN = -1
+PORT_AT = 48
+_SIX = 1 << 47
 
 _FIRST, _SECOND = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xC2B2AE3D27D4EB4F)
 _SHIFT = np.uint64(29)
+
+
+class Addresses:
+    """Gives each IPv6 address a number."""
+
+    def __init__(self) -> None:
+        self._known: list[bytes] = []
+        self._numbers: dict[bytes, int] = {}
+
+    def __len__(self) -> int:
+        return len(self._known)
+
+    def forget(self) -> None:
+        self.__init__()  # type: ignore[misc]
+
+    def numbers(self, addresses: npt.NDArray[np.void]) -> Uint64s:
+        """Return the number of each address, which is given as its two halves `high` and `low`."""
+        high, low = (addresses[each].astype(np.uint64) for each in ("high", "low"))
+        _, first, like = np.unique(_hash(high, low), return_index=True, return_inverse=True)
+        if not (np.array_equal(high[first][like], high) and np.array_equal(low[first][like], low)):
+            first = like = np.arange(len(addresses))  # Two addresses have the same hash.
+        found = [
+            self._number((upper << 64 | lower).to_bytes(16, "big"))
+            for upper, lower in zip(high[first].tolist(), low[first].tolist(), strict=True)
+        ]
+        numbers: Uint64s = np.array(found, np.uint64)[like]
+        return numbers
+
+    def _number(self, address: bytes) -> int:
+        number = self._numbers.setdefault(address, len(self._known))
+        if number == len(self._known):
+            self._known.append(address)
+        return _SIX | number
+
+    def end(self, end: int) -> tuple[int, bytes]:
+        """Return the port and the address of an end."""
+        address = end & (1 << PORT_AT) - 1
+        if address & _SIX:
+            return end >> PORT_AT, self._known[address ^ _SIX]
+        return end >> PORT_AT, address.to_bytes(4, "big")
 
 
 class FlowNumbers:
     """Gives each flow a number, counted from 0."""
 
     def __init__(self) -> None:
+        self.addresses = Addresses()
         self._forget()
+
+    def make_room(self) -> None:
+        """Forget all flows and addresses if there are more than MAX_FLOWS of them."""
+        if len(self.ends) > MAX_FLOWS or len(self.addresses) > MAX_FLOWS:
+            self._forget()
+            self.addresses.forget()
 
     def numbers(self, lower: Uint64s, upper: Uint64s) -> Int64s:
         """Return the flow number of each segment; UNKNOWN (-1) if another flow has the same hash.
@@ -38,8 +91,6 @@ class FlowNumbers:
         `lower[i]` and `upper[i]` are the two ends of segment i as numbers (`Segments.lower`,
         `upper`).
         """
-        if len(self.ends) > MAX_FLOWS:
-            self._forget()
         hashes = _hash(lower, upper)
         found = self._find(hashes, lower, upper)
         missing = np.flatnonzero(found == UNKNOWN)
@@ -71,7 +122,7 @@ class FlowNumbers:
         first = first[~np.isin(hashes[first], self._hashes)]
         count = len(self.ends)
         self.ends += [
-            (*_end(low), *_end(high))
+            (*self._end(low), *self._end(high))
             for low, high in zip(lower[first].tolist(), upper[first].tolist(), strict=True)
         ]
         hashes = np.concatenate([self._hashes, hashes[first]])
@@ -81,13 +132,13 @@ class FlowNumbers:
         self._lower = np.concatenate([self._lower, lower[first]])[order]
         self._upper = np.concatenate([self._upper, upper[first]])[order]
 
+    def _end(self, end: int) -> tuple[bytes, int]:
+        port, address = self.addresses.end(end)
+        return address, port
+
 
 def _hash(lower: Uint64s, upper: Uint64s) -> Uint64s:
     mixed: Uint64s = lower * _FIRST
     mixed ^= mixed >> _SHIFT
     mixed += upper * _SECOND
     return mixed
-
-
-def _end(end: int) -> tuple[bytes, int]:
-    return (end & 0xFFFFFFFF).to_bytes(4, "big"), end >> 32

@@ -1,14 +1,13 @@
-"""Reads the link layer, IPv4 and TCP headers of all packets of a block at once, as arrays."""
+"""Reads the link layer, IP and TCP headers of all packets of a block at once, as arrays."""
 
 # A followed port is a TCP port that carries Modbus. Each packet is of one of these kinds:
 #
-#     plain      a whole TCP segment in IPv4 between a followed port and one that is not followed
-#     odd        a segment in IPv4 from or to a followed port that is not plain: cut, malformed, or
-#                between two followed ports
+#     plain      a whole TCP segment between a followed port and one that is not followed
+#     odd        a segment from or to a followed port that is not plain: cut, malformed, or between
+#                two followed ports
 #     hidden     a packet that may carry a segment where this module does not look: fragments,
-#                tunnels, headers before IP that are not VLAN tags, unknown link types
-#     apart      a segment in IPv6 from or to a followed port; it cannot belong to a connection in
-#                IPv4
+#                tunnels, headers before IP that are not VLAN tags, unknown link types, extension
+#                headers of IPv6
 #     other      everything else, which the Decoder would ignore
 #
 # The rules are those by which the Decoder reads single packets (packets/link_layer.py, segment.py
@@ -23,18 +22,23 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbtool.columns.arrays import Bools, Int64s, Uint64s, gather
+from mbtool.columns.flows import PORT_AT
+from mbtool.packets.link_layer import FAMILIES
 from mbtool.packets.segment import TCP
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+    from mbtool.columns.flows import Addresses
     from mbtool.columns.packet_block import PacketBlock
 
 _IP_PLACES = {1: (12, 14), 113: (14, 16), 276: (0, 20)}
 """For each link type (1 Ethernet, 113 and 276 Linux cooked capture), the offsets of the EtherType
 and of the IP header in a packet, in bytes."""
-_RAW_TYPES = frozenset((12, 14, 101, 228, 229))
-"""Link types of packets that begin with the IP header, so that they have no EtherType."""
+_RAW_TYPES = {12: 0, 14: 0, 101: 0, 228: 0, 229: 0, 0: 4, 108: 4}
+"""For each link type without EtherType, the offset of the IP header. 4 bytes with the address
+family come before it in the link types 0 and 108 (loopback)."""
+_FAMILY_AT = 4
 _VLAN = (0x8100, 0x88A8, 0x9100)
 _IPV4, _IPV6 = 0x0800, 0x86DD
 _BEFORE_IP = (0x892F, 0x8864, 0x8847, 0x8848, *_VLAN)
@@ -42,6 +46,7 @@ _BEFORE_IP = (0x892F, 0x8864, 0x8847, 0x8848, *_VLAN)
 Their packets go to the Decoder, because an IP packet may follow the further header."""
 _TUNNELS = (4, 41, 47)
 _UDP, _ICMPV6 = 17, 58
+_IPV6_SIZE = 40
 _VXLAN_PORT = 4789
 _MAX_TAGS = 2
 
@@ -57,8 +62,10 @@ _TCP_HEADER = np.dtype(
         ("offset", "u1"), ("flags", "u1"), ("rest", "V6"),
     ]
 )  # fmt: skip
-_PORTS = np.dtype([("source", ">u2"), ("target", ">u2")])
+_IPV6_HEADER = np.dtype([("length", ">u2"), ("following", "u1")])
+_ADDRESS = np.dtype([("high", ">u8"), ("low", ">u8")])
 _PAIR = np.dtype(">u2")
+_PORT_AT = np.uint64(PORT_AT)
 
 
 @dataclass(slots=True)
@@ -73,8 +80,8 @@ class Segments:
     """For each segment, the index of its packet in the block."""
     is_plain: Bools
     lower: Uint64s
-    """The smaller one of the connection's two ends. An end is the number port << 32 | IPv4 address;
-    `upper` has the other one."""
+    """The smaller one of the connection's two ends, as the number that flows.py describes; `upper`
+    has the other one."""
     upper: Uint64s
     from_lower: Bools
     from_master: Bools
@@ -102,8 +109,6 @@ class Headers:
     hidden: Int64s
     """The indices of packets that may carry a Modbus segment where this module cannot read it: IP
     fragments, tunnels, unknown headers before IP."""
-    apart: Int64s
-    """The indices of IPv6 packets that may carry Modbus; they are never read as arrays."""
 
     def part(self, begin: int, end: int) -> Headers:
         """Return the headers of the packets with the indices `begin` to `end` (exclusive).
@@ -116,28 +121,26 @@ class Headers:
             *(getattr(self.segments, name)[first:last] for name in Segments.__slots__)
         )
         segments.index = segments.index - begin
-        hidden, apart = (
-            some[(some >= begin) & (some < end)] - begin for some in (self.hidden, self.apart)
-        )
-        return Headers(segments, hidden, apart)
+        hidden = self.hidden[(self.hidden >= begin) & (self.hidden < end)] - begin
+        return Headers(segments, hidden)
 
 
-def read_headers(block: PacketBlock, ports: Iterable[int]) -> Headers:
-    """Read the headers of all packets of a block. `ports` are the TCP ports that carry Modbus."""
+def read_headers(block: PacketBlock, ports: Iterable[int], addresses: Addresses) -> Headers:
+    """Read the headers of all packets of a block. `ports` are the TCP ports that carry Modbus;
+    `addresses` numbers the IPv6 addresses.
+    """
     is_followed = np.zeros(1 << 16, np.bool_)
     is_followed[list(ports)] = True
     kinds, at, hidden = _network(block)
     data, captured = block.data, block.captured
     version = data[at] >> 4
     is_ip = (kinds == _IPV4) | (kinds == _IPV6)
-    is_v4 = is_ip & (version == 4)
-    hidden |= is_ip & ~is_v4 & (version != 6)
-    relative = at - block.starts
-    hidden |= is_ip & (captured < relative + 20)
-    apart = _ipv6(block, at, is_ip & (version == 6) & ~hidden, hidden, is_followed)
-    four = np.flatnonzero(is_v4 & ~hidden)
-    segments = _ipv4(block, four, at[four], hidden, is_followed)
-    return Headers(segments, np.flatnonzero(hidden), np.flatnonzero(apart & ~hidden))
+    is_six = is_ip & (version == 6)
+    hidden |= is_ip & ~is_six & (version != 4)
+    hidden |= is_ip & (captured < at - block.starts + np.where(is_six, _IPV6_SIZE + 4, 20))
+    some = np.flatnonzero(is_ip & ~hidden)
+    segments = _segments(block, some, at[some], is_six[some], hidden, is_followed, addresses)
+    return Headers(segments, np.flatnonzero(hidden))
 
 
 def _network(block: PacketBlock) -> tuple[Int64s, Int64s, Bools]:
@@ -156,10 +159,10 @@ def _network(block: PacketBlock) -> tuple[Int64s, Int64s, Bools]:
             kind_at[chosen], at[chosen] = _IP_PLACES[link_type]
         elif link_type in _RAW_TYPES:
             is_raw[chosen] = True
+            at[chosen] = _RAW_TYPES[link_type]
         else:
             hidden[chosen] = True
-    too_short = ~is_raw & (block.captured < np.maximum(kind_at + 2, at))
-    hidden |= too_short
+    hidden |= block.captured < np.where(is_raw, at, np.maximum(kind_at + 2, at))
     # A packet too short for its link layer header is hidden, so that no byte behind its end counts.
     kinds = _pairs(block, kind_at, hidden)
     for _ in range(_MAX_TAGS):
@@ -170,6 +173,12 @@ def _network(block: PacketBlock) -> tuple[Int64s, Int64s, Bools]:
         hidden[tagged] |= block.captured[tagged] < at[tagged]
         kinds[tagged] = _pairs(block, at - 2, hidden)[tagged]
     kinds[is_raw] = _IPV4
+    has_family = np.flatnonzero(is_raw & (at == _FAMILY_AT) & ~hidden)
+    if len(has_family):
+        families = block.data[block.starts[has_family, None] + np.arange(_FAMILY_AT)]
+        found, like = np.unique(families.view("V4")[:, 0], return_inverse=True)
+        is_ip = np.array([one.tobytes() in FAMILIES for one in found], np.bool_)
+        kinds[has_family[~is_ip[like]]] = 0
     kinds[hidden] = 0
     hidden |= _is_one_of(kinds, _BEFORE_IP)
     return kinds, block.starts + np.where(hidden, 0, at), hidden
@@ -187,51 +196,40 @@ def _is_one_of(values: Int64s, known: tuple[int, ...]) -> Bools:
     return np.isin(values, known)
 
 
-def _ipv6(block: PacketBlock, at: Int64s, six: Bools, hidden: Bools, is_followed: Bools) -> Bools:
-    """Return True for each IPv6 packet with a TCP segment from or to a Modbus port.
-
-    All arrays but `is_followed` have an element per packet: `at` is the offset of its IP header in
-    the block's data, `six` is True for IPv6. `is_followed` is True at the index of each Modbus
-    port. Sets `hidden` to True for packets that may carry TCP behind further headers or in a
-    tunnel.
-    """
-    apart = np.zeros(len(block), np.bool_)
-    some = np.flatnonzero(six)
-    if not len(some):
-        return apart
-    whole = block.captured[some] >= at[some] - block.starts[some] + 44
-    hidden[some[~whole]] = True
-    some = some[whole]
-    following = block.data[at[some] + 6]
-    ports = gather(block.data, at[some] + 40, _PORTS)
-    is_tcp = following == TCP
-    apart[some[is_tcp & (is_followed[ports["source"]] | is_followed[ports["target"]])]] = True
-    is_udp = (following == _UDP) & (ports["target"] != _VXLAN_PORT)
-    hidden[some[~(is_tcp | is_udp | (following == _ICMPV6))]] = True
-    return apart
-
-
-def _ipv4(
-    block: PacketBlock, some: Int64s, at: Int64s, hidden: Bools, is_followed: Bools
+def _segments(
+    block: PacketBlock,
+    some: Int64s,
+    at: Int64s,
+    is_six: Bools,
+    hidden: Bools,
+    is_followed: Bools,
+    addresses: Addresses,
 ) -> Segments:
-    """Return the TCP segments from or to Modbus ports in the IPv4 packets with the indices `some`.
+    """Return the TCP segments from or to Modbus ports in the IP packets with the indices `some`.
 
-    `at` has the offset of each packet's IP header in the block's data; `is_followed` is True at the
-    index of each Modbus port. Sets `hidden` to True for packets that may carry a segment that
-    cannot be read here: fragments, tunnels, cut headers.
+    `at` has the offset of each packet's IP header in the block's data, `is_six` is True for IPv6;
+    `is_followed` is True at the index of each Modbus port. Sets `hidden` to True for packets that
+    may carry a segment that cannot be read here: fragments, tunnels, cut or further headers.
     """
     headers = gather(block.data, at, _IPV4_HEADER)
     header = (headers["first"] & 0x0F).astype(np.int64) * 4
     total = headers["total"].astype(np.int64)
-    protocol = headers["protocol"]
+    protocol = headers["protocol"].astype(np.int64)
+    is_odd = (header < 20) | ((headers["fragment"] & 0x3FFF) != 0)
+    six = np.flatnonzero(is_six)
+    if len(six):
+        found = gather(block.data, at[six] + 4, _IPV6_HEADER)
+        header[six], total[six] = _IPV6_SIZE, _IPV6_SIZE + found["length"].astype(np.int64)
+        protocol[six] = found["following"]
+        is_known = np.isin(protocol[six], (TCP, _UDP, _ICMPV6))
+        is_odd[six] = ~is_known | (found["length"] == 0)
     relative = at - block.starts[some]
     captured = block.captured[some]
-    is_odd = (header < 20) | ((headers["fragment"] & 0x3FFF) != 0)
     is_tcp = protocol == TCP
     start = at + header
     # Hide a packet whose TCP header is cut off by the snapshot length: its ports are unknown.
     is_odd |= is_tcp & ((captured < relative + header + 20) | (total < header))
-    is_odd |= _is_one_of(protocol.astype(np.int64), _TUNNELS)
+    is_odd |= _is_one_of(protocol, _TUNNELS)
     is_udp = np.flatnonzero((protocol == _UDP) & ~is_odd & (captured >= relative + header + 4))
     target = gather(block.data, start[is_udp] + 2, _PAIR)
     is_odd[is_udp[target == _VXLAN_PORT]] = True
@@ -247,15 +245,22 @@ def _ipv4(
     index = some[chosen]
     last = block.starts[index] + np.minimum(block.captured[index], block.original[index])
     is_plain = (size >= 20) & (begin <= end) & (end <= last) & (from_slave != to_slave)
-    headers = headers[chosen]
-    source = tcp["source"].astype(np.uint64) << np.uint64(32) | headers["source"]
-    target_end = tcp["target"].astype(np.uint64) << np.uint64(32) | headers["target"]
-    from_lower = source < target_end
+    headers, is_six = headers[chosen], is_six[chosen]
+    source, target = (headers[each].astype(np.uint64) for each in ("source", "target"))
+    six = np.flatnonzero(is_six)
+    if len(six):
+        both = [gather(block.data, at[chosen[six]] + place, _ADDRESS) for place in (8, 24)]
+        source[six], target[six] = np.split(addresses.numbers(np.concatenate(both)), 2)
+    source |= tcp["source"].astype(np.uint64) << _PORT_AT
+    target |= tcp["target"].astype(np.uint64) << _PORT_AT
+    from_lower = source < target
+    for place in np.flatnonzero(is_six & (tcp["source"] == tcp["target"])).tolist():
+        from_lower[place] = addresses.end(int(source[place])) < addresses.end(int(target[place]))
     return Segments(
         index=index,
         is_plain=is_plain,
-        lower=np.where(from_lower, source, target_end),
-        upper=np.where(from_lower, target_end, source),
+        lower=np.where(from_lower, source, target),
+        upper=np.where(from_lower, target, source),
         from_lower=from_lower,
         from_master=~from_slave,
         sequence=tcp["sequence"].astype(np.int64),

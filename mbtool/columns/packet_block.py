@@ -2,8 +2,10 @@
 
 # A block holds at most BLOCK_PACKETS packets and about BLOCK_BYTES bytes of the file, so memory
 # does not grow with the file. In a pcap file, each record tells where the next one begins: one loop
-# in Python collects these offsets, then numpy reads all record headers at once. Files of other
-# kinds (pcapng) are read packet by packet with the readers of packets/.
+# in Python collects these offsets, then numpy reads all record headers at once. Enhanced packet
+# blocks of a pcapng file are read in the same way. All else in it (interfaces, packet blocks of
+# other kinds, what is damaged) is read one by one by packets/pcapng.py, and so are the SLOWLY
+# blocks from there on, lest a file with many of them become many small PacketBlocks.
 #
 # Errors are raised as in packets/: after all packets before the damage.
 
@@ -15,6 +17,7 @@ from itertools import islice
 from typing import TYPE_CHECKING, BinaryIO
 
 import numpy as np
+import numpy.typing as npt
 
 from mbtool.columns.arrays import Int64s, Octets, gather
 from mbtool.core import InputError, Packet
@@ -29,9 +32,12 @@ from mbtool.packets.pcap import (
     too_long_error,
     zeros_error,
 )
+from mbtool.packets.pcapng import BLOCK_ENHANCED, MAX_BLOCK, PCAPNG_MAGIC, PcapngReader
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+
+    from mbtool.packets.pcapng import PcapngInterface
 
 BLOCK_PACKETS = 65_536
 BLOCK_BYTES = 8 * 1024 * 1024
@@ -45,7 +51,17 @@ SPARE = 64
 at the start of each packet without a check of the packet's length; whoever reads it must ignore the
 bytes behind the packet's end."""
 
+SLOWLY = 1024
+"""The number of blocks of a pcapng file that are read one by one after its begin, and from a block
+on that has no enhanced packet."""
+
 _MAGIC = 4
+_BLOCK_HEAD = 8
+"""The number of bytes of a pcapng block's type and length."""
+_ENHANCED = 32
+"""The number of bytes of an enhanced packet block around its packet and options, with the length at
+its end."""
+_MASK_64 = (1 << 64) - 1
 _NS_PER_SECOND = 1_000_000_000
 
 
@@ -132,6 +148,8 @@ def read_blocks(stream: BinaryIO, name: str) -> Iterator[PacketBlock]:
     if magic in PCAP_MAGICS:
         form = read_pcap_form(magic, source.take(PCAP_HEADER)[_MAGIC:], name)
         return _PcapBlocks(source, form, name).blocks()
+    if magic == PCAPNG_MAGIC:
+        return _PcapngBlocks(source, name).blocks()
     return _packed(read_capture(source, name))  # type: ignore[arg-type]
 
 
@@ -291,6 +309,144 @@ class _PcapBlocks:
             first_number=self._number + 1,
             links=[("if0", self._form.link_type)],
         )
+
+
+class _PcapngBlocks:
+    """Reads the blocks of a pcapng file as blocks of packets."""
+
+    def __init__(self, source: _Source, name: str) -> None:
+        self._source = source
+        self._name = name
+        self._reader = PcapngReader(source, name)  # type: ignore[arg-type]
+
+    def blocks(self) -> Iterator[PacketBlock]:
+        source, reader = self._source, self._reader
+        while source.peek(_BLOCK_HEAD):
+            yield from _packed(self._slowly())
+            while not reader.has_lines:
+                block, is_full = self._enhanced_packets()
+                if block is None:
+                    break
+                yield block
+                if not is_full:
+                    break
+        source.raise_error()
+        rest = reader.rest()
+        if rest is not None:
+            yield _block_of([rest])
+
+    def _slowly(self) -> Iterator[Packet]:
+        """Yield the packets among the next SLOWLY blocks of the file."""
+        for _ in range(SLOWLY):
+            if not self._source.peek(_BLOCK_HEAD):
+                break
+            packet = self._reader.read_block(self._source.take(_BLOCK_HEAD))
+            if packet is not None:
+                yield packet
+
+    def _enhanced_packets(self) -> tuple[PacketBlock | None, bool]:
+        """Read the enhanced packet blocks up to the next block of another kind, or one that is
+        damaged.
+
+        Returns the packets, None if there are none; and True if further ones may follow directly.
+        """
+        data, begin, end = self._source.held(BLOCK_BYTES)
+        heads, at, is_full = self._walk(data, begin, end)
+        if not heads:
+            return None, False
+        octets = _octets(data, begin, at)
+        places = np.array(heads, np.int64)
+        found = gather(octets, places, self._record)
+        captured = found["captured"].astype(np.int64)
+        length = found["length"].astype(np.int64)
+        last = gather(octets, places + length - 4, np.dtype(self._reader.order + "u4"))
+        is_sound = (
+            (length % 4 == 0)
+            & (last == found["length"])
+            & (captured <= np.minimum(length - _ENHANCED, MAX_CAPTURED))
+            & (found["interface"] < len(self._reader.interfaces))
+        )
+        if not is_sound.all():
+            count = int(np.argmin(is_sound))
+            found, captured, places = found[:count], captured[:count], places[:count]
+            at, is_full = begin + heads[count], False
+            if not count:
+                return None, False
+        self._source.drop(at - begin)
+        return self._block(octets, places, found, captured), is_full
+
+    @property
+    def _record(self) -> np.dtype[np.void]:
+        names = ("kind", "length", "interface", "high", "low", "captured", "original")
+        return np.dtype([(each, self._reader.order + "u4") for each in names])
+
+    def _walk(self, data: bytes, begin: int, end: int) -> tuple[list[int], int, bool]:
+        """Find the enhanced packet blocks in `data` between the offsets `begin` and `end`.
+
+        Returns the offset of each, counted from `begin`; the offset in `data` behind the last one;
+        and True if the search ended only because the data did, or because they are enough.
+        """
+        head_of = struct.Struct(self._reader.order + "II").unpack_from
+        places: list[int] = []
+        append = places.append
+        at = begin
+        for _ in range(BLOCK_PACKETS):
+            if at + _ENHANCED > end:
+                return places, at, True
+            kind, length = head_of(data, at)
+            if kind != BLOCK_ENHANCED or length < _ENHANCED or length > MAX_BLOCK:
+                return places, at, False
+            if at + length > end:
+                return places, at, True
+            append(at - begin)
+            at += length
+        return places, at, True
+
+    def _block(
+        self, octets: Octets, places: Int64s, found: npt.NDArray[np.void], captured: Int64s
+    ) -> PacketBlock:
+        reader = self._reader
+        numbers, interface = np.unique(found["interface"], return_inverse=True)
+        used = [reader.interfaces[number] for number in numbers.tolist()]
+        ticks = found["high"].astype(np.int64) << 32 | found["low"].astype(np.int64)
+        ts_ns = np.empty(len(places), np.int64)
+        for number, one in enumerate(used):
+            chosen = interface == number
+            ts_ns[chosen] = _times(one, ticks[chosen])
+        block = PacketBlock(
+            data=octets,
+            starts=places + _ENHANCED - 4,
+            captured=captured,
+            original=np.maximum(found["original"].astype(np.int64), captured),
+            ts_ns=ts_ns,
+            file=self._name,
+            first_number=reader.number + 1,
+            links=[(one.link, one.link_type) for one in used],
+            interfaces=interface.astype(np.int64) if len(used) > 1 else None,
+        )
+        reader.number += len(places)
+        reader.ts_ns = int(ts_ns[-1])
+        return block
+
+
+def _times(interface: PcapngInterface, ticks: Int64s) -> Int64s:
+    """Return the times of ticks of an interface in UTC ns."""
+    least, most = int(ticks.min()), int(ticks.max())
+    low, high = (each * interface.multiplier for each in (least, most))
+    times = low // interface.divisor, high // interface.divisor
+    is_simple = (
+        low >= 0
+        and high < 1 << 63
+        and times[0] + interface.offset_ns >= 0
+        and times[1] + interface.offset_ns < 1 << 63
+        and interface.divisor < 1 << 63
+        and abs(interface.offset_ns) < 1 << 63
+    )
+    if is_simple:
+        found: Int64s = ticks * interface.multiplier // interface.divisor + interface.offset_ns
+        return found
+    # High ticks have wrapped to negative numbers.
+    return np.array([interface.time_ns(one & _MASK_64) for one in ticks.tolist()], np.int64)
 
 
 def _octets(data: bytes, begin: int, end: int) -> Octets:

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mbtool.columns.arrays import Int64s
+from mbtool.columns.arrays import Bools, Int64s
 from mbtool.columns.whole_connections import WholeConnections, find_whole
-from mbtool.core import Connection, Endpoint
+from mbtool.core import Connection, Direction, Endpoint
 from mbtool.decode.decoder import closing_event, opening_event
 from mbtool.packets.ended_connection import EndedConnection
 from mbtool.packets.reassembler import IDLE_NS, MAX_CONNECTIONS
@@ -46,20 +46,27 @@ class PassedConnections:
     closed: Int64s
     """The index in the block of the packet with the connection's second FIN."""
     closed_ns: Int64s
+    is_ended_by_slave: Bools
+    """True if the first FIN is the slave's."""
 
     def events(self) -> list[tuple[int, Record]]:
         """Return the opening and the closing event of each connection, each with its sort key among
         the results of the block (`order_of`).
         """
         found: list[tuple[int, Record]] = []
-        for event, packets, times in (
-            (opening_event, self.opened, self.opened_ns),
-            (closing_event, self.closed, self.closed_ns),
+        for packet, ts_ns, connection in zip(
+            self.opened.tolist(), self.opened_ns.tolist(), self.connections, strict=True
         ):
-            for packet, ts_ns, connection in zip(
-                packets.tolist(), times.tolist(), self.connections, strict=True
-            ):
-                found.append((2 * packet + 1, event(ts_ns, connection)))
+            found.append((2 * packet + 1, opening_event(ts_ns, connection)))
+        for packet, ts_ns, connection, by_slave in zip(
+            self.closed.tolist(),
+            self.closed_ns.tolist(),
+            self.connections,
+            self.is_ended_by_slave.tolist(),
+            strict=True,
+        ):
+            by = Direction.RESPONSE if by_slave else Direction.REQUEST
+            found.append((2 * packet + 1, closing_event(ts_ns, connection, by)))
         return found
 
 
@@ -101,6 +108,7 @@ def pass_whole(
         opened_ns=segments.ts_ns[whole.opening],
         closed=segments.index[whole.closing],
         closed_ns=segments.ts_ns[whole.closing],
+        is_ended_by_slave=segments.from_master[whole.closing],  # Its FIN is the second one.
     )
 
 

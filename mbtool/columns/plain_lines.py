@@ -22,7 +22,7 @@ import numpy as np
 
 from mbtool.columns.arrays import pieces
 from mbtool.columns.column_decoder import order_of
-from mbtool.columns.plain_transactions import plain_transaction
+from mbtool.columns.plain_transactions import PlainObjects
 from mbtool.columns.usual_values import UsualValues
 from mbtool.core import WireEvent
 from mbtool.decode.decoder import Record
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from mbtool.columns.arrays import Int64s
     from mbtool.columns.column_decoder import DecodedBlock
     from mbtool.columns.plain_rows import PlainRows
+    from mbtool.columns.plain_transactions import RowObjects
     from mbtool.columns.usual_values import ValueLists
 
 MAX_LINES = 65_536
@@ -77,11 +78,14 @@ class LineBatch:
 
 
 class BlockLines:
-    """Formats each block of a capture as lines, if the capture is decoded without device
-    profiles.
-    """
+    """Formats each block of a capture as lines."""
 
-    def __init__(self, line_of: Callable[[NamedTransaction], str], separator: str) -> None:
+    def __init__(
+        self,
+        line_of: Callable[[NamedTransaction], str],
+        separator: str,
+        namer: Namer | None = None,
+    ) -> None:
         """Take the format of the lines.
 
         `line_of` formats one transaction, with the end of the line. `separator`, one ASCII
@@ -91,7 +95,7 @@ class BlockLines:
         self._words = np.array([f"{number}{separator}".encode() for number in range(1 << 16)])
         """Each number from 0 to 65535 as ASCII text with the separator behind it; numpy fills
         shorter texts with zero bytes."""
-        self._namer = Namer()
+        self._objects = PlainObjects(namer or Namer())
         self._forms: dict[tuple[object, ...], str] = {}
         """The templates: lines with %s in place of each field that differs within a group. The key
         has the capture file, the MAC addresses and VLAN of both packets, and, as one number, the
@@ -109,10 +113,11 @@ class BlockLines:
         if plain is None:
             return LineBatch("".join(lines), Counter(), made)
         usual = UsualValues(plain)
-        chosen = np.flatnonzero(usual.is_usual)
-        others = np.flatnonzero(~usual.is_usual).tolist()
-        unusual = [self._named(plain, index) for index in others]
-        usual_lines = self._lines(plain, usual, chosen)
+        objects = self._objects.of(plain, usual)
+        usual.is_usual &= ~objects.have_profile()
+        chosen, others = np.flatnonzero(usual.is_usual), np.flatnonzero(~usual.is_usual)
+        unusual = [*objects.chosen(others)]
+        usual_lines = self._lines(plain, usual, chosen, objects)
         refused = int(np.count_nonzero(usual.exception[chosen] >= 0))
         outcomes = Counter({Outcome.OK: len(chosen) - refused, Outcome.EXCEPTION: refused})
         if not (lines or unusual):
@@ -123,19 +128,18 @@ class BlockLines:
         ordered = [lines[one] for one in np.argsort(places, kind="stable").tolist()]
         return LineBatch("".join(ordered), outcomes, [*made, *unusual], unusual)
 
-    def _named(self, rows: PlainRows, index: int) -> NamedTransaction:
-        return self._namer.name(plain_transaction(rows, index))
-
-    def _lines(self, rows: PlainRows, usual: UsualValues, chosen: Int64s) -> list[str]:
+    def _lines(
+        self, rows: PlainRows, usual: UsualValues, chosen: Int64s, objects: RowObjects
+    ) -> list[str]:
         if not len(chosen):
             return []
-        forms, kinds = self._forms_of(rows, usual, chosen)
+        forms, kinds = self._forms_of(rows, usual, chosen, objects)
         fields = self._fields(rows, usual, chosen)
         texts = zip(*(fields[name] for name in self._order), strict=True)
         return [forms[kind] % some for kind, some in zip(kinds, texts, strict=True)]
 
     def _forms_of(
-        self, rows: PlainRows, usual: UsualValues, chosen: Int64s
+        self, rows: PlainRows, usual: UsualValues, chosen: Int64s, objects: RowObjects
     ) -> tuple[list[str], list[int]]:
         """Return the templates (lines with %s in place of each field that differs within a group)
         for the rows with the indices `chosen`, and for each of these rows the index of its
@@ -156,7 +160,7 @@ class BlockLines:
             place = places[place_of[rows.connection[index]]]
             key = rows.block.file, place, int(asked[one])
             if key not in self._forms:
-                self._forms[key] = self._form(self._named(rows, index))
+                self._forms[key] = self._form(objects.one(index))
             forms.append(self._forms[key])
         return forms, kinds.tolist()
 

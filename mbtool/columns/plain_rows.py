@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -11,6 +12,7 @@ from mbtool.columns.arrays import Bools, Int64s, Octets, gather, ranges
 from mbtool.columns.packet_block import PacketBlock
 from mbtool.core import Connection, LinkAddresses
 from mbtool.decode.plain_stretch import PlainStretch
+from mbtool.modbus.adu_bytes import MBAP_BYTES
 from mbtool.packets.link_addresses import link_addresses
 from mbtool.packets.plain_bytes import PlainBytes
 from mbtool.packets.stream import RECENT_BYTES
@@ -18,7 +20,9 @@ from mbtool.packets.stream import RECENT_BYTES
 if TYPE_CHECKING:
     from mbtool.columns.headers import Segments
     from mbtool.columns.stretches import Stretches
+    from mbtool.decode.plain_stretch import PlainLimits
 
+_UNIT_AT = MBAP_BYTES - 1
 _LINK_HEADER = np.dtype("V32")
 """The first 32 bytes of a packet. No link layer header that headers.py reads is longer than 28
 bytes, so the last byte is free for the header's length."""
@@ -141,6 +145,21 @@ class TransactionArrays:
         """
         stop = self.response_place[at] + 1 if until == end else self.first_place[until]
         return self._order[self.first_place[at] : stop]
+
+    def end_within(self, limits: PlainLimits, at: int, end: int) -> int:
+        """Return the index of the first transaction between `at` and `end` that `limits` leaves to
+        the Decoder; `end` if there is none.
+        """
+        lists, code = self._lists, self._lists.code
+        end = bisect_left(lists.response_ns, limits.until_ns, at, end)
+        for one in range(at, end):
+            begin = lists.request_begin[one] + _UNIT_AT
+            request = self._bytes(begin, lists.request_size[one] - _UNIT_AT)
+            if request in limits.requests:
+                return one
+            if (lists.transaction_id[one], request[0], code[one]) in limits.responses:
+                return one
+        return end
 
     def stretch(self, at: int, end: int) -> PlainStretch:
         """Return the facts from the transactions with the indices `at` to `end` (exclusive) that

@@ -16,11 +16,10 @@ import numpy as np
 import pyarrow as pa
 
 from mbtool.columns.arrays import Bools, Int64s, Octets, pieces
-from mbtool.columns.plain_transactions import origin_fields, plain_transaction
+from mbtool.columns.plain_transactions import PlainObjects, origin_fields
 from mbtool.columns.row_table import row_table
 from mbtool.columns.schema import SCHEMA
 from mbtool.columns.usual_values import UsualValues, ValueLists
-from mbtool.devices import NamedTransaction, Namer
 from mbtool.modbus.adu import DirectionBy, Transport
 from mbtool.modbus.functions import exception_name
 from mbtool.modbus.transaction import Outcome
@@ -29,15 +28,15 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from mbtool.columns.plain_rows import PlainRows
+    from mbtool.columns.plain_transactions import RowObjects
+    from mbtool.devices import NamedTransaction, Namer
 
 
 class PlainTables:
-    """Makes a pyarrow table of those transactions of a block that were read from arrays. Uses no
-    device profiles.
-    """
+    """Makes a pyarrow table of those transactions of a block that were read from arrays."""
 
-    def __init__(self) -> None:
-        self._namer = Namer()
+    def __init__(self, namer: Namer) -> None:
+        self._objects = PlainObjects(namer)
         self._names: dict[int, NamedTransaction] = {}
         """An example transaction for each combination of function, address and quantity; the key is
         function << 32 | address << 16 | quantity."""
@@ -47,21 +46,21 @@ class PlainTables:
         reads or writes, for which objects had to be made.
         """
         usual = UsualValues(rows)
-        chosen = np.flatnonzero(usual.is_usual)
-        others = np.flatnonzero(~usual.is_usual).tolist()
-        made = [self._named(rows, index) for index in others]
-        parts = [self._usual_table(rows, usual, chosen)]
+        objects = self._objects.of(rows, usual)
+        usual.is_usual &= ~objects.have_profile()
+        chosen, others = np.flatnonzero(usual.is_usual), np.flatnonzero(~usual.is_usual)
+        made = [*objects.chosen(others)]
+        parts = [self._usual_table(rows, usual, chosen, objects)]
         if not made:
             return parts[0], made
         parts.append(row_table(made))
         order = np.argsort(np.concatenate([chosen, others]), kind="stable")
         return pa.concat_tables(parts).take(pa.array(order)), made
 
-    def _named(self, rows: PlainRows, index: int) -> NamedTransaction:
-        return self._namer.name(plain_transaction(rows, index))
-
-    def _usual_table(self, rows: PlainRows, usual: UsualValues, chosen: Int64s) -> pa.Table:
-        names, name = self._names_of(rows, usual, chosen)
+    def _usual_table(
+        self, rows: PlainRows, usual: UsualValues, chosen: Int64s, objects: RowObjects
+    ) -> pa.Table:
+        names, name = self._names_of(rows, usual, chosen, objects)
         ends = rows.connection[chosen]
         connections = rows.connections
         origins = [origin_fields(*one) for one in rows.addresses]
@@ -115,17 +114,18 @@ class PlainTables:
         )
 
     def _names_of(
-        self, rows: PlainRows, usual: UsualValues, chosen: Int64s
+        self, rows: PlainRows, usual: UsualValues, chosen: Int64s, objects: RowObjects
     ) -> tuple[list[NamedTransaction], Int64s]:
         """Return an example transaction for each combination of function, address and quantity in
         the rows with the indices `chosen`, and for each of these rows the index of its example.
         """
         keys = rows.code[chosen] << 32 | usual.address[chosen] << 16 | usual.quantity[chosen]
         kinds, first, like = np.unique(keys, return_index=True, return_inverse=True)
-        for key, index in zip(kinds.tolist(), chosen[first].tolist(), strict=True):
-            if key not in self._names:
-                self._names[key] = self._named(rows, index)
-        return [self._names[key] for key in kinds.tolist()], like
+        keys_of = kinds.tolist()
+        missing = [place for place, key in enumerate(keys_of) if key not in self._names]
+        made = objects.chosen(chosen[first[missing]])
+        self._names.update(zip([keys_of[place] for place in missing], made, strict=True))
+        return [self._names[key] for key in keys_of], like
 
 
 def _column(field: pa.Field, values: Any, count: int) -> pa.Array:

@@ -1,13 +1,26 @@
-"""Makes a transaction object from one row of the arrays, equal to the one that the Decoder would
-make.
-"""
+"""Makes transaction objects from rows of the arrays, equal to those that the Decoder would make."""
+
+# A row is a transaction. The usual reads and writes (usual_rows.py) of one kind are equal but for
+# times, ids, values, bytes and packets: they have the same link, ends without the master's port,
+# MAC addresses, unit, function, address, quantity and exception code. The first one of a kind is
+# named; it is the model of all others, which are copies of it with their own times, ids, values,
+# bytes and packets. If the names depend on values, each is named. A new kind that differs from a
+# known one in address and quantity only is a copy, too.
+#
+# Memory: MAX_KINDS models; if there are more, all are forgotten and made again when needed. The
+# values of at most AT_ONCE rows of a block.
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import cached_property, lru_cache
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+from msgspec import structs
+
 from mbtool.columns.plain_rows import link_addresses_of
+from mbtool.columns.usual_values import UsualValues
 from mbtool.core import Direction, Origin
 from mbtool.decode.transactions import Ends, add_origins, with_response
 from mbtool.modbus.adu import Adu, DirectionBy, Transport
@@ -15,10 +28,159 @@ from mbtool.modbus.adu_bytes import MBAP_BYTES
 from mbtool.packets.link_addresses import MAX_CACHED_HEADERS
 
 if TYPE_CHECKING:
-    from mbtool.columns.arrays import Int64s
+    from collections.abc import Iterator
+
+    from mbtool.columns.arrays import Bools, Int64s
     from mbtool.columns.plain_rows import PlainRows
+    from mbtool.columns.usual_values import ValueLists
     from mbtool.core import LinkAddresses
+    from mbtool.devices import NamedTransaction, Namer
     from mbtool.modbus.transaction import Transaction
+
+
+MAX_KINDS = 65_536
+AT_ONCE = 4096
+
+
+class PlainObjects:
+    """Makes named transaction objects of the rows of a capture's blocks."""
+
+    def __init__(self, namer: Namer) -> None:
+        self.namer = namer
+        self.models: dict[tuple[object, ...], tuple[NamedTransaction, bool]] = {}
+        """By kind: the model, and True if its names depend on values."""
+        self.bases: dict[tuple[object, ...], NamedTransaction] = {}
+        """By kind without address and quantity, one of its transactions."""
+
+    def of(self, rows: PlainRows, usual: UsualValues | None = None) -> RowObjects:
+        """Return what makes the objects of a block. `usual` tells its usual rows, if known."""
+        return RowObjects(self, rows, usual or UsualValues(rows))
+
+    def keep(self, key: tuple[object, ...], model: NamedTransaction, *, depends: bool) -> None:
+        if len(self.models) >= MAX_KINDS:
+            self.models.clear()
+        self.models[key] = model, depends
+
+
+class RowObjects:
+    """Makes the transaction objects of the rows of one block."""
+
+    def __init__(self, objects: PlainObjects, rows: PlainRows, usual: UsualValues) -> None:
+        self._objects = objects
+        self._rows = rows
+        self._usual = usual
+        self._is_usual = usual.is_usual.copy()  # A caller may leave out more in its own.
+
+    def have_profile(self) -> Bools:
+        """Return for each row True if its slave has a profile."""
+        rows, assignments = self._rows, self._objects.namer.assignments
+        if not any(assignments):
+            return np.zeros(len(rows.unit), np.bool_)
+        slaves, like = np.unique(rows.connection << 8 | rows.unit, return_inverse=True)
+        found = []
+        for one in slaves.tolist():
+            slave = str(rows.connections[one >> 8].slave)
+            found.append(assignments.profile_of(slave, one & 0xFF, Transport.TCP) is not None)
+        have: Bools = np.array(found, np.bool_)[like]
+        return have
+
+    def one(self, index: int) -> NamedTransaction:
+        """Return the transaction of the row with this index."""
+        return next(self.some(index, index + 1))
+
+    def some(self, begin: int, end: int) -> Iterator[NamedTransaction]:
+        """Yield the transactions of the rows with the indices `begin` to `end` (exclusive)."""
+        return self.chosen(np.arange(begin, end))
+
+    def chosen(self, indices: Int64s) -> Iterator[NamedTransaction]:
+        """Yield the transactions of the rows with these indices."""
+        for at in range(0, len(indices), AT_ONCE):
+            yield from self._chosen(indices[at : at + AT_ONCE])
+
+    def _chosen(self, indices: Int64s) -> Iterator[NamedTransaction]:
+        rows, usual, namer = self._rows, self._usual, self._objects.namer
+        is_usual = self._is_usual[indices]
+        begins = zip(
+            rows.request_begin[indices].tolist(), rows.request_size[indices].tolist(),
+            rows.response_begin[indices].tolist(), rows.response_size[indices].tolist(),
+            strict=True,
+        )  # fmt: skip
+        written = _lists(usual.request_values(indices[is_usual]), is_usual)
+        read = _lists(usual.response_values(indices[is_usual]), is_usual)
+        octets, first, ends = rows.data.data, rows.block.first_number, self._ends
+        models, file = self._objects.models, rows.block.file
+        for index, kind, end, begin_ns, end_ns, id_, asking, answering, at, asked, answered in zip(
+            indices.tolist(), np.where(is_usual, usual.asked[indices], -1).tolist(),
+            rows.connection[indices].tolist(), rows.request_ns[indices].tolist(),
+            rows.response_ns[indices].tolist(), rows.transaction_id[indices].tolist(),
+            (first + rows.request[indices]).tolist(), (first + rows.response[indices]).tolist(),
+            begins, written, read, strict=True,
+        ):  # fmt: skip
+            if kind < 0:
+                yield namer.name(plain_transaction(rows, index))
+                continue
+            source, place = ends[end]
+            found = models.get((file, place, kind))
+            model = self._base(index, (file, place, kind >> 32)) if found is None else found[0]
+            request, request_size, response, response_size = at
+            one = structs.replace(
+                model,
+                source=source,
+                transaction_id=id_,
+                request_ns=begin_ns,
+                response_ns=end_ns,
+                latency_ns=end_ns - begin_ns,
+                request_values=asked,
+                response_values=answered,
+                request_raw=octets[request : request + request_size].tobytes(),
+                response_raw=octets[response : response + response_size].tobytes(),
+                request_packet=asking,
+                response_packet=answering,
+            )
+            if found is None:
+                address, quantity = kind >> 16 & 0xFFFF, kind & 0xFFFF
+                one = namer.as_kind(structs.replace(one, address=address, quantity=quantity))
+                depends = namer.depends_on_values(one)
+                self._objects.keep((file, place, kind), one, depends=depends)
+            else:
+                _, depends = found
+            yield namer.with_values(one) if depends else one
+
+    def _base(self, index: int, key: tuple[object, ...]) -> NamedTransaction:
+        bases = self._objects.bases
+        found = bases.get(key)
+        if found is None:
+            if len(bases) >= MAX_KINDS:
+                bases.clear()
+            transaction = plain_transaction(self._rows, index)
+            found = bases[key] = self._objects.namer.name(transaction)
+        return found
+
+    @cached_property
+    def _ends(self) -> list[tuple[str, tuple[object, ...]]]:
+        """For each item of `connections`: the master as text, and what is equal in all
+        transactions of a kind.
+        """
+        rows = self._rows
+        return [
+            (str(one.master), (one.link, one.master.host, str(one.slave), addresses))
+            for one, addresses in zip(rows.connections, rows.addresses, strict=True)
+        ]
+
+
+def _lists(lists: ValueLists, is_usual: Bools) -> list[list[int] | None]:
+    """Return the values of each row, None for one without. `lists` has those of the rows for which
+    `is_usual` is True.
+    """
+    numbers, offsets = lists.numbers.tolist(), lists.offsets.tolist()
+    found = [
+        None if is_missing else numbers[begin:end]
+        for is_missing, (begin, end) in zip(lists.missing.tolist(), pairwise(offsets), strict=True)
+    ]
+    if len(found) == len(is_usual):
+        return found
+    given = iter(found)
+    return [next(given) if each else None for each in is_usual.tolist()]
 
 
 def plain_transaction(rows: PlainRows, index: int) -> Transaction:

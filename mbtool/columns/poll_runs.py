@@ -18,28 +18,21 @@ import numpy as np
 
 from mbtool.columns.arrays import narrow
 from mbtool.columns.column_decoder import order_of
-from mbtool.columns.plain_transactions import origin_fields, plain_transaction
-from mbtool.columns.sunspec_rows import SunSpecRows
-from mbtool.columns.usual_rows import UsualRows
-from mbtool.devices import Namer
+from mbtool.columns.plain_transactions import PlainObjects, origin_fields
 from mbtool.ledger.answered_run import AlikeRequests, AnsweredRun
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
     from mbtool.columns.arrays import Bools, Int64s
-    from mbtool.columns.column_decoder import DecodedBlock
     from mbtool.columns.plain_rows import PlainRows
+    from mbtool.columns.usual_values import UsualValues
     from mbtool.decode.decoder import Record
     from mbtool.devices import NamedTransaction
 
 Part = TypeVar("Part")
 
 MAX_KINDS = 65_536
-_SHORT = 24
-"""If fewer usual reads and writes than this follow one another, they are given as single
-transactions, which is faster than as an AnsweredRun."""
-
 _Place = tuple[str, str, str, str | None, str | None]
 """Link name, IP address of the master, address and port of the slave, MAC address of the master,
 MAC address of the slave (None if unknown)."""
@@ -56,45 +49,13 @@ class KindsOfRows(NamedTuple):
 
 
 class PollRuns:
-    """Groups the usual reads and writes of each block: consecutive ones become an AnsweredRun,
-    which counts equal polls together.
+    """Groups the usual reads and writes of each block, for counts of equal polls together."""
 
-    For a capture that is decoded without device profiles.
-    """
-
-    def __init__(self) -> None:
-        self._namer = Namer()
-        self._sunspec = SunSpecRows()
+    def __init__(self, objects: PlainObjects) -> None:
+        self._objects = objects
         self._kinds: dict[tuple[_Place, int], NamedTransaction] = {}
 
-    def parts(self, decoded: DecodedBlock) -> Iterator[Record | AnsweredRun]:
-        """Yield the transactions and events of a block in the order in which packets completed
-        them.
-
-        Consecutive usual reads and writes come together as one AnsweredRun, if they are at least
-        _SHORT.
-        """
-        records = decoded.sorted_records(with_passed=True)
-        self._sunspec.note(records)
-        rows = decoded.plain
-        if rows is None:
-            yield from (record for _, record in records)
-            return
-        usual = UsualRows(rows)
-        usual.is_usual &= ~self._sunspec.find(rows, usual)
-        kinds = self.kinds_of(rows, usual)
-        yield from in_turn(
-            rows,
-            usual.is_usual,
-            records,
-            lambda begin, end: self._run(rows, kinds, begin, end),
-            lambda index: self._named(rows, index),
-        )
-
-    def _named(self, rows: PlainRows, index: int) -> NamedTransaction:
-        return self._namer.name(plain_transaction(rows, index))
-
-    def kinds_of(self, rows: PlainRows, usual: UsualRows) -> KindsOfRows:
+    def kinds_of(self, rows: PlainRows, usual: UsualValues) -> KindsOfRows:
         """Return an example transaction of each kind of poll in the block, and for each row the
         index of its kind among these examples.
 
@@ -113,25 +74,14 @@ class PollRuns:
             return_index=True,
             return_inverse=True,
         )
-        likes = []
-        for index in first.tolist():
-            key = places[int(rows.connection[index])], int(asked[index])
-            if key not in self._kinds:
-                self._kinds[key] = self._named(rows, index)
-            likes.append(self._kinds[key])
-        return KindsOfRows(likes, kind)
-
-    def _run(
-        self, rows: PlainRows, kinds: KindsOfRows, begin: int, end: int
-    ) -> Iterator[AnsweredRun | NamedTransaction]:
-        """Yield the rows with the indices `begin` to `end` (exclusive), all of them usual reads
-        and writes, as one AnsweredRun; as single transactions if they are fewer than _SHORT.
-        """
-        run = run_of(rows, kinds, begin, end)
-        if end - begin < _SHORT:
-            yield from run.transactions()
-        else:
-            yield run
+        keys = [
+            (places[end], one)
+            for end, one in zip(rows.connection[first].tolist(), asked[first].tolist(), strict=True)
+        ]
+        missing = [place for place, key in enumerate(keys) if key not in self._kinds]
+        made = self._objects.of(rows, usual).chosen(first[missing])
+        self._kinds.update(zip([keys[place] for place in missing], made, strict=True))
+        return KindsOfRows([self._kinds[key] for key in keys], kind)
 
 
 def _places(rows: PlainRows) -> list[_Place]:
@@ -147,44 +97,26 @@ def in_turn(
     is_usual: Bools,
     records: list[tuple[int, Record]],
     make_run: Callable[[int, int], Iterable[Part]],
-    make_single: Callable[[int], Record],
+    make_singles: Callable[[int, int], Iterable[Record]],
 ) -> Iterator[Record | Part]:
     """Yield the transactions and events of a block in the order in which packets completed them.
 
     `records` are those that the Decoder made. A row is a transaction that was read from arrays.
     `make_run(begin, end)` makes the items for the rows with the indices `begin` to `end`
-    (exclusive), for all of which `is_usual` is True; `make_single(index)` makes the item for any
-    other row.
-    """
-    begin = 0
-    for end, record in _between(rows, is_usual, records):
-        if begin < end:
-            yield from make_run(begin, end)
-        begin = end
-        if record is None:
-            yield make_single(end)
-            begin += 1
-        else:
-            yield record
-    if begin < len(is_usual):
-        yield from make_run(begin, len(is_usual))
-
-
-def _between(
-    rows: PlainRows, is_usual: Bools, records: list[tuple[int, Record]]
-) -> list[tuple[int, Record | None]]:
-    """Return, in order, what stands between the rows for which `is_usual` is True: the Decoder's
-    `records`, and the other rows.
-
-    An item is one of two pairs: a record, after the index of the row before which it was completed;
-    or None, after the index of a row for which `is_usual` is False.
+    (exclusive), for all of which `is_usual` is True; `make_singles` does so for other rows.
     """
     places = np.searchsorted(order_of(rows.response), [place for place, _ in records]).tolist()
-    found: list[tuple[int, Record | None]] = [
-        (place, record) for place, (_, record) in zip(places, records, strict=True)
-    ]
-    found += [(index, None) for index in np.flatnonzero(~is_usual).tolist()]
-    return sorted(found, key=lambda one: (one[0], one[1] is None))
+    changes = np.flatnonzero(is_usual[1:] != is_usual[:-1]) + 1
+    cuts = sorted({*places, *changes.tolist(), len(is_usual)})
+    begin = number = 0
+    for end in cuts:
+        if begin < end:
+            make = make_run if is_usual[begin] else make_singles
+            yield from make(begin, end)
+        begin = end
+        while number < len(places) and places[number] == end:
+            yield records[number][1]
+            number += 1
 
 
 def run_of(rows: PlainRows, kinds: KindsOfRows, begin: int, end: int) -> AnsweredRun:

@@ -2,10 +2,10 @@
 object of each.
 """
 
-# A row of the arrays is one transaction. It is quiet if it is one of the usual reads
+# A row of the arrays is one transaction. It is quiet if it is one of the usual reads and writes
 # (usual_rows.py), has the outcome OK, has a function, address and quantity that give no finding,
-# and does not read holding registers of a SunSpec slave (sunspec_rows.py). Every other row is made
-# a transaction object, as the Decoder makes it.
+# and does not read holding registers of a SunSpec slave (sunspec_rows.py). For `report`, writes are
+# not quiet, as it shows their values over time. Every other row is made a transaction object.
 
 from __future__ import annotations
 
@@ -16,15 +16,19 @@ import numpy as np
 
 from mbtool.columns.arrays import narrow
 from mbtool.columns.block_values import BlockValues
-from mbtool.columns.plain_transactions import plain_transaction
+from mbtool.columns.plain_transactions import PlainObjects
 from mbtool.columns.poll_runs import PollRuns, in_turn, run_of
 from mbtool.columns.sunspec_rows import SunSpecRows
 from mbtool.columns.usual_values import UsualValues
-from mbtool.devices import Namer
 from mbtool.devices.checking.connections import MAX_RECENT
-from mbtool.devices.checking.quiet_run import QuietConnection, QuietPoll, QuietRun
+from mbtool.devices.checking.quiet_run import (
+    QuietConnection,
+    QuietPoll,
+    QuietRun,
+    QuietWrite,
+)
 from mbtool.ledger.answered_reads import AnsweredReads, SlowRead
-from mbtool.modbus.functions import READ_BITS, READ_REGISTERS
+from mbtool.modbus.functions import READ_BITS, READ_REGISTERS, WRITE_ONE, WRITE_SEVERAL
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Iterator, Sequence
@@ -34,33 +38,35 @@ if TYPE_CHECKING:
     from mbtool.columns.plain_rows import PlainRows
     from mbtool.columns.poll_runs import KindsOfRows
     from mbtool.decode.decoder import Record
-    from mbtool.devices import NamedTransaction
+    from mbtool.devices import NamedTransaction, Namer
     from mbtool.ledger.answered_run import AnsweredRun
 
 _READS = [*READ_BITS, *READ_REGISTERS - {0x17}]
-FEWEST = 64
+_WRITES = [*WRITE_ONE - {0x16}, *WRITE_SEVERAL]
+FEWEST = 24
 """The fewest rows (transactions) of a QuietRows. A shorter series of quiet rows is given as
 transaction objects, which is faster."""
 
 
 class QuietParts:
-    """Splits the transactions of each block of packets: FEWEST or more consecutive reads without
-    findings become a group, every other transaction an object.
-
-    For a capture that is decoded without device profiles.
+    """Splits the transactions of each block of packets: FEWEST or more consecutive answered reads
+    and writes without findings, of slaves without a profile, become a group, every other
+    transaction an object.
     """
 
-    def __init__(self) -> None:
-        self._namer = Namer()
+    def __init__(self, namer: Namer, *, reads_only: bool = False) -> None:
+        """With `reads_only`, each write becomes an object, too."""
+        self._quiet = [*_READS] if reads_only else [*_READS, *_WRITES]
+        self._objects = PlainObjects(namer)
         self._sunspec = SunSpecRows()
-        self._runs = PollRuns()
+        self._runs = PollRuns(self._objects)
 
     def parts(self, decoded: DecodedBlock) -> Iterator[Record | BlockRows]:
         """Yield the transactions and events of a block in the order in which packets completed
         them.
 
-        Consecutive reads without findings come together as one BlockRows, if they are at least
-        FEWEST.
+        Consecutive reads and writes without findings come together as one BlockRows, if they are at
+        least FEWEST.
         """
         records = decoded.sorted_records(with_passed=True)
         self._sunspec.note(records)
@@ -68,8 +74,8 @@ class QuietParts:
         if rows is None:
             yield from (record for _, record in records)
             return
-        block = _QuietBlock(rows, self._namer, self._sunspec, self._runs)
-        yield from in_turn(rows, block.is_quiet, records, block.some, block.transaction)
+        block = _QuietBlock(rows, self._objects, self._sunspec, self._runs, self._quiet)
+        yield from in_turn(rows, block.is_quiet, records, block.some, block.transactions)
 
 
 class _QuietBlock:
@@ -78,15 +84,23 @@ class _QuietBlock:
     connection.
     """
 
-    def __init__(self, rows: PlainRows, namer: Namer, sunspec: SunSpecRows, runs: PollRuns) -> None:
+    def __init__(
+        self,
+        rows: PlainRows,
+        objects: PlainObjects,
+        sunspec: SunSpecRows,
+        runs: PollRuns,
+        functions: list[int],
+    ) -> None:
         self._rows = rows
-        self._namer = namer
         self._runs = runs
         self._usual = usual = UsualValues(rows)
+        self._objects = objects.of(rows, usual)
         asked = rows.code << 32 | usual.address << 16 | usual.quantity
-        usual.is_usual &= ~sunspec.find(rows, usual)
-        is_read = usual.is_usual & (usual.exception < 0) & np.isin(rows.code, _READS)
-        self.is_quiet = self._without_findings(asked, is_read)
+        usual.is_usual &= ~(sunspec.find(rows, usual) | self._objects.have_profile())
+        is_answered = usual.is_usual & (usual.exception < 0) & np.isin(rows.code, functions)
+        self.is_quiet = self._without_findings(asked, is_answered)
+        self._writes = np.flatnonzero(np.isin(rows.code, _WRITES) & self.is_quiet)
         ends = [(one.link, str(one.master), str(one.slave)) for one in rows.connections]
         self._ends = [*dict.fromkeys(ends)]
         self._connection = narrow(_numbers(ends)[rows.connection])
@@ -97,14 +111,17 @@ class _QuietBlock:
         self._poll = narrow(poll)
 
     def transaction(self, index: int) -> NamedTransaction:
-        return self._namer.name(plain_transaction(self._rows, index))
+        return self._objects.one(index)
+
+    def transactions(self, begin: int, end: int) -> Iterator[NamedTransaction]:
+        return self._objects.some(begin, end)
 
     def some(self, begin: int, end: int) -> Iterator[BlockRows | NamedTransaction]:
         """Yield the rows (transactions) with the indices `begin` to `end` (exclusive), all of them
-        reads without findings: as one BlockRows, or single if they are fewer than FEWEST.
+        quiet: as one BlockRows, or single if they are fewer than FEWEST.
         """
         if end - begin < FEWEST:
-            yield from map(self.transaction, range(begin, end))
+            yield from self.transactions(begin, end)
         else:
             yield BlockRows(self, begin, end)
 
@@ -112,6 +129,7 @@ class _QuietBlock:
         return QuietRun(
             [self._quiet_poll(places) for places in _alike(self._poll, begin, end)],
             [self._quiet_connection(places) for places in _alike(self._connection, begin, end)],
+            self._quiet_writes(begin, end),
             self.transaction,
         )
 
@@ -159,10 +177,10 @@ class _QuietBlock:
             BlockValues(rows, usual, places),
         )
 
-    def _without_findings(self, asked: Int64s, is_read: Bools) -> Bools:
-        places = np.flatnonzero(is_read)
+    def _without_findings(self, asked: Int64s, is_answered: Bools) -> Bools:
+        places = np.flatnonzero(is_answered)
         _, first, kind = np.unique(asked[places], return_index=True, return_inverse=True)
-        is_clean = [not self.transaction(one).findings for one in places[first].tolist()]
+        is_clean = [not one.findings for one in self._objects.chosen(places[first])]
         is_quiet = np.zeros(len(asked), np.bool_)
         is_quiet[places] = np.array(is_clean, np.bool_)[kind]
         return is_quiet
@@ -178,6 +196,19 @@ class _QuietBlock:
             first,
             rows.request_ns[places].tolist(),
         )
+
+    def _quiet_writes(self, begin: int, end: int) -> list[QuietWrite]:
+        first, last = np.searchsorted(self._writes, (begin, end)).tolist()
+        chosen, rows = self._writes[first:last], self._rows
+        if not len(chosen):
+            return []
+        ends = [self._ends[one] for one in self._connection[chosen].tolist()]
+        return [
+            QuietWrite(source, destination, at_ns, place)
+            for (_, source, destination), at_ns, place in zip(
+                ends, rows.request_ns[chosen].tolist(), chosen.tolist(), strict=True
+            )
+        ]
 
     def _quiet_connection(self, places: Int64s) -> QuietConnection:
         rows, last = self._rows, places[-MAX_RECENT:]
@@ -198,8 +229,8 @@ class _QuietBlock:
 
 
 class BlockRows:
-    """A BlockRows: consecutive transactions of a block, all of them reads without findings. It has
-    the methods of QuietRows (devices/checking/quiet_run.py).
+    """A BlockRows: consecutive transactions of a block, all of them answered reads and writes
+    without findings. It has the methods of QuietRows (devices/checking/quiet_run.py).
     """
 
     def __init__(self, block: _QuietBlock, begin: int, end: int) -> None:
@@ -219,15 +250,14 @@ class BlockRows:
         return BlockRows(self._block, min(self._begin + count, self._end), self._end)
 
     def transactions(self, count: int) -> Iterator[NamedTransaction]:
-        some = range(self._begin, min(self._begin + count, self._end))
-        return map(self._block.transaction, some)
+        return self._block.transactions(self._begin, min(self._begin + count, self._end))
 
     def run(self) -> QuietRun:
-        """The figures about these reads that the rules of `check` need."""
+        """The figures about these transactions that the rules of `check` need."""
         return self._block.run(self._begin, self._end)
 
     def answered(self) -> AnsweredRun:
-        """The reads grouped by poll, for statistics and the inventory."""
+        """The transactions grouped by poll, for statistics and the inventory."""
         return self._block.answered(self._begin, self._end)
 
     def reads(self) -> list[AnsweredReads]:

@@ -44,6 +44,7 @@ SCHEMA = pa.schema(
         ("exception_name", _WORD),
         ("outcome", _WORD),
         ("request_ns", pa.int64()),
+        ("request_parts_ns", pa.int64()),
         ("response_ns", pa.int64()),
         ("latency_ns", pa.int64()),
         ("retries", pa.uint32()),
@@ -66,6 +67,7 @@ SCHEMA = pa.schema(
         ("source_mac", _WORD),
         ("destination_mac", _WORD),
         ("vlan", pa.uint16()),
+        ("pair_confidence", pa.float64()),
     ]
 )
 """The columns in order. Other programs rely on them: a column never changes its name, type or

@@ -17,8 +17,8 @@ import numpy as np
 
 from mbtool.columns.arrays import gather
 from mbtool.columns.column_decoder import order_of
-from mbtool.columns.plain_transactions import plain_transaction
-from mbtool.columns.usual_rows import UsualRows
+from mbtool.columns.plain_transactions import PlainObjects
+from mbtool.columns.usual_values import UsualValues
 from mbtool.core import WireEvent
 from mbtool.devices import Namer
 from mbtool.devices.sunspec_map import BASES, MARK, READ_HOLDING, mark_in
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from mbtool.columns.arrays import Bools, Int64s
     from mbtool.columns.column_decoder import DecodedBlock
     from mbtool.columns.plain_rows import PlainRows
+    from mbtool.columns.usual_rows import UsualRows
     from mbtool.decode.decoder import Record
 
 MAX_SLAVES = 1024
@@ -94,7 +95,7 @@ class SunSpecReads:
 
     def __init__(self) -> None:
         self._rows = SunSpecRows()
-        self._namer = Namer()
+        self._objects = PlainObjects(Namer())
 
     def records(self, decoded: DecodedBlock) -> list[Record]:
         """Return the Decoder's records of a block together with the reads of SunSpec slaves in its
@@ -104,9 +105,10 @@ class SunSpecReads:
         self._rows.note(records)
         rows = decoded.plain
         if rows is not None and (self._rows.has_slaves or _MARK_BYTES in rows.data.tobytes()):
-            found = np.flatnonzero(self._rows.find(rows, UsualRows(rows)))
+            usual = UsualValues(rows)
+            found = np.flatnonzero(self._rows.find(rows, usual))
             places = order_of(rows.response[found]).tolist()
-            made = (self._namer.name(plain_transaction(rows, one)) for one in found.tolist())
+            made = self._objects.of(rows, usual).chosen(found)
             records += zip(places, made, strict=True)
             records.sort(key=lambda one: one[0])
         return [record for _, record in records]

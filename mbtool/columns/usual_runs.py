@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Generic, TypeVar
 
 import numpy as np
 
-from mbtool.columns.plain_transactions import plain_transaction
+from mbtool.columns.plain_transactions import PlainObjects
 from mbtool.columns.poll_runs import in_turn
 from mbtool.columns.sunspec_rows import SunSpecRows
 from mbtool.columns.usual_values import UsualValues
@@ -39,19 +39,20 @@ MOST = 4096
 
 
 class UsualRuns(Generic[F]):
-    """Joins the consecutive usual reads and writes of each block of packets to UsualRuns.
-
-    For a capture that is decoded without device profiles.
+    """Joins the consecutive usual reads and writes of each block of packets, from and to slaves
+    without a profile, to UsualRuns.
     """
 
-    def __init__(self, form_of: Callable[[NamedTransaction], F], singly: int) -> None:
+    def __init__(
+        self, form_of: Callable[[NamedTransaction], F], singly: int, namer: Namer | None = None
+    ) -> None:
         """`form_of` gets one transaction and makes what all equal transactions share, such as the
         text of their lines. The first `singly` transactions of the capture are given as single
         transactions.
         """
         self._form_of = form_of
         self._singly = singly
-        self._namer = Namer()
+        self._objects = PlainObjects(namer or Namer())
         self._sunspec = SunSpecRows()
 
     def parts(self, decoded: DecodedBlock) -> Iterator[Record | UsualRun[F]]:
@@ -68,16 +69,12 @@ class UsualRuns(Generic[F]):
             yield from (record for _, record in records)
             return
         usual = UsualValues(rows)
-        usual.is_usual &= ~self._sunspec.find(rows, usual)
+        made = self._objects.of(rows, usual)
+        usual.is_usual &= ~(self._sunspec.find(rows, usual) | made.have_profile())
         usual.is_usual[: self._singly] = False
         self._singly = max(self._singly - len(usual.is_usual), 0)
-        block = _BlockForms(rows, usual, lambda index: self._form_of(self._named(rows, index)))
-        yield from in_turn(
-            rows, usual.is_usual, records, block.some, lambda index: self._named(rows, index)
-        )
-
-    def _named(self, rows: PlainRows, index: int) -> NamedTransaction:
-        return self._namer.name(plain_transaction(rows, index))
+        block = _BlockForms(rows, usual, lambda index: self._form_of(made.one(index)))
+        yield from in_turn(rows, usual.is_usual, records, block.some, made.some)
 
 
 class _BlockForms(Generic[F]):

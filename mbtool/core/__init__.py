@@ -3,13 +3,21 @@
 from mbtool.core.errors import (
     CutError,
     DamageError,
+    EmptyError,
     InputError,
     LinkError,
     MbtoolError,
     OutputError,
     UsageError,
 )
-from mbtool.core.events import CONNECTION_JOINED, CONNECTION_OPENED, EventKind, WireEvent
+from mbtool.core.events import (
+    CONNECTION_CLOSED,
+    CONNECTION_JOINED,
+    CONNECTION_OPENED,
+    ConnectionEnd,
+    EventKind,
+    WireEvent,
+)
 from mbtool.core.evidence import (
     Chunk,
     Connection,
@@ -38,14 +46,17 @@ from mbtool.core.serial_format import SerialFormat
 from mbtool.core.silence import Silence
 
 __all__ = [
+    "CONNECTION_CLOSED",
     "CONNECTION_JOINED",
     "CONNECTION_OPENED",
     "AutoLink",
     "Chunk",
     "Connection",
+    "ConnectionEnd",
     "CutError",
     "DamageError",
     "Direction",
+    "EmptyError",
     "Endpoint",
     "EventKind",
     "InputError",

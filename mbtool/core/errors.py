@@ -7,6 +7,7 @@
 #   InputError     a capture that is absent, unreadable or of another kind
 #   CutError       a capture that ends in the middle of a record; raised after the last whole record
 #   DamageError    a log or capture in which a byte has changed; raised after all whole records
+#   EmptyError     a text without any Modbus frame
 #   LinkError      a port that is absent, busy or forbidden; an address in use
 #   OutputError    a disk that is full while a log is written
 #
@@ -51,6 +52,10 @@ class CutError(InputError):
 
 class DamageError(InputError):
     """A file is damaged. Raised after all records that can be read were returned."""
+
+
+class EmptyError(InputError):
+    """A file was read to its end, and holds nothing of Modbus. Raised at its end."""
 
 
 class LinkError(MbtoolError):

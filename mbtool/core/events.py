@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Self
 
 
 class EventKind(StrEnum):
@@ -37,6 +39,9 @@ class EventKind(StrEnum):
     """The two ports of a link are in the wrong order: the one for the master receives responses."""
     ECHO = "echo"
     """The second copy of a request, from an adapter that also receives its own bytes."""
+    REPEATED = "repeated"
+    """The second copy of a response, from a repeater that sends each frame again, or from two taps
+    of one line."""
     TWO_MASTERS = "two-masters"
     """Several masters seem to be on a serial line: requests come while other requests still wait
     for their response. Reported once for each line."""
@@ -51,6 +56,8 @@ class EventKind(StrEnum):
     """The file ends in the middle of a record, or the capture kept only part of a packet."""
 
 
+CONNECTION_CLOSED = "connection closed: "
+"""The beginning of the message of CLOSED events; ConnectionEnd reads the rest."""
 CONNECTION_OPENED, CONNECTION_JOINED = "connection opened", "connection joined"
 """The messages of OPENED events. The first is for a connection whose beginning is in the capture,
 the second for one that had begun before the capture."""
@@ -73,3 +80,37 @@ class WireEvent:
     """Number of bytes that the capture lacks; 0 if unknown."""
     packets: int = 0
     """Number of packets of a network interface that the capture lacks; 0 if none or unknown."""
+
+
+@dataclass(frozen=True, slots=True)
+class ConnectionEnd:
+    """How a TCP connection ended, as the message of its CLOSED event says it. A log stores this
+    message, so it is read from the text.
+    """
+
+    reason: str
+    """A value of CloseReason (packets/stream_events.py), such as `reset`; a text of another version
+    of mbtool is kept as it is."""
+    by: str = ""
+    """`master` or `slave`: who sent the RST or the first FIN; empty if nobody did or it is
+    unknown."""
+    keep_alives: int = 0
+    """The number of keep-alive probes of both ends."""
+    unanswered: int = 0
+    """The number of keep-alive probes of one end to which the other end never replied, at the end
+    of the connection."""
+
+    @classmethod
+    def of(cls, event: WireEvent) -> Self | None:
+        """Read the message of a CLOSED event; None for an event of another kind."""
+        match = _CLOSED.match(event.message) if event.kind is EventKind.CLOSED else None
+        if match is None:
+            return None
+        probes, unanswered = (int(number or 0) for number in match.group("probes", "unanswered"))
+        return cls(match["reason"], match["by"] or "", probes, unanswered)
+
+
+_CLOSED = re.compile(
+    rf"{CONNECTION_CLOSED}(?P<reason>.+?)(?: by the (?P<by>master|slave))?"
+    r"(?:, (?P<probes>\d+) keep-alive probes)?(?:, the last (?P<unanswered>\d+) unanswered)?$"
+)

@@ -7,10 +7,12 @@
 
 from __future__ import annotations
 
+from itertools import groupby
 from typing import TYPE_CHECKING, NamedTuple
 
-from mbtool.core import Direction, EventKind, WireEvent
+from mbtool.core import Direction, EventKind, SerialFormat, WireEvent
 from mbtool.core.wording import counted
+from mbtool.decode.bus_in_stream import begin_of_bus
 from mbtool.decode.network_pairing import NetworkPairing
 from mbtool.decode.pairing import Pairing
 from mbtool.decode.serial_origins import SerialOrigins
@@ -25,8 +27,8 @@ from mbtool.serial_line.bus_model import BusModel
 from mbtool.serial_line.rtu import RtuSplitter
 
 if TYPE_CHECKING:
-    from mbtool.core import Connection, SerialFormat, StreamPlace
-    from mbtool.decode.plain_stretch import PlainStretch
+    from mbtool.core import Connection, StreamPlace
+    from mbtool.decode.plain_stretch import PlainLimits, PlainStretch
     from mbtool.packets.plain_bytes import RestPlace
 
 Decoded = Adu | Transaction | WireEvent
@@ -34,6 +36,12 @@ DISORDER = (
     "times of reads are earlier than those of the reads before: silences are uncertain here, "
     "and the bytes decide"
 )
+HEARD_AGAIN = (
+    "the other direction of this connection has these bytes, too: it carries the whole line"
+)
+STREAM_LINE = SerialFormat(115200, 8, "N", 1)
+"""The settings of a line that one direction of a connection carries. Nothing tells its rate, and
+bytes come in segments; the fastest usual rate makes the fewest silences vanish."""
 
 
 class _LostBytes(NamedTuple):
@@ -141,8 +149,12 @@ class Bus:
 class ConnectionDecoder:
     """Decodes a TCP connection between a master and a slave."""
 
-    def __init__(self, connection: Connection, *, rtu: bool = False, joined: bool = False) -> None:
-        """`joined` is True if the capture lacks the beginning of the connection."""
+    def __init__(
+        self, connection: Connection, *, rtu: bool = False, joined: bool = False, timed: bool = True
+    ) -> None:
+        """`joined` is True if the capture lacks the beginning of the connection, `timed` False if
+        its bytes have no known times.
+        """
         self._link = connection.link
         master, slave = str(connection.master), str(connection.slave)
         self._endpoints = {
@@ -154,7 +166,15 @@ class ConnectionDecoder:
             each: RtuStreamSplitter(each) if rtu else MbapSplitter(each, by_segments=True)
             for each in self._endpoints
         }
-        self._pairing = NetworkPairing(Ends(self._link, master, slave), joined=joined)
+        self._pairing = NetworkPairing(Ends(self._link, master, slave, timed=timed), joined=joined)
+        self._last_adus: dict[Direction, Adu] = {}
+        """The last frame of each direction of RTU over TCP."""
+        self._bus: Bus | None = None
+        """The decoder of a whole line that one direction carries (bus_in_stream.py); None if each
+        direction has its own frames."""
+        self._bus_direction = Direction.UNKNOWN
+        self._is_heard_again = False
+        """True if the whole line has the requests of the other direction, too."""
         self._last_ns = 0
         """The time of the last segment with payload, in ns."""
         self._progress = {direction: StreamProgress() for direction in OTHER}
@@ -168,8 +188,18 @@ class ConnectionDecoder:
         `place` is the payload's position in the stream; None if the source gives no positions.
         """
         self._last_ns = ts_ns
+        if self._bus is not None:
+            return self._feed_bus(self._bus, direction, data, ts_ns, place)
         origin = None if place is None else place.origin
-        events = self._splitters[direction].feed(data, ts_ns, origin)
+        splitter = self._splitters[direction]
+        events = splitter.feed(data, ts_ns, origin)
+        if isinstance(splitter, RtuStreamSplitter) and events:
+            before = self._last_adus.get(direction)
+            begin = begin_of_bus(events, before, direction)
+            if begin is not None:
+                return self._begin_bus(splitter, direction, events, begin, ts_ns, place)
+            if frames := [one for one in events if isinstance(one, Adu)]:
+                self._last_adus[direction] = frames[-1]
         if place is None:
             gaps = [
                 _LostBytes(one, progress.without_places(), None)
@@ -178,6 +208,41 @@ class ConnectionDecoder:
             return [*self._lost(gaps, ts_ns), *self._paired(events, direction)]
         self._progress[direction].take(place, len(data))
         return self._placed(events, direction, ts_ns)
+
+    def _begin_bus(
+        self,
+        splitter: RtuStreamSplitter,
+        direction: Direction,
+        events: list[Adu | Skipped],
+        begin: int,
+        ts_ns: int,
+        place: StreamPlace | None,
+    ) -> list[Decoded]:
+        """Decode from now on as a whole line what one direction carries.
+
+        The line begins with the event at index `begin`, or with the frame before the events if that
+        is -1. Requests that wait for a response in the other direction are on the line as well.
+        """
+        decoded = self._paired(events[: max(begin, 0)], direction)
+        before, sent = self._last_adus.get(direction), self._last_adus.get(OTHER[direction])
+        pieces = [(one.raw, _end_ns(one)) for one in events[max(begin, 0) :]]
+        if begin < 0 and before is not None:
+            pieces.insert(0, (before.raw, before.end_ns))
+        pieces.append((splitter.take_rest(), ts_ns))
+        self._is_heard_again = sent is not None and any(sent.raw in raw for raw, _ in pieces)
+        self._bus, self._bus_direction = Bus(self._link, STREAM_LINE), direction
+        for at_ns, of_segment in groupby(pieces, key=lambda piece: piece[1]):
+            decoded += self._bus.feed(b"".join(raw for raw, _ in of_segment), at_ns, place)
+        return decoded
+
+    def _feed_bus(
+        self, bus: Bus, direction: Direction, data: bytes, ts_ns: int, place: StreamPlace | None
+    ) -> list[Decoded]:
+        """Decode bytes of a connection whose one direction carries a whole line."""
+        if direction is self._bus_direction or not self._is_heard_again:
+            return bus.feed(data, ts_ns, place)
+        again = Skipped(ts_ns, EventKind.ECHO, HEARD_AGAIN, data)
+        return [skipped_event(again, self._link, self._endpoints[direction])]
 
     def is_at_rest(self, request_position: int, response_position: int, now_ns: int) -> bool:
         """True if no request is pending, no byte is buffered, and no byte so far is missing.
@@ -191,6 +256,10 @@ class ConnectionDecoder:
             and self._progress[Direction.RESPONSE].is_at_rest(response_position)
             and self._pairing.is_at_rest(now_ns)
         )
+
+    def limits(self) -> PlainLimits:
+        """Return which transactions the array decoder must leave to `feed`."""
+        return self._pairing.limits()
 
     def pass_plain(self, stretch: PlainStretch, place: RestPlace) -> None:
         """Note transactions of this connection that the array decoder (columns/) has decoded.
@@ -244,6 +313,9 @@ class ConnectionDecoder:
             destination=destination,
             missing=missing,
         )
+        if self._bus is not None:
+            told, self._bus = self._bus.close(ts_ns), Bus(self._link, STREAM_LINE)
+            return [*told, lost]
         events = self._splitters[direction].gap(missing)
         decoded = self._placed(events, direction, ts_ns) if events else []
         cut = sum(event.missing for event in events if isinstance(event, Adu))
@@ -254,6 +326,8 @@ class ConnectionDecoder:
 
     def advance(self, now_ns: int) -> list[Decoded]:
         """Note that no segment came until `now_ns`; return the transactions that time out."""
+        if self._bus is not None:
+            return self._bus.advance(now_ns)
         return [*self._pairing.advance(now_ns)]
 
     def close(self, end_ns: int | None = None) -> list[Decoded]:
@@ -263,6 +337,8 @@ class ConnectionDecoder:
         later gets the outcome `not-captured`. It is None if the connection itself ended, so that no
         response can come.
         """
+        if self._bus is not None:
+            return self._bus.close(end_ns)
         decoded: list[Decoded] = []
         for direction, splitter in self._splitters.items():
             events = splitter.close()
@@ -340,6 +416,10 @@ def _paired(
             decoded += pairing.note_skipped(event)
             decoded.append(skipped_event(event, link, endpoints))
     return decoded
+
+
+def _end_ns(event: Adu | Skipped) -> int:
+    return event.end_ns if isinstance(event, Adu) else event.ts_ns
 
 
 def _until_unread(events: list[Adu | Skipped], end_ns: int | None) -> int | None:

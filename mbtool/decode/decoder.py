@@ -20,6 +20,7 @@ from collections import OrderedDict
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from mbtool.core import (
+    CONNECTION_CLOSED,
     CONNECTION_JOINED,
     CONNECTION_OPENED,
     Chunk,
@@ -36,6 +37,7 @@ from mbtool.core import (
 )
 from mbtool.core.link_spec import MODBUS_PORT
 from mbtool.decode.connections import Bus, ConnectionDecoder, Decoded
+from mbtool.decode.framed_line import FramedLine
 from mbtool.decode.line_timing import LineTiming
 from mbtool.decode.protocol_detection import ProtocolDetector, ProtocolState
 from mbtool.decode.tap_pair import TapPair
@@ -124,7 +126,7 @@ class Decoder:
         self._any_port = any_port
         self._ports = frozenset((*ports, *self._rtu_ports, *((MODBUS_PORT,) if any_port else ())))
         self._reassembler = TcpReassembler(_EVERY_PORT if any_port else self._ports, across=across)
-        self._buses: dict[str, Bus | TapPair] = {}
+        self._buses: dict[str, Bus | TapPair | FramedLine] = {}
         self._untimed: set[str] = set()
         """Names of the serial links whose bytes have no known times, as in a file of raw bytes."""
         self._detectors: OrderedDict[Connection, ProtocolDetector] = OrderedDict()
@@ -239,11 +241,15 @@ class Decoder:
             bus = self._bus(chunk)
             if isinstance(bus, TapPair):
                 return self._to_records(bus.feed(chunk.direction, chunk.data, chunk.ts_ns))
+            if isinstance(bus, FramedLine):
+                heard = bus.feed(chunk.direction, chunk.data, chunk.ts_ns, chunk.place)
+                return self._to_records(heard)
             return self._to_records(bus.feed(chunk.data, chunk.ts_ns, chunk.place))
         # Without a StreamOpened before it, the connection may have begun in a log's earlier file.
         detector = self._detectors.get(chunk.connection)
         if detector is None:
-            detector = self._detector(chunk.connection, joined=True)
+            timed = chunk.stamp is not Stamp.UNKNOWN
+            detector = self._detector(chunk.connection, joined=True, timed=timed)
         self._detectors.move_to_end(chunk.connection)
         decoded = detector.feed(chunk.direction, chunk.data, chunk.ts_ns, chunk.place)
         if detector.state is ProtocolState.FOREIGN:
@@ -304,7 +310,7 @@ class Decoder:
         probes = f", {item.keep_alives} keep-alive probes" if item.keep_alives else ""
         if item.unanswered_probes:
             probes += f", the last {item.unanswered_probes} unanswered"
-        text = _DROPPED if discarded else f"connection closed: {item.reason}"
+        text = _DROPPED if discarded else _closing_text(item)
         closed = _connection_event(item, kind, text + probes)
         return [*records, closed if detector is None else detector.in_detected_roles(closed)]
 
@@ -333,16 +339,18 @@ class Decoder:
         self._last_ns = max(self._last_ns, event.ts_ns)  # Last, as the lost bytes are earlier.
         return [*records, event]
 
-    def _bus(self, chunk: Chunk) -> Bus | TapPair:
+    def _bus(self, chunk: Chunk) -> Bus | TapPair | FramedLine:
         link = chunk.link
         bus = self._buses.get(link)
         if bus is None:
             line = self.line_of(link)
             format_, is_ascii = self._timing.format_of(line), line.ascii
-            if chunk.direction is Direction.UNKNOWN:
-                timed = chunk.stamp is not Stamp.UNKNOWN
-                if not timed:
-                    self._untimed.add(link)
+            timed = chunk.stamp is not Stamp.UNKNOWN
+            if not timed or chunk.stamp is Stamp.AT_ONCE:
+                self._untimed.add(link)
+            if chunk.direction is not Direction.UNKNOWN and chunk.stamp is not Stamp.LAST_BYTE:
+                bus = FramedLine(link, timed=timed)
+            elif chunk.direction is Direction.UNKNOWN:
                 timeout_ns = self._timing.response_timeout_ns(format_)
                 bus = Bus(
                     link, format_, ascii=is_ascii, timed=timed, response_timeout_ns=timeout_ns
@@ -352,15 +360,19 @@ class Decoder:
             self._buses[link] = bus
         return bus
 
-    def _detector(self, connection: Connection, *, joined: bool) -> ProtocolDetector:
+    def _detector(
+        self, connection: Connection, *, joined: bool, timed: bool = True
+    ) -> ProtocolDetector:
         detector = self._detectors.get(connection)
         if detector is None:
-            detector = self._new_detector(connection, joined=joined)
+            detector = self._new_detector(connection, joined=joined, timed=timed)
             self._detectors[connection] = detector
         self._detectors.move_to_end(connection)
         return detector
 
-    def _new_detector(self, connection: Connection, *, joined: bool) -> ProtocolDetector:
+    def _new_detector(
+        self, connection: Connection, *, joined: bool, timed: bool = True
+    ) -> ProtocolDetector:
         # With `any_port` the reassembler takes the end that opened the connection for the master.
         # A named port outweighs that: the end that uses it is the slave.
         ends = [connection.slave.port, connection.master.port]
@@ -373,6 +385,7 @@ class Decoder:
             tcp=not is_rtu,
             rtu=is_rtu or self._any_port,
             swapped=swapped,
+            timed=timed,
         )
 
     def _is_expected(self, connection: Connection) -> bool:
@@ -431,10 +444,19 @@ def opening_event(ts_ns: int, connection: Connection) -> WireEvent:
     return _connection_event(opened, EventKind.OPENED, CONNECTION_OPENED)
 
 
-def closing_event(ts_ns: int, connection: Connection) -> WireEvent:
-    """Make the event of a connection that both ends have ended with a FIN."""
-    closed = StreamClosed(ts_ns, connection, CloseReason.FINISHED)
-    return _connection_event(closed, EventKind.CLOSED, f"connection closed: {closed.reason}")
+def closing_event(ts_ns: int, connection: Connection, by: Direction) -> WireEvent:
+    """Make the event of a connection that both ends have ended with a FIN, first the end whose
+    bytes have the direction `by`.
+    """
+    closed = StreamClosed(ts_ns, connection, CloseReason.FINISHED, by)
+    return _connection_event(closed, EventKind.CLOSED, _closing_text(closed))
+
+
+def _closing_text(closed: StreamClosed) -> str:
+    """The message of a CLOSED event; ConnectionEnd (core/events.py) reads it."""
+    whose = {Direction.REQUEST: " by the master", Direction.RESPONSE: " by the slave"}
+    by = "" if closed.by is None else whose.get(closed.by, "")
+    return f"{CONNECTION_CLOSED}{closed.reason}{by}"
 
 
 def _connection_event(

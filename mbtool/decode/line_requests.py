@@ -23,6 +23,8 @@ MAX_OPEN = 32
 """The most open requests of one line."""
 ENOUGH_TIMES = 3
 """The times of a unit are known once it has sent so many responses in time."""
+BLOCK_NS = 16_000_000
+"""FTDI adapters deliver every 16 ms (in ns) by default."""
 UNUSUAL = 2
 """A response may take this many times as long as the slowest one of its unit so far."""
 
@@ -126,9 +128,13 @@ class OpenLineRequests:
             unit.fastest_ns = taken_ns
 
     def is_too_early(self, unit: int, taken_ns: int) -> bool:
-        """True if a unit never responded in less than twice `taken_ns`."""
+        """True if a unit never responded in less than twice `taken_ns`.
+
+        An adapter that delivers in blocks makes times shorter or longer by up to BLOCK_NS.
+        """
         times = self._of(unit)
-        return times.number >= ENOUGH_TIMES and 2 * taken_ns < times.fastest_ns
+        is_known = times.number >= ENOUGH_TIMES
+        return is_known and max(2 * taken_ns, taken_ns + BLOCK_NS) < times.fastest_ns
 
     def can_take(self, unit: int, taken_ns: int) -> bool:
         """True if a unit may take `taken_ns` to respond, as far as its times are known."""

@@ -43,6 +43,8 @@ class MasterHabits:
         self.pipelines = False
         """True once the master counts as pipelining: ENOUGH_OVERLAPS responses came while a further
         request waited."""
+        self.has_pipelined = False
+        """True once a request came while another one waited."""
         self.ids_vary = False
         """True once two requests in a row had different transaction ids."""
         self.ids_count_up = False
@@ -109,6 +111,11 @@ class MasterHabits:
             return self._slowest_ns[function]
         return max(self._slowest_ns.values(), default=None)
 
+    @property
+    def has_answered(self) -> bool:
+        """True once a captured request surely got its response."""
+        return self._latest_answered > 0
+
     def repeats_id(self, transaction_id: int | None) -> bool:
         """True if ids count up and `transaction_id`, of a new request, is the last id plus 1.
 
@@ -120,6 +127,7 @@ class MasterHabits:
 
     def note_request(self, transaction_id: int | None, *, others_wait: bool) -> None:
         self._in_a_row = 0 if others_wait else self._in_a_row + 1
+        self.has_pipelined |= others_wait
         if self._in_a_row >= ENOUGH_REQUESTS:
             self.is_sequential, self.pipelines = True, False
             self._overlaps = 0

@@ -25,8 +25,15 @@
 # responses or for HOLD_NS. Then the cheapest reading is taken, and its transactions are ambiguous.
 #
 # A slave may respond with another id than the request's. Its response then belongs to the only
-# pending request if it fits, and if either no bytes are missing and this slave never repeated an id
-# correctly, or acknowledgements show that nothing came between the request and the response.
+# pending request if it fits, if no earlier request can still wait for its response (the capture
+# lacks no bytes), and if either this slave never repeated an id correctly, or acknowledgements show
+# that nothing came between the request and the response. It may also repeat the id and respond with
+# another unit, as a module that ignores the unit does: then it belongs to the only pending request,
+# which no missing bytes and no other ADU separate from it.
+#
+# A response without a request is unsolicited. If the capture lacked requests of this connection in
+# the TIMEOUT_NS before it, its request may be among these, and is only not captured. So it is if
+# the capture begins within the connection, for TIMEOUT_NS or until the first request.
 #
 # Memory: at most MAX_OPEN_REQUESTS waiting requests, and as many counts of unanswered requests. A
 # request beyond that is dropped with the verdict over-limit, and so is its response. If the master
@@ -47,6 +54,7 @@ from mbtool.decode.master_habits import FIRST_LATE_NS, MasterHabits
 from mbtool.decode.open_requests import OpenRequest
 from mbtool.decode.pairing_readings import (
     MARGIN,
+    MAX_BEFORE,
     MAX_PASSED,
     UNASKED,
     PairOption,
@@ -57,8 +65,9 @@ from mbtool.decode.pairing_readings import (
     may_be_among,
     options,
     without_costly,
+    without_pipelined,
 )
-from mbtool.decode.plain_stretch import plain_request
+from mbtool.decode.plain_stretch import NO_LIMITS, PlainLimits, plain_request
 from mbtool.decode.stream_progress import AduPlace
 from mbtool.decode.transactions import (
     Ends,
@@ -75,6 +84,8 @@ from mbtool.modbus.adu import Adu, Skipped, Verdict
 from mbtool.modbus.transaction import Outcome
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from mbtool.decode.plain_stretch import PlainStretch
     from mbtool.modbus.transaction import Transaction
 
@@ -105,7 +116,12 @@ class NetworkPairing:
         """`joined` is True if the capture lacks the beginning of the connection."""
         self._ends = ends
         self._joined = joined
-        self._readings = [PairReading([], [])]
+        self._lost_ns: int | None = None
+        """The last time (ns) at which the capture lacked bytes; None if it lacks none."""
+        self._requests_lost_ns: int | None = None
+        """The last time (ns) at which the capture lacked requests; the first ADU's if the capture
+        lacks the beginning of the connection. None if it lacks none."""
+        self._readings = [PairReading([], [], before=MAX_BEFORE if joined else 0)]
         self._habits = MasterHabits()
         self._requests = 0
         """The number of requests so far, with those that the capture lacks."""
@@ -125,19 +141,34 @@ class NetworkPairing:
     def feed(self, adu: Adu, place: AduPlace | None = None) -> list[Transaction]:
         """Take the next ADU, in order of time; return the transactions that it decides."""
         done = self.advance(adu.start_ns)
+        if self._joined and self._requests_lost_ns is None:
+            self._requests_lost_ns = adu.start_ns
         take = self._respond if adu.direction is Direction.RESPONSE else self._add_request
         take(adu, place, done)
         return done
 
     def is_at_rest(self, now_ns: int) -> bool:
-        """True if no request is pending, and no earlier one can count as a retry of a later one.
+        """True if no request is pending. Earlier ones may have got no response: `limits` tells.
 
         False also if `now_ns` is before the last response.
         """
         reading = self._readings[0]
-        is_open = len(self._readings) > 1 or reading.waiting or reading.passed or reading.steps
-        remembers = self._unanswered or not self._dropped.is_empty or self._is_shifted
+        is_open = len(self._readings) > 1 or reading.waiting or reading.steps or reading.before
+        remembers = not self._dropped.is_empty or self._is_shifted
         return not (is_open or remembers) and self._habits.last_response_ns <= now_ns
+
+    def limits(self) -> PlainLimits:
+        """Return which transactions the array decoder must leave to `feed`, if it is at rest."""
+        passed = self._readings[0].passed
+        if not (passed or self._unanswered):
+            return NO_LIMITS
+        adus = [(one.adu, one.counts) for one in passed if one.adu is not None]
+        keys = [*(request_key(adu) for adu, counts in adus if counts), *self._unanswered]
+        return PlainLimits(
+            frozenset(bytes([unit]) + pdu for unit, pdu in keys),
+            frozenset((adu.transaction_id, adu.unit, adu.pdu[0]) for adu, _ in adus),
+            min((one.since_ns for one in passed), default=2**62) + TIMEOUT_NS,
+        )
 
     def pass_plain(self, stretch: PlainStretch) -> None:
         """Note transactions paired by the array decoder (columns/); no request is pending here."""
@@ -161,7 +192,9 @@ class NetworkPairing:
         transactions that this decides, such as those of requests whose responses are lost.
         """
         done: list[Transaction] = []
+        self._lost_ns = at_ns
         if direction is Direction.REQUEST:
+            self._requests_lost_ns = at_ns
             waiting = self._readings[0].waiting
             if not (self._habits.pipelines or any(one.is_pipelined for one in waiting)):
                 give_up_late(self._readings, self._habits, at_ns, self._habits.late_ns)
@@ -208,7 +241,11 @@ class NetworkPairing:
         done: list[Transaction] = []
         unfinished = {id(one): unfinished_in(one, self._habits, end_ns) for one in self._readings}
         for reading in self._readings:
-            reading.give_up([one for one in reading.waiting if reading.awaits(one)])
+            ended = unfinished[id(reading)]
+            reading.give_up(
+                [one for one in reading.waiting if reading.awaits(one) and one.number not in ended]
+            )
+        self._settle(done)
         self._decide(done)
         (reading,) = self._readings
         rest = sorted((*reading.passed, *reading.waiting), key=lambda one: one.number)
@@ -230,6 +267,8 @@ class NetworkPairing:
             others_wait = is_pipelined and not all(one.adu is None for one in waiting)
             if not others_wait:
                 give_up_lost(self._readings, is_sequential=self._habits.is_sequential)
+            if self._habits.is_sequential:
+                self._readings = without_pipelined(self._readings)
             self._settle(done)
         elif self._is_shifted:
             since_ns = request.start_ns - self._habits.last_response_ns
@@ -339,35 +378,64 @@ class NetworkPairing:
     def _of_other_id(
         self, reading: PairReading, response: Adu, place: AduPlace | None
     ) -> OpenRequest | None:
+        """Return the request that a response with another id answers; None if that is doubtful.
+
+        It is doubtful if an earlier request may have no response yet: a slave that is late
+        acknowledges a new request with the response to an earlier one.
+        """
         requests = [*reading.passed, *reading.waiting]
-        if len(requests) != 1 or not requests[0].can_get(response, place):
+        if len(requests) != 1:
             return None
         (one,) = requests
+        is_same_id = one.transaction_id == response.transaction_id
+        if not one.can_get(response, place, with_other_unit=is_same_id):
+            return None
+        if is_same_id:  # So the unit is another one.
+            is_next = place is None or one.is_next_to(response, place)
+            is_sure = is_next and reading.awaits(one) and not one.may_be_lost
+            return one if is_sure and one.fits(response) else None
+        began_before = self._joined and not self._habits.has_answered
+        if began_before or self._is_near_loss(self._lost_ns, response):
+            return None
         is_doubtful = self._habits.has_matching_ids or one.may_be_lost or not reading.awaits(one)
         if is_doubtful and not one.is_next_to(response, place):
             return None
         return one if one.fits(response) else None
 
+    @staticmethod
+    def _is_near_loss(lost_ns: int | None, response: Adu) -> bool:
+        """True if a response may answer a request from the time at which the capture lost bytes."""
+        return lost_ns is not None and response.start_ns - lost_ns <= TIMEOUT_NS
+
     def _lose_responses(self, lost: int, at_ns: int) -> None:
-        runs = [
-            (reading.cost + cost, cost, start, count, reading)
-            for reading in self._readings
-            # If all ids differ, the ids of later responses show which responses are lost.
-            if not reading.has_different_ids(self._habits)
-            for cost, start, count in lost_runs(reading, lost)
-        ]
-        if runs:
-            limit = min(total for total, *_ in runs) + MARGIN
-            self._readings = []
-            for total, cost, start, count, reading in runs:
-                if total <= limit:
-                    other = reading.copy()
-                    other.lose(start, count, cost, at_ns)
-                    self._readings.append(other)
-            return
+        runs: list[tuple[float, float, int, int, PairReading]] = []
         for reading in self._readings:
-            for one in reading.waiting:
-                one.may_be_lost |= not lost or may_be_among(lost, one, reading.waiting)
+            found = [
+                (reading.cost + cost, cost, start, count, reading)
+                for cost, start, count in self._lost_runs(reading, lost)
+            ]
+            if not found:
+                for one in reading.waiting:
+                    one.may_be_lost |= not lost or may_be_among(lost, one, reading.waiting)
+                found = [(reading.cost, 0.0, 0, 0, reading)]
+            runs += found
+        limit = min(total for total, *_ in runs) + MARGIN
+        if len(runs) == 1 and not runs[0][3]:
+            return
+        self._readings = []
+        for total, cost, start, count, reading in runs:
+            if total <= limit:
+                other = reading.copy()
+                other.lose(start, count, cost, at_ns)
+                self._readings.append(other)
+
+    def _lost_runs(self, reading: PairReading, lost: int) -> Iterator[tuple[float, int, int]]:
+        """Find the waiting requests whose responses can be `lost` bytes, as `lost_runs` does.
+
+        Finds none if all ids differ: then the ids of later responses show which ones are lost.
+        """
+        if not reading.has_different_ids(self._habits):
+            yield from lost_runs(reading, lost)
 
     def _settle(self, done: list[Transaction]) -> None:
         """Drop costly ways to pair. If only one is left, add its transactions to `done`."""
@@ -382,6 +450,8 @@ class NetworkPairing:
 
     def _decide(self, done: list[Transaction]) -> None:
         """Keep the cheapest way to pair. Pairs that another remaining way lacks are ambiguous."""
+        if not self._habits.has_pipelined:
+            self._readings = without_pipelined(self._readings)
         best, *others = sorted(self._readings, key=likely_cost)
         steps = best.steps
         for other in others:
@@ -408,13 +478,19 @@ class NetworkPairing:
 
     def _responded(self, response: Adu, step: PairStep) -> Transaction:
         if not step.requests:
-            # The request of the first response was sent before the capture began.
-            is_first = self._joined and not self._requests
-            outcome = Outcome.NOT_CAPTURED if is_first else Outcome.UNSOLICITED
+            outcome = Outcome.UNSOLICITED
+            if self._may_lack_request_of(response):
+                outcome = Outcome.NOT_CAPTURED
             return unsolicited(self._ends, response, outcome)
         return self._with_response(
             response, step.requests[0], step.since_ns, is_sure=step.is_sure, is_late=step.is_late
         )
+
+    def _may_lack_request_of(self, response: Adu) -> bool:
+        """True if the capture may lack the request of a response that no captured one asked for."""
+        if not self._requests:
+            return self._joined
+        return self._is_near_loss(self._requests_lost_ns, response)
 
     def _with_response(
         self,
@@ -433,6 +509,8 @@ class NetworkPairing:
             self._habits.has_matching_ids |= self._habits.ids_vary
         else:
             verdicts = (Verdict.OTHER_TRANSACTION_ID,)
+        if one.adu.unit != response.unit:
+            verdicts += (Verdict.OTHER_UNIT,)
         is_sure = is_sure and not self._is_shifted
         if not is_sure:
             verdicts += (Verdict.AMBIGUOUS,)

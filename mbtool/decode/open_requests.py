@@ -58,15 +58,19 @@ class OpenRequest(msgspec.Struct, gc=False, eq=False, kw_only=True):
     def function(self) -> int | None:
         return None if self.adu is None else self.adu.pdu[0]
 
-    def can_get(self, response: Adu, place: AduPlace | None) -> bool:
+    def can_get(
+        self, response: Adu, place: AduPlace | None, *, with_other_unit: bool = False
+    ) -> bool:
         """True if `response`, which stands at `place`, can answer this request.
 
         False if its unit or function differ, if its sender had not received this request, or if the
-        master had received the response before it sent this request.
+        master had received the response before it sent this request. `with_other_unit` allows
+        another unit.
         """
         request = self.adu
         if request is not None and not (
-            request.unit == response.unit and is_response_code(request.pdu[0], response.pdu[0])
+            (with_other_unit or request.unit == response.unit)
+            and is_response_code(request.pdu[0], response.pdu[0])
         ):
             return False
         if place is None or self.place is None:

@@ -43,6 +43,7 @@ from mbtool.decode.transactions import (
     Ends,
     broadcast,
     capture_ended,
+    doubted,
     late,
     no_answer,
     unsolicited,
@@ -51,7 +52,6 @@ from mbtool.decode.transactions import (
 from mbtool.decode.unanswered_counts import UnansweredCounts
 from mbtool.decode.unfinished import may_be_answered
 from mbtool.modbus.adu import Verdict
-from mbtool.modbus.functions import WRITE_SEVERAL
 from mbtool.modbus.transaction import Outcome
 from mbtool.serial_line.line_statistics import LatencyStatistics
 
@@ -76,8 +76,6 @@ EQUAL = 0.8
 """Waits are equal if the shortest is at least this share (0 to 1) of the longest."""
 MAX_HELD = 4
 """The most responses of one unit that are held back."""
-LEAST_LATENCY_NS = 2_000_000
-"""No slave answers sooner than this, in ns; an adapter that hears itself repeats a frame sooner."""
 LEAST_DAMAGED = 4
 """The number of bytes that belong to no frame from which on they may be a damaged request."""
 TWO_MASTERS = (
@@ -149,8 +147,8 @@ class Pairing:
         self._overtaken: deque[tuple[int, OpenLineRequest]] = deque(maxlen=ENOUGH_OVERTAKEN)
         """The last overtaken requests that got a response, each with the number of requests heard
         by then."""
-        self._has_copies = False
-        """True once a request came twice at once, sooner than any master repeats it."""
+        self._last_answer = b""
+        """The bytes of the last frame if it was a response; otherwise empty."""
         self._is_damaged = False
         """True if bytes that belong to no frame came since the last ADU."""
         self._has_told = False
@@ -213,6 +211,7 @@ class Pairing:
     def _ask(self, request: Adu) -> list[Transaction]:
         """Take a request; the one that was pending becomes an earlier one."""
         self._requests += 1
+        self._last_answer = b""
         done: list[Transaction] = []
         pending, self._pending = self._pending, None
         if pending is not None:
@@ -220,10 +219,6 @@ class Pairing:
             waits = self._still_waits(waited_ns)
             if pending.unit in self._held:
                 done += self._release(pending.unit)
-            if waits and self._is_odd_response(pending, request, waited_ns):
-                done += self._unanswered_of(self._earlier.take_all_of(pending.unit))
-                response = replace(request, direction=Direction.RESPONSE)
-                return [*done, self._answered(pending, response)]
             if (request.unit, request.pdu) == (pending.unit, pending.pdu):
                 waits = False  # The master repeats its request.
             pending = _doubted(pending, request)
@@ -296,20 +291,12 @@ class Pairing:
         self._earlier.note_heard(response.unit)
         if not self._requests:  # Its request was sent before the capture began.
             outcome = Outcome.NOT_CAPTURED
-        return [unsolicited(self._ends, response, outcome)]
-
-    def _is_odd_response(self, pending: Adu, request: Adu, waited_ns: int) -> bool:
-        """True if a `request` that equals the pending one is the slave's response to it.
-
-        Some slaves answer a write of several values with the whole request. No master repeats a
-        request so soon; a repeater or an adapter that hears itself copies reads, too.
-        """
-        is_copy = (request.unit, request.pdu) == (pending.unit, pending.pdu)
-        if not (is_copy and self._ends.timed and waited_ns < LatencyStatistics.MIN_RETRY_NS):
-            return False
-        self._has_copies |= pending.pdu[0] not in WRITE_SEVERAL
-        is_pause = waited_ns >= LEAST_LATENCY_NS
-        return is_pause and pending.pdu[0] in WRITE_SEVERAL and not self._has_copies
+        # Without silences that tell a retry, it may be a repeater's copy of the response before, or
+        # the response to a retry.
+        is_heard = response.silence_before_ns != 0 and self._still_waits(0) is not None
+        is_doubted = response.raw == self._last_answer and not is_heard
+        self._last_answer = response.raw
+        return [doubted(unsolicited(self._ends, response, outcome), EVEN if is_doubted else 1.0)]
 
     def _may_be_late(self, earlier: OpenLineRequest, response: Adu) -> bool:
         """True if a response may belong to a request that its master has given up."""
@@ -327,14 +314,14 @@ class Pairing:
     ) -> list[Transaction | WireEvent]:
         """Pair a response with a request that is not the line's last one."""
         done: list[Transaction | WireEvent] = [*self._unanswered_of(self._earlier.take(earlier))]
-        request, is_late = earlier.adu, True
+        is_late, confidence = True, 1.0
         if self._is_overtaken(earlier):
             self._overtaken.append((self._requests, earlier))
             done += self._two_masters(response)
             is_late = not (earlier.waits or self._has_told)
             if is_late and not self._has_timeout():
-                request = _in_doubt(request)
-        done.append(self._answered(request, response, is_late=is_late))
+                confidence = EVEN
+        done.append(self._answered(earlier.adu, response, is_late=is_late, confidence=confidence))
         return done
 
     def _hold(self, earlier: OpenLineRequest, pending: Adu, response: Adu) -> list[Transaction]:
@@ -391,8 +378,15 @@ class Pairing:
             done.append(self._answered(request, response))
         return done
 
-    def _answered(self, request: Adu, response: Adu, *, is_late: bool = False) -> Transaction:
-        """Return the transaction of a request and its response."""
+    def _answered(
+        self, request: Adu, response: Adu, *, is_late: bool = False, confidence: float = 1.0
+    ) -> Transaction:
+        """Return the transaction of a request and its response.
+
+        `confidence` (0 to 1) tells how surely they belong together, and how surely the response is
+        in time or late.
+        """
+        self._last_answer = response.raw
         taken_ns = response.start_ns - request.end_ns
         if taken_ns > self._slowest_ns:
             self._slowest_ns = taken_ns
@@ -401,7 +395,7 @@ class Pairing:
         else:
             self._earlier.note_heard(request.unit)
         retries = self._unanswered.take(request) if self._unanswered else 0
-        done = with_response(self._ends, request, response, retries, ())
+        done = doubted(with_response(self._ends, request, response, retries, ()), confidence)
         return late(done) if is_late else done
 
     def _unanswered_of(self, requests: list[OpenLineRequest]) -> list[Transaction]:
@@ -459,9 +453,3 @@ def _doubted(pending: Adu, request: Adu) -> Adu:
     verdicts = tuple(dict.fromkeys((*pending.verdicts, Verdict.AMBIGUOUS)))
     confidence = min(pending.confidence, request.confidence)
     return replace(pending, confidence=confidence, verdicts=verdicts)
-
-
-def _in_doubt(adu: Adu) -> Adu:
-    """Return the ADU marked as ambiguous, as its response may be in time or late."""
-    verdicts = tuple(dict.fromkeys((*adu.verdicts, Verdict.AMBIGUOUS)))
-    return replace(adu, confidence=min(adu.confidence, EVEN), verdicts=verdicts)

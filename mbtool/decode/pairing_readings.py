@@ -9,6 +9,10 @@
 # Costs are in units of one request that the slave leaves unanswered or answers after its master has
 # given it up: both are rare, and about equally so.
 #
+# If the capture begins within the connection, its first responses may answer requests before the
+# capture, of which nothing is known. A reading has room for at most MAX_BEFORE of these. They come
+# before all captured requests, so the first response to a captured request ends them.
+#
 # Readings that cost MARGIN more than the cheapest one are dropped. If two readings leave the same
 # requests waiting, no later ADU can tell them apart: the cheaper one is kept, and the pairs that
 # only one of them has are ambiguous.
@@ -20,13 +24,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from mbtool.decode.open_requests import SMALLEST_RESPONSE
+from mbtool.core import Direction
+from mbtool.decode.open_requests import SMALLEST_RESPONSE, OpenRequest
+from mbtool.modbus.pdu import parse_pdu
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from mbtool.decode.master_habits import MasterHabits
-    from mbtool.decode.open_requests import OpenRequest
     from mbtool.decode.stream_progress import AduPlace
     from mbtool.modbus.adu import Adu
 
@@ -65,11 +70,21 @@ NOT_LIKELY = 0.95
 that this request was sent. More than MARGIN, so that a captured request gets the response if it
 can."""
 
+BEFORE = 0.6
+"""The cost (in units of LATE) of the first response to a request before the capture, if a captured
+request may also get it: few masters pipeline. Less than MARGIN, so that later ADUs decide."""
+AGAIN_BEFORE = 0.01
+"""The cost (in units of LATE) of each further response to a request before the capture. With BEFORE
+it stays below MARGIN for MAX_BEFORE responses."""
+
+MAX_BEFORE = 16
+"""Of a connection whose beginning the capture lacks, at most this many responses may answer
+requests before the capture."""
 MAX_LATE = 4
 """A response may go to one of at most this many given-up requests, the newest ones. With the
 request that waits this gives fewer than MAX_READINGS ways to pair, so that no reading of equal cost
 is dropped."""
-MAX_READINGS = 8
+MAX_READINGS = 20
 MAX_PASSED = 64
 MAX_LOST_RESPONSES = 8
 """Lost bytes are taken for at most this many responses. This limits the number of combinations of
@@ -102,10 +117,15 @@ class PairOption(NamedTuple):
     request: OpenRequest | None
 
 
+REQUEST_BEFORE = OpenRequest(number=0, since_ns=0, adu=None)
+"""Stands for each request that was sent before the capture began."""
+
+
 class PairReading:
     """A reading: one way to join the requests and responses whose pairing is not decided yet."""
 
     __slots__ = (
+        "before",
         "behind_others",
         "cost",
         "gave_up_ns",
@@ -113,6 +133,7 @@ class PairReading:
         "newest",
         "passed",
         "steps",
+        "used_before",
         "waiting",
     )
 
@@ -126,6 +147,9 @@ class PairReading:
         given_up: frozenset[int] = frozenset(),
         behind_others: frozenset[int] = frozenset(),
         gave_up_ns: int = 0,
+        before: int = 0,
+        *,
+        used_before: bool = False,
     ) -> None:
         self.waiting = waiting
         """Requests that wait for a response, in the order in which they were sent."""
@@ -145,6 +169,11 @@ class PairReading:
         self.behind_others = behind_others
         """The numbers of the requests that were sent while the master waited for other
         responses."""
+        self.before = before
+        """The most responses that may still answer requests before the capture."""
+        self.used_before = used_before
+        """True if a response answers a request before the capture, and a captured request waited
+        for its own."""
 
     @property
     def someone_waits(self) -> bool:
@@ -171,7 +200,7 @@ class PairReading:
 
         `place` is the position of the response in the connection; None if unknown.
         """
-        if len(self.waiting) != 1 or self.passed:
+        if len(self.waiting) != 1 or self.passed or self.before:
             return False
         (one,) = self.waiting
         return _has_id(one, response) and one.can_get(response, place)
@@ -186,6 +215,8 @@ class PairReading:
             self.given_up,
             self.behind_others,
             self.gave_up_ns,
+            self.before,
+            used_before=self.used_before,
         )
 
     def take(self, option: PairOption, response: Adu, habits: MasterHabits, since_ns: int) -> None:
@@ -201,6 +232,11 @@ class PairReading:
         is_late = request.number in self.given_up
         step = PairStep(response.end_ns, response, (request,), since_ns, is_late=is_late)
         self.steps += (step,)
+        if request is REQUEST_BEFORE:
+            self.before -= 1
+            self.used_before = self.used_before or bool(self.waiting)
+            return
+        self.before = 0
         if request in self.passed:
             self.passed.remove(request)
         else:
@@ -263,6 +299,8 @@ def options(
 
     `place` is the position of the response in the connection; None if unknown.
     """
+    if reading.before:
+        yield PairOption(_cost_before(response, reading, habits), REQUEST_BEFORE)
     too_late = _too_late(reading, response, place)
     skipped: list[OpenRequest] = []
     best = UNASKED
@@ -279,6 +317,17 @@ def options(
         if _has_id(one, response) and one.can_get(response, place):
             cost = OUT_OF_ORDER + _cost(one, response, reading, habits)
             yield PairOption(cost, one)
+
+
+def _cost_before(response: Adu, reading: PairReading, habits: MasterHabits) -> float:
+    """Return the cost (in units of LATE) of a response to a request before the capture."""
+    if not reading.waiting:
+        return 0.0
+    if _captured_has_id(response, reading, habits):
+        return OTHER_ID
+    cost = AGAIN_BEFORE if reading.used_before else BEFORE
+    is_damaged = not response.missing and parse_pdu(response.pdu, Direction.RESPONSE).problem
+    return cost + MISFIT if is_damaged else cost
 
 
 def _too_late(reading: PairReading, response: Adu, place: AduPlace | None) -> set[int]:
@@ -328,21 +377,33 @@ def _cost_of_passing(one: OpenRequest, reading: PairReading) -> float:
 
 def _cost(one: OpenRequest, response: Adu, reading: PairReading, habits: MasterHabits) -> float:
     if one.adu is None:
-        has_other = any(
-            each.adu is not None
-            and each.transaction_id == response.transaction_id
-            and not each.repeats_lost_id
-            and (each.number > one.number or each.number not in reading.given_up)
-            and habits.has_own_id(each, reading.waiting)
-            for each in (*reading.waiting, *reading.passed)
-        )
-        return OTHER_ID if has_other else NOT_LIKELY if one.may_not_exist else 0.0
+        if _captured_has_id(response, reading, habits, one.number):
+            return OTHER_ID
+        return NOT_LIKELY if one.may_not_exist else 0.0
     cost = 0.0 if one.fits(response) else MISFIT
     if habits.is_too_early(one.adu.pdu[0], response.start_ns - one.adu.end_ns):
         return cost + TOO_EARLY
     since_ns = max(one.since_ns, habits.last_response_ns)
     is_slow = response.start_ns - since_ns > habits.slow_ns(one.function)
     return cost + TOO_SLOW if is_slow and one.number not in reading.given_up else cost
+
+
+def _captured_has_id(
+    response: Adu, reading: PairReading, habits: MasterHabits, lost: int = 0
+) -> bool:
+    """True if a captured request has the id of `response`, and no lost request can have it.
+
+    `lost` is the number of the lost request that the response may answer, 0 for one before the
+    capture.
+    """
+    return any(
+        each.adu is not None
+        and each.transaction_id == response.transaction_id
+        and not each.repeats_lost_id
+        and (each.number > lost or each.number not in reading.given_up)
+        and habits.has_own_id(each, reading.waiting)
+        for each in (*reading.waiting, *reading.passed)
+    )
 
 
 def may_be_among(lost: int, one: OpenRequest, waiting: list[OpenRequest]) -> bool:
@@ -406,12 +467,22 @@ def without_costly(readings: list[PairReading]) -> list[PairReading]:
     for reading in sorted(readings, key=likely_cost):
         if reading.cost > limit:
             continue
-        key = tuple(one.number for one in reading.waiting)
+        key = (reading.before, *(one.number for one in reading.waiting))
         if key in kept:
             _mark_differences(kept[key], reading)
         elif len(kept) < MAX_READINGS:
             kept[key] = reading
     return [*kept.values()]
+
+
+def without_pipelined(readings: list[PairReading]) -> list[PairReading]:
+    """Return the readings in which a master that never pipelines sends its next request now.
+
+    Only readings that give responses to requests before the capture are left out: these readings
+    say that the master always has one request more waiting.
+    """
+    kept = [one for one in readings if not (one.used_before and one.waiting)]
+    return kept or readings
 
 
 def likely_cost(reading: PairReading) -> float:

@@ -6,6 +6,10 @@
 # go back. If no request is pending before it, such a stretch can be decoded in one way only,
 # whatever was learned about the master. So the array decoder (columns/) can decode it. Afterwards
 # the Decoder is told what it would have learned from the stretch: ids, latencies and positions.
+#
+# Requests that got no response, and whose master asks on, may still get a late one, or a retry.
+# PlainLimits tells which transactions of a stretch they could matter to: those are left to the
+# Decoder.
 
 from __future__ import annotations
 
@@ -34,6 +38,22 @@ class PlainStretch(NamedTuple):
     latencies: Mapping[int, Sequence[int]]
     """By function code, the time from request to response of each transaction, in ns, in the order
     of the transactions."""
+
+
+class PlainLimits(NamedTuple):
+    """Tells which transactions the array decoder must leave to the Decoder, because earlier
+    requests without a response could matter to them.
+    """
+
+    requests: frozenset[bytes]
+    """Unit and PDU of the unanswered requests: an equal request is a retry of them."""
+    responses: frozenset[tuple[int | None, int, int]]
+    """Transaction id, unit and function code that a late response to them has."""
+    until_ns: int
+    """The time (UTC ns) at which the first of them is closed."""
+
+
+NO_LIMITS = PlainLimits(frozenset(), frozenset(), 2**63 - 1)
 
 
 def plain_request(raw: bytes, ts_ns: int) -> Adu:

@@ -94,12 +94,14 @@ class ProtocolDetector:
         tcp: bool = True,
         rtu: bool = False,
         swapped: bool = False,
+        timed: bool = True,
     ) -> None:
         """Prepare a candidate for each possible protocol and assignment of roles.
 
         `tcp` is True if the connection may carry Modbus/TCP, `rtu` if RTU over TCP, `expected` if
         its port is 502 or one that the user named. `joined` is True if the capture lacks its
-        beginning, `swapped` if the end that `connection` calls the slave is the master.
+        beginning, `swapped` if the end that `connection` calls the slave is the master. `timed` is
+        False if its bytes have no known times.
         """
         self.state = ProtocolState.UNDECIDED
         self.connection = connection
@@ -126,6 +128,7 @@ class ProtocolDetector:
                 swapped=swap,
                 expected=expected and not (framing and tcp),
                 joined=joined,
+                timed=timed,
             )
             # RTU comes first: an RTU frame like 01 03 00 00 00 02 C4 0B is a Modbus/TCP ADU, too.
             for swap in roles
@@ -320,11 +323,18 @@ class _ProtocolCandidate:
     """A candidate: one possible protocol, one of the two ends as master, and the evidence."""
 
     def __init__(
-        self, connection: Connection, *, rtu: bool, swapped: bool, expected: bool, joined: bool
+        self,
+        connection: Connection,
+        *,
+        rtu: bool,
+        swapped: bool,
+        expected: bool,
+        joined: bool,
+        timed: bool,
     ) -> None:
         if swapped:
             connection = replace(connection, master=connection.slave, slave=connection.master)
-        self.decoder = ConnectionDecoder(connection, rtu=rtu, joined=joined)
+        self.decoder = ConnectionDecoder(connection, rtu=rtu, joined=joined, timed=timed)
         self.decoded: list[Decoded] = []
         """The decoded results, kept until this candidate is accepted."""
         self.is_confirmed = False
@@ -392,8 +402,8 @@ class _ProtocolCandidate:
         return any(head and self._may_begin_adu(head, way) for way, head in heads.items())
 
     def _may_begin_adu(self, head: bytes, direction: Direction) -> bool:
-        if self._is_rtu:
-            return begins_with_frame(head, self.roles[direction]) is not False
+        if self._is_rtu:  # One direction may carry a whole line, and so begin with either.
+            return any(begins_with_frame(head, each) is not False for each in OTHER)
         return (LONG_HEADER if len(head) >= _MBAP_SIZE else _MBAP_PREFIX).match(head) is not None
 
     def add(self, decoded: list[Decoded]) -> None:

@@ -23,6 +23,8 @@ from mbtool.modbus.pdu import Pdu, parse_pdu
 from mbtool.modbus.request_match import mismatch
 from mbtool.modbus.transaction import Outcome, Transaction
 
+SURE = 0.8
+"""A transaction is called ambiguous if its confidence (0.5 to 1) is less than this."""
 MAX_CACHED_REQUESTS = 256
 """The number of parsed requests kept; beyond that the least recently used one is dropped."""
 
@@ -82,6 +84,7 @@ def with_response(
         response_raw=response.raw,
         verdicts=list(dict.fromkeys(noticed)) if noticed else noticed,
         confidence=min(request.confidence, response.confidence, confidence),
+        pair_confidence=confidence if confidence < 1.0 else None,
     )
 
 
@@ -129,6 +132,7 @@ def _cut(
         response_raw=response.raw,
         verdicts=list(dict.fromkeys(verdicts)),
         confidence=min(request.confidence, response.confidence, confidence),
+        pair_confidence=confidence if confidence < 1.0 else None,
     )
 
 
@@ -151,12 +155,26 @@ def late(answered: Transaction) -> Transaction:
     return msgspec.structs.replace(answered, outcome=Outcome.LATE)
 
 
-def no_answer(ends: Ends, request: Adu, retries: int) -> Transaction:
+def no_answer(ends: Ends, request: Adu, retries: int, confidence: float = 1.0) -> Transaction:
     """Make the transaction of a request without a response.
 
     `retries` is the number of unanswered requests before it with the same unit and PDU.
+    `confidence` (0 to 1) tells how surely the capture has no response to it.
     """
-    return _alone(ends, request, Outcome.NO_ANSWER, retries)
+    return doubted(_alone(ends, request, Outcome.NO_ANSWER, retries), confidence)
+
+
+def doubted(transaction: Transaction, confidence: float) -> Transaction:
+    """Return the transaction with a pair confidence; it is ambiguous if that is below SURE."""
+    if confidence >= 1.0:
+        return transaction
+    verdicts = [*transaction.verdicts, *([Verdict.AMBIGUOUS] if confidence < SURE else ())]
+    return msgspec.structs.replace(
+        transaction,
+        verdicts=list(dict.fromkeys(verdicts)),
+        confidence=min(transaction.confidence, confidence),
+        pair_confidence=confidence,
+    )
 
 
 def response_not_captured(
@@ -300,6 +318,8 @@ def _record(
     answered = None if response is None else response.origin
     if asked is not None or answered is not None:
         add_origins(fields, asked, answered)
+    if request is not None and Verdict.LATE_PARTS in request.verdicts:
+        fields["request_parts_ns"] = request.end_ns - request.start_ns
     return Transaction(
         link=ends.link,
         transport=adu.transport,

@@ -201,15 +201,23 @@ class Assignments:
 
         For a transaction in ASCII mode, the profile has the limits of that mode.
         """
-        key = (transaction.destination, transaction.unit, transaction.transport)
+        return self.profile_of(transaction.destination, transaction.unit, transaction.transport)
+
+    def profile_of(
+        self, destination: str | None, unit: int, transport: Transport
+    ) -> Profile | None:
+        """The profile of a slave, as `profile_for`. `destination` is its HOST:PORT; None on a
+        serial line.
+        """
+        key = (destination, unit, transport)
         try:
             return self._cache[key]
         except KeyError:
             pass
         if len(self._cache) >= _MAX_CACHED:
             self._cache.clear()
-        profile = self._find(transaction.destination, transaction.unit)
-        if profile is not None and transaction.transport is Transport.ASCII:
+        profile = self._find(destination, unit)
+        if profile is not None and transport is Transport.ASCII:
             profile = self._in_ascii[profile.name]
         self._cache[key] = profile
         return profile

@@ -17,6 +17,7 @@ class DifferenceKind(StrEnum):
     OUTCOME = "outcome"
     VALUE = "value"
     LATENCY = "latency"
+    CONNECTION = "connection"
 
 
 class Side(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
@@ -38,7 +39,8 @@ class Difference(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """A difference between two captures; `a` and `b` have the content of each where they differ."""
 
     kind: DifferenceKind
-    unit: int
+    unit: int | None = None
+    """The unit of the slave; None for a connection, which may serve several."""
     link: str | None = None
     """The link of the slave; None if the unit alone identifies the slave."""
     function: int | None = None
@@ -50,7 +52,7 @@ class Difference(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     none."""
     what: str
     """The thing that differs: `read` (values that were read), `written` (values that were written),
-    `slave`, or the name of a function."""
+    `slave`, `connection 3`, or the name of a function."""
     a: Side
     b: Side
     p: float | None = None

@@ -43,7 +43,7 @@ from mbtool.devices.profile_checks import (
 from mbtool.devices.references import write_reference
 from mbtool.devices.response_checks import response_findings
 from mbtool.devices.scale_factors import ScaleFactors
-from mbtool.devices.standard_checks import LAST_UNIT, form_codes
+from mbtool.devices.standard_checks import LAST_UNIT, form_codes, request_codes
 from mbtool.devices.values import PointInstance, point_instances, point_values
 from mbtool.modbus.adu import Verdict
 from mbtool.modbus.functions import FUNCTIONS
@@ -71,6 +71,11 @@ class Namer:
         """The vocabularies by the id() of their profile, as an id() is found faster than a profile.
         It stays valid, because the assignments keep every profile alive."""
 
+    @property
+    def assignments(self) -> Assignments:
+        """The profiles in use."""
+        return self._assignments
+
     def name(self, transaction: Transaction) -> NamedTransaction:
         """Return a copy of a transaction with its device, reference, points and findings.
 
@@ -85,6 +90,32 @@ class Namer:
         """Name a transaction again if its slave has a profile; otherwise return it unchanged."""
         profile = self._assignments.profile_for(named)
         return named if profile is None else self._vocabulary(profile).name(named)
+
+    def depends_on_values(self, transaction: Transaction) -> bool:
+        """True if the names or findings of a transaction depend on more than its slave, function,
+        addresses, quantities and exception code.
+
+        False if all transactions that are equal in these have the same names and findings, provided
+        that request and response have the form of their function.
+        """
+        return self._vocabulary(self._assignments.profile_for(transaction)).depends(transaction)
+
+    def as_kind(self, named: NamedTransaction) -> NamedTransaction:
+        """Return a copy of a usual read or write (one of the functions 01 to 06, 0F and 10 in
+        hexadecimal, whose ADUs have the right form) with the reference of its addresses and the
+        findings that do not depend on values. Its device, and the names of its function and
+        exception, must be right already. If names depend on values, `with_values` adds them.
+        """
+        profile = self._assignments.profile_for(named)
+        return self._vocabulary(profile).as_kind(named)
+
+    def with_values(self, named: NamedTransaction) -> NamedTransaction:
+        """Return a copy of a transaction with the points and findings of its own values.
+
+        All else that a profile names must be right already.
+        """
+        profile = self._assignments.profile_for(named)
+        return self._vocabulary(profile).with_values(named)
 
     def _vocabulary(self, profile: Profile | None) -> _Vocabulary:
         vocabulary = self._vocabularies.get(id(profile))
@@ -147,15 +178,63 @@ class _Vocabulary:
         self._scale_factors: ScaleFactors | None = None
         self._ranges: Ranges = {}
         self._fixed_data: dict[int, bytes] = {}
+        self._silent = frozenset[int]()
+        """The functions to whose requests the manual states no response."""
         if profile is not None:
             self._compile(profile)
 
-    def name(self, transaction: Transaction) -> NamedTransaction:
+    def depends(self, transaction: Transaction) -> bool:
+        """See Namer.depends_on_values."""
+        if self.profile is None:
+            return False
+        meaning, function = self._meaning(transaction), transaction.function
+        has_values = meaning.written or meaning.read or meaning.answer is not None
+        rule = self.profile.rule(function)
+        has_form = rule is not None and (rule.echoes or rule.answer is not None)
+        learns = self._scale_factors is not None
+        return bool(has_values or has_form or learns or function in self._fixed_data)
+
+    def with_values(self, named: NamedTransaction) -> NamedTransaction:
+        """See Namer.with_values."""
+        meaning = self._scaled_meaning(named)
+        points = _points(meaning, named)
+        findings = self._findings(meaning, named, points)
+        return msgspec.structs.replace(named, points=points, findings=findings)
+
+    def _scaled_meaning(self, transaction: Transaction) -> _Meaning:
         meaning = self._meaning(transaction)
-        if self._scale_factors is not None:
-            powers = self._scale_factors.after(transaction, meaning.read)
-            meaning = meaning.scaled(powers)
+        if self._scale_factors is None:
+            return meaning
+        return meaning.scaled(self._scale_factors.after(transaction, meaning.read))
+
+    def name(self, transaction: Transaction) -> NamedTransaction:
+        meaning = self._scaled_meaning(transaction)
         points = _points(meaning, transaction)
+        findings = self._findings(meaning, transaction, points)
+        return self._named(transaction, meaning, points, findings)
+
+    def as_kind(self, named: NamedTransaction) -> NamedTransaction:
+        """See Namer.as_kind."""
+        known = FUNCTIONS.get(named.function)
+        if self.profile is None and known is not None and known.table and named.address is not None:
+            # The general way below gives the same, but takes three times as long.
+            address, quantity = named.address, named.quantity
+            codes = [*request_codes(named.function, address, quantity)]
+            reference = write_reference(None, known.table, address, quantity)
+            return msgspec.structs.replace(named, reference=reference, points=[], findings=codes)
+        meaning = self._meaning(named)
+        findings = self._findings(meaning, named, [])
+        return msgspec.structs.replace(
+            named, reference=meaning.reference, points=[], findings=findings
+        )
+
+    def _named(
+        self,
+        transaction: Transaction,
+        meaning: _Meaning,
+        points: list[PointValue],
+        findings: list[str],
+    ) -> NamedTransaction:
         function_name, exception_name = transaction.function_name, transaction.exception_name
         if meaning.function_name is not None:
             function_name = meaning.function_name
@@ -167,7 +246,9 @@ class _Vocabulary:
         fields["device"] = self._device
         fields["reference"] = meaning.reference
         fields["points"] = points
-        fields["findings"] = self._findings(meaning, transaction, points)
+        fields["findings"] = findings
+        if transaction.outcome is Outcome.NO_ANSWER and transaction.function in self._silent:
+            fields["outcome"] = Outcome.OK  # The manual states that success has no response.
         return NamedTransaction(**fields)
 
     def _findings(
@@ -206,6 +287,9 @@ class _Vocabulary:
     def _compile(self, profile: Profile) -> None:
         self._ranges = value_ranges(profile)
         self._fixed_data = fixed_data(profile)
+        self._silent = frozenset(
+            int(code, 16) for code, rule in profile.functions.items() if not rule.answers
+        )
         sources = {one.scale_from for one in profile.points if one.scale_from is not None}
         if sources:
             self._scale_factors = ScaleFactors(sources)

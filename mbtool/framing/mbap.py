@@ -58,10 +58,10 @@ LONGEST_LENGTH = 1454
 """The largest length field that is accepted: that of an ADU which fills the TCP segment of an
 Ethernet packet, 1460 bytes. Schneider's UMAS has messages of up to about 1 KB."""
 
-MAX_REQUEST_NS = 30_000_000_000
+MAX_REQUEST_NS = 1_000_000_000
 """A request gets the verdict LATE_PARTS if its first and last byte are further apart than this, in
-ns. By default, FA3 modules disconnect a master that takes longer (their manual, 10.3, register
-00F5H)."""
+ns. It is the shortest time after which an FA3 module can be set to disconnect such a master (its
+manual, 10.3, register 00F5H)."""
 
 _LENGTH_END = MBAP_BYTES - 1
 _MODBUS = b"\x00\x00"

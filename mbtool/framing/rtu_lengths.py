@@ -41,6 +41,18 @@ _VARIABLE = frozenset(
 """The functions whose frame length depends on more bytes than the function code."""
 
 
+def doubled_size(data: bytes, directions: Iterable[Direction]) -> int:
+    """Return the size of the frame that `data` begins with if a copy of it follows; 0 otherwise.
+
+    The frame has a correct CRC, and the size that its structure tells for one of the directions.
+    """
+    for direction in directions:
+        size = frame_size(data, direction)
+        if size and data[:size] == data[size : 2 * size] and crc(data[:size]) == 0:
+            return size
+    return 0
+
+
 def frame_size(start: bytes, direction: Direction) -> int | None:
     """Return the size in bytes of the RTU frame that begins with `start`.
 

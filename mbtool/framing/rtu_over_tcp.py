@@ -60,6 +60,10 @@ class RtuStreamSplitter:
         self._buffer.append(data, ts_ns, origin)
         return self._frames(ended=False)
 
+    def take_rest(self) -> bytes:
+        """Return the bytes of which no event has been returned, and forget them."""
+        return self._skips.take() + self._buffer.take(len(self._buffer))
+
     def gap(self, missing: int = 0) -> list[Adu | Skipped]:
         """Note that the capture lacks bytes here: return the buffered bytes, as `close` does.
 

@@ -51,6 +51,12 @@ class SkipRun:
             if len(self._bytes) == MAX_RUN:
                 self.end(events)
 
+    def take(self) -> bytes:
+        """Return the collected bytes without an event, and forget them."""
+        raw = bytes(self._bytes)
+        self._bytes.clear()
+        return raw
+
     def end(self, events: list[Adu | Skipped]) -> None:
         """Append one event with the collected bytes to `events`, if there are any."""
         if self._bytes:

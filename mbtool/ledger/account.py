@@ -56,6 +56,7 @@ _SUMS_OF_EVENTS = {
     EventKind.SKIPPED: LinkSum.NO_FRAME,
     EventKind.FOREIGN: LinkSum.NO_FRAME,
     EventKind.ECHO: LinkSum.NO_FRAME,
+    EventKind.REPEATED: LinkSum.NO_FRAME,
     EventKind.GAP: LinkSum.LACKING,
     EventKind.DISCARDED: LinkSum.LACKING,
     EventKind.CUT: LinkSum.LACKING,

@@ -1,22 +1,17 @@
 """Counts how the TCP connections of each master to each slave were opened, kept and closed."""
 
-# The reason why a connection closed and the number of its keep-alive probes are parsed from the
-# message text of its CLOSED event, because a log stores that text, too. Memory: one ConnectionTally
-# for each pair of a master and a slave; the caller limits the number of pairs.
+# Memory: one ConnectionTally for each pair of a master and a slave; the caller limits the number of
+# pairs.
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass, field
 
-from mbtool.core import CONNECTION_JOINED, EventKind, WireEvent
+from mbtool.core import CONNECTION_JOINED, ConnectionEnd, EventKind, WireEvent
 
-_REASON = re.compile(r"connection closed: ([a-z-]+)")
-_PROBES = re.compile(r"(\d+) keep-alive probes")
-_UNANSWERED = re.compile(r"the last (\d+) unanswered")
 _OTHER = "other"
 _REASONS = frozenset((
-    "finished", "reset", "refused", "replaced", "idle", "discarded", "capture-end",
+    "finished", "reset", "refused", "unanswered", "replaced", "idle", "discarded", "capture-end",
 ))  # fmt: skip
 
 
@@ -33,8 +28,9 @@ class ConnectionTally:
     because it could not reach the slave."""
     closed: dict[str, int] = field(default_factory=dict)
     """The number of closed connections, by the reason that the CLOSED event names: finished (FIN),
-    reset (RST), refused, replaced by a new connection with the same ports, idle for long,
-    discarded (too many connections), capture-end (still open then), or other."""
+    reset (RST), refused, unanswered (nobody answered the SYN), replaced by a new connection with
+    the same ports, idle for long, discarded (too many connections), capture-end (still open then),
+    or other."""
     keep_alives: int = 0
     """The number of TCP keep-alive probes that master and slave sent."""
     unanswered_keep_alives: int = 0
@@ -55,16 +51,15 @@ class ConnectionTally:
             self.most_at_once = max(self.most_at_once, self._open)
         elif event.kind is EventKind.CLOSED:
             self._open = max(self._open - 1, 0)
-            self._note_end(event.message)
+            self._note_end(ConnectionEnd.of(event) or ConnectionEnd(_OTHER))
 
-    def _note_end(self, message: str) -> None:
-        match = _REASON.match(message)
-        reason = match[1] if match is not None and match[1] in _REASONS else _OTHER
+    def _note_end(self, end: ConnectionEnd) -> None:
+        reason = end.reason if end.reason in _REASONS else _OTHER
         self.closed[reason] = self.closed.get(reason, 0) + 1
         if reason == "refused" and self.opened:  # An OPENED event was counted before the refusal.
             self.opened -= 1
-        self.keep_alives += _number(_PROBES, message)
-        self.unanswered_keep_alives += _number(_UNANSWERED, message)
+        self.keep_alives += end.keep_alives
+        self.unanswered_keep_alives += end.unanswered
 
     @property
     def resets(self) -> int:
@@ -74,8 +69,3 @@ class ConnectionTally:
     def refused(self) -> int:
         """The number of connections that the slave or the tap refused."""
         return self.closed.get("refused", 0) + self.refused_by_tap
-
-
-def _number(pattern: re.Pattern[str], message: str) -> int:
-    match = pattern.search(message)
-    return 0 if match is None else int(match[1])

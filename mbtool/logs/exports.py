@@ -42,6 +42,7 @@ _ONE_LINE = str.maketrans("\r\n", "  ")
 
 CSV_COLUMNS = (
     "request_ns",
+    "request_parts_ns",
     "response_ns",
     "latency_ns",
     "link",
@@ -82,6 +83,7 @@ CSV_COLUMNS = (
     "source_mac",
     "destination_mac",
     "vlan",
+    "pair_confidence",
 )
 """The CSV columns in order. A column never changes its name or meaning; new ones come last."""
 

@@ -31,12 +31,22 @@ from typing import TYPE_CHECKING, NamedTuple, Self
 from mbtool.core import Direction, LinkError, LinkSpec, SerialLink, TcpLink, UsageError
 from mbtool.core.limits import MAX_OPEN_REQUESTS, LinkLimits
 from mbtool.core.link_spec import ANSWERED
+from mbtool.core.wording import duration
 from mbtool.framing import MbapSplitter, RtuStreamSplitter
+from mbtool.master.other_master import (
+    MARGIN_NS,
+    MOST_LISTEN_NS,
+    SILENT_LISTEN_NS,
+    OtherMaster,
+)
 from mbtool.modbus import Adu, ascii_adu, mbap_adu, rtu_adu
-from mbtool.modbus.adu import DirectionBy, Transport
+from mbtool.modbus.adu import MAX_PDU, DirectionBy, Transport
+from mbtool.modbus.expected_response import ExpectedResponse
+from mbtool.modbus.response import ConnectionEnding
 from mbtool.ports.arrival_times import SerialArrivals, note_arrivals, receive
 from mbtool.ports.host_names import why_failed, why_unknown
 from mbtool.ports.serial_opening import open_port, port_in_use
+from mbtool.ports.tcp_listener import reset_on_close
 from mbtool.ports.tls import client_context, failure
 from mbtool.serial_line import AsciiSplitter, RtuSplitter
 
@@ -58,6 +68,10 @@ ASK_TIMEOUT_NS = 2_000_000_000
 _POLL_S = 0.001
 """The interval in seconds at which a serial port is checked for bytes, on systems that cannot wait
 for them (Windows)."""
+LONGEST_TURN_NS = 60_000_000_000
+"""The longest wait in ns for a pause of another master."""
+_LISTEN_SLICE_NS = 20_000_000
+"""The longest single read while listening before the first request, in ns."""
 _LEAST_ASK_PAUSE_NS = 5_000_000
 """Shortest pause, in ns, before a request of `ask` on a serial line. At high baud rates t3.5 is so
 short that a listening adapter would return two frames as one."""
@@ -138,8 +152,7 @@ class MasterLink(ABC):
         delay. If the TCP connection is lost, it returns at once. Raises LinkError if a serial port
         is lost.
         """
-        if self.limits.pause_ns:
-            time.sleep(max(2 * self.limits.pause_ns, _LEAST_ASK_PAUSE_NS) / _NS)
+        wait_ns = self._await_turn(unit, pdu)
         self.receive(0)  # Drop late responses, which would be taken for this request's.
         self._unread.clear()
         self._asked += 1
@@ -147,13 +160,30 @@ class MasterLink(ABC):
         if unit == 0 and self.transport.is_serial:
             time.sleep(self.limits.turnaround_ns / _NS)
             return Exchange(self._request, None, ())
-        response = self._response if self._is_answered() else None
+        response = self._response if self._is_answered(wait_ns) else None
         return Exchange(self._request, response, tuple(self._unread))
 
-    def _is_answered(self) -> bool:
-        """Wait for the response to the last request; False if it does not come in time."""
-        until_ns = time.monotonic_ns() + self.limits.timeout_ns
-        rest_ns = self.limits.timeout_ns
+    def take_line(self, listen_ns: int | None, *, between: bool = False) -> None:  # noqa: B027 - TCP: nothing to do
+        """Before the first request listen to a serial line, which another master may poll.
+
+        Listens for `listen_ns` ns, or until each poll of the other master is known; 0 for not at
+        all, None for one second in silence and at most five. With `between`, `exchange` sends in
+        the pauses of the other master. Raises LinkError if another master asks there, or somebody
+        speaks with other settings.
+        """
+
+    def _await_turn(self, unit: int, pdu: bytes) -> int:
+        """Wait until `exchange` may send this request; return how long, in ns, to wait for its
+        response.
+        """
+        if self.limits.pause_ns:
+            time.sleep(max(2 * self.limits.pause_ns, _LEAST_ASK_PAUSE_NS) / _NS)
+        return self.limits.timeout_ns
+
+    def _is_answered(self, wait_ns: int) -> bool:
+        """Wait for the response to the last request; False if it does not come in `wait_ns`."""
+        until_ns = time.monotonic_ns() + wait_ns
+        rest_ns = wait_ns
         while self._asked not in self.lost():
             # Check once more after the timeout: this process may have been suspended.
             if any(one.number == self._asked for one in self.receive(max(rest_ns, 0))):
@@ -223,8 +253,11 @@ class TcpMaster(MasterLink):
         timeout_ns: int,
         on_remark: Callable[[str], None] = lambda _: None,
         tls: TargetTls | None = None,
+        connect_s: float = CONNECT_S,
     ) -> None:
-        """Connect to the slave; see open_master. Raises LinkError if it cannot be reached."""
+        """Connect to the slave, for at most `connect_s` seconds; see open_master. Raises LinkError
+        if it cannot be reached.
+        """
         super().__init__()
         self.transport = Transport.RTU_TCP if link.rtu else Transport.TCP
         self.limits = LinkLimits(timeout_ns=timeout_ns, one_at_a_time=link.rtu)
@@ -240,11 +273,13 @@ class TcpMaster(MasterLink):
         such ids: at most one request is pending, with the key 0."""
         self._lost: deque[int] = deque(maxlen=MAX_OPEN_REQUESTS)
         self._last_id = 0
-        self._socket: socket.socket | None = self._connect(CONNECT_S)
+        self.ended: ConnectionEnding | None = None
+        """How the slave ended the connection that was opened last; None if it did not."""
+        self.socket: socket.socket | None = self._connect(connect_s)
 
     def send(self, number: int, unit: int, pdu: bytes) -> None:
-        if self._socket is None:
-            self._socket = self._reconnect()
+        if self.socket is None:
+            self.socket = self._reconnect()
         if self._link.rtu:
             self._pending.clear()
             adu = rtu_adu(unit, pdu)
@@ -252,26 +287,27 @@ class TcpMaster(MasterLink):
             self._last_id = self._last_id % 0xFFFF + 1
             adu = mbap_adu(self._last_id, unit, pdu)
         self._note_request(unit, pdu, adu, None if self._link.rtu else self._last_id)
-        if self._socket is None:
+        if self.socket is None:
             self._lost.append(number)
             return
         self._pending[self._last_id] = number, unit
         if len(self._pending) > MAX_OPEN_REQUESTS:
             del self._pending[next(iter(self._pending))]
         try:
-            self._socket.sendall(adu)
+            self.socket.sendall(adu)
         except OSError:
+            self.ended = ConnectionEnding.RESET
             self._lose()
 
     def receive(self, timeout_ns: int) -> Sequence[ReceivedResponse]:
         wait_s = min(max(timeout_ns / _NS, 0.0), LONGEST_WAIT_S)
-        if self._socket is None:
+        if self.socket is None:
             time.sleep(wait_s)
             return ()
-        if not self._has_bytes(self._socket, wait_s):
+        if not self._has_bytes(self.socket, wait_s):
             return ()
         try:
-            data, arrived_ns = receive(self._socket, READ_BYTES)
+            data, arrived_ns = receive(self.socket, READ_BYTES)
         except (TimeoutError, ssl.SSLWantReadError):
             return ()  # Only TLS's own messages came, no data.
         except OSError as error:
@@ -279,7 +315,9 @@ class TcpMaster(MasterLink):
             if why is not None:
                 self._on_remark(f"mbtool: {self._link}: {why}")
             data, arrived_ns = b"", 0
+            self.ended = ConnectionEnding.RESET
         if not data:
+            self.ended = self.ended or ConnectionEnding.CLOSE
             self._lose()
             return ()
         return [
@@ -302,10 +340,16 @@ class TcpMaster(MasterLink):
         self._lost.clear()
         return numbers
 
+    def end(self, ending: ConnectionEnding) -> None:
+        """End the connection as the master, with a FIN or a RST. Pending requests are lost."""
+        if self.socket is not None and ending is ConnectionEnding.RESET:
+            reset_on_close(self.socket)
+        self._lose()
+
     def close(self) -> None:
-        if self._socket is not None:
-            self._socket.close()
-            self._socket = None
+        if self.socket is not None:
+            self.socket.close()
+            self.socket = None
 
     def _matched(self, event: Adu | Skipped) -> ReceivedResponse | None:
         if not isinstance(event, Adu):
@@ -381,7 +425,7 @@ class SerialMaster(MasterLink):
         self.limits = LinkLimits(
             timeout_ns=timeout_ns, one_at_a_time=True, pause_ns=link.format.t3_5_ns
         )
-        self._link = link
+        self.link = link
         self._port = open_port(link, link.format.t3_5_ns / _NS)
         splitter = AsciiSplitter if link.ascii else RtuSplitter
         self._splitter: AsciiSplitter | RtuSplitter = splitter(
@@ -389,15 +433,18 @@ class SerialMaster(MasterLink):
         )
         self._arrivals = SerialArrivals(link.format.character_ns)
         self._pending: tuple[int, int] | None = None
+        self._expected: ExpectedResponse | None = None
+        """The form of the pending request's response."""
+        self._other: OtherMaster | None = None
+        """The other master in whose pauses requests are sent; None if the line is ours alone."""
 
     def send(self, number: int, unit: int, pdu: bytes) -> None:
-        adu = (ascii_adu if self._link.ascii else rtu_adu)(unit, pdu)
+        adu = (ascii_adu if self.link.ascii else rtu_adu)(unit, pdu)
         self._pending = number, unit
-        with port_in_use(self._link):
-            self._port.write(adu)
-            # The silence before the response, and the timeout, begin when the last byte of the
-            # request has been sent.
-            self._port.flush()
+        self._expected = ExpectedResponse.of(pdu)
+        # The silence before the response, and the timeout, begin when the last byte of the request
+        # has been sent.
+        self.send_bytes(adu)
         self._note_request(unit, pdu, adu)
 
     def receive(self, timeout_ns: int) -> Sequence[ReceivedResponse]:
@@ -405,8 +452,8 @@ class SerialMaster(MasterLink):
         responses: list[ReceivedResponse] = []
         while not responses:
             rest_ns = until_ns - time.monotonic_ns()
-            with port_in_use(self._link):
-                data, at_ns = self._read(min(max(rest_ns, 0), self._link.format.t3_5_ns))
+            with port_in_use(self.link):
+                data, at_ns = self._read(min(max(rest_ns, 0), self.link.format.t3_5_ns))
             events = self._splitter.feed(data, at_ns) if data else self._splitter.advance(at_ns)
             self._unread.extend(event for event in events if not isinstance(event, Adu))
             responses = [self._matched(event) for event in events if isinstance(event, Adu)]
@@ -416,6 +463,83 @@ class SerialMaster(MasterLink):
 
     def close(self) -> None:
         self._port.close()
+
+    def send_bytes(self, raw: bytes) -> None:
+        """Send any bytes, and wait until the last of them has left. Raises LinkError if the port is
+        lost.
+        """
+        with port_in_use(self.link):
+            self._port.write(raw)
+            self._port.flush()
+
+    def overhear(self, wait_ns: int) -> tuple[bytes, int]:
+        """Return bytes that others sent, and the time of the last one, in ns of the monotonic
+        clock; if there are none within `wait_ns`, b"" and the time until which the line was silent.
+
+        Raises LinkError if the port is lost.
+        """
+        with port_in_use(self.link):
+            return self._read(wait_ns)
+
+    def take_line(self, listen_ns: int | None, *, between: bool = False) -> None:
+        if listen_ns == 0:
+            return
+        other = self._listen(listen_ns)
+        if not (between and other.polls):
+            other.demand_free()
+            return
+        # From here on a response must fit its request: others are probably the other master's.
+        self._other = other
+
+    def _listen(self, listen_ns: int | None) -> OtherMaster:
+        """Listen as `take_line` says, and return what was heard."""
+        other = OtherMaster(self.link)
+        in_silence_ns = SILENT_LISTEN_NS if listen_ns is None else listen_ns
+        most_ns = MOST_LISTEN_NS if listen_ns is None else listen_ns
+        begin_ns = now_ns = time.monotonic_ns()
+        while now_ns - begin_ns < most_ns and not other.is_known:
+            other.feed(*self.overhear(_LISTEN_SLICE_NS))
+            now_ns = time.monotonic_ns()
+            if not other.has_heard and now_ns - begin_ns >= in_silence_ns:
+                break
+        other.end(now_ns - begin_ns)
+        return other
+
+    def _await_turn(self, unit: int, pdu: bytes) -> int:
+        if self._other is None:
+            return super()._await_turn(unit, pdu)
+        known_ns = self._other.latency_ns(unit)
+        wait_ns = self.limits.timeout_ns
+        if known_ns is not None:
+            wait_ns = min(wait_ns, 2 * known_ns + MARGIN_NS)
+        needed_ns = self._on_line_ns(unit, pdu) + wait_ns + MARGIN_NS
+        longest_ns = self._other.longest_pause_ns
+        if needed_ns > longest_ns:
+            raise LinkError(
+                f"{self.link}: a request to unit {unit} needs a pause of {duration(needed_ns)}; "
+                f"the longest sure one of the other master is {duration(longest_ns)}; nothing was "
+                "sent. A shorter --timeout needs less, a longer --listen may find more"
+            )
+        until_ns = time.monotonic_ns() + LONGEST_TURN_NS
+        while self._other.rest_ns(now_ns := time.monotonic_ns()) < needed_ns:
+            if now_ns > until_ns:
+                raise LinkError(
+                    f"{self.link}: the other master left no pause of {duration(needed_ns)} in "
+                    f"{duration(LONGEST_TURN_NS)}; the request was not sent"
+                )
+            self._other.feed(*self.overhear(self.link.format.t3_5_ns))
+        self._other.note_our_request()
+        return wait_ns
+
+    def _on_line_ns(self, unit: int, pdu: bytes) -> int:
+        """Return the time, in ns, that a request and its response take on the line at most, with
+        the silences around them.
+        """
+        expected = ExpectedResponse.of(pdu)
+        size = MAX_PDU if expected is None else expected.size or MAX_PDU
+        adu = ascii_adu if self.link.ascii else rtu_adu
+        characters = len(adu(unit, pdu)) + len(adu(unit, bytes(size)))
+        return characters * self.link.format.character_ns + 3 * self.link.format.t3_5_ns
 
     def _read(self, wait_ns: int) -> tuple[bytes, int]:
         """Return the bytes that have come; if there are none, wait `wait_ns` at most.
@@ -442,7 +566,10 @@ class SerialMaster(MasterLink):
 
     def _matched(self, adu: Adu) -> ReceivedResponse:
         number, unit = self._pending if self._pending is not None else (-1, -1)
-        if unit != adu.unit:
+        is_other = self._other is not None and not (
+            self._expected is not None and self._expected.fits(adu.pdu)
+        )
+        if unit != adu.unit or is_other:
             return ReceivedResponse(-1, adu.pdu, adu.start_ns, adu.end_ns)
         self._pending, self._response = None, adu
         return ReceivedResponse(number, adu.pdu, adu.start_ns, adu.end_ns)

@@ -79,12 +79,15 @@ class Verdict(StrEnum):
     """The response's body does not have the form of its function, or does not fit the request."""
     OTHER_TRANSACTION_ID = "other-transaction-id"
     """The response has another transaction id than the only request that it can belong to."""
+    OTHER_UNIT = "other-unit"
+    """The response has another unit than the only request that it can belong to, and the same
+    transaction id."""
     CUT = "cut"
     """The capture has only the first bytes of the ADU, with the unit and the function."""
     OVER_LENGTH = "over-length"
     """The ADU is longer than the standard allows, 260 bytes on Modbus/TCP."""
     LATE_PARTS = "late-parts"
-    """More than 30 s passed between the first and the last byte of a Modbus/TCP request."""
+    """More than 1 s passed between the first and the last byte of a Modbus/TCP request."""
     OVER_LIMIT = "over-limit"
     """The decoder dropped this request because of its limit of pending requests; or this is the
     response to such a request. The two are not joined."""

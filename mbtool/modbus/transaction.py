@@ -76,6 +76,9 @@ class Transaction(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True,
     outcome: Outcome
     request_ns: Nanoseconds | None = None
     """The time at which the last byte of the request was on the wire, in UTC ns."""
+    request_parts_ns: Nanoseconds | None = None
+    """The time from the first to the last byte of a Modbus/TCP request, in ns, if it is more than 1
+    s (verdict late-parts); otherwise None."""
     response_ns: Nanoseconds | None = None
     """The time at which the last byte of the response was on the wire, in UTC ns."""
     latency_ns: Nanoseconds | None = None
@@ -88,6 +91,8 @@ class Transaction(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True,
     verdicts: list[Verdict] = []
     direction_by: DirectionBy
     confidence: float
+    """The probability, 0 to 1, that the directions of the frames and their pairing are right: the
+    lowest of these."""
     file: str | None = None
     """The capture file of the request, or of the response if there is no request, as the user named
     it; None in a live capture."""
@@ -108,6 +113,9 @@ class Transaction(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True,
     """The MAC address that the slave's packets have."""
     vlan: Word | None = None
     """The VLAN of the packets: the id of the innermost tag. None if they have no tag."""
+    pair_confidence: float | None = None
+    """The probability, 0 to 1, that the response is to this request; without a response, or without
+    a request, that there is none. None if nothing speaks against it. `confidence` is not higher."""
 
     @property
     def written_quantity(self) -> int:

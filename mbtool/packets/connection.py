@@ -60,8 +60,13 @@ PATIENCE = 3
 connection lie between the two."""
 PATIENCE_NS = 100_000_000
 """If the capture swapped two packets, at most this time in ns lies between the two."""
+SYN_PATIENCE_NS = 1_000_000_000
+"""A SYN that nobody answered counts as unanswered only if the connection's last sign is this long
+(ns) after it: a master waits at least 1 s before it sends a SYN again (RFC 6298, 2)."""
 HOLE_NS = 10_000_000_000
 """Bytes behind a hole (missing bytes) wait this long, in ns, for a retransmission to fill it."""
+
+_WITHOUT_END = frozenset((CloseReason.REPLACED, CloseReason.IDLE, CloseReason.CAPTURE_END))
 
 _STATE_FLAGS = ACK | FIN | RST | SYN
 """The flags to check: a segment that has only ACK of these neither opens nor ends a connection."""
@@ -76,8 +81,11 @@ class TcpConnection:
     __slots__ = (
         "_arrivals",
         "_directions",
+        "_finisher",
+        "_has_acknowledged",
         "_master_is_lower",
         "_now_ns",
+        "_opened_ns",
         "_out",
         "_prober",
         "closed",
@@ -103,6 +111,12 @@ class TcpConnection:
         self.keep_alives = 0
         self.unanswered_probes = 0
         """The number of keep-alive probes of one end since the other end last sent a segment."""
+        self._opened_ns = ts_ns
+        self._has_acknowledged = False
+        """True once a segment other than one that continues both streams in order had an
+        acknowledgement."""
+        self._finisher: Stream | None = None
+        """The stream of the end that sent the first FIN, or the RST; None before that."""
         self._prober: Stream | None = None
         """The stream of the end that sent the last keep-alive probe; None before the first
         probe."""
@@ -191,11 +205,14 @@ class TcpConnection:
         """
         probes, ts_ns = self.keep_alives, self._now_ns
         flags, sequence = segment.flags, segment.sequence
+        self._has_acknowledged = self._has_acknowledged or flags & ACK > 0
         if flags & ACK and other.syn_end is not None:
             other.decide_syn(segment.acknowledgement)
         acknowledged = 0
         if flags & ACK and other.origin is not None:
             acknowledged = self._acknowledge(other, segment.acknowledgement)
+        if flags & (RST | FIN) and (flags & RST or self._finisher is None):
+            self._finisher = sender
         if flags & RST:
             self.close(ts_ns, self._reset_reason(sender))
             return
@@ -238,8 +255,28 @@ class TcpConnection:
                 self._report_missing_end(stream)
             self.closed = True
             self._out.append(
-                StreamClosed(ts_ns, self.identity, reason, self.keep_alives, self.unanswered_probes)
+                StreamClosed(
+                    ts_ns,
+                    self.identity,
+                    self._seen_reason(reason, ts_ns),
+                    self._ended_by(reason),
+                    self.keep_alives,
+                    self.unanswered_probes,
+                )
             )
+
+    def _seen_reason(self, reason: CloseReason, ts_ns: int) -> CloseReason:
+        """UNANSWERED if the connection consists only of the master's SYN, for at least
+        SYN_PATIENCE_NS; otherwise `reason`.
+        """
+        requests, responses = self._directions[0]
+        has_more = self._has_acknowledged or responses.origin is not None or requests.position > 0
+        is_silent = not has_more and ts_ns - self._opened_ns >= SYN_PATIENCE_NS
+        return CloseReason.UNANSWERED if is_silent and reason in _WITHOUT_END else reason
+
+    def _ended_by(self, reason: CloseReason) -> Direction | None:
+        is_known = reason in (CloseReason.FINISHED, CloseReason.RESET)
+        return self._finisher.direction if is_known and self._finisher is not None else None
 
     def _report_missing_end(self, stream: Stream) -> None:
         """Report a gap if a FIN or an acknowledgement shows that the last bytes are missing."""

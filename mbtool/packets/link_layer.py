@@ -6,6 +6,12 @@
 # tags (802.1Q, 802.1ad and the older 9100H), the tag of HSR (IEC 62439-3: 6 bytes), PPPoE (RFC
 # 2516: 6 bytes, then PPP's protocol) and MPLS labels (RFC 3032: 4 bytes each, the last one is
 # marked).
+#
+# PPP begins with its protocol, or with FF 03 before it (RFC 1662), and may leave out the first byte
+# of the protocol if that is 0. Cisco HDLC has an address, a control byte and an EtherType. A frame
+# of IEEE 802.11 with data has 24 bytes and more before LLC and SNAP, which end with an EtherType;
+# radiotap (radiotap.org) precedes it with the settings of the radio. What is not read of 802.11 is
+# encrypted, or packs several packets into one frame (A-MSDU).
 
 from __future__ import annotations
 
@@ -22,11 +28,22 @@ HSR = b"\x89\x2f"
 TAGGED = (*VLAN, HSR)
 _PPPOE = b"\x88\x64"
 _IP_IN_PPP = (b"\x00\x21", b"\x00\x57")
+_PPP_ADDRESS = b"\xff\x03"
+_SHORT_IP_IN_PPP = (b"\x21", b"\x57")
+_SNAP = b"\xaa\xaa\x03\x00\x00\x00"
+_KIND_OF_FRAME, _DATA_FRAME = 0x4F, 0x08
+"""The version, the type and the bit for "no data" in the first byte of an 802.11 frame (IEEE
+802.11, 9.2.4.1), and their value in a frame with data."""
+_HAS_QOS = 0x80
+_FOUR_ADDRESSES, _ENCRYPTED, _HAS_HIGH_THROUGHPUT = 0x03, 0x40, 0x80
+"""Bits of the second byte of an 802.11 frame."""
+_HAS_CLOCK, _HAS_FLAGS, _PADDED = 0x01, 0x02, 0x20
+"""Bits of radiotap: of the first byte of its bitmap of fields, and of the field of flags."""
 _MPLS = (b"\x88\x47", b"\x88\x48")
 
 # The address families of IP in the capturing machine's byte order: 2 is IPv4 everywhere; IPv6 is
 # 10 on Linux, 23 on Windows, 24 on NetBSD and OpenBSD, 28 on FreeBSD, 30 on macOS.
-_FAMILIES = frozenset(
+FAMILIES = frozenset(
     family.to_bytes(4, order) for family in (2, 10, 23, 24, 28, 30) for order in ("big", "little")
 )
 
@@ -81,8 +98,56 @@ def _cooked_v2(data: bytes) -> int:
     return _behind(data, data[:2], 20)  # The header begins with the protocol.
 
 
+def _ppp(data: bytes) -> int:
+    at = 2 if data[:2] == _PPP_ADDRESS else 0
+    if data[at : at + 1] in _SHORT_IP_IN_PPP:
+        return at + 1
+    return at + 2 if data[at : at + 2] in _IP_IN_PPP else NOT_IP
+
+
+def _cisco_hdlc(data: bytes) -> int:
+    return _behind(data, data[2:4], 4)
+
+
+def _radiotap(data: bytes) -> int:
+    """Return the offset of the IP header behind radiotap and an 802.11 frame's header."""
+    at = 8
+    while len(data) > at and data[at - 1] & 0x80:  # A further bitmap of fields follows.
+        at += 4
+    if data[4:5] and data[4] & _HAS_CLOCK:
+        at = (at + 7) // 8 * 8 + 8
+    is_padded = bool(data[4:5] and data[4] & _HAS_FLAGS and data[at : at + 1])
+    is_padded = is_padded and bool(data[at] & _PADDED)
+    size = int.from_bytes(data[2:4], "little")
+    return _wireless(data, size, is_padded=is_padded) if size >= 8 else NOT_IP
+
+
+def _wireless(data: bytes, start: int = 0, *, is_padded: bool = False) -> int:
+    """Return the offset of the IP header behind the header of an 802.11 frame.
+
+    The frame begins at the offset `start`. `is_padded` is True if its header is filled up to a
+    multiple of 4 bytes.
+    """
+    if len(data) < start + 2 or data[start] & _KIND_OF_FRAME != _DATA_FRAME:
+        return NOT_IP
+    control, flags = data[start], data[start + 1]
+    if flags & _ENCRYPTED:
+        return NOT_IP
+    size = 24 + (6 if flags & _FOUR_ADDRESSES == _FOUR_ADDRESSES else 0)
+    if control & _HAS_QOS:
+        if data[start + size : start + size + 1] >= b"\x80":
+            return NOT_IP  # Several packets in one frame.
+        size += 2 + (4 if flags & _HAS_HIGH_THROUGHPUT else 0)
+    if is_padded:
+        size = (size + 3) // 4 * 4
+    at = start + size
+    if data[at : at + 6] != _SNAP:
+        return NOT_IP
+    return _behind(data, data[at + 6 : at + 8], at + 8)
+
+
 def _null(data: bytes) -> int:
-    return 4 if data[:4] in _FAMILIES else NOT_IP
+    return 4 if data[:4] in FAMILIES else NOT_IP
 
 
 def _raw(data: bytes) -> int:
@@ -92,14 +157,20 @@ def _raw(data: bytes) -> int:
 IP_FINDERS: dict[int, Callable[[bytes], int]] = {
     0: _null,
     1: _ethernet,
+    9: _ppp,
     12: _raw,
     14: _raw,
+    50: _ppp,
     101: _raw,
+    104: _cisco_hdlc,
+    105: _wireless,
     108: _null,
     113: _cooked,
+    127: _radiotap,
     228: _raw,
     229: _raw,
     276: _cooked_v2,
 }
 """For each link type that is read, the function that finds the IP header: 0 is NULL, 1 Ethernet,
-108 LOOP, 113 and 276 Linux cooked, the others raw IP."""
+9 and 50 PPP, 104 Cisco HDLC, 105 IEEE 802.11 and 127 the same behind radiotap, 108 LOOP, 113 and
+276 Linux cooked, the others raw IP."""

@@ -64,6 +64,7 @@ class _Layout:
     """The struct formats of the fixed parts of blocks and options, in one byte order."""
 
     def __init__(self, order: str) -> None:
+        self.order = order
         self.block = Struct(order + "II")  # type, total length
         self.pair = Struct(order + "HH")  # an option's code and length; a version
         self.interface = Struct(order + "HHI")  # link type, reserved, snaplen
@@ -80,13 +81,20 @@ _LAYOUTS = {bytes.fromhex("4d3c2b1a"): _Layout("<"), bytes.fromhex("1a2b3c4d"): 
 
 
 @dataclass(frozen=True, slots=True)
-class _Interface:
+class PcapngInterface:
+    """An interface, and how its times are read."""
+
     link: str
     link_type: int
     snaplen: int
     multiplier: int
     divisor: int
     offset_ns: int
+
+    def time_ns(self, ticks: int) -> int:
+        """Return a number of ticks since 1970 as UTC ns, in 63 bits."""
+        ts_ns = ticks * self.multiplier // self.divisor + self.offset_ns
+        return ts_ns if 0 <= ts_ns <= _MAX_NS else min(max(ts_ns, 0), _MAX_NS)
 
 
 def read_pcapng(
@@ -98,11 +106,15 @@ def read_pcapng(
     file has one. Raises InputError for an unknown version, DamageError if the file is damaged,
     CutError if it ends too early; the last two after all earlier packets.
     """
-    return _Reader(stream, name, on_head).packets()
+    return PcapngReader(stream, name, on_head).packets()
 
 
-class _Reader:
-    def __init__(self, stream: BinaryIO, name: str, on_head: Callable[[CaptureHead], None]) -> None:
+class PcapngReader:
+    """Reads the blocks of a pcapng file."""
+
+    def __init__(
+        self, stream: BinaryIO, name: str, on_head: Callable[[CaptureHead], None] = lambda _: None
+    ) -> None:
         self._stream = stream
         self._name = name
         self._on_head = on_head
@@ -113,36 +125,67 @@ class _Reader:
         self._layout: _Layout
         """The formats in the current section's byte order; set by the section header that begins
         each file."""
-        self._interfaces: list[_Interface] = []
-        self._number = 0
-        self._ts_ns = 0
+        self.interfaces: list[PcapngInterface] = []
+        """The interfaces of the current section, by their number in it."""
+        self.number = 0
+        """The number of packets so far."""
+        self.ts_ns = 0
+        """The time of the last packet, in UTC ns."""
 
     def packets(self) -> Iterator[Packet]:
+        """Yield all packets. The first 4 bytes of the file are read already."""
         header = PCAPNG_MAGIC + self._stream.read(4)
         while header:
-            if len(header) < 8:
-                raise cut_error(self._name, self._number)
-            if header.startswith(PCAPNG_MAGIC):
-                self._begin_section(header)
-            else:
-                kind, length = self._layout.block.unpack(header)
-                body = self._read_body(header, length, 8)
-                if kind in _PACKET_BLOCKS:
-                    yield self._read_packet(kind, body)
-                elif kind == BLOCK_INTERFACE:
-                    self._describe_interface(body)
-                elif kind == LOCAL_BLOCK:
-                    self._read_head(body)
+            packet = self.read_block(header)
+            if packet is not None:
+                yield packet
             header = self._stream.read(8)
-        if self._lines is not None and self._last is not None:
-            rest = self._lines.close(self._last)
-            if rest is not None:
-                yield rest
+        packet = self.rest()
+        if packet is not None:
+            yield packet
+
+    @property
+    def order(self) -> str:
+        """The byte order of the current section, as struct and numpy write it."""
+        return self._layout.order
+
+    @property
+    def has_lines(self) -> bool:
+        """True once a block has described serial lines or taps; packets may be their reads."""
+        return self._lines is not None
+
+    def read_block(self, header: bytes) -> Packet | None:
+        """Read the block that begins with the 8 bytes `header`, which are read already.
+
+        Returns None if the block has no packet. Raises the errors of read_pcapng.
+        """
+        if len(header) < 8:
+            raise cut_error(self._name, self.number)
+        if header.startswith(PCAPNG_MAGIC):
+            self._begin_section(header)
+            return None
+        kind, length = self._layout.block.unpack(header)
+        body = self._read_body(header, length, 8)
+        if kind in _PACKET_BLOCKS:
+            return self._read_packet(kind, body)
+        if kind == BLOCK_INTERFACE:
+            self._describe_interface(body)
+        elif kind == LOCAL_BLOCK:
+            self._read_head(body)
+        return None
+
+    def rest(self) -> Packet | None:
+        """At the end of the file, return the incomplete reads of lines and taps as a packet; None
+        if there are none.
+        """
+        if self._lines is None or self._last is None:
+            return None
+        return self._lines.close(self._last)
 
     def _begin_section(self, header: bytes) -> None:
         byte_order = self._stream.read(4)
         if len(byte_order) < 4:
-            raise cut_error(self._name, self._number)
+            raise cut_error(self._name, self.number)
         layout = _LAYOUTS.get(byte_order)
         if layout is None:
             raise self._damaged(f"a section's byte order is {byte_order.hex()}")
@@ -153,7 +196,7 @@ class _Reader:
                 f"{self._name}: pcapng version {major}.{minor} is unknown; 1.0 is read"
             )
         self._layout = layout
-        self._interfaces = []
+        self.interfaces = []
 
     def _read_body(self, header: bytes, length: int, done: int) -> bytes:
         """Return the body of a block without the second length at its end.
@@ -166,7 +209,7 @@ class _Reader:
             raise self._damaged(f"a block claims {length} bytes")
         body = self._stream.read(length - done)
         if len(body) < length - done:
-            raise cut_error(self._name, self._number)
+            raise cut_error(self._name, self.number)
         if body[-4:] != header[4:]:
             raise self._damaged("the two lengths of a block differ")
         return body[:-4]
@@ -177,29 +220,28 @@ class _Reader:
         if kind == _SIMPLE_PACKET:
             (original,) = self._unpack(layout.single, body)
             index, start = 0, 4
-            snaplen = self._interfaces[0].snaplen if self._interfaces else 0
+            snaplen = self.interfaces[0].snaplen if self.interfaces else 0
             captured = min(original, len(body) - start, snaplen or MAX_CAPTURED)
         else:
             structure = layout.enhanced if kind == BLOCK_ENHANCED else layout.obsolete
             index, high, low, captured, original = self._unpack(structure, body)
             ticks, start = high << 32 | low, 20
-        if index >= len(self._interfaces):
+        if index >= len(self.interfaces):
             raise self._damaged(f"interface {index} is not described")
         if captured > min(len(body) - start, MAX_CAPTURED):
             raise self._damaged(f"the next packet claims {captured} bytes")
-        interface = self._interfaces[index]
+        interface = self.interfaces[index]
         if ticks is not None:
-            ts_ns = ticks * interface.multiplier // interface.divisor + interface.offset_ns
-            self._ts_ns = ts_ns if 0 <= ts_ns <= _MAX_NS else min(max(ts_ns, 0), _MAX_NS)
-        self._number += 1
+            self.ts_ns = interface.time_ns(ticks)
+        self.number += 1
         packet = Packet(
-            ts_ns=self._ts_ns,
+            ts_ns=self.ts_ns,
             link=interface.link,
             link_type=interface.link_type,
             data=body[start : start + captured],
             original_length=original if original > captured else captured,
             file=self._name,
-            number=self._number,
+            number=self.number,
         )
         return packet if self._lines is None else self._as_line(packet, body, start, captured)
 
@@ -229,7 +271,7 @@ class _Reader:
         self._on_head(head)
 
     def _describe_interface(self, body: bytes) -> None:
-        if len(self._interfaces) == MAX_INTERFACES:
+        if len(self.interfaces) == MAX_INTERFACES:
             raise self._damaged(f"more than {MAX_INTERFACES} interfaces in a section")
         link_type, _, snaplen = self._unpack(self._layout.interface, body)
         options = _options(self._layout.pair, body[8:])
@@ -239,9 +281,9 @@ class _Reader:
         common = math.gcd(unit, _NS_PER_SECOND)
         offset = options.get(_OPTION_OFFSET, b"")
         offset_s = self._layout.offset.unpack(offset)[0] if len(offset) == 8 else 0
-        self._interfaces.append(
-            _Interface(
-                link=name or f"if{len(self._interfaces)}",
+        self.interfaces.append(
+            PcapngInterface(
+                link=name or f"if{len(self.interfaces)}",
                 link_type=link_type,
                 snaplen=snaplen,
                 multiplier=_NS_PER_SECOND // common,
@@ -256,7 +298,7 @@ class _Reader:
         return structure.unpack_from(body)
 
     def _damaged(self, problem: str) -> DamageError:
-        return DamageError(f"{self._name}: damaged after packet {self._number}: {problem}")
+        return DamageError(f"{self._name}: damaged after packet {self.number}: {problem}")
 
 
 def _options(header: Struct, data: bytes) -> dict[int, bytes]:

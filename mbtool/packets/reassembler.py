@@ -50,7 +50,7 @@ from mbtool.packets.stream_events import CloseReason, StreamEvent, StreamItem
 from mbtool.packets.tunnels import GRE_IN_FRAGMENTS, MAX_TUNNELS, find_inner
 
 if TYPE_CHECKING:
-    from collections.abc import Container, Iterable, Sequence
+    from collections.abc import Container, Iterable, Mapping, Sequence
 
     from mbtool.packets.ended_connection import EndedConnection
 
@@ -140,23 +140,23 @@ class TcpReassembler:
         found = self._connections.get(("", *ends))
         return found if isinstance(found, TcpConnection) else None
 
-    def may_drop(self, now_ns: int, flows: Iterable[FlowEnds], more: int = 0) -> bool:
+    def may_drop(self, now_ns: int, flows: Mapping[FlowEnds, int], more: int = 0) -> bool:
         """True if dropping connections up to the time `now_ns` (UTC ns) may change results.
 
         A connection is dropped if it is idle for IDLE_NS, or if there are more than
         MAX_CONNECTIONS. That may change results if the connection has not ended, or if it is one of
-        `flows`: these get further segments. `more` is the largest number of connections that will
-        open besides `flows`.
+        `flows`: these get further segments, and are not idle for IDLE_NS after the first one, whose
+        time `flows` gives. `more` is the largest number of connections that will open besides them.
         """
         known = self._connections
-        used = {("", *ends) for ends in flows}
-        excess = len(known) + len(used - known.keys()) + more - MAX_CONNECTIONS
+        used = {("", *ends): first_ns for ends, first_ns in flows.items()}
+        excess = len(known) + len(used.keys() - known.keys()) + more - MAX_CONNECTIONS
         if excess > len(known):
             return True
         if any(not one.closed or key in used for key, one in islice(known.items(), max(excess, 0))):
             return True
         return any(
-            now_ns - one.last_ns >= IDLE_NS and (not one.closed or key in used)
+            used.get(key, now_ns) - one.last_ns >= IDLE_NS and (not one.closed or key in used)
             for key, one in known.items()
         )
 

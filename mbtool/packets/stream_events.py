@@ -18,6 +18,8 @@ class CloseReason(StrEnum):
     RESET = "reset"
     REFUSED = "refused"
     """The slave reset the connection before either end sent a byte."""
+    UNANSWERED = "unanswered"
+    """The master's SYN got no segment of the slave before the connection ended."""
     REPLACED = "replaced"
     """The two ends opened another connection with the same addresses and ports."""
     IDLE = "idle"
@@ -68,6 +70,9 @@ class StreamClosed:
     ts_ns: int
     connection: Connection
     reason: CloseReason
+    by: Direction | None = None
+    """The direction of the end that sent the RST or the first FIN: REQUEST for the master, RESPONSE
+    for the slave. None if neither ended the connection, or nobody knows who did."""
     keep_alives: int = 0
     """The number of keep-alive probes of both ends."""
     unanswered_probes: int = 0

@@ -177,12 +177,15 @@ class TcpListener:
 
 def reset(transport: asyncio.Transport) -> None:
     """Close a connection with RST instead of FIN; bytes not yet sent are lost."""
+    reset_on_close(transport.get_extra_info("socket"))
+    transport.abort()
+
+
+def reset_on_close(connected: socket.socket) -> None:
+    """Make the system send RST instead of FIN when a socket is closed."""
     no_linger = struct.pack("hh" if sys.platform == "win32" else "ii", 1, 0)
     with suppress(OSError):
-        transport.get_extra_info("socket").setsockopt(
-            socket.SOL_SOCKET, socket.SO_LINGER, no_linger
-        )
-    transport.abort()
+        connected.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, no_linger)
 
 
 def _shown(host: str) -> str:

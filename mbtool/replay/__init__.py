@@ -7,6 +7,7 @@ from mbtool.replay.bus import BusPlayer, ByteRun
 from mbtool.replay.clock import PlayClock
 from mbtool.replay.comparing import Ignored, differences
 from mbtool.replay.conductor import Conductor
+from mbtool.replay.connection_player import ConnectionPlayer
 from mbtool.replay.judging import RequestReport, ResponseJudge, Tolerance
 from mbtool.replay.latency import FixedLatency, LatencyModel, RecordedLatency, SampledLatency
 from mbtool.replay.matching import MatchStrategy, OnEnd
@@ -22,6 +23,7 @@ __all__ = [
     "BusPlayer",
     "ByteRun",
     "Conductor",
+    "ConnectionPlayer",
     "Control",
     "Device",
     "FixedLatency",

@@ -14,12 +14,22 @@
 #               function are one difference if their medians changed by about the same factor
 #               (ALIKE): it shows the times of the request that changed most, and names all requests
 #
+# For each slave's address, one more:
+#
+#     connection   a TCP connection was refused, or was ended by the slave or by a reset, in one
+#                  capture only. If both have the same number of connections, these are compared one
+#                  by one. If not, a kind is a difference if it is in one capture only, or if its
+#                  share of the connections differs significantly. Connections that the master
+#                  closed or that were open at the capture's end are of one kind, and so are those
+#                  that were open before the capture: a capture may begin later and end earlier
+#
 # The significance level of a whole comparison is ALPHA; each test gets ALPHA divided by the number
 # of tests (Bonferroni). A shift of latencies must also be at least of medium size
 # (significance.py), as with thousands of polls even a tiny shift is significant.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import groupby
@@ -28,6 +38,7 @@ from typing import TYPE_CHECKING
 from mbtool.core.wording import counted
 from mbtool.devices import Difference, Side, Span
 from mbtool.devices import DifferenceKind as Kind
+from mbtool.modbus.response import ConnectionEnding
 from mbtool.replay.significance import ALPHA, rank_sum, same_share
 from mbtool.replay.traffic import (
     NO_ANSWER,
@@ -45,7 +56,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
 
     from mbtool.devices import Profile
+    from mbtool.replay.connections import RecordedConnection
 
+_IN_ORDER, _RESET = "opened, not ended by the slave", "opened, reset"
 ALIKE = 1.25
 """Latency changes of several requests are reported as one difference if their factors (new median
 divided by old) are alike: the greater factor is at most ALIKE times the smaller."""
@@ -85,7 +98,70 @@ def differences(
         wording = DeviceWording.of_device(one.device or other.device, profiles)
         comparison = _SlaveComparison(key, one, other, wording, ignored, ALPHA / max(tests, 1))
         found += comparison.differences()
-    return found
+    return [*found, *_connection_differences(a.connections(), b.connections())]
+
+
+def _connection_differences(
+    a: Mapping[str, Sequence[RecordedConnection]], b: Mapping[str, Sequence[RecordedConnection]]
+) -> Iterator[Difference]:
+    """Compare the connections to the slaves; the keys are the names of their links."""
+    pairs = [(link, link) for link in a.keys() & b.keys()]
+    if len(a) == len(b) == 1:  # One slave, whose address may be another one.
+        pairs = [(next(iter(a)), next(iter(b)))]
+    for link, other in sorted(pairs):
+        is_known = all(one.end is None or one.is_end_known for one in (*a[link], *b[other]))
+        kinds = [[_kind(one, is_known=is_known) for one in ones] for ones in (a[link], b[other])]
+        several = link if len(pairs) > 1 else None
+        if len(kinds[0]) == len(kinds[1]):
+            yield from _one_by_one(several, *kinds)
+        else:
+            yield from _by_kind(several, *kinds)
+
+
+def _kind(one: RecordedConnection, *, is_known: bool) -> str:
+    """The kind of a connection in words. With `is_known` False, it does not say who ended it, since
+    one of the captures does not.
+    """
+    if not one.is_open:
+        return one.beginning.value
+    if one.ending is None or (one.ended_by == "master" and one.ending is ConnectionEnding.CLOSE):
+        return _IN_ORDER if is_known or not one.is_reset else _RESET
+    return one.text if is_known else (_RESET if one.is_reset else _IN_ORDER)
+
+
+def _one_by_one(link: str | None, a: Sequence[str], b: Sequence[str]) -> Iterator[Difference]:
+    if Counter(a) == Counter(b):
+        return
+    for number, (one, other) in enumerate(zip(a, b, strict=True), 1):
+        if one != other:
+            yield Difference(
+                kind=Kind.CONNECTION,
+                link=link,
+                what=f"connection {number}",
+                a=Side(text=one),
+                b=Side(text=other),
+            )
+
+
+def _by_kind(link: str | None, a: Sequence[str], b: Sequence[str]) -> Iterator[Difference]:
+    counts = Counter(a), Counter(b)
+    kinds = sorted((counts[0].keys() | counts[1].keys()) - {_IN_ORDER})
+    for kind in kinds:
+        one, other = counts[0][kind], counts[1][kind]
+        p = same_share(one, len(a), other, len(b))
+        if not (one and other) or p < ALPHA / len(kinds):
+            first = (a if kind in a else b).index(kind) + 1
+            yield Difference(
+                kind=Kind.CONNECTION,
+                link=link,
+                what=f"connection {first}",
+                a=Side(text=_share(kind, one, len(a)), count=one),
+                b=Side(text=_share(kind, other, len(b)), count=other),
+            )
+
+
+def _share(kind: str, count: int, whole: int) -> str:
+    return f"{kind}: {count:,} of {counted(whole, 'connection', ',')}"
 
 
 def _count_tests(a: Mapping[SlaveKey, SlaveTraffic], b: Mapping[SlaveKey, SlaveTraffic]) -> int:

@@ -54,6 +54,8 @@ if TYPE_CHECKING:
 
 SHOWN_BYTES = 16
 MAX_OUTCOMES = 16
+MAX_CONNECTIONS = 1024
+"""The most differences of connections that are kept."""
 
 _OK = "ok"
 _OTHER_OUTCOMES = ("others", "others")
@@ -185,6 +187,9 @@ class ResponseJudge:
         is the unit, the name of the device's profile (None without profile) and the register."""
         self.count = 0
         """The number of played requests that were judged, also those without a response."""
+        self.connections = 0
+        """The number of connections that were judged."""
+        self._connections: list[Difference] = []
         self.wrong = 0
         """The number of requests whose new response (or silence) differed from the recorded one."""
 
@@ -227,7 +232,26 @@ class ResponseJudge:
         outcomes = (one for result in results for one in _outcomes(result))
         latencies = (one for result in results for one in self._latencies(result, alpha))
         found = [*outcomes, *self._value_differences(), *latencies]
-        return sorted(found, key=lambda one: one.unit)
+        return [*sorted(found, key=lambda one: one.unit or 0), *self._connections]
+
+    def judge_connection(self, number: int, recorded: str, answered: str) -> None:
+        """Compare what became of the connection `number` (from 0) with what is recorded of it, both
+        in words. At most MAX_CONNECTIONS differences are kept.
+        """
+        self.connections += 1
+        if recorded != answered and len(self._connections) < MAX_CONNECTIONS:
+            self._connections.append(
+                Difference(
+                    kind=Kind.CONNECTION,
+                    what=f"connection {number + 1}",
+                    a=Side(text=recorded),
+                    b=Side(text=answered),
+                )
+            )
+
+    @property
+    def wrong_connections(self) -> int:
+        return len(self._connections)
 
     def requests(self) -> list[RequestReport]:
         """The results of each request, in the order in which the requests were first sent."""

@@ -72,15 +72,16 @@ class PlayQueue(Generic[_Item]):
             due_ns = now_ns
         return due_ns
 
-    def take(self, item: _Item, now_ns: int) -> bool:
-        """Mark `item`, the next one, as played at the real time `now_ns`.
+    def take(self, item: _Item, now_ns: int, *, is_step: bool = True) -> bool:
+        """Mark `item`, the next one, as played at the real time `now_ns`. With `is_step` False it
+        uses up no press of the step key.
 
         Returns True if the item was due by the clock, False if the user played it with the step
         key. In the second case the clock moves to the item's position.
         """
         position_ns = self._position(item)
         self._next += 1
-        if not self._steps:
+        if not self._steps or not is_step:
             return True
         self._steps -= 1
         self._clock.jump(max(position_ns, self._clock.position(now_ns)), now_ns)

@@ -111,18 +111,22 @@ class RecordedSlave:
         devices: Mapping[int, Device] | None = None,
         transport: Transport = Transport.RTU,
         with_damage: bool = False,
+        any_unit: int | None = None,
     ) -> None:
         """Prepare to play a recording.
 
         `rate` is recorded time divided by real time. Recorded latencies are divided by it; with
         None, responses are sent at once. `devices` holds the simulated devices by unit. `transport`
-        is the transport of the live requests. With `with_damage`, damaged responses are played,
-        too. Raises ValueError if `rate` is not above 0, or if it is None although `match` goes by
-        the clock.
+        is the transport of the live requests. A request for a unit that was never asked in the
+        recording is answered as if it were for `any_unit`, unless that is None. With `with_damage`,
+        damaged responses are played, too. Raises ValueError if `rate` is not above 0, or if it is
+        None although `match` goes by the clock.
         """
         if rate is None and match.by_clock:
             raise ValueError(f"{match} goes by the clock, which needs a rate")
         self._recording = recording
+        self._any_unit = any_unit
+        self._asked_units = frozenset(unit for unit, _ in recording.answers)
         self._match = match
         self._matcher = matcher_for(match, recording, on_end)
         self._on_miss = on_miss
@@ -162,6 +166,8 @@ class RecordedSlave:
 
     def respond(self, unit: int, pdu: bytes, now_ns: int) -> Response | None:
         self._steering.begin(now_ns)
+        if self._any_unit is not None and unit not in self._asked_units:
+            unit = self._any_unit
         found = self._matcher.find((unit, pdu), self._moment(now_ns))
         if isinstance(found, Found) or found is NoAnswer.SILENCE:
             self.answered_from[AnsweredFrom.RECORDED] += 1

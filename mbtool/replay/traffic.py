@@ -7,6 +7,8 @@
 #     registers  by table, address, and read or written: the values. Only reads with outcome ok and
 #                acknowledged writes count; the masks of mask write (16H) are no values
 #
+#     connections   of a slave's address: how each began and ended (connections.py)
+#
 # A slave is a unit on a link. The same link may have another name in another capture, so if a unit
 # number occurs on only one link, the number alone identifies the slave.
 #
@@ -19,7 +21,7 @@
 #     MAX_REGISTERS    registers of a slave
 #     MAX_SLAVES       slaves
 #
-# What exceeds one of the last three is left out, and `compared` is less than `count`.
+# What exceeds one of these three is left out, and `compared` is less than `count`.
 
 from __future__ import annotations
 
@@ -29,6 +31,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.modbus import FUNCTIONS, Outcome, Table
+from mbtool.replay.connections import ConnectionHistory, RecordedConnection
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -228,9 +231,12 @@ class Traffic:
 
     def __init__(self) -> None:
         self.count = 0
+        self.history = ConnectionHistory()
         self._without_slave = 0
         """The number of transactions of slaves that were left out because there were too many."""
         self._slaves: dict[tuple[str, int], SlaveTraffic] = {}
+        self._places: dict[str, str] = {}
+        """By HOST:PORT of each slave, the name of its link."""
 
     @classmethod
     def of(cls, transactions: Iterable[NamedTransaction]) -> Traffic:
@@ -241,6 +247,8 @@ class Traffic:
 
     def add(self, transaction: NamedTransaction) -> None:
         self.count += 1
+        if transaction.destination is not None:
+            self._places[transaction.destination] = transaction.link
         key = (transaction.link, transaction.unit)
         slave = self._slaves.get(key)
         if slave is None:
@@ -249,6 +257,13 @@ class Traffic:
                 return
             slave = self._slaves[key] = SlaveTraffic()
         slave.add(transaction)
+
+    def connections(self) -> dict[str, list[RecordedConnection]]:
+        """Return the connections to each slave, by the name of its link."""
+        found: dict[str, list[RecordedConnection]] = {}
+        for place, link in self._places.items():
+            found.setdefault(link, []).extend(self.history.of_slaves({place}))
+        return {link: ones for link, ones in found.items() if ones}
 
     @property
     def has_all_slaves(self) -> bool:

@@ -25,7 +25,7 @@ from mbtool.core import Direction
 from mbtool.modbus.adu import DirectionBy
 from mbtool.modbus.adu_bytes import RTU_EXTRA_BYTES
 from mbtool.modbus.expected_response import ExpectedResponse
-from mbtool.modbus.functions import ECHOING
+from mbtool.modbus.functions import ECHOING, WRITE_SEVERAL
 from mbtool.modbus.pdu import pdu_length
 from mbtool.serial_line import costs
 from mbtool.serial_line.bus_state import (
@@ -39,7 +39,7 @@ from mbtool.serial_line.bus_state import (
     most_likely,
 )
 from mbtool.serial_line.frame_costs import CostParts, frame_cost
-from mbtool.serial_line.line_history import LineHistory
+from mbtool.serial_line.line_history import ONE_SIDE, LineHistory
 from mbtool.serial_line.line_statistics import LatencyStatistics
 from mbtool.serial_line.response_timeout import ResponseTimeout
 
@@ -83,6 +83,9 @@ class BusModel:
         self.states: list[CostedState] = [(0.0, BusState())]
         """The possible bus states, each with its cost in bits above the most likely one, which
         comes first."""
+        self._repeated_write: tuple[int, bytes] | None = None
+        """The unit and PDU of a write of several values that was the last frame and the one before;
+        None if the last frame was anything else."""
 
     @property
     def state(self) -> BusState:
@@ -104,7 +107,8 @@ class BusModel:
                 if pending is not None and pending.fits(unit, pdu):
                     return FITTING_RESPONSE
                 return _RESPONSE_BY_FORM
-            return REQUEST_BY_FORM
+            if not self._may_be_whole_echo(unit, pdu):
+                return REQUEST_BY_FORM
         request, response = (self._least_cost(unit, pdu, role, at_ns) for role in ROLES)
         if request[0] + request[1] <= response[0] + response[1]:
             best, other, direction, by = request, response, Direction.REQUEST, DirectionBy.IDLE
@@ -113,6 +117,12 @@ class BusModel:
         if best[0] > other[0]:  # Without the silences, the other direction would win.
             by = DirectionBy.TIMING
         return Classification(direction, by, confidence_of(sum(other) - sum(best)))
+
+    def _may_be_whole_echo(self, unit: int, pdu: bytes) -> bool:
+        """True if a write of several values equals the pending one: some slaves answer so."""
+        if pdu[0] not in WRITE_SEVERAL:
+            return False
+        return any(one.pending and one.pending.is_same(unit, pdu) for _, one in self.states)
 
     def cost(self, state: BusState, unit: int, pdu: bytes, role: Direction, at_ns: int) -> float:
         """Return the cost, in bits, of taking a frame for `role` in a bus state.
@@ -200,17 +210,23 @@ class BusModel:
         """
         role, state, history = classification.direction, self.states[0][1], self.history
         is_sure = classification.confidence >= SURE
+        if history.unasked or state.pending is None:
+            self._learn_side(classification, unit, pdu)
+        if self._repeated_write is not None or pdu[0] in WRITE_SEVERAL:
+            self._learn_whole_echo(role, unit, pdu)
         if role is Direction.REQUEST:
             if is_sure:
                 # Ordinary polling teaches nothing here; this test makes decoding it 3 % faster.
                 if state.pending or state.answered_after_ns > _SLOW_NS or len(self.states) > 1:
                     self._learn_from_outcome(unit, pdu, start_ns)
-                by_form = classification.by is DirectionBy.FORM
+                by_form = classification.by is DirectionBy.FORM or pdu[0] in WRITE_SEVERAL
                 history.learn_request(state, unit, pdu, by_form, start_ns)
         elif state.pending and (
             classification is FITTING_RESPONSE or state.pending.fits(unit, pdu)
         ):
             self._learn_response(state.pending, pdu, start_ns, is_sure)
+        elif state.pending and state.pending.has_address_of(unit, pdu):
+            history.learn_wrong_echo(unit, pdu[0])
         if state.unexplained_silence_ns and state.settles_silence(role, start_ns, inside_ns):
             history.unexplained_silences.learn_capped(state.unexplained_silence_ns)
         by_form = classification.by in CERTAIN_BY
@@ -220,11 +236,36 @@ class BusModel:
             return
         states = self._states_after(*frame)
         other = ROLES[role is Direction.REQUEST]
-        if not by_form and other in roles_of(pdu):
+        may_be_other = other in roles_of(pdu) or self._may_be_whole_echo(unit, pdu)
+        if not by_form and may_be_other:
             extra = bits_of(classification.confidence)
             rivals = self._states_after(unit, pdu, other, start_ns, end_ns, inside_ns, by_form)
             states += [(bits + extra, rival) for bits, rival in rivals]
         self.states = most_likely(states)
+
+    def _learn_side(self, classification: Classification, unit: int, pdu: bytes) -> None:
+        """Learn if only one side of the line is heard, from a frame that is certain by its form."""
+        state, history = self.state, self.history
+        if classification.by is not DirectionBy.FORM and classification is not FITTING_RESPONSE:
+            return
+        if classification.direction is Direction.REQUEST:
+            history.unasked = 0
+        elif state.pending is None and state.answered is None and not state.follows_damage:
+            history.unasked = min(history.unasked + 1, ONE_SIDE)
+
+    def _learn_whole_echo(self, role: Direction, unit: int, pdu: bytes) -> None:
+        """Learn that a write of several values came exactly twice, with no response of its form.
+
+        The second one may have been the response, as some slaves repeat the whole request.
+        """
+        repeated, self._repeated_write = self._repeated_write, None
+        if role is Direction.RESPONSE:
+            return
+        if repeated is not None and repeated != (unit, pdu):
+            self.history.learn_wrong_echo(repeated[0], repeated[1][0])
+        pending = self.state.pending
+        if pdu[0] in WRITE_SEVERAL and repeated is None and pending and pending.is_same(unit, pdu):
+            self._repeated_write = unit, pdu
 
     def _learn_response(
         self, pending: PendingRequest, pdu: bytes, start_ns: int, is_sure: bool
@@ -235,6 +276,8 @@ class BusModel:
         """
         history = self.history
         latency_ns = start_ns - pending.awaited_from_ns
+        if pdu[0] in WRITE_SEVERAL and history.wrong_echoes:
+            history.wrong_echoes.pop((pending.unit, pdu[0]), None)
         if is_sure and pdu != pending.pdu:
             if history.unanswered or pending.unit not in history.answering:
                 history.learn_answer(pending.unit)
@@ -325,12 +368,13 @@ class BusModel:
     def may_be_retry(self, unit: int, pdu: bytes) -> bool:
         """True if a frame equals the one before it, and nothing tells a response from a retry.
 
-        That is so if silences do not tell who speaks, and no response of the unit has differed from
-        its request. But two equal frames on a line with a single unit are taken for a request and
-        its response.
+        That is so if silences do not tell who speaks, or none was heard so far, and no response of
+        the unit has differed from its request. But two equal frames on a line with a single unit
+        are taken for a request and its response.
         """
         history, state = self.history, self.state
-        if history.trusts_silences or unit in history.answering or pdu[0] not in ECHOING:
+        is_heard = history.trusts_silences and history.hears_silences
+        if is_heard or unit in history.answering or pdu[0] not in ECHOING:
             return False
         if state.pending is not None:
             is_third = state.is_repeat or state.retries > 0

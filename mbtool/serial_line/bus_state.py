@@ -45,6 +45,10 @@ class PendingRequest(msgspec.Struct, frozen=True, gc=False):
         """True if a frame's unit and PDU equal this request's."""
         return unit == self.unit and pdu == self.pdu
 
+    def has_address_of(self, unit: int, pdu: bytes) -> bool:
+        """True if unit, function and address of a frame equal this request's."""
+        return unit == self.unit and pdu[:3] == self.pdu[:3]
+
     def fits(self, unit: int, pdu: bytes) -> bool:
         """True if a frame can be the response to this request, or its exception response."""
         return unit == self.unit and self.expected.fits(pdu)

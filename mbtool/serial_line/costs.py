@@ -53,9 +53,36 @@ sent a different request: about as rare as no response at all."""
 MISMATCHED_RESPONSE = 10.0
 """The cost, in bits, of a response that has the unit and function of the pending request, but
 cannot answer it."""
+MISMATCHED_ECHO = 16.0
+"""The cost, in bits, of a response to 05, 06, 08, 15H or 16H that repeats another address than that
+of its request: slaves limit values, but do not change addresses."""
+WRONG_ECHO = 8.0
+"""The cost, in bits, of a response to 05, 06 or 16H that repeats the address of its request and
+another value, as of a slave that limits the value."""
+WHOLE_ECHO = 10.0
+"""The cost, in bits, of a response to 0FH or 10H that repeats the whole request: that is rarer."""
+WRONG_ECHO_AGAIN = 3.0
+"""This number of bits is subtracted from WRONG_ECHO or WHOLE_ECHO for each such response that the
+unit has probably given to this function, up to WRONG_ECHOES times: the slave does so again."""
+WRONG_ECHOES = 2
+"""After so many wrong echoes, one more is no less surprising than the last one."""
+WRONG_ECHO_OF_SILENT_UNIT = 6.0
+"""Extra cost, in bits, of a wrong echo from a unit that has left requests unanswered and never sent
+a response that differs from its request: it may be absent, and the frame another request."""
+WRONG_ECHO_OF_NEW_UNIT = 3.0
+"""Extra cost, in bits, of a wrong echo from a unit of which nothing else is known."""
+REWRITE = 3.0
+"""Extra cost, in bits, of a request that writes another value to the address that the last request
+wrote, before it was answered. A start value, which the line's history replaces."""
+REWRITE_LIMITS = (0.5, 6.0)
+"""The least and the most, in bits, that the learned cost of such a request can become. It is low on
+a line whose master sends one set point after the other."""
 UNREQUESTED_RESPONSE = 12.0
 """The cost, in bits, of a response that fits neither the pending request nor one that the master
 has given up."""
+REQUEST_ON_THE_SLAVES_SIDE = 12.0
+"""Extra cost, in bits, of a request if only the slaves are heard (one pair of a four-wire line).
+There a response that nobody requested costs nothing extra."""
 RESPONSE_AFTER_DAMAGE = 4.0
 """The cost, in bits, of a response without a request when damaged bytes came before it and no
 request is pending: its request may be among the damaged bytes."""

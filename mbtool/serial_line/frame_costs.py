@@ -16,7 +16,14 @@ from math import log2
 from typing import TYPE_CHECKING
 
 from mbtool.core import Direction
-from mbtool.modbus.functions import ECHOING, EXCEPTION_BIT, FUNCTIONS, NEVER_ECHOED, READ_BITS
+from mbtool.modbus.functions import (
+    ECHOING,
+    EXCEPTION_BIT,
+    FUNCTIONS,
+    NEVER_ECHOED,
+    READ_BITS,
+    WRITE_SEVERAL,
+)
 from mbtool.modbus.pdu import parse_pdu, pdu_length
 from mbtool.modbus.register_access import keeps_limits
 from mbtool.serial_line import costs
@@ -54,6 +61,8 @@ def frame_cost(
         cost, by_time = _request_cost(history, state, unit, pdu, at_ns)
         if _is_only_a_response(history, state.pending, unit, pdu):
             cost += costs.REQUEST_FITS_PENDING
+        if history.hears_only_slaves:
+            cost += costs.REQUEST_ON_THE_SLAVES_SIDE
     else:
         cost, by_time = _response_cost(history, state, unit, pdu, at_ns)
     if unit > MAX_UNIT:
@@ -83,6 +92,8 @@ def _request_cost(
     silent = history.silent_bits(state, pending)
     if not is_retry:
         cost += max(costs.PREVIOUS_UNANSWERED - silent, costs.MIN_UNANSWERED)
+        if pdu[0] in ECHOING and pending.has_address_of(unit, pdu):
+            cost += history.rewrite.bits
     elif overdue is not None and overdue.is_same(unit, pdu):
         is_usual = state.retries < USUAL_RETRIES - 1
         cost += costs.SECOND_RETRY if is_usual else history.retry.bits
@@ -112,16 +123,24 @@ def _early_cost(
     which begins at `at_ns`, equals `pending`. 0 if the master has waited long enough.
     """
     waited_ns, overdue = at_ns - pending.awaited_from_ns, state.overdue
+    if waited_ns <= 0 and not history.hears_silences:
+        return 0.0  # All frames so far were merged, so nothing tells how long the master waited.
     if history.latency.is_known and history.latency.doublings_late(waited_ns) < 0:
-        return costs.EARLY_REQUEST
+        is_whole = is_retry and pending.pdu[0] in WRITE_SEVERAL and not history.timeout.is_known
+        return max(costs.EARLY_REQUEST, _short_timeout_cost(waited_ns) if is_whole else 0.0)
     if history.timeout.is_known:
         return costs.EARLY_REQUEST if history.timeout.is_not_over(waited_ns) else 0.0
     if overdue is not None and overdue.is_same(pending.unit, pending.pdu):
         before_ns = pending.silence_before_ns or 0
         return costs.EARLY_REQUEST if waited_ns < before_ns * costs.SOONER else 0.0
-    if is_retry and pending.pdu[0] in ECHOING:
-        return costs.SHORT_TIMEOUT * max(log2(USUAL_TIMEOUT_NS / max(waited_ns, 1)), 0.0)
+    if is_retry and (pending.pdu[0] in ECHOING or pending.pdu[0] in WRITE_SEVERAL):
+        return _short_timeout_cost(waited_ns)
     return 0.0
+
+
+def _short_timeout_cost(waited_ns: int) -> float:
+    """Return the extra cost, in bits, of a retry that comes sooner than masters usually send it."""
+    return costs.SHORT_TIMEOUT * max(log2(USUAL_TIMEOUT_NS / max(waited_ns, 1)), 0.0)
 
 
 def _may_be_second_response(answered: PendingRequest | None, unit: int, pdu: bytes) -> bool:
@@ -151,8 +170,12 @@ def _response_cost(
     if state.pending is not None and state.pending.fits(unit, pdu):
         return _fitting_response_cost(history, state, state.pending, pdu, at_ns)
     odd = costs.MALFORMED if is_odd_response(pdu) else 0.0
+    if history.hears_only_slaves:
+        return costs.RESPONSE + odd, 0.0
     pending, overdue = state.pending_at(at_ns), state.overdue
     if pending is not None and pending.is_named_by(unit, pdu[0]):
+        if pdu[0] in ECHOING or pending.is_same(unit, pdu):
+            return _wrong_echo_cost(history, state, pending, pdu, at_ns)
         return costs.MISMATCHED_RESPONSE + odd, 0.0
     if overdue is not None and _answers_late(overdue, unit, pdu, at_ns):
         return _late_response_cost(state, pending, overdue, pdu), 0.0
@@ -162,6 +185,23 @@ def _response_cost(
         return costs.RESPONSE_AFTER_DAMAGE + odd, 0.0
     is_first = pending is None and state.last_ns is None
     return (costs.RESPONSE_AT_START if is_first else costs.UNREQUESTED_RESPONSE) + odd, 0.0
+
+
+def _wrong_echo_cost(
+    history: LineHistory, state: BusState, pending: PendingRequest, pdu: bytes, at_ns: int
+) -> CostParts:
+    """The cost, in bits, of a response to a write that does not repeat what was written."""
+    silence_ns = at_ns - pending.awaited_from_ns
+    by_time = _lateness_cost(history, pending, silence_ns, is_echo=True)
+    if not pending.has_address_of(pending.unit, pdu):
+        return costs.MISMATCHED_ECHO, by_time
+    times = history.wrong_echoes.get((pending.unit, pdu[0]), 0)
+    cost = costs.WRONG_ECHO if pdu[0] in ECHOING else costs.WHOLE_ECHO
+    if pending.unit not in history.answering:
+        is_silent = pending.unit in history.unanswered
+        cost += costs.WRONG_ECHO_OF_SILENT_UNIT if is_silent else costs.WRONG_ECHO_OF_NEW_UNIT
+    cost -= costs.WRONG_ECHO_AGAIN * times
+    return cost + history.silent_bits(state, pending), by_time
 
 
 def _is_unrequested_exception(history: LineHistory, unit: int, pdu: bytes) -> bool:

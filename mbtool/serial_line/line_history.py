@@ -1,7 +1,7 @@
 """The history of a serial line: the requests, response times and repetitions heard so far."""
 
-# Memory: at most MAX_REQUESTS requests, and for each function of each unit one entry in `functions`
-# and one in `echo_latencies`.
+# Memory: at most MAX_REQUESTS requests, and for each function of each unit one entry in each of
+# `functions`, `echo_latencies` and `wrong_echoes`.
 
 from __future__ import annotations
 
@@ -23,6 +23,9 @@ forgotten."""
 PAUSE_GROWTH = 1.01
 """Each pause (the silence from a response to the next request) makes the shortest pause on record
 1 % longer, so that one unusually short pause is forgotten."""
+ONE_SIDE = 3
+"""After this many responses in a row that nobody requested, only the slaves count as heard. A
+capture begins as if there had been one."""
 ENOUGH_PAUSES = 16
 """After this many pauses the shortest pause of the line counts as known."""
 
@@ -36,6 +39,9 @@ class LineHistory:
         self.trusts_silences = timed
         """True if silences tell who speaks. False if the bytes have no known times, or if the
         adapter merges frames."""
+        self.hears_silences = False
+        """True once a silence of t3.5 was heard between two frames that is shorter than those of an
+        adapter that merges a request and its retry."""
         self.latency = LatencyStatistics()
         self.timeout = ResponseTimeout()
         self.echo_latencies: dict[tuple[int, int], LatencyStatistics] = {}
@@ -56,11 +62,29 @@ class LineHistory:
         no response was missing."""
         self.repeat = LearnedCost(costs.REPEAT_AFTER_RESPONSE, costs.REPEAT_AFTER_RESPONSE_LIMITS)
         self.retry = LearnedCost(costs.RETRY, costs.RETRY_LIMITS)
+        self.rewrite = LearnedCost(costs.REWRITE, costs.REWRITE_LIMITS)
+        self.wrong_echoes: dict[tuple[int, int], int] = {}
+        """By unit and function, the number of responses that were probably wrong echoes, up to
+        costs.WRONG_ECHOES. A wrong echo repeats another value than the request, or, of 0FH and 10H,
+        the whole request."""
         self.requests: dict[tuple[int, bytes], None] = {}
         """Unit and PDU of the requests heard, in the order in which they were last heard."""
         self.functions: set[tuple[int, int]] = set()
         """The pairs of unit and function code that some request has had."""
         self.units: set[int] = set()
+        self.unasked = 1
+        """The number of responses, certain by their form, that nobody requested and that had no
+        damaged bytes before them, since the last request that was certain by its form."""
+
+    @property
+    def hears_only_slaves(self) -> bool:
+        """True if only the slaves are heard, as on one pair of a four-wire line."""
+        return self.unasked >= ONE_SIDE
+
+    @property
+    def may_hear_only_slaves(self) -> bool:
+        """True if the only frames that are certain by their form are responses."""
+        return 1 < self.unasked < ONE_SIDE
 
     def has_function(self, head: bytes) -> bool:
         """True if some request had the unit, and the function, with which a frame begins.
@@ -115,6 +139,9 @@ class LineHistory:
         requests[request] = None
         if len(requests) > MAX_REQUESTS:
             del requests[next(iter(requests))]
+        before = state.answered or state.pending
+        if pdu[0] in ECHOING and before is not None:
+            self.rewrite.learn(before.has_address_of(unit, pdu) and before.pdu != pdu)
         if state.answered is not None:
             is_repeat = state.answered.is_same(unit, pdu)
             if is_repeat or not self.repeat.is_at_rest:
@@ -154,6 +181,13 @@ class LineHistory:
         key = answered.unit, answered.pdu[0]
         self.echo_latencies.setdefault(key, LatencyStatistics()).learn(latency_ns)
         self.all_echo_latencies.learn(latency_ns)
+
+    def learn_wrong_echo(self, unit: int, function: int) -> None:
+        """Note a response that was probably a wrong echo, of a unit that also answers otherwise."""
+        if unit not in self.answering:
+            return
+        times = self.wrong_echoes.get((unit, function), 0) + 1
+        self.wrong_echoes[unit, function] = min(times, costs.WRONG_ECHOES)
 
     def learn_answer(self, unit: int) -> None:
         """Note that a unit has answered, by a response that cannot be a retry."""

@@ -25,15 +25,21 @@ from msgspec.structs import replace
 
 from mbtool.core import Direction, EventKind
 from mbtool.core.limits import MAX_BACK_NS
-from mbtool.framing.rtu_lengths import MIN_FRAME, has_frame, is_frame_between, why_skipped
+from mbtool.framing.rtu_lengths import (
+    MIN_FRAME,
+    doubled_size,
+    has_frame,
+    is_frame_between,
+    why_skipped,
+)
 from mbtool.modbus.adu import MAX_RTU_ADU, Adu, Checksum, DirectionBy, Skipped, Transport, Verdict
 from mbtool.modbus.functions import ECHOING, NEVER_ECHOED
 from mbtool.serial_line.adapter_echo import AdapterEcho
-from mbtool.serial_line.burst_statistics import MAX_GLUED, BurstStatistics
+from mbtool.serial_line.burst_statistics import MAX_GLUED, MERGING_NS, BurstStatistics
 from mbtool.serial_line.bus_model import ROLES, SURE, BusModel, Classification
 from mbtool.serial_line.candidates import LONG_SKIP, NOISE, ByteWindow
 from mbtool.serial_line.fast_path import FastPath
-from mbtool.serial_line.line_statistics import LineStatistics
+from mbtool.serial_line.line_statistics import LatencyStatistics, LineStatistics
 from mbtool.serial_line.paths import Segment, SegmentKind
 from mbtool.serial_line.search import PathSearch
 from mbtool.serial_line.silences import last_silence, longest_silence_ns, silences
@@ -219,6 +225,11 @@ class RtuSplitter:
             last = self._echo.last
             if last and self._data.startswith(last) and self._take_copy(events):
                 continue
+            if self._take_repeated(events):
+                continue
+            if self._echo.repeats and (size := doubled_size(self._data, self._roles)):
+                self._emit_frame(size, self._classified_alone(size), events)
+                continue
             copied = self._echo.copied
             if copied and self._may_be_copied(len(copied)):
                 have = self._echo.copied_size(self._data)
@@ -260,6 +271,15 @@ class RtuSplitter:
         events.append(Skipped(first_ns, EventKind.ECHO, self._echo.said(), last))
         return True
 
+    def _take_repeated(self, events: list[Adu | Skipped]) -> bool:
+        """Skip the next bytes if they are a repeater's copy of the last response; True if so."""
+        copy, first_ns = self._echo.last_response, self._times[0] if self._times else 0
+        if not self._echo.takes_repeated(self._data):
+            return False
+        self._remove(len(copy), Verdict.GLUED)
+        events.append(Skipped(first_ns, EventKind.REPEATED, self._echo.said_of_response(), copy))
+        return True
+
     def _search(
         self,
         events: list[Adu | Skipped],
@@ -289,7 +309,13 @@ class RtuSplitter:
             must_decide=must_decide,
         )
         segments = PathSearch(window, self._model, self._statistics, self._roles).segments()
+        history = self._model.history
+        hears_only_slaves = history.hears_only_slaves
         for segment in segments:
+            if history.hears_only_slaves is not hears_only_slaves:
+                # The search did not know this yet, so its later segments may be wrong.
+                self._search(events, may_continue=may_continue, must_decide=must_decide, keep=keep)
+                return
             size, decidable = segment.size, end - keep - segment.offset
             if segment.kind is SegmentKind.SKIPPED:
                 size = min(size, decidable)
@@ -297,8 +323,8 @@ class RtuSplitter:
                 break
             if segment.kind is SegmentKind.FRAME:
                 self._emit_frame(size, self._classified(segment), events)
-                if self._take_copy(events):
-                    # The search took the echoed copy for a frame, so its later segments are wrong.
+                if self._take_copy(events) or self._take_repeated(events):
+                    # The search took the copy for a frame, so its later segments are wrong.
                     if self._data:
                         self._search(
                             events, may_continue=may_continue, must_decide=must_decide, keep=keep
@@ -324,12 +350,15 @@ class RtuSplitter:
         """Return the direction of a frame that the search has found, and what decided it."""
         if self._speaker is not None:
             return Classification(self._speaker, DirectionBy.PORT, segment.confidence)
-        unit, pdu = self._data[0], self._data[1 : segment.size - 2]
-        start_ns = self._times[0] - self._character_ns
-        alone = self._model.classify(unit, pdu, start_ns, segment.roles)
+        alone = self._classified_alone(segment.size, segment.roles)
         # If the frame alone seems to have the other direction, the bytes behind it decided.
         by = alone.by if alone.direction is segment.role else DirectionBy.IDLE
         return Classification(segment.role, by, segment.confidence)
+
+    def _classified_alone(self, size: int, roles: tuple[Direction, ...] = ()) -> Classification:
+        """Return the direction of the next `size` bytes, whatever frames follow them."""
+        unit, pdu, start_ns = self._data[0], self._data[1 : size - 2], self._times[0]
+        return self._model.classify(unit, pdu, start_ns - self._character_ns, roles)
 
     def _emit_frame(
         self, size: int, classification: Classification, events: list[Adu | Skipped]
@@ -344,7 +373,11 @@ class RtuSplitter:
         unit, pdu, confidence = raw[0], raw[1:-2], classification.confidence
         if pdu[0] in ECHOING and self._speaker is None:
             model = self._model
-            if model.may_be_reversed(start_ns) or model.may_be_retry(unit, pdu):
+            if (
+                model.history.may_hear_only_slaves
+                or model.may_be_reversed(start_ns)
+                or model.may_be_retry(unit, pdu)
+            ):
                 confidence = min(confidence, UNSURE)
             if model.may_be_slow(unit, pdu, start_ns):
                 confidence = min(confidence, UNSURE)
@@ -358,9 +391,11 @@ class RtuSplitter:
             self._model.hear(classification, unit, pdu, start_ns, end_ns, longest_ns)
             if classification.direction is Direction.REQUEST:
                 is_certain = classification.by is DirectionBy.FORM or pdu[0] in NEVER_ECHOED
-                self._echo.hear_request(raw, is_certain=is_certain)
+                is_heard = self._model.history.trusts_silences and before_ns is not None
+                is_soon = is_heard and 0 < (before_ns or 0) < LatencyStatistics.MIN_RETRY_NS
+                self._echo.hear_request(raw, is_certain=is_certain, is_soon=is_soon)
             else:
-                self._echo.hear_response()
+                self._echo.hear_response(raw, is_certain=pdu[0] not in ECHOING)
         self._remove(size, Verdict.GLUED)
         check = raw[-2] | raw[-1] << 8
         events.append(
@@ -392,6 +427,8 @@ class RtuSplitter:
             is_split = longest_ns >= self._t3_5_ns
             if before_ns is not None and not was_skipped:
                 is_glued, glue = before_ns < self._t3_5_ns, statistics.glue
+                if not is_glued and before_ns < MERGING_NS:
+                    self._model.history.hears_silences = True
                 glue.learn(is_glued)
                 bursts = self._bursts
                 if before_ns == 0 or bursts.has_merged:

@@ -19,8 +19,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from mbtool.core import Direction
 from mbtool.framing.rtu_lengths import MIN_FRAME
 from mbtool.modbus.adu import MAX_RTU_ADU
+from mbtool.modbus.adu_bytes import CRC_BYTES
+from mbtool.modbus.functions import WRITE_SEVERAL
 from mbtool.serial_line import costs
 from mbtool.serial_line.bus_model import ROLES, BusModel
 from mbtool.serial_line.bus_state import DOUBT_BITS, BusState
@@ -36,7 +39,6 @@ from mbtool.serial_line.paths import (
 )
 
 if TYPE_CHECKING:
-    from mbtool.core import Direction
     from mbtool.serial_line.line_statistics import LineStatistics
 
 BEAM_WIDTH = 4
@@ -187,7 +189,8 @@ class PathSearch:
             is_damage = path.skipped >= LONG_SKIP and not self._is_speaker_known
             if is_damage and not state.follows_damage:
                 state = state.after_damage()
-            for frame in frames:
+            known = frames if self._is_speaker_known else self._with_echoes(offset, frames, state)
+            for frame in known:
                 is_behind = path.skipped and self._window.silences[offset + frame.size]
                 cost = min(start_cost, costs.BEHIND_NOISE) if is_behind else start_cost
                 self._add_frame(offset, path, state, frame, cost)
@@ -198,6 +201,22 @@ class PathSearch:
                 self._add_damaged(offset, path, state, start_cost, is_frame=bool(frames))
             self._add_incomplete(offset, path, state, start_cost, is_frame=bool(frames or unknown))
             self._add_skipped(offset, path, bool(frames), bool(unknown))
+
+    def _with_echoes(
+        self, offset: int, frames: list[FrameCandidate], state: BusState
+    ) -> list[FrameCandidate]:
+        """Return the frames, and each that repeats the whole pending request as a response, too."""
+        pending = state.pending
+        if pending is None or pending.pdu[0] not in WRITE_SEVERAL:
+            return frames
+        request = bytes([pending.unit]) + pending.pdu
+        return frames + [
+            FrameCandidate(one.size, Direction.RESPONSE, ROLES, one.cost)
+            for one in frames
+            if one.role is Direction.REQUEST
+            and one.size == len(request) + CRC_BYTES
+            and self._data.startswith(request, offset)
+        ]
 
     def _is_silence_hidden(self, path: Path, offset: int) -> bool:
         """True if a path ends with a few skipped bytes that directly follow a silence.

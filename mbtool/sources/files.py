@@ -2,10 +2,11 @@
 
 # A file is recognised by its first bytes, not by its name: first the compression, then the kind of
 # capture inside. An uncompressed file keeps its seekable stream, which the reader of a log may
-# need. If the user gives the settings of a serial line, a file of no known kind is taken as the
-# bytes of that line, or, if it is a text, as these bytes in hexadecimal. On an ASCII line the bytes
-# themselves are text; so for such a line, a text counts as hexadecimal only if it has no colon and
-# its digits are in separate pairs. A byte order mark before a text is skipped.
+# need. Any other text is searched for Modbus frames (text_log.py). If the user gives the settings
+# of a serial line, a file of no known kind is taken as the bytes of that line, or, if it is a text
+# of nothing but hexadecimal digits, as these bytes. On an ASCII line the bytes themselves are text;
+# so for such a line, a text counts as hexadecimal only if it has no colon and its digits are in
+# separate pairs. A byte order mark before a text is skipped.
 #
 # Limits: a compressed stream is unpacked INPUT_BYTES at a time, so the memory it needs is bounded
 # (zlib 0.5 MiB; zstd 16 MiB at most, plus a window of at most MAX_WINDOW). A small file cannot cost
@@ -26,9 +27,20 @@ from enum import StrEnum
 from pathlib import PurePath
 from typing import TYPE_CHECKING, BinaryIO, Protocol, Self, TypeVar, cast
 
-from mbtool.core import CutError, InputError, Packet, UsageError
+from mbtool.core import (
+    CutError,
+    EmptyError,
+    InputError,
+    LineSettings,
+    Packet,
+    SerialFormat,
+    UsageError,
+)
+from mbtool.core.wording import counted
 from mbtool.packets import CAPTURE_MAGICS, PCAP_MAGICS, PCAPNG_MAGIC, read_capture
+from mbtool.sources.appearance import find_appearance, is_text, text_without_frames, unknown_file
 from mbtool.sources.byte_files import SerialBytes, read_hex, read_raw
+from mbtool.sources.text_log import TextLog
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -37,7 +49,7 @@ if TYPE_CHECKING:
 
     from _typeshed import WriteableBuffer
 
-    from mbtool.core import LineSettings
+    from mbtool.core import Chunk
     from mbtool.packets.line_packets import CaptureHead
 
 _Item = TypeVar("_Item")
@@ -51,22 +63,16 @@ FREE_BYTES_OF_LOG = 4 * 1024 * 1024
 """A compressed log may unpack to this many bytes, however small it is. That is less than
 FREE_BYTES, the limit for other files, as the chunks inside a log are unpacked once more."""
 
-_HEAD = 64
+PROBED = 64 * 1024
+"""A text up to this size, in bytes, is searched for frames when it is opened."""
+
+_HEAD = 256
 _BUFFER = 64 * 1024
 _GZIP = b"\x1f\x8b"
 _ZSTD = b"\x28\xb5\x2f\xfd"
 _MCAP = b"\x89MCAP0\r\n"
 _HEX_OF_ASCII = re.compile(rb"\s*(?:#|(?:0[xX]|[0-9A-Fa-f]{2}[\s,])[^:]*\Z)")
-_OTHERS = {
-    b"\x7fELF": "an ELF program",
-    b"PK\x03\x04": "a zip archive",
-    b"\xfd7zXZ\0": "an xz archive",
-    b"BZh": "a bzip2 archive",
-    b"\x04\x22\x4d\x18": "an lz4 archive",
-    b"%PDF": "a PDF document",
-    b"PAR1": "a Parquet file",
-    b"SQLite format 3\0": "an SQLite database",
-}
+_HEX_ROWS = re.compile(rb"(?:[ \t\r,xX0-9A-Fa-f]*(?:#[^\n]*)?(?:\n|\Z))+")
 
 
 class CaptureKind(StrEnum):
@@ -83,6 +89,8 @@ class CaptureKind(StrEnum):
     """The bytes of a serial line as CSV, with the start and end time of each byte."""
     SIGROK = "sigrok"
     """A recording of a logic analyser, with the levels of serial lines."""
+    TEXT_LOG = "text-log"
+    """A text in which another program shows Modbus frames."""
 
 
 TIMED_KINDS = frozenset((CaptureKind.BYTE_TIMES, CaptureKind.SIGROK))
@@ -109,6 +117,7 @@ class CaptureFile:
         self.head: CaptureHead | None = None
         """The settings of links and devices that `convert` wrote into a pcapng file. None before
         the first packet is read, and if the file has none."""
+        self._text: TextLog | None = None
         self._file = file
         self._size = _size(file)
 
@@ -157,9 +166,29 @@ class CaptureFile:
             from mbtool.sources.sigrok import read_sigrok
 
             return read_sigrok(*of_file, line)
+        if self.kind is CaptureKind.TEXT_LOG:
+            settings = line or LineSettings(SerialFormat())
+            self._text = TextLog(*of_file, settings.format)
+            return SerialBytes(settings, self._frames(self._text))
         if line is None or self.kind not in (CaptureKind.RAW, CaptureKind.HEX):
             raise InputError(f"{self.name}: {self.kind}, where bytes of a serial line are wanted")
         return (read_raw if self.kind is CaptureKind.RAW else read_hex)(*of_file, line)
+
+    def _frames(self, text: TextLog) -> Iterator[Chunk]:
+        """Yield the frames of a text; raise InputError if it has none."""
+        yield from text.chunks()
+        if not text.found:
+            raise _no_frames(self.name, text)
+
+    @property
+    def remark(self) -> str | None:
+        """A line for the user about a text that was read to its end; None for other files."""
+        text = self._text
+        if text is None or not text.found:
+            return None
+        twice = f"; {counted(text.shown_twice, 'frame')} shown twice" if text.shown_twice else ""
+        found = f"{counted(text.found, 'frame')} in {counted(text.lines, 'line')}"
+        return f"{self.name}: {found} of text, all else passed over{twice}"
 
     def guarded(self, items: Iterator[_Item]) -> Iterator[_Item]:
         """Yield `items`, which are read from the stream, and turn an OSError into InputError."""
@@ -235,6 +264,8 @@ def open_capture(path: str | Path, line: LineSettings | None = None) -> CaptureF
         if not head and line is None:
             raise InputError(f"{name}: empty; a capture has at least a header")
         kind = _kind(name, head, line)
+        if kind is CaptureKind.TEXT_LOG and not _is_standard_input(file):
+            stream = _probed(name, stream)
         if kind in _TEXT_KINDS and head.startswith(codecs.BOM_UTF8):
             stream.read(len(codecs.BOM_UTF8))
         return CaptureFile(name, kind, stream, file)
@@ -270,6 +301,23 @@ def _peek(stream: io.BufferedIOBase) -> tuple[bytes, io.BufferedIOBase]:
         stream.seek(0)
         return head, stream
     return head, io.BufferedReader(_Rejoined(head, stream), _BUFFER)
+
+
+def _probed(name: str, stream: io.BufferedIOBase) -> io.BufferedIOBase:
+    """Return a stream that begins with the same bytes; raise EmptyError for a short text without a
+    Modbus frame.
+
+    A text of more than PROBED bytes is not examined; the error is then raised at its end.
+    """
+    head = stream.read(PROBED)
+    if len(head) < PROBED:
+        text = TextLog(cast("BinaryIO", io.BytesIO(head)), name, "", SerialFormat())
+        if not any(True for _ in text.chunks()):
+            raise _no_frames(name, text)
+    if stream.seekable():
+        stream.seek(0)
+        return stream
+    return io.BufferedReader(_Rejoined(head, stream), _BUFFER)
 
 
 class _Rejoined(io.RawIOBase):
@@ -396,35 +444,25 @@ def _kind(name: str, head: bytes, line: LineSettings | None) -> CaptureKind:
     text = head.removeprefix(codecs.BOM_UTF8)
     if is_byte_times(text):
         return CaptureKind.BYTE_TIMES
-    other = next((words for magic, words in _OTHERS.items() if head.startswith(magic)), None)
+    other = find_appearance(text)
     if line is not None and other is None:
-        is_hex = _is_text(text) and (not line.ascii or _HEX_OF_ASCII.match(text) is not None)
-        return CaptureKind.HEX if is_hex else CaptureKind.RAW
-    if any(magic.startswith(head) for magic in (*CAPTURE_MAGICS, _MCAP)):
+        if not is_text(head):
+            return CaptureKind.RAW
+        if line.ascii:
+            is_hex = _HEX_OF_ASCII.match(text) is not None
+            return CaptureKind.HEX if is_hex else CaptureKind.RAW
+        is_hex = _HEX_ROWS.fullmatch(text) is not None
+        return CaptureKind.HEX if is_hex else CaptureKind.TEXT_LOG
+    if head and any(magic.startswith(head) for magic in (*CAPTURE_MAGICS, _MCAP)):
         raise CutError(f"{name}: ends inside the first bytes of its header")
-    if text.startswith(b"{"):
-        raise InputError(
-            f"{name}: JSON, no capture; if it has transactions of decode --format jsonl, "
-            "mbtool convert makes a log of it: convert X.jsonl X.mcap"
-        )
-    looks_like = other or (
-        "a text file" if _is_text(text) else f"a file that begins with {head[:8].hex(' ')}"
-    )
-    hint = "" if other else "; if it holds bytes of a serial line, say which: --link rtu@19200-8E1"
-    raise InputError(
-        f"{name}: {looks_like}, no capture; "
-        f"pcap, pcapng and MCAP are read, plain or packed with gzip or zstd{hint}"
-    )
+    if other is None and is_text(head):
+        return CaptureKind.TEXT_LOG
+    raise InputError(f"{name}: {unknown_file(text)}")
 
 
-def _is_text(head: bytes) -> bool:
-    try:
-        text = head.decode("utf-8")
-    except UnicodeDecodeError as error:
-        if error.start <= len(head) - 4:
-            return False
-        text = head[: error.start].decode("utf-8")  # The head may end inside a character.
-    return all(character.isprintable() or character in "\t\r\n" for character in text)
+def _no_frames(name: str, text: TextLog) -> EmptyError:
+    """Return the error for a text that was read to its end and has no Modbus frame."""
+    return EmptyError(f"{name}: {text_without_frames(text.lines, text.bytes_seen)}")
 
 
 def _is_standard_input(file: io.BufferedIOBase) -> bool:
@@ -440,7 +478,10 @@ def _size(file: io.BufferedIOBase) -> int | None:
 
 def _unreadable(name: str, error: OSError | ValueError) -> InputError:
     if isinstance(error, FileNotFoundError):
-        return InputError(f"{name}: there is no such file")
+        stem, suffix = os.path.splitext(name)
+        parts = f"; its parts are {stem}-0001{suffix} and following: name {stem}-*{suffix}"
+        is_rotated = os.path.exists(f"{stem}-0001{suffix}")
+        return InputError(f"{name}: there is no such file{parts if is_rotated else ''}")
     if isinstance(error, IsADirectoryError):
         return InputError(f"{name}: a directory; name a capture file in it")
     if isinstance(error, PermissionError):

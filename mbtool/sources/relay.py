@@ -93,6 +93,8 @@ class TcpRelay:
         self._connection: Connection | None = None
         self._connecting: asyncio.Task[None] | None = None
         self._reason: CloseReason | None = None
+        self._ended_by: Direction | None = None
+        """The direction of the side that ended its connection first; None before that."""
         self.screen = screen
         self._has_answered = False
         """True once any bytes were sent to the master, by the slave or by a read-only tap."""
@@ -185,11 +187,17 @@ class TcpRelay:
                 )
             )
 
+    def note_end(self, side: _RelaySide) -> None:
+        """Note that a side has ended its connection, unless the other one did so before."""
+        if self._reason is None:  # Else the tap itself has ended both.
+            self._ended_by = self._ended_by or side.direction
+
     def lost(self, side: _RelaySide, error: Exception | None) -> None:
         """Called when the connection of `side` has ended: close the other side, too.
 
         If `error` ended this connection, the other one is reset; otherwise it is closed normally.
         """
+        self.note_end(side)
         if error is not None:
             self._reason = self._reason or CloseReason.RESET
         why = failure(error, side.who) if isinstance(error, OSError) else None
@@ -285,7 +293,9 @@ class TcpRelay:
         if self._is_open and self._connection is not None:
             self._is_open = False
             reason = self._reason or CloseReason.FINISHED
-            self._inbox.put(StreamClosed(now_ns(), self._connection, reason))
+            is_known = reason in (CloseReason.FINISHED, CloseReason.RESET)
+            by = self._ended_by if is_known else None
+            self._inbox.put(StreamClosed(now_ns(), self._connection, reason, by))
         self._on_end(self)
 
 
@@ -361,6 +371,7 @@ class _RelaySide(asyncio.Protocol):
 
     def eof_received(self) -> bool:
         self.has_ended = True
+        self._relay.note_end(self)
         onward = self.peer.transport
         if self.peer.has_ended or onward is None:
             return False

@@ -9,20 +9,23 @@
 #                   lowest bit of the first byte
 #
 # The UART characters are decoded here (uart.py), so no decoder needs to be set up in sigrok. If the
-# user names no line settings, those settings are taken with which the channel with the most edges
-# has the fewest wrong characters.
+# user names no line settings, they are looked for on one channel after the other, those with the
+# most edges first: the settings with the fewest wrong characters, if they give frames with correct
+# CRCs. Without such frames the recording is refused.
 #
-# All channels that carry characters with these settings are taken as one line, their characters in
-# the order of time: a two-wire line is one channel, RS-232 has one for each direction. A channel
-# that only repeats the characters of another at the same time, as the second wire of RS-485 does,
-# is left out. A channel that is mostly low is taken as inverted. A recording has no date, so it
-# begins in 1970.
+# Each channel is read as it is and inverted, since an idle line is high, but the recorded one may
+# rest at either level. The number of bytes in frames with correct CRCs decides. The channel with
+# the most such bytes is the line, and each further channel that adds some, with all characters in
+# the order of time: a two-wire line is one channel, RS-232 has one for each direction. So an echo
+# and the second wire of RS-485 are left out. If no CRC is correct, all channels with characters are
+# taken, but for those that only repeat another one. A recording has no date, so it begins in 1970.
 #
 # Samples of an idle line are compressed to a thousandth. So the unpacked bytes are limited only by
 # what deflate can compress (_MAX_RATIO), and the edges, which cost time, by the file's size
 # (MAX_EDGES).
 #
-# Memory: one block of samples, and the first edges of each channel, at most LOOKED_AT.
+# Memory: one block of samples, and the first edges of each channel, at most LOOKED_AT, with their
+# characters.
 
 from __future__ import annotations
 
@@ -36,7 +39,20 @@ from dataclasses import dataclass, field
 from decimal import Decimal
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple
 
-from mbtool.core import Chunk, InputError, LineSettings, Origin, SerialFormat, StreamPlace
+from mbtool.core import (
+    Chunk,
+    Direction,
+    InputError,
+    LineSettings,
+    Origin,
+    SerialFormat,
+    StreamPlace,
+)
+from mbtool.modbus.adu import Adu, Skipped
+from mbtool.modbus.pdu import pdu_length
+from mbtool.serial_line.ascii import AsciiSplitter
+from mbtool.serial_line.rtu import RtuSplitter
+from mbtool.serial_line.settings_fit import LIKELY_FIT
 from mbtool.sources.byte_files import SerialBytes
 from mbtool.sources.uart import MIN_SAMPLES, Character, UartChannel, find_format, wrong_share
 
@@ -63,6 +79,9 @@ _PROBE = re.compile(r"probe(\d{1,3})")
 _MAX_WRONG = 0.2
 """A channel counts as carrying characters if at most this share of them (0 to 1) has a wrong parity
 or stop bit."""
+_MOST_TRIED = 3000
+"""The most characters of a channel that are cut into frames to find the line's settings and its
+channels."""
 _FEW = 20
 _LEAST_KINDS = 3
 """A channel with _FEW characters or more counts as carrying characters only if at least this many
@@ -88,7 +107,7 @@ def read_sigrok(stream: BinaryIO, name: str, link: str, line: LineSettings | Non
     recording = _Recording.open(stream, name)
     heads = recording.heads()
     found = _format(heads, recording.rate)
-    format_ = found if line is None else line.format
+    format_ = found.format if line is None else line.format
     if format_ is None:
         raise InputError(
             f"{name}: no channel carries characters; if one does, say which: --link rtu@19200-8E1"
@@ -97,12 +116,18 @@ def read_sigrok(stream: BinaryIO, name: str, link: str, line: LineSettings | Non
         raise InputError(
             f"{name}: {recording.rate} samples a second are too few for {format_.baud} baud"
         )
-    channels = _choose(heads, format_, recording.rate)
+    if line is None and not found.has_frames:
+        raise InputError(
+            f"{name}: the characters of {format_} that it seems to carry are not Modbus RTU; to "
+            f"read them all the same, name the settings: --link rtu@{format_}"
+        )
+    settings = line or LineSettings(format_)
+    channels = _choose(heads, settings, recording.rate)
     if not channels:
-        seems = f"; its signal is that of {found}" if found is not None else ""
+        seems = f"; its signal is that of {found.format}" if found.format is not None else ""
         raise InputError(f"{name}: no channel carries characters of {format_}{seems}")
     pieces = _chunks(recording, channels, format_, Origin(name, 0), link)
-    return SerialBytes(line or LineSettings(format_), pieces)
+    return SerialBytes(settings, pieces)
 
 
 @dataclass(slots=True)
@@ -119,21 +144,29 @@ class _Head:
     """The number of samples in this beginning."""
 
     @property
-    def is_inverted(self) -> bool:
-        """True if the channel is low most of the time. An idle serial line is high, so such a
-        channel was recorded inverted.
-        """
+    def rests_low(self) -> bool:
+        """True if the channel is low most of the time, as an idle line that is inverted."""
         times = [0, *self.edges, self.end]
         high = sum(times[at + 1] - times[at] for at in range(1 - self.first, len(times) - 1, 2))
         return 2 * high < self.end
 
     @property
-    def level(self) -> int:
-        """The level of the first sample, 0 or 1, corrected if the channel was recorded inverted."""
-        return self.first ^ self.is_inverted
+    def levels(self) -> tuple[int, int]:
+        """The level of the first sample (0 or 1) as recorded and inverted, the likely one first."""
+        likely = self.first ^ self.rests_low
+        return likely, 1 - likely
 
-    def characters(self, line: SerialFormat, rate: int) -> list[Character]:
-        return list(UartChannel(line, rate, self.level).feed(self.edges, self.end))
+    def characters(self, line: SerialFormat, rate: int, level: int) -> list[Character]:
+        return list(UartChannel(line, rate, level).feed(self.edges, self.end))
+
+
+class _FoundFormat(NamedTuple):
+    """The line settings that fit a recording."""
+
+    format: SerialFormat | None
+    """None if no channel carries characters."""
+    has_frames: bool
+    """True if the characters are frames with correct CRCs."""
 
 
 class _Channel(NamedTuple):
@@ -141,6 +174,15 @@ class _Channel(NamedTuple):
     """The number of the channel, counted from 0."""
     level: int
     """The level of the first sample, 0 or 1, corrected if the channel was recorded inverted."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Heard:
+    """The characters of a channel, and the number of them in frames with a correct checksum."""
+
+    channel: _Channel
+    characters: list[Character]
+    framed: int
 
 
 @dataclass(slots=True)
@@ -305,36 +347,107 @@ def _edges(levels: bytes, level: int, offset: int) -> tuple[list[int], int]:
     return edges, level
 
 
-def _format(heads: dict[int, _Head], rate: int) -> SerialFormat | None:
-    """Find the line settings that fit a channel; try the channels with the most edges first.
+def _format(heads: dict[int, _Head], rate: int) -> _FoundFormat:
+    """Find the line settings of a recording; try the channels with the most edges first.
 
-    `heads` are the beginnings of the channels, `rate` is in samples per second. Returns None if no
-    channel carries characters.
+    `heads` are the beginnings of the channels, `rate` is in samples per second.
     """
+    first: SerialFormat | None = None
     for head in sorted(heads.values(), key=lambda one: -len(one.edges)):
-        found = find_format(head.edges, head.end, rate, head.level)
-        if found is not None and _are_sent(head.characters(found, rate)):
-            return found
-    return None
+        for level in head.levels:
+            found = find_format(head.edges, head.end, rate, level)
+            if found is None:
+                continue
+            characters = head.characters(found, rate, level)
+            if _are_sent(characters):
+                first = first or found
+                if _are_frames(characters, found, rate):
+                    return _FoundFormat(found, True)
+    return _FoundFormat(first, False)
 
 
-def _choose(heads: dict[int, _Head], line: SerialFormat, rate: int) -> list[_Channel]:
-    """Return the channels that carry characters with the settings `line`, without mere copies.
+def _choose(heads: dict[int, _Head], line: LineSettings, rate: int) -> list[_Channel]:
+    """Return the channels that together carry a line with the settings `line`.
 
-    A copy is a channel that repeats the characters of another one at the same time, as the second
-    wire of RS-485 does. `rate` is in samples per second.
+    `rate` is in samples per second.
     """
-    found = {number: head.characters(line, rate) for number, head in heads.items()}
-    by_count = sorted(
-        (number for number, one in found.items() if _are_sent(one)),
-        key=lambda number: -len(found[number]),
+    heard = [
+        one
+        for number, head in heads.items()
+        if (one := _hear(number, head, line, rate)) is not None
+    ]
+    heard.sort(key=lambda one: (-one.framed, -len(one.characters)))
+    chosen: list[_Heard] = []
+    framed = 0
+    tolerance = rate / line.format.baud
+    for one in heard:
+        together = [*chosen, one]
+        gained = _framed(_in_order(together), line, rate)[0]
+        if gained > framed:
+            framed = gained
+        elif framed or any(
+            _repeats(one.characters, other.characters, tolerance) for other in chosen
+        ):
+            continue
+        chosen = together
+    return sorted(one.channel for one in chosen)
+
+
+def _hear(number: int, head: _Head, line: LineSettings, rate: int) -> _Heard | None:
+    """Return the characters of a channel at the likelier level; None if it carries none."""
+    best: _Heard | None = None
+    for level in head.levels:
+        characters = head.characters(line.format, rate, level)
+        if not _are_sent(characters):
+            continue
+        framed, _ = _framed(characters, line, rate)
+        if best is None or framed > best.framed:
+            best = _Heard(_Channel(number, level), characters, framed)
+    return best
+
+
+def _in_order(heard: Sequence[_Heard]) -> list[Character]:
+    return sorted(character for one in heard for character in one.characters)
+
+
+def _are_frames(characters: Sequence[Character], line: SerialFormat, rate: int) -> bool:
+    """True if characters are RTU frames, up to some that are damaged or not heard from the start.
+
+    A channel of RS-232 carries the requests or the responses only. Random bytes have a frame with a
+    correct CRC now and then, but hardly two, and hardly one of the form that its function tells.
+    """
+    framed, frames = _framed(characters, LineSettings(line), rate)
+    return any(map(_has_known_form, frames)) and framed >= LIKELY_FIT * min(
+        len(characters), _MOST_TRIED
     )
-    chosen: list[int] = []
-    tolerance = rate / line.baud
-    for number in by_count:
-        if not any(_repeats(found[number], found[other], tolerance) for other in chosen):
-            chosen.append(number)
-    return [_Channel(number, heads[number].level) for number in sorted(chosen)]
+
+
+def _has_known_form(frame: Adu) -> bool:
+    """True if the frame's PDU has the length that its function tells."""
+    ways = Direction.REQUEST, Direction.RESPONSE
+    return any(pdu_length(frame.pdu, way) == len(frame.pdu) for way in ways)
+
+
+def _framed(
+    characters: Sequence[Character], line: LineSettings, rate: int
+) -> tuple[int, list[Adu]]:
+    """Return the number of the first characters that are in frames with a correct checksum.
+
+    Looks at _MOST_TRIED characters. Also returns the frames.
+    """
+    format_ = line.format
+    splitter = AsciiSplitter(format_) if line.ascii else RtuSplitter(format_)
+    events: list[Adu | Skipped] = []
+    for one in characters[:_MOST_TRIED]:
+        end_ns = one.start * 10**9 // rate + format_.character_ns
+        events += splitter.feed(bytes((one.byte,)), end_ns)
+    events += splitter.close()
+    frames = [
+        one
+        for one in events
+        if isinstance(one, Adu) and one.checksum is not None and one.checksum.ok
+    ]
+    return sum(len(one.raw) for one in frames), frames
 
 
 def _are_sent(found: Sequence[Character]) -> bool:

@@ -252,7 +252,7 @@ def _unexplained(found: Sequence[Trouble]) -> Iterator[Trouble]:
 def _explains(cause: Trouble, other: Trouble) -> bool:
     if other.code not in cause.words.explains or cause.link != other.link:
         return False
-    if cause.victims:
+    if cause.victims and other.unit is not None:
         return other.unit in cause.victims
     if cause.unit is None:
         return True

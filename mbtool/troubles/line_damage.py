@@ -3,9 +3,10 @@
 Damaged frames are events: a wrong CRC, or bytes that are no frame.
 """
 
-# Each damaged frame is given to what it stands beside: events after a request without an answer are
-# its damaged answer; events right before a response without a request are its damaged request; the
-# others are of nobody. What is known of the request tells how many bytes the answer should have.
+# Each damaged frame is given to what it stands beside: bytes that are most of a known request are a
+# damaged request, as is an event right before a response without a request; other events after a
+# request without an answer are its damaged answer; the rest is of nobody. What is known of the
+# request tells how many bytes the answer should have, and with which ones it begins.
 #
 # LINE-TWO-MASTERS  Two requests in one: the bytes begin with those of one known request and end
 #                   with those of another one, at a length that no single one has. Or a master sends
@@ -15,7 +16,10 @@ Damaged frames are events: a wrong CRC, or bytes that are no frame.
 #                   master can keep two lists.
 # LINE-SAME-UNIT    Two slaves answer one request. The unit's answers are damaged and most have
 #                   another length than asked for, longer ones among them, while other units answer
-#                   well; or a second, whole response follows the first with other bytes.
+#                   well; or nearly all of its answers are damaged, from their first bytes on or
+#                   with many different lengths, though it understands each request, which it could
+#                   not with a bad cable; or a second, whole response of the same form follows the
+#                   first with other bytes, and nothing that can be a damaged request is between.
 # LINE-LOST-BYTES   Most damaged frames of a known length are too short.
 # LINE-NOISE        All other damage, with where it sits: in the answers of one unit, of all units,
 #                   in the requests, or everywhere.
@@ -37,21 +41,27 @@ from mbtool.core import EventKind, WireEvent
 from mbtool.core.wording import percent
 from mbtool.devices.named_transaction import NamedTransaction
 from mbtool.modbus import Outcome
+from mbtool.modbus.adu_bytes import crc
 from mbtool.troubles.sense import MAX_LINKS, SortedSense
 from mbtool.troubles.trouble import MAX_EVIDENCE, Evidence, Sureness, Trouble
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
     from mbtool.ledger.statistics_report import LinkReport
 
 ENOUGH = 3
+ENOUGH_MERGED = 2
 FEW = 0.01
 """Fewer damaged frames than this share (0 to 1) of the transactions are a note."""
 MOSTLY = 0.8
 """Damage sits where at least this share (0 to 1) of it is."""
 SHORTER = 0.6
 OTHER_LENGTH = 0.5
+LENGTHS = 4
+"""Damaged answers of one unit that collide with others have at least so many lengths."""
+ALIKE = 0.6
+"""A damaged request has at least this share (0 to 1) of its bytes right."""
 LEAST_BYTES = 4
 """Shorter pieces are no frame of anybody."""
 SECOND_NS = 200_000_000
@@ -60,6 +70,9 @@ HELD = 32
 KNOWN = 64
 _HEAD, _TAIL = 4, 4
 _SHORTEST_REQUEST = 8
+_READS = frozenset((1, 2, 3, 4))
+_AROUND_VALUES = 5
+"""Bytes of an answer to a read that are no values: unit, function, byte count and CRC."""
 _DAMAGE = frozenset((EventKind.SKIPPED, EventKind.BAD_CHECK))
 
 
@@ -69,6 +82,10 @@ class _DamagedUnit:
     """The number of damaged answers."""
     shorter: int = 0
     longer: int = 0
+    lengths: set[int] = field(default_factory=set)
+    """By how many bytes damaged answers were longer than asked for; at most LENGTHS of them."""
+    garbled: int = 0
+    """The number of damaged answers whose first bytes are wrong, too."""
     seconds: int = 0
     """The number of second responses to one request."""
     after: int = 0
@@ -77,6 +94,8 @@ class _DamagedUnit:
     answered: int = 0
     latency_ns: int = 0
     """The sum of the latencies of its answers."""
+    last: NamedTransaction | None = None
+    """The last transaction with an answer in time."""
     cases: list[Evidence] = field(default_factory=list)
 
 
@@ -84,6 +103,8 @@ class _DamagedUnit:
 class _DamagedLine:
     held: deque[WireEvent] = field(default_factory=lambda: deque(maxlen=HELD))
     """Events about damaged bytes that are given to nobody yet."""
+    odd: int = 0
+    """The number of pieces too short for `held` since the last transaction."""
     requests: OrderedDict[bytes, None] = field(default_factory=OrderedDict)
     """The last different requests."""
     units: dict[int, _DamagedUnit] = field(default_factory=dict)
@@ -121,14 +142,17 @@ class LineDamage(SortedSense):
         for line in self._lines.values():
             line.held.clear()
             line.last = None
+            for unit in line.units.values():
+                unit.last = None
 
     def take_event(self, event: WireEvent) -> None:
         if event.kind is EventKind.TWO_MASTERS and (line := self._line(event.link)) is not None:
             line.is_told = True
             _keep(line.masters_cases, Evidence.of_event(event))
-        elif event.kind in _DAMAGE and len(event.raw) >= LEAST_BYTES:
-            line = self._line(event.link)
-            if line is not None and not _is_text(event.raw):
+        elif event.kind in _DAMAGE and (line := self._line(event.link)) is not None:
+            if len(event.raw) < LEAST_BYTES:
+                line.odd += 1
+            elif not _is_text(event.raw):
                 self._note_merged(line, event)
                 line.held.append(event)
 
@@ -145,9 +169,10 @@ class LineDamage(SortedSense):
             self._note_alone(line, unit, one)
         elif one.latency_ns is not None and one.outcome is not Outcome.LATE:
             unit.answered += 1
+            unit.last = one
             unit.latency_ns += one.latency_ns
         self._give(line)
-        line.last = one
+        line.last, line.odd = one, 0
 
     def _line(self, link: str) -> _DamagedLine | None:
         line = self._lines.get(link)
@@ -195,35 +220,30 @@ class LineDamage(SortedSense):
         line.held.clear()
         if not held or last is None:
             return
-        unit = line.unit(last.unit)
-        if last.outcome is Outcome.NO_ANSWER:
-            unit.damaged += 1
-            _keep(unit.cases, Evidence.of(last, held[0].message))
-            expected, came = _expected(last), sum(len(event.raw) for event in held)
-            if expected is not None:
-                unit.shorter += came < expected
-                unit.longer += came > expected
-            return
-        line.elsewhere += len(held)
-        unit.after += last.outcome is Outcome.OK
+        answer = []
         for event in held:
-            _keep(line.cases, Evidence.of_event(event))
+            request = _request_of(event.raw, line.requests)
+            if request is None:
+                answer.append(event)
+            else:
+                line.in_requests += 1
+                line.short_requests += len(event.raw) < len(request)
+                _keep(line.cases, Evidence.of_event(event))
+        unit = line.unit(last.unit)
+        if last.outcome is not Outcome.NO_ANSWER:
+            line.elsewhere += len(answer)
+            unit.after += last.outcome is Outcome.OK
+            for event in answer:
+                _keep(line.cases, Evidence.of_event(event))
+        elif answer:
+            _note_answer(unit, last, answer)
 
     def _note_alone(self, line: _DamagedLine, unit: _DamagedUnit, one: NamedTransaction) -> None:
         """Take the damaged frame right before a response without a request as its request, if that
         frame is not the answer of the request before.
         """
         last = line.last
-        is_second = (
-            last is not None
-            and last.unit == one.unit
-            and last.response_ns is not None
-            and one.response_ns is not None
-            and one.response_ns - last.response_ns <= SECOND_NS
-            and last.response_raw != one.response_raw
-            and last.outcome is Outcome.OK
-        )
-        if is_second:
+        if not (line.held or line.odd) and _is_second(unit.last, one):
             unit.seconds += 1
             _keep(unit.cases, Evidence.of(one, "a second answer to the same request"))
         elif line.held:
@@ -233,6 +253,10 @@ class LineDamage(SortedSense):
             if last is not None and last.outcome is Outcome.OK:
                 line.unit(last.unit).after += len(request.raw) > _SHORTEST_REQUEST
             _keep(line.cases, Evidence.of_event(request))
+        elif line.odd:
+            line.in_requests += 1
+            line.short_requests += 1
+            _keep(line.cases, Evidence.of(one, "the answer to a damaged request"))
 
     def troubles(self, links: Sequence[LinkReport]) -> Iterator[Trouble]:
         self.flush()
@@ -244,10 +268,11 @@ class LineDamage(SortedSense):
 
 def _of_line(link: str, line: _DamagedLine) -> Iterator[Trouble]:
     collisions = line.merged + line.interrupted
-    if line.is_told or line.merged or collisions >= ENOUGH:
+    is_proved = line.is_told or line.merged >= ENOUGH_MERGED
+    if is_proved or collisions >= ENOUGH:
         yield Trouble(
             code="LINE-TWO-MASTERS", link=link, count=max(collisions, 1), of=line.transactions,
-            sureness=Sureness.CERTAIN if line.is_told or line.merged else Sureness.LIKELY,
+            sureness=Sureness.CERTAIN if is_proved else Sureness.LIKELY,
             evidence=tuple(line.masters_cases),
         )  # fmt: skip
         return
@@ -257,7 +282,7 @@ def _of_line(link: str, line: _DamagedLine) -> Iterator[Trouble]:
         count = max(unit.seconds, unit.damaged, unit.after)
         yield Trouble(
             code="LINE-SAME-UNIT", link=link, unit=number, count=count,
-            of=max(unit.asked, count), weight=count,
+            of=max(unit.asked, count), weight=count, victims=tuple(line.units),
             sureness=Sureness.CERTAIN if unit.seconds >= ENOUGH else Sureness.LIKELY,
             evidence=tuple(unit.cases or line.cases),
         )  # fmt: skip
@@ -299,6 +324,9 @@ def _is_double(line: _DamagedLine, unit: _DamagedUnit) -> bool:
     is_other = unit.shorter + unit.longer >= OTHER_LENGTH * unit.damaged
     is_mostly_damaged = unit.damaged >= OTHER_LENGTH * unit.asked
     is_alone = unit.damaged >= MOSTLY * line.damaged
+    if unit.damaged >= MOSTLY * unit.asked:
+        is_garbled = unit.garbled >= OTHER_LENGTH * unit.damaged
+        return is_alone and (is_garbled or (is_other and len(unit.lengths) >= LENGTHS))
     return is_other and unit.longer >= unit.shorter and is_mostly_damaged and is_alone
 
 
@@ -315,6 +343,73 @@ def _where(line: _DamagedLine) -> tuple[str, int | None]:
     if answers >= MOSTLY * number:
         return "in the answers of all units", None
     return "in requests and answers", None
+
+
+def _is_second(first: NamedTransaction | None, one: NamedTransaction) -> bool:
+    """True if `one` is another answer to the request of `first`: of the same form, soon after it,
+    with other bytes.
+    """
+    if first is None or first.response_ns is None or one.response_ns is None:
+        return False
+    raw, other = first.response_raw or b"", one.response_raw or b""
+    is_of_form = first.outcome is Outcome.OK and raw[:2] == other[:2] and len(raw) == len(other)
+    return is_of_form and raw != other and one.response_ns - first.response_ns <= SECOND_NS
+
+
+def _note_answer(
+    unit: _DamagedUnit, request: NamedTransaction, answer: Sequence[WireEvent]
+) -> None:
+    """Note the pieces of the damaged answer to a request."""
+    unit.damaged += 1
+    _keep(unit.cases, Evidence.of(request, answer[0].message))
+    expected, came = _expected(request), sum(len(event.raw) for event in answer)
+    if expected is None:
+        return
+    unit.shorter += came < expected
+    unit.longer += came > expected
+    if len(unit.lengths) < LENGTHS:
+        unit.lengths.add(came - expected)
+    unit.garbled += not _has_ends(answer[0].raw, _head(request, expected))
+
+
+def _head(request: NamedTransaction, expected: int) -> bytes:
+    """The first bytes of the answer to a request, which has so many bytes."""
+    head = bytes([request.unit, request.function])
+    values = expected - _AROUND_VALUES
+    return head + bytes([values]) if request.function in _READS and values < 256 else head
+
+
+def _has_ends(raw: bytes, head: bytes) -> bool:
+    """True if bytes begin as the answer does, or are its end: the CRC is right with the lost bytes
+    of the head. So they do if a driver switches too early or too late.
+    """
+    lost = (head[:size] + raw for size in range(1, len(head) + 1))
+    return raw.startswith(head[:2]) or any(crc(one) == 0 for one in lost)
+
+
+def _request_of(raw: bytes, requests: Iterable[bytes]) -> bytes | None:
+    """Return the request that bytes are a damaged copy of: with some bytes wrong, or with a run of
+    bytes lost. None if there is none, and for writes, as their answers look alike.
+    """
+    for one in requests:
+        if one[1] not in _READS:
+            continue
+        if len(raw) == len(one):
+            if sum(mine == its for mine, its in zip(raw, one, strict=True)) >= ALIKE * len(one):
+                return one
+        elif LEAST_BYTES <= len(raw) < len(one):
+            begin = _same(raw, one)
+            if begin + _same(raw[::-1], one[::-1]) >= len(raw):
+                return one
+    return None
+
+
+def _same(one: bytes, other: bytes) -> int:
+    """Return how many bytes at the beginning are the same."""
+    return next(
+        (at for at, (mine, its) in enumerate(zip(one, other, strict=False)) if mine != its),
+        min(len(one), len(other)),
+    )
 
 
 def _expected(one: NamedTransaction) -> int | None:

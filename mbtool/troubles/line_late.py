@@ -4,9 +4,18 @@
 # response in time to the next request on the line.
 #
 # A unit some of whose answers come just before the time-out (NEAR), and others not at all, is late,
-# too, though its late answers may collide with the next request, so that nobody can read them.
+# too, though its late answers may collide with the next request, so that nobody can read them. So
+# is a unit that answers some requests in time, where damage comes after its requests without an
+# answer: in the time-out behind the one that the master waited (a wake), and hardly elsewhere. Its
+# late answers collide with what the master asks then.
 #
-# Memory: MAX_EVIDENCE cases and TIMES times for each of at most MAX_UNITS units.
+# False alarms: where a request is damaged, its answer may be taken for a late one to the request
+# before. So a response right behind damaged bytes is no late one. And if there are many damaged
+# frames, a master that goes on as soon as after the unit's answers (PACE) has not waited for a
+# time-out: it had the answer, and the recording lost it.
+#
+# Memory: MAX_EVIDENCE cases and TIMES times for each of at most MAX_UNITS units, the last requests
+# and damaged frames (RECENT) and the open wakes of each of at most MAX_LINKS links.
 
 from __future__ import annotations
 
@@ -15,15 +24,17 @@ from dataclasses import dataclass, field
 from statistics import median
 from typing import TYPE_CHECKING
 
+from mbtool.core import EventKind
+from mbtool.devices.named_transaction import NamedTransaction
 from mbtool.ledger.request_tally import RequestTally, merged
 from mbtool.modbus import Outcome
-from mbtool.troubles.sense import SortedSense
+from mbtool.troubles.sense import MAX_LINKS, SortedSense
 from mbtool.troubles.trouble import MAX_EVIDENCE, Evidence, Sureness, Trouble
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from mbtool.devices.named_transaction import NamedTransaction
+    from mbtool.core import WireEvent
     from mbtool.ledger.statistics_report import LinkReport
 
 ENOUGH = 3
@@ -32,8 +43,16 @@ FEW = 0.01
 """Late answers to a smaller share (0 to 1) of the requests than this are a note."""
 MAX_UNITS = 500
 TIMES = 200
+RECENT = 64
+PACE = 1.1
+"""A master that waits for a time-out waits at least this many times as long as for answers."""
+OFTEN = 0.5
+MOSTLY = 0.8
 NEAR = 0.85
 """Answers come near the time-out if 5 % of them take at least this share (0 to 1) of it."""
+
+
+_DAMAGE = frozenset((EventKind.SKIPPED, EventKind.BAD_CHECK))
 
 
 @dataclass(slots=True)
@@ -45,8 +64,48 @@ class _LateUnit:
     latencies: deque[int] = field(default_factory=lambda: deque(maxlen=TIMES))
     waits: deque[int] = field(default_factory=lambda: deque(maxlen=TIMES))
     """How long the master waited for answers that did not come in time."""
+    paces: deque[tuple[int, int]] = field(default_factory=lambda: deque(maxlen=TIMES))
+    """Of answered requests, the latency and the time to the next request."""
     cases: list[Evidence] = field(default_factory=list)
     missing_cases: list[Evidence] = field(default_factory=list)
+    wakes: int = 0
+    wakes_ns: int = 0
+    """How long all wakes took."""
+    damaged_wakes: int = 0
+    damage: int = 0
+    """The number of damaged frames in wakes."""
+
+
+@dataclass(slots=True)
+class _Wake:
+    """The time in which a late answer to a request of a unit may disturb other requests."""
+
+    unit: _LateUnit
+    end_ns: int
+    is_damaged: bool = False
+
+
+@dataclass(slots=True)
+class _LateLine:
+    last: NamedTransaction | None = None
+    """The transaction whose next request is not known yet."""
+    pending: list[NamedTransaction] = field(default_factory=list)
+    """Late transactions whose response is not reached yet."""
+    requests: deque[int] = field(default_factory=lambda: deque(maxlen=RECENT))
+    """When the last requests were sent (ns)."""
+    damage: deque[int] = field(default_factory=lambda: deque(maxlen=RECENT))
+    """When the last damaged frames came (ns)."""
+    damaged: int = 0
+    units: set[int] = field(default_factory=set)
+    wakes: list[_Wake] = field(default_factory=list)
+    begin_ns: int | None = None
+    end_ns: int = 0
+
+    def is_answer_to_damaged(self, one: NamedTransaction) -> bool:
+        """True if the last frame before a late response is a damaged one: its request."""
+        asked_ns, come_ns = one.request_ns or 0, one.response_ns or 0
+        damage = max((at for at in self.damage if asked_ns < at < come_ns), default=0)
+        return damage > max((at for at in self.requests if at < come_ns), default=0)
 
 
 class LateOnLine(SortedSense):
@@ -55,39 +114,91 @@ class LateOnLine(SortedSense):
     def __init__(self) -> None:
         super().__init__()
         self._units: dict[tuple[str, int], _LateUnit] = {}
-        self._waits_from: dict[str, NamedTransaction] = {}
-        """By link, the request without an answer in time whose next request is not known yet."""
+        self._lines: dict[str, _LateLine] = {}
 
     def begin_capture(self) -> None:
         super().begin_capture()
-        self._waits_from.clear()
+        for name, line in self._lines.items():
+            self._resolve(name, line, None)
+            line.last = None
+            line.wakes.clear()
+
+    def flush(self) -> None:
+        super().flush()
+        for name, line in self._lines.items():
+            self._resolve(name, line, None)
+
+    def take_event(self, event: WireEvent) -> None:
+        if event.kind not in _DAMAGE or len(set(event.raw)) < 2:  # Not a byte of an idle line.
+            return
+        if (line := self._line(event.link)) is None:
+            return
+        self._resolve(event.link, line, event.ts_ns)
+        line.damage.append(event.ts_ns)
+        line.damaged += 1
+        for wake in line.wakes:
+            wake.unit.damage += 1
+            wake.unit.damaged_wakes += not wake.is_damaged
+            wake.is_damaged = True
 
     def take_transaction(self, one: NamedTransaction) -> None:
-        if one.request_ns is None:
+        if one.request_ns is None or (line := self._line(one.link)) is None:
             return
-        self._note_wait(one)
-        if one.outcome not in (Outcome.LATE, Outcome.NO_ANSWER):
-            return
-        unit = self._units.get((one.link, one.unit))
-        if unit is None:
-            if len(self._units) >= MAX_UNITS:
-                return
-            unit = self._units[one.link, one.unit] = _LateUnit()
-        self._waits_from[one.link] = one
-        if one.outcome is Outcome.NO_ANSWER:
-            unit.missing += 1
-            _keep(unit.missing_cases, Evidence.of(one))
-        else:
-            unit.count += 1
-            latency_ns = one.latency_ns or 0
-            unit.latencies.append(latency_ns)
-            _keep(unit.cases, Evidence.of(one, f"answered after {_s(latency_ns)}"))
+        self._resolve(one.link, line, one.request_ns)
+        line.begin_ns = one.request_ns if line.begin_ns is None else line.begin_ns
+        line.end_ns = one.request_ns
+        self._note_wait(line, one)
+        line.requests.append(one.request_ns)
+        line.units.add(one.unit)
+        if one.outcome is Outcome.LATE:
+            line.pending.append(one)
+        if (unit := self._unit(one)) is not None:
+            line.last = one
+            if one.outcome is Outcome.NO_ANSWER:
+                unit.missing += 1
+                _keep(unit.missing_cases, Evidence.of(one))
 
-    def _note_wait(self, one: NamedTransaction) -> None:
-        before = self._waits_from.pop(one.link, None)
-        if before is not None and before.request_ns is not None and one.request_ns is not None:
-            unit = self._units[before.link, before.unit]
-            unit.waits.append(one.request_ns - before.request_ns)
+    def _line(self, link: str) -> _LateLine | None:
+        line = self._lines.get(link)
+        if line is None and len(self._lines) < MAX_LINKS:
+            line = self._lines[link] = _LateLine()
+        return line
+
+    def _unit(self, one: NamedTransaction) -> _LateUnit | None:
+        unit = self._units.get((one.link, one.unit))
+        if unit is None and len(self._units) < MAX_UNITS:
+            unit = self._units[one.link, one.unit] = _LateUnit()
+        return unit
+
+    def _resolve(self, link: str, line: _LateLine, now_ns: int | None) -> None:
+        """Close what ends before a time; None for everything."""
+        line.wakes = [wake for wake in line.wakes if now_ns is not None and wake.end_ns >= now_ns]
+        for one in line.pending:
+            response_ns = one.response_ns or 0
+            if now_ns is not None and response_ns >= now_ns:
+                continue
+            if (unit := self._unit(one)) is not None:
+                _note_late(unit, one, is_other=line.is_answer_to_damaged(one))
+        line.pending = [
+            one for one in line.pending if now_ns is not None and (one.response_ns or 0) >= now_ns
+        ]
+
+    def _note_wait(self, line: _LateLine, one: NamedTransaction) -> None:
+        before, line.last = line.last, None
+        if before is None or before.request_ns is None or one.request_ns is None:
+            return
+        unit = self._units[before.link, before.unit]
+        waited_ns = one.request_ns - before.request_ns
+        if before.outcome not in (Outcome.LATE, Outcome.NO_ANSWER):
+            if before.latency_ns is not None:
+                unit.paces.append((before.latency_ns, waited_ns))
+            return
+        unit.waits.append(waited_ns)
+        is_damaged = bool(line.damage) and line.damage[-1] >= before.request_ns
+        if before.outcome is Outcome.NO_ANSWER and not is_damaged:
+            unit.wakes += 1
+            unit.wakes_ns += waited_ns
+            line.wakes.append(_Wake(unit, one.request_ns + waited_ns))
 
     def troubles(self, links: Sequence[LinkReport]) -> Iterator[Trouble]:
         self.flush()
@@ -100,12 +211,33 @@ class LateOnLine(SortedSense):
             for number, some in tallies.items():
                 unit = self._units.get((link.name, number))
                 if unit is not None:
-                    yield from _of_unit(link.name, number, unit, merged(some))
+                    line = self._lines[link.name]
+                    yield from _of_unit(link.name, number, unit, line, merged(some))
 
 
-def _of_unit(link: str, number: int, unit: _LateUnit, tally: RequestTally) -> Iterator[Trouble]:
+def _of_unit(
+    link: str, number: int, unit: _LateUnit, line: _LateLine, tally: RequestTally
+) -> Iterator[Trouble]:
+    is_noisy = line.damaged >= OFTEN * (unit.count + unit.missing)
+    if is_noisy and not _is_waited_for(unit):
+        return
     if unit.count >= ENOUGH:
         yield _trouble(link, number, unit, tally.requests)
+        return
+    if _disturbs(unit, line) and tally.latency.count >= ENOUGH:
+        wait = _s(median(unit.waits))
+        yield Trouble(
+            code="LINE-LATE",
+            link=link,
+            unit=number,
+            count=max(unit.missing, unit.damage),
+            of=tally.requests,
+            weight=unit.missing,
+            figures={"latency": f"after more than {wait}", "timeout": wait,
+                     "longest": "its longest answer"},
+            sureness=Sureness.LIKELY,
+            evidence=tuple(unit.missing_cases),
+        )  # fmt: skip
         return
     if unit.missing < ENOUGH or not unit.waits or tally.latency.count < ENOUGH:
         return
@@ -120,13 +252,44 @@ def _of_unit(link: str, number: int, unit: _LateUnit, tally: RequestTally) -> It
             of=tally.requests,
             weight=unit.missing,
             figures={
-                "latency": f"up to {_s(slowest_ns)}",
+                "latency": f"after up to {_s(slowest_ns)}",
                 "timeout": _s(wait_ns),
                 "longest": _s(2 * wait_ns),
             },
             sureness=Sureness.LIKELY,
             evidence=tuple(unit.missing_cases),
         )
+
+
+def _is_waited_for(unit: _LateUnit) -> bool:
+    """True if the master waits longer for late and missing answers than for others."""
+    if not unit.waits:
+        return True
+    wait_ns = median(unit.waits)
+    paces = [pace_ns for latency_ns, pace_ns in unit.paces if latency_ns < NEAR * wait_ns]
+    return len(paces) < ENOUGH or wait_ns >= PACE * median(paces)
+
+
+def _note_late(unit: _LateUnit, one: NamedTransaction, *, is_other: bool) -> None:
+    """Note a late answer; if it `is_other`, it answers a request that was damaged."""
+    if is_other:
+        unit.missing += 1
+        _keep(unit.missing_cases, Evidence.of(one))
+        return
+    unit.count += 1
+    latency_ns = one.latency_ns or 0
+    unit.latencies.append(latency_ns)
+    _keep(unit.cases, Evidence.of(one, f"answered after {_s(latency_ns)}"))
+
+
+def _disturbs(unit: _LateUnit, line: _LateLine) -> bool:
+    """True if damage comes in the wakes of a unit, and hardly elsewhere."""
+    watched_ns = line.end_ns - (line.begin_ns or 0)
+    return (
+        unit.damaged_wakes >= max(ENOUGH, OFTEN * unit.wakes)
+        and unit.damage >= MOSTLY * line.damaged
+        and unit.wakes_ns <= OFTEN * watched_ns
+    )
 
 
 def _trouble(link: str, number: int, late: _LateUnit, requests: int) -> Trouble:
@@ -141,7 +304,7 @@ def _trouble(link: str, number: int, late: _LateUnit, requests: int) -> Trouble:
         of=max(requests, count),
         weight=count,
         is_small=count < FEW * requests,
-        figures={"latency": _s(latency_ns), "timeout": waits, "longest": _s(longest_ns)},
+        figures={"latency": f"after {_s(latency_ns)}", "timeout": waits, "longest": _s(longest_ns)},
         evidence=tuple(late.cases),
     )
 

@@ -8,7 +8,8 @@
 #                nothing is said of it.
 # LINE-ECHO      The decoder tells of the second copy of a request (EventKind.ECHO): the adapter
 #                hears its own bytes. Nothing fails by that, so it is a note.
-# LINE-REPEATED  A response without a request has the same bytes as the one before it: frames come
+# LINE-REPEATED  A response without a request has the same bytes as the one before it, or the
+#                decoder tells of the second copy of a response (EventKind.REPEATED): frames come
 #                twice, as from a repeater, or from two taps of one line. A slave that answers a
 #                retry gives the same bytes, too, but then the master has asked twice.
 #
@@ -36,11 +37,11 @@ ENOUGH = 10
 ENOUGH_COPIES = 3
 SOON_NS = 1_000_000_000
 """A copy of a response comes at most so long (ns) after it."""
-MOSTLY = 0.3
+OFTEN = 0.1
 """Responses are repeated if at least this share (0 to 1) of them come twice."""
 _ECHOING = frozenset((0x05, 0x06, 0x08, 0x0F, 0x10, 0x16))
 """Functions whose response can be taken for a request."""
-_BYTES = frozenset((EventKind.SKIPPED, EventKind.BAD_CHECK, EventKind.ECHO))
+_BYTES = frozenset((EventKind.SKIPPED, EventKind.BAD_CHECK, EventKind.ECHO, EventKind.REPEATED))
 
 
 @dataclass(slots=True)
@@ -82,6 +83,9 @@ class HeardSides(Sense):
         if event.kind is EventKind.ECHO:
             line.echoes += 1
             _keep(line.echo_cases, Evidence.of_event(event))
+        elif event.kind is EventKind.REPEATED:
+            line.copies += 1
+            _keep(line.copy_cases, Evidence.of_event(event))
         else:
             line.other += 1
 
@@ -116,12 +120,13 @@ class HeardSides(Sense):
             line = self._lines.get(link.name)
             if line is None or not link.is_whole:
                 continue
-            if line.echoes >= ENOUGH_COPIES:
+            is_repeated = line.copies >= ENOUGH_COPIES and line.copies >= OFTEN * line.responses
+            if line.echoes >= ENOUGH_COPIES and not is_repeated:
                 yield Trouble(
                     code="LINE-ECHO", link=link.name, count=line.echoes, of=line.requests,
                     evidence=tuple(line.echo_cases),
                 )  # fmt: skip
-            if line.copies >= ENOUGH_COPIES and line.copies >= MOSTLY * line.responses:
+            if is_repeated:
                 yield Trouble(
                     code="LINE-REPEATED", link=link.name, count=line.copies, of=line.responses,
                     evidence=tuple(line.copy_cases),

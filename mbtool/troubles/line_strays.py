@@ -8,7 +8,8 @@
 # LINE-SETTINGS  For a while there is no frame with a right CRC, but many other bytes; or that is so
 #                all the time. Where polls are answered before or after, the settings changed, or
 #                other ones are used for that time. The settings are never called wrong while polls
-#                are answered, and not because of text.
+#                are answered, and not because of text. On a line with many damaged frames some
+#                follow each other by chance; a stretch is longer than that.
 #
 # False alarms: a broken cable gives some odd bytes, but not ENOUGH_BYTES of them; noise damages
 # some frames, but then polls are answered in between. Foreign frames that are seen rarely, or are
@@ -21,6 +22,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, field
+from math import log
 from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind, WireEvent
@@ -46,10 +48,16 @@ FOREIGN_BYTES = 50
 ALIKE = 0.8
 """At least this share (0 to 1) of the pieces have the same form."""
 SHORTEST_PIECE = 6
+PIECE_NS = 50_000_000
+"""A piece that comes so soon (ns) after another one, and begins as none before, is its rest: an
+adapter or a pause has torn it."""
 HEADS = 64
 ENOUGH_BYTES = 100
 ENOUGH_PIECES = 5
 SHORTEST_NS = 2_000_000_000
+CHANCE = 1e-6
+"""A stretch is told if noise as elsewhere on the line would damage so many frames in a row less
+often than this."""
 _ANSWERED = frozenset((Outcome.OK, Outcome.EXCEPTION, Outcome.LATE))
 _DAMAGE = frozenset((EventKind.SKIPPED, EventKind.BAD_CHECK))
 
@@ -78,6 +86,8 @@ class _StrayLine:
     text_bytes: int = 0
     pieces: int = 0
     piece_bytes: int = 0
+    piece_ns: int | None = None
+    """When the last piece came; None if a frame came since."""
     heads: Counter[bytes] = field(default_factory=Counter)
     """By their first two bytes, the numbers of pieces."""
     own_heads: set[bytes] = field(default_factory=set)
@@ -88,6 +98,10 @@ class _StrayLine:
     unread: int = 0
     answered: int = 0
     requests: int = 0
+    frames: int = 0
+    """The number of transactions, in each of which a frame was right."""
+    damaged: int = 0
+    """The number of pieces that are no frame, outside of the stretches that are told."""
     stretch: _Stretch | None = None
     stretches: list[_Stretch] = field(default_factory=list)
 
@@ -122,7 +136,11 @@ class StrayBytes(SortedSense):
             _keep(line.bias_cases, Evidence.of_event(event))
             return
         is_text = _is_text(raw)
-        if len(raw) >= SHORTEST_PIECE and event.kind is EventKind.SKIPPED:
+        is_rest = line.piece_ns is not None and event.ts_ns - line.piece_ns <= PIECE_NS
+        line.piece_ns = event.ts_ns
+        if is_rest and not is_text and raw[:2] not in line.heads:
+            line.piece_bytes += len(raw)
+        elif len(raw) >= SHORTEST_PIECE and event.kind is EventKind.SKIPPED:
             line.pieces += 1
             line.piece_bytes += len(raw)
             if is_text:
@@ -151,6 +169,8 @@ class StrayBytes(SortedSense):
                 line.own_heads.add(raw[:2])
         line.last = one
         line.answered += one.outcome in _ANSWERED
+        line.frames += 1
+        line.piece_ns = None
         _end_stretch(line)
 
     def _place(self, line: _StrayLine, after: NamedTransaction) -> None:
@@ -228,7 +248,10 @@ def _settings(link: str, line: _StrayLine) -> Iterator[Trouble]:
     found = [*line.stretches]
     if line.stretch is not None and _is_wrong(line.stretch):
         found.append(line.stretch)
+    pieces = line.damaged + sum(one.pieces for one in found)
     for one in found:
+        if one.pieces < _by_chance(pieces - one.pieces, line.frames):
+            continue
         whole = not line.answered
         when = "" if whole else f" for {(one.last_ns - one.first.ts_ns) / 1e9:.0f} s"
         yield Trouble(
@@ -242,8 +265,19 @@ def _settings(link: str, line: _StrayLine) -> Iterator[Trouble]:
 
 def _end_stretch(line: _StrayLine) -> None:
     stretch, line.stretch = line.stretch, None
-    if stretch is not None and _is_wrong(stretch) and len(line.stretches) < MAX_EVIDENCE:
+    if stretch is None:
+        return
+    if _is_wrong(stretch) and len(line.stretches) < MAX_EVIDENCE:
         line.stretches.append(stretch)
+    else:
+        line.damaged += stretch.pieces
+
+
+def _by_chance(damaged: int, right: int) -> float:
+    """Return how many damaged frames in a row may still be chance on a line with so many damaged
+    and right ones.
+    """
+    return log(CHANCE) / log(damaged / (damaged + right)) if damaged and right else 0
 
 
 def _is_wrong(stretch: _Stretch) -> bool:

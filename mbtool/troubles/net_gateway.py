@@ -6,8 +6,8 @@
 #              waited, and was slow or unanswered as well. The unit that others wait for much more
 #              often than it waits for them is the cause.
 # NET-LATE     An answer comes after the master has sent its next request on the same connection,
-#              though this master hardly ever has two requests open: it had given up. Masters that
-#              pipeline have many, and are left out.
+#              SLOW_NS or more after the first one: it had given up. Masters that pipeline send
+#              their requests sooner after each other, and are left out.
 #
 # False alarms: two units of a gateway that are both slow by themselves wait for each other equally
 # often, and none is blamed. A slow network makes all units slow alike.
@@ -65,6 +65,7 @@ class _MasterTalk:
     recent: deque[NamedTransaction] = field(default_factory=lambda: deque(maxlen=RECENT))
     number: int = 0
     overlaps: int = 0
+    """How often a request came soon after one that was not answered yet."""
     late: list[tuple[NamedTransaction, int]] = field(default_factory=list)
     """Transactions whose answer came after the next request, and how long the master waited."""
 
@@ -121,9 +122,10 @@ class Gateways(Sense):
             first, second = sorted((one, other), key=lambda each: each.start_ns)
             end_ns = first.response_ns
             if end_ns is not None and first.start_ns < second.start_ns < end_ns:
-                connection.overlaps += 1
                 waited_ns = second.start_ns - first.start_ns
-                if len(connection.late) < MAX_EVIDENCE and waited_ns >= SLOW_NS:
+                if waited_ns < SLOW_NS:
+                    connection.overlaps += 1
+                elif len(connection.late) < MAX_EVIDENCE:
                     connection.late.append((first, waited_ns))
         connection.recent.append(one)
 

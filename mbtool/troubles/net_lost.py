@@ -3,16 +3,25 @@
 # The account counts the connections of each master to each slave by how they ended; the events give
 # the evidence. A reset is also how some masters end a connection on purpose (after each poll, or to
 # be quick). So resets of connections that a master opens for single polls, all of which end so, are
-# a note. A connection that the capture's end cuts, or that was idle, is none.
+# a note, if no request was open then. A connection that the capture's end cuts, or that was idle,
+# is none.
 #
-# Memory: MAX_EVIDENCE events for each of at most MAX_LINKS links.
+# A request that was open when its connection was reset has no answer because of that. If most
+# missing answers of a unit are such, they are told here, and the unit is not blamed. How long the
+# master asked nothing is the time from a reset to its next connection.
+#
+# Memory: MAX_EVIDENCE events, and numbers for each unit, for each of at most MAX_LINKS masters of a
+# link; the last request of each of at most MAX_LINKS connections.
 
 from __future__ import annotations
 
+from collections import Counter, OrderedDict
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind
-from mbtool.core.wording import counted, host_of
+from mbtool.core.wording import counted, duration, host_of
+from mbtool.modbus import Outcome
 from mbtool.troubles.sense import MAX_LINKS, Sense
 from mbtool.troubles.trouble import MAX_EVIDENCE, Evidence, Trouble
 
@@ -20,6 +29,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from mbtool.core import WireEvent
+    from mbtool.devices.named_transaction import NamedTransaction
     from mbtool.ledger.statistics_connections import ConnectionTally
     from mbtool.ledger.statistics_report import LinkReport
 
@@ -27,55 +37,128 @@ FEW = 3
 """Fewer lost connections than this are a note."""
 MOSTLY = 0.9
 """If at least this share (0 to 1) of a master's connections are reset, it ends them so."""
+BLAMED = 0.5
+"""A unit is not blamed if at least this share (0 to 1) of its missing answers were cut off."""
+SHORTEST_PAUSE_NS = 100_000_000
+NOBODY = -2
+"""Stands for the units that a lost connection explains, if there is none."""
 _ENDS = ("connection closed: reset", "connection closed: refused")
+
+
+@dataclass(slots=True)
+class _LostMaster:
+    """What a master lost at one link."""
+
+    cases: list[Evidence] = field(default_factory=list)
+    cut: Counter[int] = field(default_factory=Counter)
+    """By unit, the number of requests that were open when their connection was reset."""
+    lost_ns: int | None = None
+    """When a connection was lost; None if the master has opened another one since."""
+    pause_ns: int = 0
+    """How long the master had no connection, in all."""
 
 
 class LostConnections(Sense):
     """Finds NET-LOST: connections that were reset or refused."""
 
     def __init__(self) -> None:
-        self._cases: dict[tuple[str, str], list[Evidence]] = {}
+        self._masters: dict[tuple[str, str], _LostMaster] = {}
+        self._open: OrderedDict[tuple[str, str], int] = OrderedDict()
+        """By link and endpoint of the master, the unit whose request has no answer, if it was the
+        last one."""
+
+    def begin_capture(self) -> None:
+        self._open.clear()
+        for master in self._masters.values():
+            master.lost_ns = None
+
+    def transaction(self, one: NamedTransaction) -> None:
+        if one.transport.is_serial or one.request_ns is None:
+            return
+        key = one.link, one.source or ""
+        self._open.pop(key, None)
+        if one.outcome is Outcome.NO_ANSWER:
+            self._open[key] = one.unit
+            if len(self._open) > MAX_LINKS:
+                self._open.popitem(last=False)
 
     def event(self, event: WireEvent) -> None:
         is_refused = event.kind is EventKind.REFUSED
-        if not is_refused and (
-            event.kind is not EventKind.CLOSED or not event.message.startswith(_ENDS)
-        ):
-            return
+        if event.kind is EventKind.OPENED:
+            self._note_opened(event)
+        elif is_refused or (event.kind is EventKind.CLOSED and event.message.startswith(_ENDS)):
+            self._note_lost(event)
+
+    def _note_opened(self, event: WireEvent) -> None:
+        master = self._masters.get((event.link, host_of(event.source)))
+        if master is not None and master.lost_ns is not None:
+            master.pause_ns += event.ts_ns - master.lost_ns
+            master.lost_ns = None
+
+    def _note_lost(self, event: WireEvent) -> None:
         key = event.link, host_of(event.source)
-        cases = self._cases.get(key)
-        if cases is None:
-            if len(self._cases) >= MAX_LINKS:
+        master = self._masters.get(key)
+        if master is None:
+            if len(self._masters) >= MAX_LINKS:
                 return
-            cases = self._cases[key] = []
-        if len(cases) < MAX_EVIDENCE:
-            cases.append(Evidence.of_event(event))
+            master = self._masters[key] = _LostMaster()
+        if len(master.cases) < MAX_EVIDENCE:
+            master.cases.append(Evidence.of_event(event))
+        master.lost_ns = event.ts_ns if master.lost_ns is None else master.lost_ns
+        unit = self._open.pop((event.link, event.source or ""), None)
+        if unit is not None:
+            master.cut[unit] += 1
 
     def troubles(self, links: Sequence[LinkReport]) -> Iterator[Trouble]:
         for link in links:
             if not link.is_whole:
                 continue
-            for master, tally in link.connections:
+            missing: Counter[int] = Counter()
+            for one in link.functions:
+                missing[one.unit] += one.tally.count(Outcome.NO_ANSWER)
+            for name, tally in link.connections:
                 lost = tally.resets + tally.refused
                 if lost:
-                    yield self._trouble(link.name, master, tally, lost)
+                    master = self._masters.get((link.name, name), _LostMaster())
+                    yield _trouble(link, name, master, tally, missing)
 
-    def _trouble(self, link: str, master: str, tally: ConnectionTally, lost: int) -> Trouble:
-        whole = tally.opened + tally.joined + tally.refused
-        parts = [f"{tally.resets:,} reset"] if tally.resets else []
-        parts += [f"{tally.refused:,} refused"] if tally.refused else []
-        is_habit = not tally.refused and lost >= MOSTLY * whole and lost >= FEW
-        return Trouble(
-            code="NET-LOST",
-            link=link,
-            master=master,
-            count=lost,
-            of=whole,
-            weight=lost,
-            is_small=lost < FEW or is_habit,
-            figures={
-                "connections": f"{counted(lost, 'connection', ',')} of {master or 'masters'}",
-                "ends": " and ".join(parts),
-            },
-            evidence=tuple(self._cases.get((link, master), ())),
-        )
+
+def _trouble(
+    link: LinkReport, name: str, master: _LostMaster, tally: ConnectionTally, missing: Counter[int]
+) -> Trouble:
+    lost = tally.resets + tally.refused
+    whole = tally.opened + tally.joined + tally.refused
+    parts = [f"{tally.resets:,} reset"] if tally.resets else []
+    parts += [f"{tally.refused:,} refused"] if tally.refused else []
+    is_habit = not tally.refused and lost >= MOSTLY * whole and lost >= FEW and not master.cut
+    units = [unit for unit, cut in master.cut.items() if cut >= BLAMED * missing[unit]]
+    return Trouble(
+        code="NET-LOST",
+        link=link.name,
+        master=name,
+        count=lost,
+        of=whole,
+        weight=lost,
+        is_small=lost < FEW or is_habit,
+        victims=tuple(units) or (NOBODY,),
+        figures={
+            "connections": f"{counted(lost, 'connection', ',')} of {name or 'masters'}",
+            "ends": " and ".join(parts),
+            "meanwhile": _meanwhile(link, master),
+        },
+        evidence=tuple(master.cases),
+    )
+
+
+def _meanwhile(link: LinkReport, master: _LostMaster) -> str:
+    """Say what was cut off, and for how long nothing was asked; empty if nothing."""
+    cut, text = master.cut.total(), ""
+    if cut:
+        text += f", {counted(cut, 'request', ',')} cut off"
+    polled_ns = link.watched_ns - master.pause_ns
+    if master.pause_ns >= SHORTEST_PAUSE_NS and polled_ns > 0:
+        text += f"; nothing was asked for {duration(master.pause_ns)} in all"
+        asked = round(link.tally.requests * master.pause_ns / polled_ns)
+        if asked and master.cut:
+            text += f", about {counted(asked, 'request', ',')}"
+    return text

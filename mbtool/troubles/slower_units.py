@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
-from mbtool.troubles.slow_units import ENOUGH_ANSWERS, SLOW_NS, slow_units
+from mbtool.troubles.slow_units import ENOUGH_ANSWERS, slow_units
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -17,7 +17,8 @@ K = TypeVar("K")
 
 SLOWER = 2
 """A unit has become slower if its mean latency in the last quarter of its bins of time is at least
-this many times that in the first half, and at least SLOW_NS more."""
+this many times that in the first half, and at least SLOWER_NS more."""
+SLOWER_NS = 10_000_000
 _ENOUGH_BINS = 8
 """A unit with answers in fewer bins than this is never said to have become slower."""
 _DAY_NS = 86_400_000_000_000
@@ -64,7 +65,7 @@ def became_slower(bins: Sequence[UnitBin]) -> Slower | None:
         return None
     half = len(bins) // 2
     usual_ns, late_ns = _mean(bins[:half]), _mean(bins[-len(bins) // 4 :])
-    if late_ns < max(SLOWER * usual_ns, usual_ns + SLOW_NS):
+    if late_ns < max(SLOWER * usual_ns, usual_ns + SLOWER_NS):
         return None
     middle_ns = (usual_ns + late_ns) / 2
     fast = (at for at, one in enumerate(bins) if _mean([one]) < middle_ns)

@@ -63,8 +63,8 @@ _ROWS = (
         "let one master poll for both, or put a gateway between them and the line, which takes "
         "their requests in turn",
         "line", "two masters",
-        ("RTU-102", "RTU-103", "RTU-201", "RTU-202", "MB-401", "MB-402", "MB-403", "POLL-LATE",
-         "UNIT-SLOW", *_BLAMED, *_DAMAGED),
+        ("RTU-102", "RTU-103", "RTU-201", "RTU-202", "MB-104", "MB-106", "MB-401", "MB-402",
+         "MB-403", "POLL-LATE", "UNIT-SLOW", "LINE-LATE", *_BLAMED, *_DAMAGED),
     ),
     Words(
         "LINE-SAME-UNIT", _E,
@@ -76,12 +76,12 @@ _ROWS = (
     ),
     Words(
         "LINE-LATE", _E,
-        "{who} answers after {latency}, the master waits {timeout}: {count} of {of} answers come "
-        "too late",
+        "{who} answers {latency}, the master waits {timeout}: {count} of {of} answers come too "
+        "late",
         "raise the master's time-out above {longest}, or ask for less in one request",
         "unit", "{count} answers after the time-out",
         ("RTU-103", "RTU-202", "MB-401", "MB-402", "MB-403", "POLL-LATE", "UNIT-SLOW",
-         "LINE-NOISE", "LINE-LOST-BYTES", "LINE-STRAY", *_BLAMED),
+         "LINE-SAME-UNIT", "LINE-NOISE", "LINE-LOST-BYTES", *_BLAMED, *_DAMAGED),
     ),
     Words(
         "LINE-LOST-BYTES", _W,
@@ -104,7 +104,8 @@ _ROWS = (
         "floats, or a driver switches too early or late",
         "fit bias resistors and termination at one place of the line; if it is beside frames of "
         "one sender only, look at how its driver is switched",
-        "line", "stray {byte}", ("RTU-202", "RTU-103", "RTU-104"),
+        "line", "stray {byte}",
+        ("RTU-202", "RTU-103", "RTU-104", "LINE-NOISE", "LINE-LOST-BYTES"),
     ),
     Words(
         "LINE-FOREIGN", _W,
@@ -173,10 +174,10 @@ _ROWS = (
     ),
     Words(
         "NET-LOST", _W,
-        "{connections} to {link} lost: {ends}",
+        "{connections} to {link} lost: {ends}{meanwhile}",
         "look who sends the reset or refuses: the slave's limit of connections, a firewall, or a "
         "restart",
-        "link", "connections lost",
+        "link", "connections lost", ("UNIT-MISSING", "MB-401", "POLL-PAUSED"),
     ),
     # Units.
     Words(

@@ -60,6 +60,8 @@ def count_text(found: Sequence[Difference]) -> str:
 
 
 def _slave(difference: Difference) -> str:
+    if difference.unit is None:
+        return f"connections to {difference.link}" if difference.link else "connections"
     where = f" on {difference.link}" if difference.link is not None else ""
     return f"unit {difference.unit}{where}"
 

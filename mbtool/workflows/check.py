@@ -51,7 +51,7 @@ if TYPE_CHECKING:
 
     WatchRows = Callable[[Reading, Iterator[Record | BlockRows]], Iterator[Record | BlockRows]]
 
-LARGE = 1_000_000
+LARGE = 256 * 1024
 """The least size (bytes) of a capture file that is read as numpy arrays. For a smaller file,
 importing numpy would take longer than arrays save."""
 _CONNECTIONS = frozenset((EventKind.OPENED, EventKind.CLOSED))
@@ -168,13 +168,16 @@ class CheckRun:
         wanted: Where | None = None,
         on_retry: Callable[[PollStatistics, int, int], None] | None = None,
         observes: bool = False,
+        reads_only: bool = False,
     ) -> None:
         """Prepare to read. `codes` chooses the findings, `limits` are those of attacks and scans,
         `window` the time that is checked.
 
         `wanted` returns True for the transactions to count, and to report findings of; None for
-        all. `on_retry` and `observes` are those of Account.
+        all. `on_retry` and `observes` are those of Account. With `reads_only`, only reads come
+        together in CheckedRecord.rows, and no writes.
         """
+        self._reads_only = reads_only
         self._wanted = wanted
         self._codes = codes or CodeFilter()
         self._limits = limits or SecurityLimits()
@@ -273,7 +276,9 @@ class CheckRun:
 
     def _parts(self) -> Iterator[Record | BlockRows]:
         columns = self._columns if self._window.is_whole else None
-        return self.reading.records() if columns is None else columns.quiet_parts()
+        if columns is None:
+            return self.reading.records()
+        return columns.quiet_parts(reads_only=self._reads_only)
 
     def _checked(self, parts: Iterable[Record | BlockRows]) -> Iterator[CheckedRecord]:
         try:

@@ -30,6 +30,8 @@ class DiffOptions:
     """Ranges of registers and bits whose values may differ, as texts such as `HR400001..400010` or
     `holding 0..9`."""
     latency: bool = True
+    connections: bool = True
+    """False if the beginnings and ends of TCP connections are not compared."""
 
 
 class Comparison(msgspec.Struct, frozen=True, kw_only=True):
@@ -98,7 +100,10 @@ def _traffic(
 
     traffic = Traffic()
     for record in read_all(reading, say, "{error}; comparing what is there", watch):
-        if not isinstance(record, WireEvent) and options.wanted(record):
+        if isinstance(record, WireEvent):
+            if options.connections:
+                traffic.history.add_event(record)
+        elif options.wanted(record):
             traffic.add(record)
     return traffic
 

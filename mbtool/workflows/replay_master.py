@@ -11,10 +11,12 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
-from mbtool.core import InputError, LinkError
+from mbtool.core import InputError, LinkError, TcpLink
 from mbtool.core.wording import counted
-from mbtool.devices import Difference, Span, parse_span, write_reference
+from mbtool.devices import Difference, DifferenceKind, Span, parse_span, write_reference
+from mbtool.master.connections import ConnectionsMaster
 from mbtool.master.links import open_master
+from mbtool.modbus.response import ConnectionEnding
 from mbtool.replay import (
     Conductor,
     PlayClock,
@@ -26,6 +28,8 @@ from mbtool.replay import (
     Step,
     Tolerance,
 )
+from mbtool.replay.connections import Beginning, connection_text
+from mbtool.replay.script import Action, ConnectionStep
 from mbtool.views.junit import Case, junit_xml
 from mbtool.workflows.shared.read_all import unwatched
 from mbtool.workflows.shared.recorded import (
@@ -60,6 +64,9 @@ class MasterOptions(PlayOptions):
 
     is_loop: bool = False
     timeout_ns: int = _NS
+    listen_ns: int | None = 0
+    """How long to listen for another master on a serial line before the first request, in ns; 0 for
+    not at all, None for the usual times."""
     ignore: Sequence[str] = ()
     """Ranges of registers and bits whose values may differ from the recording, as texts such as
     `holding 0..9`."""
@@ -78,6 +85,11 @@ class Report(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """The number of requests that were sent, repetitions in a loop included."""
     different: int
     """The number of requests whose responses were not as recorded."""
+    connections: int = 0
+    """The number of TCP connections that were opened, refused or ended and compared with the
+    recording."""
+    different_connections: int = 0
+    """The number of connections that were not refused or ended as recorded."""
     unsolicited: int
     """The number of responses that came while no request of theirs was pending."""
     lateness_p99_ns: int | None
@@ -126,7 +138,8 @@ class MasterRun:
         recorded = read_recorded(path, options, on_remark, watch)
         profiles = recorded.assignments.profiles
         self._profiles: dict[str, Profile] = {each.name: each for each in profiles}
-        self.script = Script.of(within(recorded.transactions, options.window))
+        self._connections = recorded.connections(options, None, on_remark)
+        self.script = Script.of(within(recorded.transactions, options.window), self._connections)
         if not self.script.steps:
             raise InputError(f"{path}: no request to ask{where_none(options.window)}")
         self._spans = self.spans_of(options.ignore)
@@ -169,8 +182,12 @@ class MasterRun:
         )
         conductor, problem = None, None
         try:
-            with open_master(link, options.timeout_ns, self._on_remark) as master:
-                conductor = Conductor(self.script, clock, judge, master.limits)
+            with self._open(link) as master:
+                master.take_line(options.listen_ns)
+                has_connections = isinstance(master, ConnectionsMaster)
+                conductor = Conductor(
+                    self.script, clock, judge, master.limits, with_connections=has_connections
+                )
                 steering = Steering(clock, conductor.allow_step)
                 look_ns = _LOOK_NS if controls is None else _STEERED_NS
                 on_open()
@@ -179,15 +196,77 @@ class MasterRun:
                     if controls is not None:
                         done = f"{conductor.sent:,} requests, {judge.wrong:,} answered otherwise"
                         steering.update(controls, time.monotonic_ns(), done)
-                    self._exchange(master, conductor, on_answer, look_ns)
+                    self._exchange(master, conductor, judge, on_answer, look_ns)
+                if isinstance(master, ConnectionsMaster) and conductor.has_ended:
+                    self._judge_open(master, judge)
         except LinkError as error:
             problem = str(error)
         return self._report(link, judge, conductor, problem)
+
+    def _open(self, link: LinkSpec) -> MasterLink:
+        options = self._options
+        if not self._connections or not isinstance(link, TcpLink):
+            return open_master(link, options.timeout_ns, self._on_remark)
+        master = ConnectionsMaster(link, options.timeout_ns, self._on_remark)
+        if self._connections[0].is_open:
+            master.open(0, must_open=True)
+        return master
+
+    def _take(
+        self,
+        master: ConnectionsMaster,
+        judge: ResponseJudge,
+        step: ConnectionStep,
+    ) -> None:
+        """Open or end a connection as recorded; for an end by the slave, only wait for it."""
+        if step.action is Action.OPEN:
+            must_open = step.recorded.is_open
+            is_open = master.is_open(step.number) or master.open(step.number)
+            if not (is_open and must_open):
+                told = Beginning.OPENED if is_open else Beginning.REFUSED
+                judge.judge_connection(step.number, step.recorded.text, told)
+            if is_open and not must_open:
+                master.end(step.number, ConnectionEnding.CLOSE)
+        elif step.action is Action.CLOSE and step.recorded.ending is not None:
+            judge.judge_connection(step.number, step.recorded.text, self._text(master, step))
+            master.end(step.number, step.recorded.ending)
+
+    def _judge_ends(
+        self, master: ConnectionsMaster, conductor: Conductor, judge: ResponseJudge, now_ns: int
+    ) -> None:
+        """Judge the awaited end of a connection by the slave, if it or its time-out has come."""
+        step = conductor.awaited
+        if step is None:
+            return
+        if master.ended(step.number) is not None:
+            conductor.connection_ended(step.number, now_ns)
+        elif conductor.overdue_end(now_ns) is None:
+            return
+        judge.judge_connection(step.number, step.recorded.text, self._text(master, step))
+        master.end(step.number, ConnectionEnding.CLOSE)
+
+    def _judge_open(self, master: ConnectionsMaster, judge: ResponseJudge) -> None:
+        """Judge the connections that the recording leaves open."""
+        for number, one in enumerate(self._connections):
+            if one.is_open and not one.ended_by:
+                step = ConnectionStep(number, Action.CLOSE, one, 0)
+                judge.judge_connection(number, one.text, self._text(master, step))
+
+    def _text(self, master: ConnectionsMaster, step: ConnectionStep) -> str:
+        """The words for what became of a connection that was opened, before the master ends it."""
+        one, ended = step.recorded, master.ended(step.number)
+        if not master.is_open(step.number) and ended is None:
+            return one.text  # It was refused, which is judged already.
+        if ended is None:
+            by_master = one.ended_by == "master"
+            return one.text if by_master else connection_text(one.beginning, "", None)
+        return connection_text(one.beginning, "slave", ended)
 
     def _exchange(
         self,
         master: MasterLink,
         conductor: Conductor,
+        judge: ResponseJudge,
         on_answer: Callable[[Step, bytes | None, bool], None],
         longest_wait_ns: int,
     ) -> None:
@@ -197,11 +276,19 @@ class MasterRun:
         `on_answer` is called as `play` describes.
         """
         now_ns = time.monotonic_ns()
+        if isinstance(master, ConnectionsMaster):
+            self._judge_ends(master, conductor, judge, now_ns)
         for number in master.lost():
             for gone, is_right in conductor.give_up(number, now_ns):
                 on_answer(gone, None, is_right)
         step = conductor.next_step(now_ns)
+        if isinstance(step, ConnectionStep):
+            assert isinstance(master, ConnectionsMaster)
+            self._take(master, judge, step)
+            return
         if step is not None:
+            if isinstance(master, ConnectionsMaster):
+                master.use(step.connection or 0)
             begin_ns = time.monotonic_ns()
             master.send(step.number, step.unit, step.pdu)
             end_ns = time.monotonic_ns()
@@ -239,6 +326,8 @@ class MasterRun:
             link=str(link),
             requests=sent,
             different=judge.wrong,
+            connections=judge.connections,
+            different_connections=judge.wrong_connections,
             unsolicited=conductor.unsolicited if conductor else 0,
             lateness_p99_ns=lateness_p99_ns(conductor.lateness, options) if conductor else None,
             asked=judge.requests(),
@@ -252,8 +341,8 @@ class MasterRun:
 
 
 def junit(report: Report) -> str:
-    """Return the report as JUnit XML: a test case for each request, and one for each register whose
-    values differed.
+    """Return the report as JUnit XML: a test case for each request, one for each register whose
+    values differed, and one for each connection that was not refused or ended as recorded.
 
     A request's case fails if one of its responses was not as recorded, or if its latencies are too
     long. If the link failed or the user ended the replay early, another case has the error.
@@ -270,7 +359,12 @@ def junit(report: Report) -> str:
     cases += [
         Case(f"unit {each.unit}", f"value of {each.reference}", [_told(each)])
         for each in report.differences
-        if each.function is None
+        if each.function is None and each.kind is not DifferenceKind.CONNECTION
+    ]
+    cases += [
+        Case("connections", each.what, [_told(each)])
+        for each in report.differences
+        if each.kind is DifferenceKind.CONNECTION
     ]
     if report.problem is not None:
         cases.append(Case("link", report.link, error=report.problem))

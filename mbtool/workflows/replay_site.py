@@ -131,7 +131,7 @@ class SiteRun:
                 demand_one_slave_each(path, chosen)
             own = recorded._replace(transactions=chosen)
             try:
-                run = SlaveRun(path, options, recorded=own, origin_ns=origin_ns)
+                run = SlaveRun(path, options, on_remark, recorded=own, origin_ns=origin_ns)
             except InputError as error:  # This slave gets no request between --start and --end.
                 if len(parts) == 1:
                     raise

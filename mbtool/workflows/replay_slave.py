@@ -11,10 +11,11 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mbtool.core import InputError, SerialLink, UsageError
+from mbtool.core import InputError, SerialLink, TcpLink, UsageError
 from mbtool.modbus import Transport
 from mbtool.ports.allowed_peers import THIS_MACHINE, AllowedPeers
 from mbtool.replay import (
+    ConnectionPlayer,
     FixedLatency,
     LatencyModel,
     MatchStrategy,
@@ -26,6 +27,7 @@ from mbtool.replay import (
     SampledLatency,
 )
 from mbtool.slave.device import RegisterImage
+from mbtool.slave.device.units import is_line
 from mbtool.slave.families import make_device
 from mbtool.slave.shells import open_shell, slave_link
 from mbtool.workflows.shared.faults import faulty
@@ -36,10 +38,11 @@ if TYPE_CHECKING:
     from collections import Counter
     from collections.abc import Callable
 
-    from mbtool.core import LinkSpec, TcpLink
+    from mbtool.core import LinkSpec
     from mbtool.devices import Profile
     from mbtool.modbus import Responder, Response, Table
     from mbtool.replay import AnsweredFrom, Control, Progress
+    from mbtool.slave.device.connection_policy import ConnectionPolicy
     from mbtool.slave.shells import OnExchange, Shell
     from mbtool.workflows.shared.read_all import Watch
     from mbtool.workflows.shared.recorded import Recorded
@@ -106,6 +109,7 @@ class SlaveRun:
         # `self.recording`.
         self._profiles = recorded.assignments.profiles
         self._profile_of = _profile_of_units(recorded)
+        self._connections = recorded.connections(options, origin_ns, on_remark)
         if not self.recording.answers:
             raise InputError(
                 f"{path}: no request to play an answer for{where_none(options.window)}"
@@ -146,13 +150,30 @@ class SlaveRun:
             devices=devices,
             transport=_transport(where),
             with_damage=options.with_damage,
+            any_unit=self._any_unit(where),
         )
+        rules = None
+        if isinstance(where, TcpLink) and self._connections:
+            is_loop = options.on_end is OnEnd.LOOP
+            rules = ConnectionPlayer(self._connections, rate=options.rate, is_loop=is_loop)
         responder: Responder = slave
         if options.fault_file is not None:
             responder = faulty(slave, options.fault_file, where, self._profiles)
         return PlayedSlave(
-            slave, wrapped(responder), where, allowed=allowed, on_exchange=on_exchange
+            slave,
+            wrapped(responder),
+            where,
+            allowed=allowed,
+            rules=rules,
+            on_exchange=on_exchange,
         )
+
+    def _any_unit(self, where: SerialLink | TcpLink) -> int | None:
+        """The recorded unit of a device that answers requests for any unit on this link."""
+        if is_line(where):
+            return None
+        answers_any = (unit for unit, one in self._profile_of.items() if one.any_unit)
+        return min(answers_any, default=None)
 
     def _latency(self) -> LatencyModel:
         if self._fixed_ns is not None:
@@ -176,6 +197,7 @@ class PlayedSlave:
         link: SerialLink | TcpLink,
         *,
         allowed: AllowedPeers,
+        rules: ConnectionPolicy | None = None,
         on_exchange: OnExchange | None = None,
     ) -> None:
         self._slave = slave
@@ -184,7 +206,9 @@ class PlayedSlave:
         self.before_request: Callable[[], None] = lambda: None
         """A function called in the link's thread before each request is answered; by default it
         does nothing."""
-        self.shell: Shell = open_shell(link, self, allowed=allowed, on_exchange=on_exchange)
+        self.shell: Shell = open_shell(
+            link, self, allowed=allowed, rules=rules, on_exchange=on_exchange
+        )
 
     def respond(self, unit: int, pdu: bytes, now_ns: int) -> Response | None:
         self.before_request()

@@ -77,7 +77,13 @@ class ReportRun:
         self._files = files
         self._options = options
         self._check = CheckRun(
-            files, options, codes, window=window, on_retry=self._mark_retry, observes=True
+            files,
+            options,
+            codes,
+            window=window,
+            on_retry=self._mark_retry,
+            observes=True,
+            reads_only=True,
         )
         self.reading = self._check.reading
         self.account = self._check.ledger

@@ -162,8 +162,11 @@ def _start(
         run(plan(rng.choice(ONE_ID), third), 40003, lambda: run(again, 40003, None))
         return
     if master.startswith("pipelined"):
-        ids = Ids.COUNTING if "counting" in master else rng.choice(ONE_ID)
-        run(plan(ids, requests, rng.choice((2, 4, 8, 16)), bursts=rng.random() < 0.6), 40001, None)
+        kinds = {"pipelined counting": Ids.COUNTING, "pipelined cycle": Ids.CYCLE}
+        ids = kinds.get(master) or rng.choice(ONE_ID)
+        # A master has no more requests open than it has ids, unless it has one only.
+        depth = rng.choice((3, 4) if ids is Ids.CYCLE else (2, 4, 8, 16))
+        run(plan(ids, requests, depth, bursts=rng.random() < 0.6), 40001, None)
         return
     ids = {"constant 0": Ids.ZERO, "constant 3": Ids.THREE, "cycle": Ids.CYCLE}.get(
         master, Ids.COUNTING

@@ -40,6 +40,79 @@ def test_values_can_be_read_and_set_while_it_answers() -> None:
         assert slave["HR400001"] == 0x1234
 
 
+PUMP = """
+name = "pump"
+title = "Pump"
+vendor = "Maker"
+transports = ["tcp"]
+source = "made for this test"
+[functions]
+03 = {}
+06 = {}
+10 = {}
+[[areas]]
+name = "data"
+table = "holding_registers"
+first = 0
+last = 20
+access = "rw"
+prefix = "D"
+base = 0
+[[points]]
+name = "Setpoint"
+table = "holding_registers"
+address = 0
+scale = 0.1
+unit = "degC"
+[[points]]
+name = "Flow"
+table = "holding_registers"
+address = 4
+type = "float32"
+[[points]]
+name = "Maker's text"
+table = "holding_registers"
+address = 6
+type = "string"
+length = 3
+"""
+
+
+def pump(folder: Path) -> mbtool.Slave:
+    file = folder / "pump.toml"
+    file.write_text(PUMP)
+    return mbtool.Slave(file)
+
+
+@pytest.mark.parametrize(("name", "value", "registers"), [
+    ("Setpoint", 21.5, [215]),
+    ("Flow", 1.5, [16320, 0]),
+    ("Maker's text", "AB12", [0x4142, 0x3132, 0]),
+])  # fmt: skip
+def test_a_named_point_is_in_its_unit_and_its_registers_are_raw(
+    tmp_path: Path, name: str, value: float | str, registers: list[int]
+) -> None:
+    with pump(tmp_path) as slave:
+        slave[name] = value
+        assert slave[name] == value
+        assert slave.raw[name] == registers
+
+
+def test_a_written_point_is_asserted_in_its_unit(tmp_path: Path) -> None:
+    with pump(tmp_path) as slave, master_of(slave) as ask:
+        ask("06 0000 00d7")
+        ask("10 0004 0002 04 3fc0 0000")
+        slave.assert_asked("Setpoint", written=21.5, times=1)
+        slave.assert_asked("D0", written=215, times=1)
+        slave.assert_asked("Flow", written=1.5, times=1)
+        with pytest.raises(AssertionError, match=r"Setpoint with 22.0 written: asked never"):
+            slave.assert_asked("Setpoint", written=22.0)
+        with pytest.raises(mbtool.UsageError, match=r"Setpoint: written=99999"):
+            slave.assert_asked("Setpoint", written=99999.0)
+        with pytest.raises(mbtool.UsageError, match="no profile has a point there"):
+            slave.assert_asked("holding 12", written=1.5)
+
+
 def test_a_value_that_does_not_fit_is_refused() -> None:
     with touch() as slave:
         with pytest.raises(mbtool.UsageError, match="HR400001"):
@@ -82,7 +155,7 @@ def test_assert_asked_says_what_came_instead() -> None:
         first, second = str(caught.value).splitlines()
         assert first == "HR400001: asked once, not 3 times. What was asked:"
         assert second.endswith("unit 1  03 read HR400001..400002 -> 0, 0")
-        with pytest.raises(AssertionError, match=r"HR400004 with \[9\] written: asked never"):
+        with pytest.raises(AssertionError, match=r"HR400004 with 9 written: asked never"):
             slave.assert_asked("HR400004", written=9)
         with pytest.raises(mbtool.UsageError, match=r"^'HX1' is no register or bit of idec-ft1a"):
             slave.assert_asked("HX1")

@@ -165,18 +165,23 @@ def by_timer(data: bytes, times: list[int], period_ns: int, most: int) -> Iterat
         yield data[begin:], tick_ns
 
 
-def by_count(data: bytes, times: list[int], size: int) -> Iterator[Read]:
-    """So many bytes at once, whatever silences are between them; less only after a long wait."""
+def by_count(
+    data: bytes, times: list[int], size: int, flush_ns: int | None = BURST_FLUSH_NS
+) -> Iterator[Read]:
+    """So many bytes at once, whatever silences are between them; less only after a long wait.
+
+    Without `flush_ns` that wait has no end.
+    """
     begin = 0
     for at, time_ns in enumerate(times):
-        if at > begin and time_ns > times[begin] + BURST_FLUSH_NS:
-            yield data[begin:at], times[begin] + BURST_FLUSH_NS
+        if flush_ns is not None and at > begin and time_ns > times[begin] + flush_ns:
+            yield data[begin:at], times[begin] + flush_ns
             begin = at
         if at + 1 - begin == size:
             yield data[begin : at + 1], time_ns
             begin = at + 1
     if begin < len(data):
-        yield data[begin:], times[begin] + BURST_FLUSH_NS
+        yield data[begin:], times[-1] if flush_ns is None else times[begin] + flush_ns
 
 
 def with_steps_back(data: bytes, times: list[int]) -> Iterator[Read]:

@@ -186,6 +186,45 @@ def per_poll(packets: int, rng: random.Random) -> Iterator[tuple[bytes, int]]:
         yield from ((frame, 0) for frame in poll.close())
 
 
+def random_requests(packets: int, rng: random.Random) -> Iterator[tuple[bytes, int]]:
+    """Reads and writes of random addresses and quantities, in order, on 20 connections."""
+    polls = [Poll(number, 40_000 + number, rng) for number in range(CONNECTIONS)]
+    for poll in polls:
+        yield from ((frame, 0) for frame in poll.open())
+    for number in range((packets - 3 * CONNECTIONS) // 2):
+        poll = polls[number % CONNECTIONS]
+        unit, address, quantity = rng.randrange(1, 5), rng.randrange(2000), rng.randrange(1, 20)
+        function = rng.choice((0x03, 0x03, 0x04, 0x06, 0x10))
+        values = tuple(rng.randrange(0x10000) for _ in range(quantity))
+        if function in (0x03, 0x04):
+            request = encode_pdu(function, Direction.REQUEST, address=address, quantity=quantity)
+            response = encode_pdu(function, Direction.RESPONSE, values=values)
+        elif function == 0x06:
+            request = encode_pdu(function, Direction.REQUEST, address=address, value=values[0])
+            response = request
+        else:
+            request = encode_pdu(
+                function, Direction.REQUEST, address=address, quantity=quantity, values=values
+            )
+            response = encode_pdu(function, Direction.RESPONSE, address=address, quantity=quantity)
+        yield poll.asks(mbap_adu(number & 0xFFFF, unit, request)), 0
+        yield poll.answers(mbap_adu(number & 0xFFFF, unit, response)), 1
+
+
+def scan(packets: int, rng: random.Random) -> Iterator[tuple[bytes, int]]:
+    """One master asks all units for all addresses; a tenth of them is answered with a value."""
+    poll = Poll(0, 40_000, rng)
+    yield from ((frame, 0) for frame in poll.open())
+    for number in range((packets - 3) // 2):
+        unit, address = 1 + number % 247, number * 7 % 0x10000
+        request = encode_pdu(0x03, Direction.REQUEST, address=address, quantity=1)
+        is_there = rng.random() < 0.1
+        value = (rng.randrange(0x10000),)
+        answer = encode_pdu(0x03, Direction.RESPONSE, values=value) if is_there else b"\x83\x02"
+        yield poll.asks(mbap_adu(number & 0xFFFF, unit, request)), 0
+        yield poll.answers(mbap_adu(number & 0xFFFF, unit, answer)), 1
+
+
 def make_capture(
     path: Path, frames: Callable[[int, random.Random], Iterator[tuple[bytes, int]]], packets: int
 ) -> Made:

@@ -162,8 +162,15 @@ def programs_for(made: Made, folder: Path) -> dict[str, list[str]]:
     return programs
 
 
-def run(command: Sequence[str], environment: dict[str, str] | None = None) -> Cost:
-    """Run a command to its end, and return what it needed. Raises RuntimeError if it fails."""
+def run(
+    command: Sequence[str],
+    environment: dict[str, str] | None = None,
+    codes: Sequence[int] = (0,),
+) -> Cost:
+    """Run a command to its end, and return what it needed.
+
+    Raises RuntimeError if its exit code is not in `codes`.
+    """
     with subprocess.Popen(
         command,
         stdout=subprocess.DEVNULL,
@@ -173,7 +180,7 @@ def run(command: Sequence[str], environment: dict[str, str] | None = None) -> Co
     ) as process:
         _, status, used = os.wait4(process.pid, 0)
         process.returncode = os.waitstatus_to_exitcode(status)
-    if process.returncode:
+    if process.returncode not in codes:
         raise RuntimeError(f"{' '.join(command)}: exit code {process.returncode}")
     return Cost(used.ru_utime + used.ru_stime, used.ru_maxrss / 1024)
 

@@ -58,12 +58,21 @@ def truth(recording: Recording) -> Told:
     """What a decoder that knows everything tells."""
     sent = recording.sent
     told = Told(transactions=[])
-    answers = {one.answers: one for one in sent if one.answers is not None}
+    answers = {one.answers: one for one in sent if one.role is Role.RESPONSE}
     for at, one in enumerate(sent):
         if one.role is Role.ECHO:
             told.echoes.append(one.offset)
         elif one.role is not Role.NOISE:
             told.frames.append(ToldFrame(one.offset, one.raw, Direction(one.role), 1.0))
+        is_alone = one.role is Role.RESPONSE and (
+            one.answers is None or sent[one.answers].is_damaged
+        )
+        if is_alone:
+            told_transactions(told).append(
+                ToldTransaction(
+                    None, (one.offset, one.raw), Outcome.NOT_CAPTURED, 1.0, is_ambiguous=False
+                )
+            )
         if one.role is Role.REQUEST:
             response = answers.get(at)
             outcome = Outcome.NO_ANSWER if one.unit else Outcome.BROADCAST

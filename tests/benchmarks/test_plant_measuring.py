@@ -118,13 +118,13 @@ def test_the_table_has_a_row_for_each_plant_and_adapter(
     arguments = ["--plants", "--no-peers", "--transactions", "20", "--cell", "glued/bursts"]
     main([*arguments, "--markdown", "--seeds", "3", "4"])
     heading, _, *rows, seeds = capsys.readouterr().out.splitlines()
-    assert heading == "| plant | bursts of 32 | bursts of 62 | bursts of 64 |"
-    assert rows == ["| glued | 100.00 / 0.00 | 100.00 / 0.00 | 100.00 / 0.00 |"]
+    assert heading == "| plant | bursts of 32 | bursts of 62 | bursts of 64 | bursts of 8 KB |"
+    assert rows == [f"| glued |{' 100.00 / 0.00 |' * 4}"]
     assert seeds == "seeds 3 4"
     main(arguments)
     heading, *rows, seeds = capsys.readouterr().out.splitlines()
     assert heading.split()[:3] == list(HEADINGS[:3])
-    assert [row.split("  ")[0] for row in rows] == ["glued"] * 3
+    assert [row.split("  ")[0] for row in rows] == ["glued"] * 4
     assert seeds == "seeds 1"
 
 

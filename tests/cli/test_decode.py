@@ -414,12 +414,23 @@ def test_reads_the_bytes_of_a_line_that_is_named(mbtool: CommandLine, tmp_path: 
     assert told.err == "1 transaction: 1 ok\n"
 
 
-def test_without_a_line_bytes_are_no_capture(mbtool: CommandLine, tmp_path: Path) -> None:
+def test_bytes_in_text_need_no_line_if_they_are_frames(mbtool: CommandLine, tmp_path: Path) -> None:
     path = tmp_path / "bench.txt"
     path.write_text(BYTES)
     told = mbtool("decode", path)
+    assert told.code == exit_codes.DONE
+    assert "bench              1  03 read holding 0..1 -> 4660, 22136" in told.out
+    assert told.err == (
+        f"1 transaction: 1 ok\n{path}: 2 frames in 3 lines of text, all else passed over\n"
+    )
+
+
+def test_without_a_line_bytes_are_no_capture(mbtool: CommandLine, tmp_path: Path) -> None:
+    path = tmp_path / "bench.txt"
+    path.write_text(BYTES.replace("c4 0b", "c4 0c").replace("81 07", "81 08"))
+    told = mbtool("decode", path)
     assert (told.code, told.out) == (exit_codes.UNREADABLE, "")
-    assert told.err.startswith(f"mbtool: {path}: a text file, no capture; ")
+    assert told.err.startswith(f"mbtool: {path}: a text file of 3 lines, no capture; ")
     assert told.err.endswith("say which: --link rtu@19200-8E1\n")
 
 

@@ -41,6 +41,8 @@ COMMANDS = (
     "read",
     "write",
     "poll",
+    "scan",
+    "test",
     "devices",
     "links",
     "doctor",
@@ -248,7 +250,7 @@ def test_wrong_usage_is_one_line_that_says_what_would_be_right(
     [
         (None, "there is no such file"),
         (b"", "empty; a capture has at least a header"),
-        (b"hello\n", "a text file, no capture; pcap, pcapng and MCAP are read"),
+        (b"hello\n", "a text file of 1 line, no capture; it shows no bytes, so there is nothing"),
         (b"PK\x03\x04" + bytes(60), "a zip archive, no capture"),
         (bytes(64), "a file that begins with 00 00 00 00"),
         (capture_file()[:3], "ends inside the first bytes of its header"),

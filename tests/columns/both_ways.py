@@ -59,9 +59,9 @@ def packet_by_packet(capture: bytes) -> Outcome:
     return Outcome(without_dictionaries(row_table(rows)), events, error)
 
 
-def records_of(capture: bytes) -> tuple[list[Record], str | None]:
+def records_of(capture: bytes, namer: Namer | None = None) -> tuple[list[Record], str | None]:
     """What the decoder makes of the packets one by one, and the error that ends the capture."""
-    decoder = Decoder(Namer(), ports=PORTS, across=True)
+    decoder = Decoder(namer or Namer(), ports=PORTS, across=True)
     records: list[Record] = []
     error = None
     try:
@@ -85,10 +85,12 @@ def as_arrays(capture: bytes, block_packets: int = packet_block.BLOCK_PACKETS) -
 
 
 def blocks_of(
-    capture: bytes, block_packets: int = packet_block.BLOCK_PACKETS
+    capture: bytes,
+    block_packets: int = packet_block.BLOCK_PACKETS,
+    namer: Namer | None = None,
 ) -> tuple[list[DecodedBlock], str | None, int]:
     """The results of all portions, the error that ends the capture, and how many rows are plain."""
-    decoder = ColumnDecoder(Decoder(Namer(), ports=PORTS, across=True), PORTS)
+    decoder = ColumnDecoder(Decoder(namer or Namer(), ports=PORTS, across=True), PORTS)
     blocks: list[DecodedBlock] = []
     error = None
     stream: BinaryIO = io.BufferedReader(io.BytesIO(capture))

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from mbtool.core import Direction
 from mbtool.modbus import encode_pdu, exception_pdu, mbap_adu
+from mbtool.packets.segment import ACK, FIN
 from tests.captures import public_folder
 from tests.columns.both_ways import as_arrays, damaged, differences, generated
 from tests.columns.disturbed_captures import disturbed
@@ -52,6 +53,16 @@ def test_a_connection_that_the_capture_has_whole_is_read_as_arrays() -> None:
     assert differences(capture) == []
     assert as_arrays(capture).plain == 50
     assert differences(capture, 60) == []
+
+
+def test_connections_that_the_slave_ends_are_read_as_arrays() -> None:
+    talk = Talk()
+    packets = [*talk.handshake(), *poll(talk, 5)]
+    packets += [talk.send(talk.slave, flags=FIN | ACK), talk.send(talk.master, flags=FIN | ACK)]
+    capture = pcap([*packets, talk.send(talk.slave)])
+    assert differences(capture) == []
+    assert as_arrays(capture).plain == 5
+    assert as_arrays(capture).events[-1].message == "connection closed: finished by the slave"
 
 
 @pytest.mark.parametrize("flows_at_once", [3, 2048])
@@ -193,6 +204,93 @@ def test_many_short_connections_with_disorder_give_equal_results(number: int) ->
 
 def test_a_connection_is_told_the_time_while_its_stretch_goes_on() -> None:
     assert differences(damaged(generated(742), random.Random("cut 742"))) == []
+
+
+def polls_of_several(count: int, transactions: int, unanswered: int = 0) -> list[Packet]:
+    """The packets of `count` connections that poll in turn, a transaction each 2 ms.
+
+    From the tenth request of a connection on, each request with a number that `unanswered` divides
+    has no response.
+    """
+    talks = [Talk(ts_ns=number * 10_000_000) for number in range(count)]
+    packets: list[Packet] = []
+    for number, talk in enumerate(talks):
+        talk.master.port += number
+        packets += talk.handshake()
+    for number in range(transactions):
+        for talk in talks:
+            talk.ts_ns = packets[-1].ts_ns
+            both = poll(talk, 1)
+            if unanswered and number > 10 and not number % unanswered:
+                talk.slave.sequence -= len(mbap_adu(0, 17, VALUES))
+                del both[1]
+            packets += both
+    return packets
+
+
+@pytest.mark.parametrize("jitter_ns", [900_000, 60_000_000, 130_000_000])
+@pytest.mark.parametrize("number", range(6))
+@pytest.mark.parametrize("smallest", [4, 256])
+def test_times_that_go_back_give_equal_results(jitter_ns: int, number: int, smallest: int) -> None:
+    rng = random.Random(number)
+    packets = polls_of_several(3, 60, rng.choice((0, 7)))
+    for at in range(0, len(packets), rng.choice((1, 5, 40))):
+        packets[at] = moved(packets[at], rng.randrange(jitter_ns))
+    with patch("mbtool.columns.column_decoder.SMALLEST", smallest):
+        assert differences(pcap(packets, magic=0xA1B23C4D)) == []
+
+
+def test_times_that_go_back_a_little_leave_polls_to_arrays() -> None:
+    packets = polls_of_several(4, 60)
+    for at in range(12, len(packets), 10):
+        packets[at] = moved(packets[at], -20_000_000)
+    assert differences(pcap(packets)) == []
+    assert as_arrays(pcap(packets)).plain > 100
+
+
+@pytest.mark.parametrize("hours", [1, 1.9, 2, 3])
+@pytest.mark.parametrize("smallest", [4, 256])
+def test_pauses_of_hours_give_equal_results(hours: float, smallest: int) -> None:
+    packets: list[Packet] = []
+    pause_ns = int(hours * 3600e9)
+    ends_ns = 0
+    talks = [Talk(), Talk(), Talk()]
+    for number, talk in enumerate(talks):
+        talk.master.port += number
+        talk.ts_ns = ends_ns
+        packets += [*talk.handshake(), *poll(talk, 3)]
+        ends_ns = talk.ts_ns
+    for number in range(40):
+        talk = talks[number % (2 if number < 20 else 3)]
+        talk.ts_ns = ends_ns + pause_ns // 2
+        packets += poll(talk, 2)
+        ends_ns = talk.ts_ns
+    with patch("mbtool.columns.column_decoder.SMALLEST", smallest):
+        assert differences(pcap(packets, magic=0xA1B23C4D)) == []
+        if hours == 1 and smallest == 4:
+            assert as_arrays(pcap(packets, magic=0xA1B23C4D)).plain > 60
+
+
+@pytest.mark.parametrize("varied", [False, True])
+@pytest.mark.parametrize("apart_ns", [0, 3_000_000_000, 61_000_000_000])
+def test_polls_behind_a_request_without_response_are_read_as_arrays(
+    varied: bool, apart_ns: int
+) -> None:
+    talk = Talk()
+    packets = talk.handshake()
+    requests = [
+        encode_pdu(0x03, Direction.REQUEST, address=107 + number, quantity=3) for number in range(5)
+    ]
+    for number in range(100):
+        request = requests[number % 5 if varied else 0]
+        asked, answered = mbap_adu(number, 17, request), mbap_adu(number, 17, VALUES)
+        packets.append(talk.request(asked))
+        if number not in (20, 40, 41):
+            packets.append(talk.response(answered))
+        talk.ts_ns += apart_ns if number in (21, 60) else 200_000_000 * (number in (20, 40, 41))
+    capture = pcap(packets, magic=0xA1B23C4D)
+    assert differences(capture) == []
+    assert as_arrays(capture).plain > 80
 
 
 @settings(max_examples=40)

@@ -18,8 +18,8 @@ def ends(*values: int) -> np.ndarray[tuple[int], np.dtype[np.uint64]]:
 def test_a_flow_keeps_its_number_and_its_ends() -> None:
     numbers = FlowNumbers()
     lower, upper = (
-        ends(502 << 32 | 1, 502 << 32 | 2, 502 << 32 | 1),
-        ends(7 << 40, 7 << 40, 7 << 40),
+        ends(502 << 48 | 1, 502 << 48 | 2, 502 << 48 | 1),
+        ends(7 << 48, 7 << 48, 7 << 48),
     )
     first = numbers.numbers(lower, upper).tolist()
     assert first[0] == first[2] != first[1]
@@ -38,5 +38,6 @@ def test_flows_are_forgotten_beyond_the_limit(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(flows, "MAX_FLOWS", 2)
     numbers = FlowNumbers()
     for value in range(6):
+        numbers.make_room()
         numbers.numbers(ends(value), ends(9))
         assert len(numbers.ends) <= 3

@@ -1,15 +1,14 @@
 from __future__ import annotations
 
+import struct
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import pytest
 
-from mbtool.columns.headers import read_headers
-from mbtool.columns.packet_block import _block_of
-from tests.columns.both_ways import PORTS, as_arrays, differences
+from tests.columns.both_ways import as_arrays, differences
 from tests.columns.test_equality import poll
-from tests.packets.building import Talk, erspan, ethernet, in_fragments, ipv6, pcap, tcp, vxlan
+from tests.packets.building import Talk, erspan, in_fragments, pcap, vxlan
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -38,6 +37,18 @@ def raw(packet: Packet) -> Packet:
     return replace(_with(packet, packet.data[14:]), link_type=101)
 
 
+def in_ipv6(packet: Packet) -> Packet:
+    """The same segment between two addresses of IPv6."""
+    source, target = (bytes(12) + packet.data[at : at + 4] for at in (26, 30))
+    end = 14 + int.from_bytes(packet.data[16:18], "big")
+    header = struct.pack(">IHBB", 6 << 28, end - 34, 6, 64) + source + target
+    return _with(packet, packet.data[:12] + b"\x86\xdd" + header + packet.data[34:end])
+
+
+def in_family(packet: Packet, family: bytes) -> Packet:
+    return _with(packet, family + packet.data[14:])
+
+
 def _with(packet: Packet, data: bytes) -> Packet:
     return replace(packet, data=data, original_length=len(data))
 
@@ -54,8 +65,20 @@ def _with(packet: Packet, data: bytes) -> Packet:
         (lambda one: _with(one, vxlan(one.data)), 0),
         (lambda one: _with(one, one.data + b"padding"), 20),
         (lambda one: replace(one, link_type=108), 0),
+        (lambda one: replace(in_family(one, b"\0\0\0\2"), link_type=108), 20),
+        (lambda one: replace(in_family(one, b"\2\0\0\0"), link_type=0), 20),
+        (lambda one: replace(in_family(one, b"\0\0\0\3"), link_type=108), 0),
+        (lambda one: in_ipv6(one), 20),
+        (lambda one: tagged(in_ipv6(one)), 20),
+        (
+            lambda one: replace(_with(one, b"\0\0\0\x1e" + in_ipv6(one).data[14:]), link_type=108),
+            20,
+        ),
     ],
-    ids=["vlan", "two vlans", "three vlans", "cooked", "raw", "erspan", "vxlan", "padding", "loop"],
+    ids=[
+        *("vlan", "two vlans", "three vlans", "cooked", "raw", "erspan", "vxlan", "padding"),
+        *("no family", "loop", "null", "other family", "ipv6", "ipv6 vlan", "ipv6 loop"),
+    ],
 )
 def test_headers_are_read_as_arrays_or_left_to_the_decoder(
     change: Callable[[Packet], Packet], plain: int
@@ -72,19 +95,43 @@ def test_no_stretch_goes_over_a_fragment() -> None:
     assert 10 < as_arrays(pcap(packets)).plain < 19
 
 
-def test_a_segment_in_ipv6_is_apart_and_ends_no_stretch() -> None:
-    packets = talk()
-    segment = tcp(40_000, 502, 1, payload=b"\0")
-    packets.insert(12, _with(packets[12], ethernet(ipv6(segment), kind=0x86DD)))
-    headers = read_headers(_block_of(packets), PORTS)
-    assert headers.apart.tolist() == [12]
-    assert headers.hidden.tolist() == []
+def test_connections_of_ipv4_and_ipv6_are_told_apart() -> None:
+    one = Talk()
+    other = Talk()
+    packets = [*one.handshake(), *poll(one, 20)]
+    sixes = [in_ipv6(each) for each in [*other.handshake(), *poll(other, 20)]]
+    both = [each for pair in zip(packets, sixes, strict=True) for each in pair]
+    assert differences(pcap(both)) == []
+    assert as_arrays(pcap(both)).plain == 38
+
+
+def test_masters_with_the_port_of_the_slave_give_equal_results_in_ipv6() -> None:
+    one = Talk()
+    one.master.port = 502
+    packets = [in_ipv6(each) for each in [*one.handshake(), *poll(one, 20)]]
+    other = Talk(ts_ns=1_000_000_000)
+    packets += [in_ipv6(each) for each in [*other.handshake(), *poll(other, 20)]]
     assert differences(pcap(packets)) == []
-    assert as_arrays(pcap(packets)).plain == 20
+    assert as_arrays(pcap(packets)).plain == 19
 
 
-def test_a_packet_that_is_cut_anywhere_in_its_headers_gives_equal_results() -> None:
-    for length in range(len(talk()[10].data)):
-        packets = talk()
+@pytest.mark.parametrize("place", [4, 5, 6])
+@pytest.mark.parametrize("value", [0, 1, 6, 17, 44, 58, 255])
+def test_an_ipv6_header_with_another_length_or_protocol_gives_equal_results(
+    place: int, value: int
+) -> None:
+    packets = [in_ipv6(each) for each in talk()]
+    data = bytearray(packets[12].data)
+    data[14 + place] = value
+    packets[12] = replace(packets[12], data=bytes(data))
+    assert differences(pcap(packets)) == []
+
+
+@pytest.mark.parametrize("change", [lambda one: one, in_ipv6], ids=["ipv4", "ipv6"])
+def test_a_packet_that_is_cut_anywhere_in_its_headers_gives_equal_results(
+    change: Callable[[Packet], Packet],
+) -> None:
+    for length in range(len(change(talk()[10]).data)):
+        packets = [change(one) for one in talk()]
         packets[10] = replace(packets[10], data=packets[10].data[:length])
         assert differences(pcap(packets)) == [], length

@@ -108,6 +108,58 @@ def test_interfaces_of_a_pcapng_file_keep_their_names_and_types() -> None:
     assert key(in_blocks(capture)) == key(one_by_one(capture))
 
 
+@pytest.mark.parametrize("slowly", [1, 3, 1024])
+@pytest.mark.parametrize("order", "<>")
+@pytest.mark.parametrize("resolution", [b"\x00", b"\x06", b"\x09", b"\x8a", b"\x12"])
+def test_blocks_hold_the_packets_of_a_pcapng_file(
+    slowly: int, order: str, resolution: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(packet_block, "SLOWLY", slowly)
+    monkeypatch.setattr(packet_block, "BLOCK_BYTES", 3000)
+    capture = pcapng(Pcapng(order), {9: resolution})
+    assert len(in_blocks(capture)[0]) == 168
+    assert key(in_blocks(capture)) == key(one_by_one(capture))
+
+
+def pcapng(blocks: Pcapng, options: dict[int, bytes]) -> bytes:
+    """Two sections with packet blocks of all kinds, from two interfaces, and other blocks."""
+    data = [one.data for one in packets(40)]
+    capture = b""
+    for _ in range(2):
+        capture += blocks.section() + blocks.interface() + blocks.interface(101, options=options)
+        capture += b"".join(blocks.enhanced(one, 1 << 40 | len(one), 1) for one in data)
+        capture += blocks.block(5, bytes(12)) + blocks.simple(data[20]) + blocks.simple(data[21])
+        capture += blocks.obsolete(data[22], 1 << 33, 1) + blocks.block(0x0BAD, b"abc")
+        capture += b"".join(blocks.enhanced(one, len(one), len(one) % 2) for one in data)
+        capture += blocks.simple(data[3])
+    return capture
+
+
+def test_a_pcapng_file_that_is_cut_anywhere_gives_the_same_packets_and_error(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(packet_block, "SLOWLY", 3)
+    blocks = Pcapng()
+    capture = blocks.section() + blocks.interface()
+    capture += b"".join(blocks.enhanced(one.data, 7) for one in packets(5))
+    for end in range(4, len(capture)):
+        assert key(in_blocks(capture[:end])) == key(one_by_one(capture[:end])), end
+
+
+@pytest.mark.parametrize("place", range(28))
+@pytest.mark.parametrize("value", [0, 1, 7, 255])
+def test_a_damaged_packet_block_gives_the_same_packets_and_error(
+    place: int, value: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(packet_block, "SLOWLY", 2)
+    blocks = Pcapng()
+    capture = blocks.section() + blocks.interface()
+    capture += b"".join(blocks.enhanced(one.data, 7) for one in packets(4))
+    damaged = bytearray(capture)
+    damaged[len(capture) - len(blocks.enhanced(packets(4)[3].data)) + place] = value
+    assert key(in_blocks(bytes(damaged))) == key(one_by_one(bytes(damaged)))
+
+
 def test_a_compressed_file_that_is_cut_gives_the_packets_before_the_cut(tmp_path: Path) -> None:
     path = tmp_path / "a.pcap.gz"
     path.write_bytes(gzip.compress(pcap(packets(3000)))[:-3000])

@@ -9,10 +9,10 @@ from unittest.mock import patch
 
 import pytest
 
-from mbtool.columns import packet_block, poll_runs
+from mbtool.columns import packet_block, poll_runs, quiet_rows
 from mbtool.columns.column_decoder import ColumnDecoder
 from mbtool.columns.packet_block import read_blocks
-from mbtool.columns.poll_runs import PollRuns
+from mbtool.columns.quiet_rows import BlockRows, QuietParts
 from mbtool.core import Direction, InputError
 from mbtool.decode.decoder import Decoder
 from mbtool.devices import Namer
@@ -47,8 +47,13 @@ def packet_by_packet(capture: bytes) -> Iterator[Record]:
 
 
 def in_runs(capture: bytes) -> Iterator[Record | AnsweredRun]:
+    for part in quiet_parts(capture):
+        yield part.answered() if isinstance(part, BlockRows) else part
+
+
+def quiet_parts(capture: bytes) -> Iterator[Record | BlockRows]:
     decoder = ColumnDecoder(Decoder(Namer(), ports=PORTS, across=True), PORTS)
-    runs = PollRuns()
+    runs = QuietParts(Namer())
     try:
         for block in read_blocks(io.BufferedReader(io.BytesIO(capture)), NAME):
             for decoded in decoder.feed(block):
@@ -85,7 +90,7 @@ def assert_equal(capture: bytes, block_packets: int = 65_536) -> int:
     """Both ways give the same documents; return how many requests came in runs."""
     with (
         patch.object(packet_block, "BLOCK_PACKETS", block_packets),
-        patch.object(poll_runs, "_SHORT", 3),
+        patch.object(quiet_rows, "FEWEST", 3),
     ):
         *found, requests = overview(in_runs(capture))
     *expected, _ = overview(packet_by_packet(capture))
@@ -106,8 +111,12 @@ def several_polls() -> bytes:
         address = rng.choice((0, 10, 20, 30))
         request = encode_pdu(0x03, Direction.REQUEST, address=address, quantity=2)
         response = encode_pdu(0x03, Direction.RESPONSE, values=(1, address))
-        refused = exception_pdu(0x03, rng.choice((2, 3)))
-        packets += poll(talk, rng.choice((1, 5)), request, rng.choice((response, refused)))
+        if rng.random() < 0.3:
+            request = encode_pdu(0x06, Direction.REQUEST, address=address, value=address)
+            response = request
+        refused = exception_pdu(request[0], rng.choice((2, 3)))
+        answer = rng.choice((response, response, refused))
+        packets += poll(talk, rng.choice((1, 5)), request, answer)
     at_ns = 1_700_000_000_000_000_000
     blocks = Pcapng()
     file = blocks.section() + blocks.interface()

@@ -27,6 +27,7 @@ from mbtool.decode.decoder import Decoder
 from mbtool.devices import Assignments, NamedTransaction, Namer, parse_assignment
 from mbtool.logs import LogWriter
 from mbtool.modbus import Outcome, Transport, ascii_adu, mbap_adu, rtu_adu
+from mbtool.modbus.adu import Verdict
 from mbtool.packets import CloseReason, StreamClosed, StreamEvent, StreamGap, StreamOpened
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
 from tests.packets.building import SLAVE_PORT, End, Talk, in_fragments
@@ -733,10 +734,10 @@ def test_the_end_of_a_connection_reports_the_number_of_keep_alive_probes() -> No
         packets.append(talk.at(talk.master, talk.master.sequence))
     *_, closed = _decoded([*packets, *talk.goodbye()])
     assert isinstance(closed, WireEvent)
-    assert closed.message == "connection closed: finished, 3 keep-alive probes"
+    assert closed.message == "connection closed: finished by the master, 3 keep-alive probes"
     *_, quiet = _decoded(captured(1))
     assert isinstance(quiet, WireEvent)
-    assert quiet.message == "connection closed: finished"
+    assert quiet.message == "connection closed: finished by the master"
 
 
 def _seen_by(link: str, packets: Iterable[Packet], later_ns: int = 0) -> list[Packet]:
@@ -781,3 +782,31 @@ def test_fragments_of_two_interfaces_are_reassembled_separately() -> None:
 
 def _across() -> Decoder:
     return Decoder(Namer(), ports=(502,), across=True)
+
+
+@pytest.mark.parametrize(
+    ("waiting", "outcomes"),
+    [
+        ([(7, 1)], ["ok"]),
+        ([(6, 1)], ["no-answer", "unsolicited"]),  # Neither the id nor the unit is the request's.
+        ([(7, 1), (7, 3)], ["no-answer", "no-answer", "unsolicited"]),
+    ],
+)
+def test_an_answer_of_another_unit_belongs_to_the_only_request_with_its_id(
+    waiting: list[tuple[int, int]], outcomes: list[str]
+) -> None:
+    """FA3 modules take any module ID; the answers in their manual (10.5) always have 00H."""
+    talk = Talk()
+    asked = bytes.fromhex("02 0009 0001"), bytes.fromhex("02 01 01")
+    packets = talk.handshake()
+    for number in range(3):  # This slave repeats ids.
+        packets += [
+            talk.request(mbap_adu(number, 0, asked[0])),
+            talk.response(mbap_adu(number, 0, asked[1])),
+        ]
+    packets += [talk.request(mbap_adu(number, unit, asked[0])) for number, unit in waiting]
+    packets += [talk.response(mbap_adu(7, 0, asked[1])), *talk.goodbye()]
+    records = _decoded(packets)
+    assert sorted(_outcomes(records)[4:-1]) == outcomes
+    paired = [one for one in records if not isinstance(one, WireEvent) and one.response_raw]
+    assert (Verdict.OTHER_UNIT in paired[-1].verdicts) == (outcomes == ["ok"])

@@ -54,8 +54,11 @@ def test_an_adu_may_be_cut_into_segments_at_every_byte(
     port: Port, pair: list[Piece], joined: bool, size: int
 ) -> None:
     detector = port(joined=joined)
-    assert len(transactions(fed(detector, in_pieces(pair * 2, size)))) == 2
+    decoded = fed(detector, in_pieces(pair * 2, size))
     assert detector.state is MODBUS
+    # If the capture lacks the beginning, the first response may answer an earlier request.
+    decoded += detector.advance(1_000_000_000)
+    assert len(transactions(decoded)) == 2
 
 
 @pytest.mark.parametrize(
@@ -256,7 +259,7 @@ def test_only_modbus_tcp_in_the_expected_roles_may_be_decoded_elsewhere(
 ) -> None:
     detector = anywhere(joined=joined)
     assert detector.plain_decoder() is None
-    fed(detector, [(roles.get(way, way), data) for way, data in pair])
+    fed(detector, [(roles.get(way, way), data) for way, data in (pair * 2)[: 3 if joined else 2]])
     assert detector.state is MODBUS
     assert (detector.plain_decoder() is not None) is is_plain
 
@@ -282,14 +285,15 @@ def opened(raw: bytes = b"") -> WireEvent:
 
 def test_events_are_told_in_the_roles_that_were_detected() -> None:
     detector = anywhere(joined=True)
-    fed(detector, [(RESPONSE, TCP_PAIR[0][1]), (REQUEST, TCP_PAIR[1][1])])
+    swapped = [(RESPONSE, TCP_PAIR[0][1]), (REQUEST, TCP_PAIR[1][1])]
+    fed(detector, [*swapped, swapped[0]])
     told, with_bytes = (detector.in_detected_roles(opened(raw)) for raw in (b"", b"\x01"))
     assert (told.source, told.destination) == ("10.0.0.9:1502", "10.0.0.1:50211")
     # Whoever sent the bytes sent them, whatever the roles are.
     assert (with_bytes.source, with_bytes.destination) == (told.destination, told.source)
     assert told.link == with_bytes.link == "10.0.0.1:50211"
     straight = anywhere(joined=True)
-    fed(straight, TCP_PAIR)
+    fed(straight, [*TCP_PAIR, TCP_PAIR[0]])
     assert straight.in_detected_roles(opened()) == opened()
     refused = expected()
     fed(refused, [(REQUEST, TLS), (RESPONSE, TLS)])

@@ -140,13 +140,13 @@ def test_who_ends_a_connection_decides_if_its_last_request_had_an_answer(
 
 
 def test_the_end_of_a_connection_tells_its_probes_and_its_ends() -> None:
-    closed = StreamClosed(START_NS, CONNECTION, CloseReason.RESET, 3, 2)
+    closed = StreamClosed(START_NS, CONNECTION, CloseReason.RESET, Direction.RESPONSE, 3, 2)
     (one,) = decoded(plain(), closed)
     assert one == WireEvent(
         ts_ns=START_NS,
         link="10.0.0.9",
         kind=EventKind.CLOSED,
-        message="connection closed: reset, 3 keep-alive probes, the last 2 unanswered",
+        message="connection closed: reset by the slave, 3 keep-alive probes, the last 2 unanswered",
         source="10.0.0.1:50211",
         destination="10.0.0.9:502",
     )
@@ -154,9 +154,10 @@ def test_the_end_of_a_connection_tells_its_probes_and_its_ends() -> None:
 
 def test_events_of_plain_connections_are_those_of_the_decoder() -> None:
     opened = StreamOpened(START_NS, CONNECTION, joined=False)
-    closed = StreamClosed(START_NS + MS, CONNECTION, CloseReason.FINISHED)
+    by = Direction.REQUEST
+    closed = StreamClosed(START_NS + MS, CONNECTION, CloseReason.FINISHED, by)
     assert decoded(plain(), opened, closed) == [
-        opening_event(START_NS, CONNECTION), closing_event(START_NS + MS, CONNECTION),
+        opening_event(START_NS, CONNECTION), closing_event(START_NS + MS, CONNECTION, by),
     ]  # fmt: skip
     (joined,) = decoded(plain(), StreamOpened(START_NS, CONNECTION, joined=True))
     assert isinstance(joined, WireEvent)
@@ -189,8 +190,8 @@ def test_breaking_lines_leaves_connections_alone() -> None:
     decoder = plain()
     decoded(decoder, heard(0, READ), relayed(0, REQUEST, READ))
     assert [one.link for one in decoder.break_lines()] == [LINE.name]
-    assert told(decoder.feed(relayed(5, RESPONSE, VALUES))) == ["ok"]
-    assert decoder.close() == []
+    records = [*decoder.feed(relayed(5, RESPONSE, VALUES)), *decoder.close()]
+    assert told(records) == ["ok"]
 
 
 def test_a_gap_without_a_link_ends_connections_and_lines_and_keeps_its_place() -> None:
@@ -392,7 +393,9 @@ def test_a_connection_is_at_rest_while_nothing_of_it_is_open() -> None:
     assert decoder.at_rest(ends, talk.ts_ns) is not None
     # A request that nobody answered may be repeated later.
     decoded(decoder, talk.request(mbap_adu(3, 1, READ)), Quiet(talk.ts_ns + TIMEOUT_NS + 1, SLAVE))
-    assert decoder.at_rest(ends, talk.ts_ns + TIMEOUT_NS + 1) is None
+    resting = decoder.at_rest(ends, talk.ts_ns + TIMEOUT_NS + 1)
+    assert resting is not None
+    assert resting.decoder.limits().requests == {b"\1" + READ}
 
 
 def test_a_decoder_that_is_closed_keeps_nothing() -> None:

@@ -12,6 +12,7 @@ from mbtool.decode.open_requests import OpenRequest
 from mbtool.decode.pairing_readings import (
     LATE,
     MARGIN,
+    MAX_READINGS,
     MISFIT,
     NOT_LIKELY,
     OTHER_ID,
@@ -203,8 +204,8 @@ def costing(cost: float, *numbers: int, steps: tuple[PairStep, ...] = ()) -> Pai
 def test_costly_readings_are_dropped() -> None:
     cheap, edge, dear = costing(1.0, 1), costing(1.0 + MARGIN, 2), costing(1.01 + MARGIN, 3)
     assert without_costly([dear, edge, cheap]) == [cheap, edge]
-    many = [costing(number / 100, number) for number in range(9)]
-    assert without_costly(many) == many[:8]
+    many = [costing(number / 100, number) for number in range(MAX_READINGS + 1)]
+    assert without_costly(many) == many[:-1]
 
 
 def test_of_readings_with_equal_requests_one_is_kept_and_in_doubt_where_they_differ() -> None:

@@ -41,7 +41,7 @@ LANGUAGES = ("console", "sh")
 ATTEMPTS = 3
 """How often a page is run until its output is right: on a busy machine, a virtual line is sometimes
 so late that an answer comes in two parts."""
-PAGES = sorted([ROOT / "README.md", *ROOT.glob("docs/**/*.md"), *ROOT.glob("examples/**/*.md")])
+PAGES = sorted([ROOT / "README.md", *ROOT.glob("docs/**/*.md")])
 
 _PART = re.compile(
     r"^<!-- console: (?P<order>.*?) -->$"

@@ -1,8 +1,9 @@
 """Builds the documentation site: python -m tests.docs.site, or make docs; the result is build/site.
 
 Copies docs/ and the pages of the repository's root to build/pages, as zensical takes pages from one
-folder only, and lets zensical build them; its warnings are errors (mkdocs.yml: strict). Afterwards
-it looks through the result: no link may be dead, and nothing may be loaded from a network.
+folder only, and lets zensical build them; its warnings are errors (docs/mkdocs.yml: strict).
+Afterwards it looks through the result: no link may be dead, and nothing may be loaded from a
+network.
 """
 
 from __future__ import annotations
@@ -25,12 +26,10 @@ PAGES = ROOT / "build" / "pages"
 SITE = ROOT / "build" / "site"
 OTHERS = {
     "CHANGELOG.md": "changelog.md",
-    "CODE_OF_CONDUCT.md": "conduct.md",
-    "CONTRIBUTING.md": "contributing.md",
-    "SECURITY.md": "security.md",
+    ".github/CODE_OF_CONDUCT.md": "conduct.md",
+    ".github/CONTRIBUTING.md": "contributing.md",
+    ".github/SECURITY.md": "security.md",
     "captures/README.md": "captures.md",
-    "examples/README.md": "examples.md",
-    "examples/faulty-line/README.md": "faulty-line.md",
 }
 """Pages outside docs/, and their names in the site."""
 _LINK = re.compile(r"(?<=\]\()(?P<path>[^)#\s:]+)(?=[)#])")
@@ -44,6 +43,7 @@ def assemble() -> None:
     """Copy all pages to one folder, with their links to each other put right."""
     shutil.rmtree(PAGES, ignore_errors=True)
     shutil.copytree(ROOT / "docs", PAGES)
+    shutil.move(PAGES / "mkdocs.yml", PAGES.parent / "mkdocs.yml")
     for source, name in OTHERS.items():
         shutil.copyfile(ROOT / source, PAGES / name)
     for page in PAGES.rglob("*.md"):
@@ -70,7 +70,7 @@ def build() -> None:
     """Let zensical make the site; raises if it has a warning."""
     shutil.rmtree(SITE, ignore_errors=True)
     command = [str(Path(sys.executable).with_name("zensical")), "build", "--strict", "--clean"]
-    subprocess.run(command, cwd=ROOT, check=True, env={**os.environ, "NO_COLOR": "1"})
+    subprocess.run(command, cwd=PAGES.parent, check=True, env={**os.environ, "NO_COLOR": "1"})
     for page in SITE.rglob("*.html"):
         # Boxes and tables wider than the page scroll, so the keyboard must reach them.
         text = _BOX.sub(r'<pre tabindex="0"', page.read_text())

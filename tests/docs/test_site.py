@@ -16,7 +16,7 @@ from tests.docs.man_page import man_page
 from tests.docs.site import OTHERS
 
 ROOT = Path(__file__).parents[2]
-SETTINGS = (ROOT / "mkdocs.yml").read_text()
+SETTINGS = (ROOT / "docs" / "mkdocs.yml").read_text()
 ZENSICAL = Path(sys.executable).with_name("zensical")
 
 

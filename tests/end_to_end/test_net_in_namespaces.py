@@ -14,7 +14,15 @@ from typing import TYPE_CHECKING
 import pytest
 
 from tests.end_to_end.namespaces import INTERFACE, IPV4, IPV6, cable, why_not
-from tests.end_to_end.programs import MBTOOL, PATIENCE_S, Program, decoded, required
+from tests.end_to_end.programs import (
+    MBTOOL,
+    PATIENCE_S,
+    Program,
+    decoded,
+    required,
+    run_mbtool,
+)
+from tests.workflows.fa3_session import session
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -242,3 +250,29 @@ def test_an_interface_that_goes_down_and_up_is_heard_again(own_ends: Cable, tmp_
         sniffer.printed.take(3)
         assert sniffer.interrupt() == 130
     assert len(decoded(log)) == 6
+
+
+def test_a_session_with_resets_and_refusals_is_played_so_that_diff_has_nothing_to_say(
+    own_ends: Cable, tmp_path: Path
+) -> None:
+    recording, log = tmp_path / "recording.pcap", tmp_path / "played.mcap"
+    recording.write_bytes(session())
+    place = f"tcp:{IPV4[1]}:502"
+    slave = ("replay", str(recording), "--as-slave", "--on", place, "--allow", "10.0.0.0/8")
+    master = ("replay", str(recording), "--as-master", "--to", place)
+    sniff = ("sniff", f"net:{INTERFACE}", "-w", str(log), "--format", "jsonl")
+    with Program(*own_ends.within(own_ends.slave, MBTOOL, *slave)) as playing:
+        playing.said.find("Ctrl-C ends")
+        with Program(*own_ends.within(own_ends.master, MBTOOL, *sniff)) as sniffer:
+            sniffer.said.find("listening on")
+            asking = own_ends.within(own_ends.master, MBTOOL, *master)
+            subprocess.run(asking, check=True, capture_output=True, timeout=PATIENCE_S)
+            sniffer.printed.take(7)
+            assert sniffer.interrupt() == 130
+    run_mbtool("diff", str(recording), str(log), "--no-latency")
+    without = tmp_path / "without.pcap"
+    without.write_bytes(session(resets=False))
+    differs = Program(MBTOOL, "diff", str(without), str(log), "--no-latency")
+    with differs:
+        differs.printed.find("connection 1  +opened, not ended by")
+        assert differs.wait() == 1

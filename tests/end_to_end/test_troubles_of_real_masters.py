@@ -33,6 +33,7 @@ class RawSlave:
     def __init__(self, port: str, delays: dict[int, float]) -> None:
         self._serial = serial.Serial(port, BAUD, timeout=0.02)
         self._delays = delays
+        self.asked_units: set[int] = set()
         self._ends = Event()
         self._thread = Thread(target=self._run)
 
@@ -52,6 +53,7 @@ class RawSlave:
             while (at := _request_at(heard)) is not None:
                 unit, quantity = heard[at], int.from_bytes(heard[at + 4 : at + 6])
                 del heard[: at + REQUEST]
+                self.asked_units.add(unit)
                 if unit in self._delays:
                     self._ends.wait(self._delays[unit])
                     self._serial.write(

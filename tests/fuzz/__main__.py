@@ -34,6 +34,7 @@ MAX_BYTES = {
     "faults": 2000,
     "image": 2000,
     "csv": 2000,
+    "text-log": 4000,
 }
 TIMEOUT_S = 20
 MEMORY_MIB = 2048

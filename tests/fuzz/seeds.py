@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from mbtool.core import Chunk, Packet
 from mbtool.logs import LogReader
 from mbtool.packets.capture import read_capture
+from tests.sources.text_logs import FORMS, conversation
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -78,6 +79,17 @@ def _profiles() -> Iterator[bytes]:
         yield path.read_bytes()[:MOST_BYTES]
 
 
+def _text_logs() -> Iterator[bytes]:
+    for form in FORMS.values():
+        for transport in ("rtu", "ascii", "tcp"):
+            yield form(conversation(transport)).encode()[:4000]
+    for said in conversation()[:2]:
+        rows = enumerate(said.data)
+        yield (
+            "Time [s],Value\n" + "".join(f"{at / 1000},0x{one:02X}\n" for at, one in rows)
+        ).encode()
+
+
 def _lines(*names: str) -> Iterator[bytes]:
     for name in names:
         data = b"".join(
@@ -116,4 +128,5 @@ _MADE: dict[str, Callable[[], Iterable[bytes]]] = {
     "packets": partial(_packets, "fa3-at1m8x-setup.pcap", "plant.pcap"),
     "mcap": partial(_files, "*.mcap"),
     "profile": _profiles,
+    "text-log": _text_logs,
 }

@@ -27,6 +27,9 @@ from mbtool.serial_line import AsciiSplitter, RtuSplitter
 from mbtool.slave.device.image import RegisterImage
 from mbtool.slave.device.image_file import load_image
 from mbtool.slave.faults.fault_file import FaultFile
+from mbtool.sources.byte_times import read_byte_times
+from mbtool.sources.text_frames import whole_frames
+from mbtool.sources.text_log import TextLog
 from tests.feeding import Line, byte_by_byte, feed_all, whole
 from tests.modbus.reading import raw
 from tests.query.test_where import READ
@@ -148,6 +151,20 @@ def register_list(data: bytes) -> None:
     load_profile(_file(made.text.encode(), "list.toml"))
 
 
+def text_log(data: bytes) -> None:
+    """A text with frames, or byte times as CSV, decoded; each frame is a whole one."""
+    decoder = Decoder(Namer())
+    for chunk in TextLog(io.BytesIO(data), "x.txt", "x", FORMAT).chunks():
+        assert whole_frames(chunk.data, labelled=True), "a chunk is no frame"
+        decoder.feed(chunk)
+    decoder.close()
+    try:
+        for chunk in read_byte_times(io.BytesIO(data), "x.csv", "x", None).pieces:
+            assert len(chunk.data) == 1
+    except MbtoolError:
+        pass
+
+
 def where(data: bytes) -> None:
     try:
         condition = parse_where(data.decode("utf-8", "replace"))
@@ -177,6 +194,7 @@ TARGETS: dict[str, Callable[[bytes], None]] = {
     "image": image,
     "faults": faults,
     "csv": register_list,
+    "text-log": text_log,
     "where": where,
     "link": link,
 }

@@ -131,6 +131,10 @@ class Net:
     def asked(self, talk: Talk, request: str = READ, answer: str = VALUE, *, unit: int = 1) -> Net:
         return self.ask(talk, request, unit=unit).answer(talk, answer, unit=unit)
 
+    def asked_of(self, unit: int, *, answered_by: int) -> Net:
+        talk = self.open()
+        return self.ask(talk, READ, unit=unit).answer(talk, VALUE, unit=answered_by)
+
     def file(self) -> bytes:
         return pcap(self.packets, magic=NANOSECONDS)
 
@@ -330,6 +334,8 @@ def connections(*, closes_one: bool) -> bytes:
         for one in first.goodbye():
             net.add(one)
     third = net.open(50003)
+    if not closes_one:
+        net.add(first.send(first.slave, flags=RST | ACK))
     return net.asked(third).file()
 
 
@@ -344,6 +350,29 @@ def reset(*, opens_after_ms: float | None = None, answer: str | None = None) -> 
         net.wait(opens_after_ms)
         return net.asked(net.open(50002)).file()
     return net.file()
+
+
+def answers_on() -> bytes:
+    """A remote reset without an answer, after which the module goes on."""
+    net = Net()
+    talk = net.open(50001)
+    return net.asked(talk).wait(50).ask(talk, "41 00").wait(1500).asked(talk).file()
+
+
+def converted(*, is_on: bool) -> bytes:
+    net = Net()
+    talk = net.open()
+    net.asked(talk, "06 0102 00FE", "06 0102 00FE").wait(20)
+    net.asked(talk, "05 0009 FF00", "05 0009 FF00").wait(20)
+    net.asked(talk, "02 0009 0001", "02 01 01").wait(20)
+    net.asked(talk, "05 0009 0000", "05 0009 0000").wait(20)
+    net.asked(talk, "02 0010 0008", f"02 01 {int(is_on):02X}").wait(20)
+    return net.asked(talk, "04 0002 0001", "04 02 2EE0").file()
+
+
+def single(request: str, answer: str) -> bytes:
+    net = Net()
+    return net.asked(net.open(), request, answer).file()
 
 
 def initial_setting(completed: int) -> bytes:
@@ -541,6 +570,26 @@ CASES = (
     Case("FA3-X6", lambda: applied(is_applied=False), lambda: applied(is_applied=True), FA3),
     Case("FA3-X7", lambda: checked_alive(unanswered=3), lambda: checked_alive(unanswered=2), FA3),
     Case("FA3-X8", lambda: in_parts(seconds=40), lambda: in_parts(seconds=29), FA3),
+    Case(
+        "FA3-X9",
+        answers_on,
+        lambda: reset(opens_after_ms=2500),
+        FA3,
+        frozenset({"FA3-X3"}),
+    ),
+    Case("FA3-X10", lambda: converted(is_on=False), lambda: converted(is_on=True), FA3),
+    Case(
+        "FA3-X11",
+        lambda: single("04 0001 0001", "04 02 0E30"),
+        lambda: single("04 0001 0001", "04 02 0000"),
+        FA3,
+    ),
+    Case(
+        "TCP-104",
+        lambda: Net().asked_of(1, answered_by=2).file(),
+        lambda: Net().asked_of(1, answered_by=1).file(),
+    ),
+    Case("FA3-X12", lambda: single("42 00", "42 0013"), lambda: single("42 00", "42 0016"), FA3),
     Case("WAGO-X1", lambda: tripped(recovers=False), lambda: tripped(recovers=True), WAGO),
 )
 

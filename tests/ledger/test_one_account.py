@@ -42,6 +42,7 @@ READERS = frozenset(
     (
         ("watching/board_rows.py", "slave_rows"),
         ("troubles/polling.py", "short_connections"),
+        ("troubles/net_lost.py", "LostConnections"),
     )
 )
 """These add up counts of the account."""
@@ -57,23 +58,25 @@ ALL_TOGETHER = frozenset(
         ("workflows/convert.py", "Conversion"),
         ("workflows/decode_run.py", "_FileTable"),
         ("workflows/extcap.py", "LivePackets"),
+        ("workflows/scan.py", "Scan"),
         ("workflows/shared/column_reading.py", "ColumnReading"),
         ("workflows/shared/file_results.py", "FileResults"),
         ("workflows/shared/heartbeat.py", "Counts"),
     )
 )
-"""These count all transactions that were printed, written or read, and none by poll or unit."""
+"""These count all transactions that were printed, written, read or asked, and none by poll or
+unit."""
 STRETCHES = frozenset(
     (
-        ("troubles/line_damage.py", "LineDamage"),
-        ("troubles/line_late.py", "LateOnLine"),
-        ("troubles/line_sides.py", "HeardSides"),
-        ("troubles/line_strays.py", "StrayBytes"),
-        ("troubles/net_hosts.py", "Hosts"),
-        ("workflows/shared/unreadable_lines.py", "UnreadableLines"),
+        "troubles/line_damage.py",
+        "troubles/line_late.py",
+        "troubles/line_sides.py",
+        "troubles/line_strays.py",
+        "troubles/net_hosts.py",
+        "workflows/shared/unreadable_lines.py",
     )
 )
-"""These count signs of an illness in a stretch of time, or of a line or host as one of its sides
+"""These modules count signs of an illness in a stretch of time, or of a line or host as one of its sides
 hears it. They show none of these counts as a figure of requests."""
 
 
@@ -107,7 +110,10 @@ def names_of(target: ast.expr) -> Iterator[str]:
 
 
 def test_only_the_account_counts_requests_by_poll_and_unit() -> None:
-    assert set(counting_places()) == ACCOUNT | READERS | ALL_TOGETHER | STRETCHES
+    found = set(counting_places())
+    others = {(module, name) for module, name in found if module not in STRETCHES}
+    assert others == ACCOUNT | READERS | ALL_TOGETHER
+    assert {module for module, _ in found} >= STRETCHES
 
 
 def test_a_count_is_found_whatever_it_is_added_to() -> None:

@@ -501,6 +501,37 @@ def test_a_reset_in_answer_to_a_syn_is_a_refusal() -> None:
     assert close_reasons(items) == [CloseReason.REFUSED]
 
 
+@pytest.mark.parametrize("is_master_first", [True, False])
+@pytest.mark.parametrize("flags", [RST | ACK, FIN | ACK])
+def test_the_end_of_a_connection_says_who_sent_the_reset_or_the_first_fin(
+    flags: int, is_master_first: bool
+) -> None:
+    talk = Talk()
+    first, second = (talk.master, talk.slave) if is_master_first else (talk.slave, talk.master)
+    packets = [*talk.handshake(), talk.request(b"ask"), talk.response(b"tell")]
+    packets += [talk.send(first, flags=flags), talk.send(second, flags=flags), talk.send(first)]
+
+    (closed,) = [item for item in run_packets(packets) if isinstance(item, StreamClosed)]
+
+    assert closed.by is (Direction.REQUEST if is_master_first else Direction.RESPONSE)
+
+
+@pytest.mark.parametrize(
+    ("later_ms", "reason"),
+    [(1000, CloseReason.UNANSWERED), (900, CloseReason.CAPTURE_END)],
+)
+def test_a_syn_without_any_answer_for_a_second_is_an_unanswered_connection(
+    later_ms: int, reason: CloseReason
+) -> None:
+    talk = Talk()
+    syn = talk.send(talk.master, flags=SYN)
+    again = replace(syn, ts_ns=syn.ts_ns + later_ms * _MS)
+    assert close_reasons(run_packets([syn, again])) == [reason]
+    # An acknowledgement shows that the capture lacks the slave's packets.
+    third = replace(talk.send(talk.master), ts_ns=again.ts_ns)
+    assert close_reasons(run_packets([syn, third])) == [CloseReason.CAPTURE_END]
+
+
 def test_a_jump_of_the_sequence_numbers_is_a_gap_of_unknown_length() -> None:
     talk = Talk()
     packets = [*talk.handshake(), talk.request(b"one")]

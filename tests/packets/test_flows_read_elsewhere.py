@@ -98,28 +98,28 @@ def test_it_matters_if_an_open_or_used_connection_may_be_dropped(most: int) -> N
     _open(reassembler, 10002)
     with patch("mbtool.packets.reassembler.MAX_CONNECTIONS", most):
         # Three are known; two of these have ended, and are the least recently used ones.
-        assert reassembler.may_drop(0, [], 0) == (most < 1)
-        assert reassembler.may_drop(0, [], 1) == (most < 2)
-        assert reassembler.may_drop(0, [], 2) == (most < 3)
-        assert reassembler.may_drop(0, [], 3) == (most < 4)
-        assert reassembler.may_drop(0, [], 99)
+        assert reassembler.may_drop(0, {}, 0) == (most < 1)
+        assert reassembler.may_drop(0, {}, 1) == (most < 2)
+        assert reassembler.may_drop(0, {}, 2) == (most < 3)
+        assert reassembler.may_drop(0, {}, 3) == (most < 4)
+        assert reassembler.may_drop(0, {}, 99)
         # The second one is in use; one that is not known adds to the number.
-        assert reassembler.may_drop(0, [_ends(10001)], 0) == (most < 2)
-        assert reassembler.may_drop(0, [_ends(10001)], 1) == (most < 3)
-        assert reassembler.may_drop(0, [_ends(10000)], 1) == (most < 4)
-        assert reassembler.may_drop(0, [_ends(10009), _ends(10008)], 0) == (most < 3)
-        assert reassembler.may_drop(0, [_ends(10009), _ends(10009)], 2) == (most < 4)
+        assert reassembler.may_drop(0, {_ends(10001): 0}, 0) == (most < 2)
+        assert reassembler.may_drop(0, {_ends(10001): 0}, 1) == (most < 3)
+        assert reassembler.may_drop(0, {_ends(10000): 0}, 1) == (most < 4)
+        assert reassembler.may_drop(0, {_ends(10009): 0, _ends(10008): 0}, 0) == (most < 3)
+        assert reassembler.may_drop(0, {_ends(10009): 0}, 2) == (most < 4)
 
 
 def test_it_matters_if_an_open_or_used_connection_is_idle() -> None:
     reassembler = _across()
     reassembler.take_ended([_ended(10000, last_ns=5)])
-    assert not reassembler.may_drop(5 + 9 * IDLE_NS, [])
-    assert not reassembler.may_drop(4 + IDLE_NS, [_ends(10000)])
-    assert reassembler.may_drop(5 + IDLE_NS, [_ends(10000)])
+    assert not reassembler.may_drop(5 + 9 * IDLE_NS, {})
+    assert not reassembler.may_drop(4 + IDLE_NS, {_ends(10000): 4 + IDLE_NS})
+    assert reassembler.may_drop(5 + IDLE_NS, {_ends(10000): 5 + IDLE_NS})
     _open(reassembler, 10001)  # Its last packet has the time 3 ms.
-    assert not reassembler.may_drop(3 * _MS + IDLE_NS - 1, [])
-    assert reassembler.may_drop(3 * _MS + IDLE_NS, [])
+    assert not reassembler.may_drop(3 * _MS + IDLE_NS - 1, {})
+    assert reassembler.may_drop(3 * _MS + IDLE_NS, {})
 
 
 def _holding(reassembler: TcpReassembler) -> None:

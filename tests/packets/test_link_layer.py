@@ -7,7 +7,9 @@ from mbtool.packets.link_layer import IP_FINDERS, NOT_IP
 _ADDRESSES = "00 11 22 33 44 55  66 77 88 99 aa bb"
 _COOKED = "0000 0001 0006 66778899aabb 0000"  # type, device, address length, address, unused
 _COOKED_V2 = "0000 00000002 0001 00 06 66778899aabb0000"  # reserved, index, device, type, address
-
+_SNAP = "aaaa03 000000"
+_THREE = f"{_ADDRESSES} 000102030405 1000"  # three addresses and the sequence number
+_RADIOTAP = "00 00 0900 02000000 10"  # version, pad, length, fields, flags: a checksum follows
 
 _HEADERS = [
     (1, f"{_ADDRESSES} 0800"),
@@ -35,6 +37,29 @@ _HEADERS = [
     (108, "00 00 00 02"),
     (108, "00 00 00 18"),
     *((108, f"00 00 00 {family:02x}") for family in (2, 10, 23, 24, 28, 30)),
+    (9, "0021"),
+    (9, "0057"),
+    (9, "21"),
+    (9, "ff03 0021"),
+    (9, "ff03 57"),
+    (50, "ff03 0021"),
+    (104, "0f00 0800"),
+    (104, "8f00 86dd"),
+    (104, "0f00 8847 00010140"),
+    (105, f"0801 2c00 {_THREE} {_SNAP} 0800"),
+    (105, f"0802 2c00 {_THREE} {_SNAP} 86dd"),
+    (105, f"0803 2c00 {_THREE} 060708090a0b {_SNAP} 0800"),
+    (105, f"8801 2c00 {_THREE} 0000 {_SNAP} 0800"),
+    (105, f"8881 2c00 {_THREE} 0600 01020304 {_SNAP} 0800"),
+    (105, f"8801 2c00 {_THREE} 0000 {_SNAP} 8100 202a 0800"),
+    (127, f"0000 0800 00000000 0801 2c00 {_THREE} {_SNAP} 0800"),
+    (127, f"{_RADIOTAP} 8801 2c00 {_THREE} 0000 {_SNAP} 0800"),
+    (127, f"0000 0900 02000000 20 8801 2c00 {_THREE} 0000 0000 {_SNAP} 0800"),
+    (
+        127,
+        f"0000 1900 030000a0 00000000 00000000 0102030405060708 20"
+        f"8801 2c00 {_THREE} 0000 0000 {_SNAP} 0800",
+    ),
     (12, ""),
     (14, ""),
     (101, ""),
@@ -83,7 +108,9 @@ def test_only_the_families_of_ip_are_read() -> None:
 
 def test_no_other_link_type_is_read() -> None:
     # tcpdump.org/linktypes.html; 12 and 14 are raw IP on some systems.
-    assert sorted(IP_FINDERS) == [0, 1, 12, 14, 101, 108, 113, 228, 229, 276]
+    assert sorted(IP_FINDERS) == [
+        0, 1, 9, 12, 14, 50, 101, 104, 105, 108, 113, 127, 228, 229, 276,
+    ]  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -112,3 +139,27 @@ def test_passes_over_other_protocols(link_type: int, header: str) -> None:
 def test_a_header_that_is_too_short_is_not_ip(link_type: int) -> None:
     assert IP_FINDERS[link_type](b"\x81\x00") == NOT_IP
     assert IP_FINDERS[link_type](b"") == NOT_IP
+
+
+@pytest.mark.parametrize(
+    "frame",
+    [
+        f"8000 2c00 {_THREE} {_SNAP} 0800",  # a beacon
+        f"4801 2c00 {_THREE} {_SNAP} 0800",  # no data
+        f"0841 2c00 {_THREE} {_SNAP} 0800",  # encrypted
+        f"8801 2c00 {_THREE} 8000 {_SNAP} 0800",  # several packets in one frame
+        f"0801 2c00 {_THREE} 424203 000000 0800",  # LLC without SNAP
+        f"0801 2c00 {_THREE} {_SNAP} 0806",  # ARP
+    ],
+)
+def test_wireless_frames_without_a_readable_ip_packet_lead_nowhere(frame: str) -> None:
+    data = bytes.fromhex(frame) + b"\x45" + bytes(40)
+    assert IP_FINDERS[105](data) == NOT_IP
+    assert IP_FINDERS[127](bytes.fromhex("0000 0800 00000000") + data) == NOT_IP
+
+
+def test_a_radiotap_header_that_gives_a_wrong_length_leads_nowhere() -> None:
+    for size in (0, 7, 9, 60, 65535):
+        head = bytes(2) + size.to_bytes(2, "little") + bytes(4)
+        frame = bytes.fromhex(f"0801 2c00 {_THREE} {_SNAP} 0800")
+        assert IP_FINDERS[127](head + frame + b"\x45") == NOT_IP

@@ -68,7 +68,7 @@ def test_gives_the_bytes_of_a_connection_with_its_ends_and_times() -> None:
             stamp=Stamp.AT_ONCE,
             connection=connection,
         ),
-        StreamClosed(7 * _MS, connection, CloseReason.FINISHED),
+        StreamClosed(7 * _MS, connection, CloseReason.FINISHED, Direction.REQUEST),
     ]
 
 
@@ -435,7 +435,7 @@ def test_an_address_before_a_tunnel_is_not_that_of_an_end() -> None:
         st.tuples(st.integers(0, 40), st.integers(0, 79), st.integers(0, 255)), max_size=12
     ),
     lengths=st.lists(st.tuples(st.integers(0, 40), st.integers(0, 80)), max_size=4),
-    link_type=st.sampled_from((0, 1, 101, 108, 113, 276, 9999)),
+    link_type=st.sampled_from((0, 1, 9, 101, 104, 105, 108, 113, 127, 276, 9999)),
 )
 def test_no_packet_raises_or_holds_without_bound(
     changes: list[tuple[int, int, int]], lengths: list[tuple[int, int]], link_type: int

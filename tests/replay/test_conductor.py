@@ -11,7 +11,7 @@ from mbtool.devices import Namer
 from mbtool.replay.clock import PlayClock
 from mbtool.replay.conductor import Conductor
 from mbtool.replay.judging import ResponseJudge, Tolerance
-from mbtool.replay.script import Script
+from mbtool.replay.script import Script, Step
 from tests.replay.recorded import MS, answered, to_all, unanswered
 
 if TYPE_CHECKING:
@@ -152,12 +152,12 @@ def test_after_a_broadcast_there_is_a_pause() -> None:
 def test_latencies_and_pauses_count_from_the_last_byte() -> None:
     played = Played(to_all(0, "06 0001 0007"), answered(1, READ, VALUE, latency_ns=8 * MS))
     first = played.conductor.next_step(BEGIN)
-    assert first is not None
+    assert isinstance(first, Step)
     played.conductor.note_sent(first, BEGIN + 10 * MS)
     free_ms = TURNAROUND_NS // MS + 10
     assert (played.sent(free_ms - 1), played.wake(free_ms - 1)) == ([], free_ms)
     second = played.conductor.next_step(BEGIN + free_ms * MS)
-    assert second is not None
+    assert isinstance(second, Step)
     played.conductor.note_sent(second, BEGIN + (free_ms + 20) * MS)
     tolerant = ResponseJudge(tolerance=Tolerance(share=0.0))
     tolerant.judge(second, RIGHT, 9 * MS)

@@ -1,4 +1,4 @@
-"""Adapters that hear what they send, so that each request comes twice."""
+"""Adapters that hear what they send, and repeaters: frames come twice."""
 
 from __future__ import annotations
 
@@ -10,7 +10,14 @@ from mbtool.core import Direction, EventKind, SerialFormat
 from mbtool.modbus.adu import Adu, Skipped
 from mbtool.modbus.adu_bytes import rtu_adu
 from mbtool.serial_line import RtuSplitter
-from mbtool.serial_line.adapter_echo import ECHO, ECHOES, ENOUGH_COPIES, ENOUGH_SINGLE
+from mbtool.serial_line.adapter_echo import (
+    ECHO,
+    ECHOES,
+    ENOUGH_COPIES,
+    ENOUGH_SINGLE,
+    REPEAT,
+    REPEATS,
+)
 from mbtool.serial_line.bus_model import SURE
 from tests.feeding import Line, feed_all
 from tests.modbus.reading import adus
@@ -172,3 +179,35 @@ def test_requests_that_come_twice_are_ambiguous_until_the_echo_is_recognised() -
     copies = [before for before, after in pairwise(adus(events)) if before.raw == after.raw == READ]
     assert len(copies) == ENOUGH_COPIES
     assert all(one.confidence < SURE for one in copies[1:])
+
+
+def repeated(rounds: int, copy_ns: int) -> tuple[Line, list[bytes]]:
+    """A line with a repeater: each request and each response comes twice."""
+    sent, frames = Line(FORMAT), []
+    for request, response in ((READ, ANSWER), (WRITE, WRITE)) * rounds:
+        for frame, silence_ns in ((request, 30 * MS), (response, 6 * MS)):
+            sent.frame(frame, silence_ns).frame(frame, copy_ns)
+            frames.append(frame)
+    return sent, frames
+
+
+@pytest.mark.parametrize("copy_ns", [MS, 3 * MS])
+@pytest.mark.parametrize("timed", [True, False])
+def test_the_copies_of_a_repeater_are_events(copy_ns: int, timed: bool) -> None:
+    sent, frames = repeated(20, copy_ns)
+    events = heard(sent, timed=timed)
+    assert b"".join(one.raw for one in events) == sent.data
+    assert [one.raw for one in adus(events)][-56:] == frames[-56:]
+    assert [one.direction for one in adus(events)][-56:] == [REQUEST, RESPONSE] * 28
+    copies = [one for one in events if isinstance(one, Skipped) and one.kind is EventKind.REPEATED]
+    assert len(copies) >= 40 - 2 * ENOUGH_COPIES
+    assert [one.reason for one in copies] == [REPEATS, *[REPEAT] * (len(copies) - 1)]
+
+
+def test_a_repeater_may_be_taken_away() -> None:
+    sent, _ = repeated(5, 3 * MS)
+    for _ in range(10):
+        sent.frame(READ, 30 * MS).frame(ANSWER, 4 * MS)
+    sent.frame(READ, 30 * MS).frame(ANSWER, 4 * MS).frame(ANSWER, 4 * MS)
+    events = heard(sent)
+    assert [one.raw for one in adus(events)][-3:] == [READ, ANSWER, ANSWER]

@@ -255,8 +255,10 @@ def test_pair_without_a_silence_between(pair: Pair) -> None:
 def test_pair_glued_to_its_neighbours(pair: Pair) -> None:
     frames = (*NEIGHBOURS, *pair.frames, *NEIGHBOURS)
     events = heard(glued(*frames))
-    assert told(events) == by_turns(*frames)
-    assert ambiguous(events) == []
+    assert [raw for raw, _ in told(events)] == [*frames]
+    # A slave that is absent, asked twice: an adapter that has merged all frames so far hides that.
+    is_unsure = pair.is_echo and pair.request[1] in ECHOING
+    assert ambiguous(events) == ([3] if is_unsure else [])
     assert all(Verdict.GLUED in adu.verdicts for adu in adus(events))
 
 

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import io
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import pytest
 
 from mbtool.core import Chunk, CutError, InputError, LineSettings, SerialFormat, WireEvent
 from mbtool.sources.byte_times import LOOKED_AT, MAX_ROW, is_byte_times, read_byte_times
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 HEADER = "t_start_s,t_end_s,line,byte_hex\n"
 FRAME = bytes.fromhex("01 03 0063 0001 7414")  # unit 1, read holding register 99, CRC
@@ -99,8 +103,8 @@ def test_more_rows_than_are_looked_at_come_out_in_order() -> None:
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
-        ("t_start_s,t_end_s,line,byte\n", "row 1: there is no column byte_hex"),
-        ("t_start_s,byte_hex\n0,01\n", "row 1: there is no column t_end_s"),
+        ("t_start_s,t_end_s,line,what\n", "row 1: there is no column byte_hex"),
+        ("byte_hex,t_end_s\n01,0\n", "row 1: there is no column t_start_s"),
         (HEADER + "0.1,0.2,rx,01\n0.3,0.4,rx\n0.5", "row 3: 3 columns, where row 1 has 4"),
         (HEADER + "0.1,soon,rx,01\n", "row 2: t_end_s is 'soon'; a number of seconds"),
         (HEADER + "-1e10,0,rx,01\n", "row 2: t_start_s is '-1e10'; a number of seconds"),
@@ -162,8 +166,76 @@ def test_every_beginning_of_a_file_gives_its_whole_rows_and_is_cut() -> None:
         (b"byte_hex,t_start_s,t_end_s\r\n", True),
         (b"t_start_s,t_end_s,line,byte_he", True),
         (b"time,t_end\nt_start_s,", False),
+        (b'name,type,start_time,duration,data\n"Async Serial","data",0.1,0.001,0x01\n', True),
+        (b"Time [s],Value,Parity Error,Framing Error\n0.1,1,,\n", True),
+        (b"Time [s],Value,Parity Error,Framing Error\n0.1,01 03 00 6B,,\n", False),
+        (b"time,value\n0.1,0x01\n", True),
+        (b"time,value\n0.1,23\n", False),
+        (b"time,value\nsoon,0x01\n", False),
         (b"\x01\x03", False),
     ],
 )
 def test_the_header_shows_the_kind(head: bytes, is_of_this_kind: bool) -> None:
     assert is_byte_times(head) is is_of_this_kind
+
+
+def _logic_2(data: bytes, baud: int, bits: int) -> str:
+    rows = "".join(
+        f'"Async Serial","data",{0.5 + at * bits / baud:.10f},{bits / baud:.10f},0x{byte:02X},\n'
+        for at, byte in enumerate(data)
+    )
+    return "name,type,start_time,duration,data,error\n" + rows
+
+
+def _logic_2_by_date(data: bytes, baud: int, bits: int) -> str:
+    rows = "".join(
+        f'"Async Serial","data",2026-11-22T09:14:03.{500_000_000 + round(at * bits / baud * 1e9)}'
+        f"+00:00,{bits / baud:.10f},0x{byte:02X},\n"
+        for at, byte in enumerate(data)
+    )
+    return "name,type,start_time,duration,data,error\n" + rows
+
+
+def _logic_1(data: bytes, baud: int, bits: int) -> str:
+    return "Time [s],Value,Parity Error,Framing Error\n" + "".join(
+        f"{0.5 + at * bits / baud:.15f},0x{byte:02X},,\n" for at, byte in enumerate(data)
+    )
+
+
+@pytest.mark.parametrize("form", [_logic_2, _logic_2_by_date, _logic_1])
+@pytest.mark.parametrize("baud", [1200, 9600, 19200, 115200])
+@pytest.mark.parametrize(("bits", "settings"), [(11, "8E1"), (10, "8N1")])
+def test_the_exports_of_saleae_are_read_as_they_are(
+    form: Callable[[bytes, int, int], str], baud: int, bits: int, settings: str
+) -> None:
+    found, chunks = _read(form(FRAME, baud, bits))
+    assert str(found) == f"{baud}-{settings}"
+    assert b"".join(chunk.data for chunk in chunks) == FRAME
+    begin_ns = 1_795_338_843_000_000_000 if form is _logic_2_by_date else 0
+    for number, chunk in enumerate(chunks, 1):
+        end_ns = begin_ns + 500_000_000 + number * found.character_ns
+        assert chunk.ts_ns == pytest.approx(end_ns, abs=1000)
+
+
+@pytest.mark.parametrize(
+    ("cells", "data"),
+    [
+        (["0x01", "0x03", "0xFF"], b"\x01\x03\xff"),
+        (["0b0000 0001", "0b0000 0011", "0b11111111"], b"\x01\x03\xff"),
+        (["1", "3", "255"], b"\x01\x03\xff"),
+        (["'A' (0x41)", "'1' (0x01)"], b"A\x01"),
+        ([":", "0", "1", "\\r", "\\n"], b":01\r\n"),
+        (["':'", "'0'", "COMMA", "' '"], b":0, "),
+    ],
+)
+def test_a_byte_is_read_as_the_analyser_displays_it(cells: list[str], data: bytes) -> None:
+    text = "Time [s],Value\n" + "".join(f"{at / 100},{one}\n" for at, one in enumerate(cells))
+    _, chunks = _read(text)
+    assert b"".join(chunk.data for chunk in chunks) == data
+
+
+def test_rows_of_an_analyser_that_are_no_data_are_passed_over() -> None:
+    text = _logic_2(FRAME, 9600, 10)
+    heading, first, *rest = text.splitlines(keepends=True)
+    _, chunks = _read(heading + first.replace('"data"', '"start"') + "".join(rest))
+    assert b"".join(chunk.data for chunk in chunks) == FRAME[1:]

@@ -165,13 +165,16 @@ def test_unpacks_a_little_at_a_time(
     [
         (b"", "empty; a capture has at least a header"),
         (gzip.compress(b"", mtime=0), "empty; a capture has at least a header"),
-        (b"09:14:03 unit 1 \xc3\xa4\n" * 9, "a text file, no capture"),
+        (
+            b"09:14:03 unit 1 \xc3\xa4\n" * 9,
+            "a text file of 9 lines, no capture; it shows no bytes",
+        ),
         (b'{"link":"plant"}\n' * 9, "JSON, no capture; if it has transactions of decode"),
         (b"\x7fELF\x02\x01" + bytes(60), "an ELF program, no capture"),
         (b"PK\x03\x04" + bytes(60), "a zip archive, no capture"),
         (b"\xfd7zXZ\0" + bytes(60), "an xz archive, no capture"),
         (bytes(64), "a file that begins with 00 00 00 00 00 00 00 00, no capture"),
-        (gzip.compress(b"some words", mtime=0), "a text file, no capture"),
+        (gzip.compress(b"some words", mtime=0), "a text file of 1 line, no capture"),
     ],
 )
 def test_another_kind_of_file_says_what_it_looks_like(
@@ -310,7 +313,7 @@ _BYTE_TIMES = b"t_start_s,t_end_s,line,byte_hex\n0.1,0.2,rx,01\n"
         (codecs.BOM_UTF8 + bytes(64), "rtu@9600", CaptureKind.RAW),
         (b"# of 2024: tio\n01 03", "rtu@9600", CaptureKind.HEX),
         (b"0103000000", "rtu@9600", CaptureKind.HEX),
-        (b"what is this", "rtu@9600", CaptureKind.HEX),
+        (b"<< 01 03 00 00 00 02 c4 0b", "rtu@9600", CaptureKind.TEXT_LOG),
         (b":0103\r\n" * 9, "ascii@9600", CaptureKind.RAW),
         (b"FB\r\n:0103\r\n", "ascii@9600", CaptureKind.RAW),
         (b"00000001000000010000000100000001" * 2, "ascii@9600", CaptureKind.RAW),
@@ -419,7 +422,7 @@ def test_the_bytes_of_standard_input_are_called_so(monkeypatch: pytest.MonkeyPat
     ("content", "words"),
     [
         (_FRAME, "a file that begins with 01 03 00 00 00 02 c4 0b, no capture"),
-        (b"01 03 00 00", "a text file, no capture"),
+        (b"01 03 00 00", "a text file of 1 line, no capture; it shows 4 bytes, but no whole"),
     ],
 )
 def test_bytes_of_a_line_that_nobody_names_are_refused_with_a_hint(
@@ -432,8 +435,10 @@ def test_bytes_of_a_line_that_nobody_names_are_refused_with_a_hint(
         open_capture(path)
 
     assert str(caught.value).startswith(f"{path}: {words}")
-    assert str(caught.value).endswith(
-        "if it holds bytes of a serial line, say which: --link rtu@19200-8E1"
+    assert (
+        str(caught.value)
+        .lower()
+        .endswith("if it holds bytes of a serial line, say which: --link rtu@19200-8e1")
     )
 
 
@@ -506,3 +511,11 @@ def test_a_packed_log_may_unpack_to_less_as_it_holds_packed_chunks(tmp_path: Pat
         pytest.raises(InputError, match="unpacks to more than 100 times its size"),
     ):
         capture.stream.read(len(data))
+
+
+def test_the_parts_of_a_rotated_log_are_named(tmp_path: Path) -> None:
+    (tmp_path / "week-0001.mcap").touch()
+    with pytest.raises(
+        InputError, match=r"week\.mcap: there is no such file; its parts are .*0001"
+    ):
+        open_capture(tmp_path / "week.mcap")

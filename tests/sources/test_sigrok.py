@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from mbtool.core import InputError, LineSettings, SerialFormat, parse_line
+from mbtool.modbus import rtu_adu
 from mbtool.sources.files import CaptureKind, open_capture
 from mbtool.sources.sigrok import is_sigrok, read_sigrok
 from tests.sources.uart import edges_of
@@ -243,3 +244,36 @@ def test_a_file_is_known_by_its_first_bytes(tmp_path: Path) -> None:
         assert capture.kind is CaptureKind.SIGROK
         line, pieces = capture.serial(None)
         assert (str(line.format), len(list(pieces))) == ("19200-8E1", 15)
+
+
+def test_the_bus_of_a_recording_that_rests_low_is_read_upright() -> None:
+    """As with a transceiver whose output floats low while nobody sends."""
+    line = SerialFormat()
+    data = bytearray(samples({0: BOTH[:1], 1: BOTH[1:], 2: BOTH}, line, length=60_000))
+    character = line.character_ns * RATE // 10**9
+    for at in range(len(data)):
+        is_sent = any(
+            ns * RATE // 10**9 - 100 <= at <= ns * RATE // 10**9 + (len(sent) + 1) * character
+            for ns, sent in BOTH
+        )
+        if not is_sent:
+            data[at] &= ~4
+    _, heard = _read(recording(bytes(data)))
+    assert b"".join(one for _, one in heard) == REQUEST + RESPONSE
+
+
+def test_characters_that_are_no_modbus_are_refused_unless_the_settings_are_named() -> None:
+    text = b"$GPGGA,081836,3751.65,S,14507.36,E*75\r\n"
+    data = recording(samples({0: [(2_000_000, text)]}, SerialFormat(), length=40_000))
+    with pytest.raises(InputError, match=r"are not Modbus RTU; .* --link rtu@19200-8E1"):
+        _read(data)
+    _, heard = _read(data, LineSettings(SerialFormat()))
+    assert b"".join(one for _, one in heard) == text
+
+
+def test_a_frame_with_a_correct_crc_by_chance_makes_no_line_of_other_characters() -> None:
+    alone = bytes.fromhex("6f fb 6f 6f db 6f")
+    frame = rtu_adu(alone[0], alone[1:])
+    sent = [(2_000_000, frame)]
+    with pytest.raises(InputError, match="are not Modbus RTU"):
+        _read(recording(samples({0: sent}, SerialFormat())))

@@ -2,28 +2,34 @@
 
 from __future__ import annotations
 
+from random import Random
 from typing import TYPE_CHECKING
 from unittest.mock import patch
 
 import pytest
 
 from mbtool.columns import packet_block, quiet_rows
-from mbtool.core import InputError
+from mbtool.core import Direction, InputError
 from mbtool.devices.checking import checker
 from mbtool.devices.checking.checker import Checker
+from mbtool.modbus import encode_pdu
 from mbtool.workflows import check
 from mbtool.workflows.check import CheckRun, FileFinding
 from mbtool.workflows.shared.column_reading import ColumnReading
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
-from tests.benchmarks.file_workloads import clean, dirty, make_capture
+from tests.benchmarks.file_workloads import clean, dirty, make_capture, random_requests, scan
 from tests.captures import public_folder
 from tests.columns.both_ways import generated
 from tests.columns.sunspec_capture import sunspec_capture
+from tests.columns.test_equality import poll
+from tests.packets.building import Talk, pcap
 
 if TYPE_CHECKING:
     import random
     from collections.abc import Callable, Iterator
     from pathlib import Path
+
+    from mbtool.core import Packet
 
 Found = tuple["list[FileFinding]", list[str], tuple[int, dict[str, int]], str | None, type]
 """Findings, remarks, numbers of transactions and of failed requests, the error, the reader."""
@@ -84,6 +90,38 @@ def test_the_findings_of_simulated_plants_are_the_same_both_ways(
     path = tmp_path / "plant.pcap"
     path.write_bytes(generated(number, requests=100))
     assert demand_equal(path)
+
+
+@pytest.mark.parametrize("frames", [random_requests, scan], ids=lambda one: one.__name__)
+def test_the_findings_of_many_different_requests_are_the_same_both_ways(
+    frames: Callable[[int, random.Random], Iterator[tuple[bytes, int]]], tmp_path: Path
+) -> None:
+    made = make_capture(tmp_path / "many.pcap", frames, 3000)
+    assert demand_equal(made.path)
+
+
+@pytest.mark.parametrize("masters", [1, 2, 3])
+@pytest.mark.parametrize("apart_ns", [1_000_000, 70_000_000_000])
+def test_the_findings_of_writes_by_several_masters_are_the_same_both_ways(
+    masters: int, apart_ns: int, tmp_path: Path
+) -> None:
+    rng = Random(masters)
+    packets: list[Packet] = []
+    talks = [Talk(ts_ns=number * apart_ns) for number in range(masters)]
+    for number, talk in enumerate(talks):
+        talk.master.host = f"10.0.0.{20 + number}"
+        packets += [*talk.handshake(), *poll(talk, 30)]
+    for _ in range(60):
+        talk = rng.choice(talks)
+        talk.ts_ns = packets[-1].ts_ns + rng.choice((1, apart_ns))
+        write = encode_pdu(0x06, Direction.REQUEST, address=rng.randrange(3), value=7)
+        packets += poll(talk, rng.choice((1, 4, 30)), write, write)
+        packets += poll(talk, rng.choice((0, 1, 30)))
+    path = tmp_path / "writes.pcap"
+    path.write_bytes(pcap(packets, magic=0xA1B23C4D))
+    assert demand_equal(path)
+    codes = {one.finding.code for one in found(path, 0)[0]}
+    assert ("SEC-101" in codes) is (masters > 1)
 
 
 @pytest.mark.parametrize("frames", [clean, dirty], ids=lambda one: one.__name__)

@@ -115,6 +115,7 @@ class Checker:
         yield from self._damaged.close()
         yield from self._lines.close()
         yield from self._polls.close()
+        yield from self._fa3.close()
         yield from self._security.close()
         if self._ambiguous:
             self.remarks.append(
@@ -158,8 +159,10 @@ class Checker:
             yield from self._lines.event(event)
             return
         self._security.event(event)
-        at_fa3 = any(map(is_fa3, self._context.assignments.profiles_at(event.destination)))
-        if at_fa3:
-            yield from self._fa3.event(event)
+        profiles = self._context.assignments.profiles_at(event.destination)
+        fa3 = next(filter(is_fa3, profiles), None)
+        at_fa3 = fa3 is not None
+        if fa3 is not None:
+            yield from self._fa3.event(event, fa3)
         if not (at_fa3 and is_foreign_message(event.raw)):
             yield from self._connections.event(event)

@@ -17,20 +17,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 from mbtool.devices.checking.finding import transaction_finding
 from mbtool.devices.checking.lru_dict import LruDict
-from mbtool.devices.checking.security_cases import (
-    master_text,
-    place_text,
-)
+from mbtool.devices.checking.masters import Write
+from mbtool.devices.checking.security_cases import host_of, master_text, place_text
 from mbtool.devices.checking.sliding_window import SlidingWindow
 from mbtool.devices.checking.transactions import request_text
 from mbtool.modbus.functions import FUNCTIONS
 from mbtool.modbus.pdu import whole_pdu
 
 if TYPE_CHECKING:
+    from mbtool.devices.checking.quiet_run import QuietRun
     from mbtool.devices.checking.security_cases import SecurityCases
     from mbtool.devices.checking.security_limits import SecurityLimit, SecurityLimits
     from mbtool.devices.named_transaction import NamedTransaction
@@ -82,16 +82,31 @@ class CommandRules:
         """
         known = FUNCTIONS.get(transaction.function)
         if known is not None and known.writes:
-            self._note_write(transaction, source, slave)
+            windows = self._on_line if transaction.transport.is_serial else self._on_network
+            self._note_write(
+                windows, source, slave, Write(transaction.start_ns, lambda: transaction)
+            )
         command = stop_command(transaction)
         if command is not None:
             self._note_command(transaction, source, command)
 
-    def _note_write(self, transaction: NamedTransaction, source: str, slave: str) -> None:
-        windows = self._on_line if transaction.transport.is_serial else self._on_network
+    def run(self, run: QuietRun) -> None:
+        """Count many reads and writes together, with the same result as `transaction` for each."""
+        for one in run.writes:
+            write = Write(one.at_ns, partial(run.transaction, one.row))
+            self._note_write(self._on_network, host_of(one.source), one.destination, write)
+
+    def _note_write(
+        self,
+        windows: LruDict[tuple[str, str], SlidingWindow],
+        source: str,
+        slave: str,
+        write: Write,
+    ) -> None:
         window = windows[source, slave]
-        counted = window.add(transaction.start_ns)
+        counted = window.add(write.start_ns)
         if counted:
+            transaction = write.transaction()
             text = (
                 f"{master_text(transaction)} writes {{count}} times to {place_text(transaction)}, "
                 f"for example {request_text(transaction)}"

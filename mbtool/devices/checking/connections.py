@@ -3,6 +3,7 @@
 # TCP-101  two requests with one transaction id are pending at the same time
 # TCP-102  the transaction id of a response differs from its request's
 # TCP-103  a message has another protocol id than 0 (at an FA3 module: FA3-X1 instead)
+# TCP-104  the unit of a response differs from its request's
 # TCP-201  a connection to a Modbus port carries another protocol
 # TCP-202  bytes are no ADU
 # TCP-203  a retransmission differs from the first copy
@@ -74,6 +75,8 @@ class ConnectionRules:
             connection.is_cut = False
         if Verdict.OTHER_TRANSACTION_ID in transaction.verdicts:
             yield transaction_finding("TCP-102", transaction, _other_id_text(transaction))
+        if Verdict.OTHER_UNIT in transaction.verdicts:
+            yield transaction_finding("TCP-104", transaction, _other_unit_text(transaction))
         request_ns, response_ns = transaction.request_ns, transaction.response_ns
         id_ = transaction.transaction_id
         if id_ is None or request_ns is None or response_ns is None:
@@ -212,3 +215,9 @@ def _other_id_text(transaction: NamedTransaction) -> str:
     raw = transaction.response_raw or b""
     request = "" if id_ is None else f" to a request with id {id_:04X}H"
     return f"{request_text(transaction)}: answer with id {raw[:2].hex().upper()}H{request}"
+
+
+def _other_unit_text(transaction: NamedTransaction) -> str:
+    raw = transaction.response_raw or b""
+    unit = raw[_LENGTH_END] if len(raw) > _LENGTH_END else 0
+    return f"{request_text(transaction)} to unit {transaction.unit}: answer with unit {unit}"

@@ -5,7 +5,8 @@
 #          cases: it began when the first had already sent requests for at least the time of the
 #          rule's limit (security_limits.py); or both write, less than that time apart. If both
 #          began at about the same time and only one writes, the capture does not show who is the
-#          usual master, and there is no finding.
+#          usual master, and there is no finding. Nor does it where the capture begins within the
+#          connection of the second host: that host may have been there first.
 # SEC-205  a host reads the identification of a slave (2B/0E, 11H, or 42H, the model code of the FA3
 #          modules), and sent nothing in the first minutes of the capture: the time of the rule's
 #          limit. The usual masters of a plant do send something then; one that restarts later is
@@ -21,7 +22,8 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from functools import partial
+from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.devices.checking.finding import transaction_finding
 from mbtool.devices.checking.lru_dict import LruDict
@@ -29,14 +31,16 @@ from mbtool.devices.checking.security_cases import host_of
 from mbtool.devices.checking.security_limits import SecurityLimit
 from mbtool.devices.checking.sliding_window import SlidingWindow
 from mbtool.devices.checking.transactions import request_text
-from mbtool.devices.named_transaction import NamedTransaction
 from mbtool.modbus.functions import FUNCTIONS
 from mbtool.modbus.identification import ENCAPSULATED, REPORT_SERVER_ID
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from mbtool.devices.checking.quiet_run import QuietRun
     from mbtool.devices.checking.security_cases import SecurityCases
     from mbtool.devices.checking.security_limits import SecurityLimits
+    from mbtool.devices.named_transaction import NamedTransaction
 
 MAX_MASTERS = 16
 MAX_HOSTS = 4096
@@ -44,6 +48,14 @@ MAX_HOSTS = 4096
 _READ_DEVICE_IDENTIFICATION = 0x0E
 _READ_MODEL_CODE = 0x42
 _EVER_NS = 1 << 63
+
+
+class Write(NamedTuple):
+    """A request that writes."""
+
+    start_ns: int
+    transaction: Callable[[], NamedTransaction]
+    """Makes its transaction."""
 
 
 @dataclass(slots=True)
@@ -63,7 +75,7 @@ class _Master:
     uncounted_ns: deque[int]
     """The times (ns) of this host's last writes that were not added to `window`, because no other
     host was known to be the first master."""
-    last_write: NamedTransaction | None = None
+    last_write: Write | None = None
 
 
 class MasterRules:
@@ -107,7 +119,7 @@ class MasterRules:
             master.last_ns = at_ns
         known = FUNCTIONS.get(transaction.function)
         if known is not None and known.writes:
-            self._note_write(masters, master, transaction)
+            self._note_write(masters, master, Write(at_ns, lambda: transaction))
         elif _is_identification(transaction):
             self._note_identification(transaction, host, slave)
 
@@ -125,20 +137,36 @@ class MasterRules:
         return True
 
     def run(self, run: QuietRun) -> None:
-        """Count many reads together, with the same result as `transaction` for each.
+        """Count many reads and writes together, with the same result as `transaction` for each.
 
-        `run` has the times of the reads, grouped by connection.
+        `run` has their times, grouped by connection, and the writes in their order.
         """
         for one in run.connections:
             host = host_of(one.source)
             self.heard(host, one.least_ns)
             master = self._slaves[one.destination][host]
             master.last_ns = max(master.last_ns, one.last_request_ns)
+        for write in run.writes:
+            masters = self._slaves[write.destination]
+            make = partial(run.transaction, write.row)
+            self._note_write(masters, masters[host_of(write.source)], Write(write.at_ns, make))
 
-    def _new_master(self, masters: dict[str, _Master], host: str, at_ns: int) -> _Master:
+    def joined(self, host: str, slave: str, at_ns: int) -> None:
+        """Note that the capture begins within a connection of `host` to `slave` (HOST:PORT).
+
+        So the host is one of the slave's masters since before the capture.
+        """
+        self.heard(host, at_ns)
+        masters = self._slaves[slave]
+        if host not in masters:
+            self._new_master(masters, host, at_ns, was_there=True)
+
+    def _new_master(
+        self, masters: dict[str, _Master], host: str, at_ns: int, *, was_there: bool = False
+    ) -> _Master:
         since_ns = at_ns - self._writes.window_ns
         hosts = (one.host for one in masters.values() if one.first_ns <= since_ns <= one.last_ns)
-        predecessor = next(hosts, None)
+        predecessor = None if was_there else next(hosts, None)
         if len(masters) >= MAX_MASTERS:
             del masters[min(masters, key=lambda one: masters[one].last_ns)]
         masters[host] = _Master(
@@ -151,21 +179,19 @@ class MasterRules:
         )
         return masters[host]
 
-    def _note_write(
-        self, masters: dict[str, _Master], master: _Master, transaction: NamedTransaction
-    ) -> None:
-        master.last_write = transaction
-        master.uncounted_ns.append(transaction.start_ns)
+    def _note_write(self, masters: dict[str, _Master], master: _Master, write: Write) -> None:
+        master.last_write = write
+        master.uncounted_ns.append(write.start_ns)
         if master.predecessor is not None:
             self._count(master, master.predecessor)
         if len(masters) == 1:
             return
         for other in masters.values():
-            if other is not master and self._is_near(other.last_write, transaction):
+            if other is not master and self._is_near(other.last_write, write):
                 first, second = sorted((master, other), key=lambda one: one.first_ns)
                 self._count(second, first.host)
 
-    def _is_near(self, write: NamedTransaction | None, other: NamedTransaction) -> bool:
+    def _is_near(self, write: Write | None, other: Write) -> bool:
         if write is None:
             return False
         return abs(write.start_ns - other.start_ns) <= self._writes.window_ns
@@ -180,7 +206,7 @@ class MasterRules:
         while second.uncounted_ns:
             counted += second.window.add(second.uncounted_ns.popleft())
         if counted and second.last_write is not None:
-            write = second.last_write
+            write = second.last_write.transaction()
             text = (
                 f"{second.host} writes to {write.destination}, which {first} asked before: "
                 f"{request_text(write)}"

@@ -1,8 +1,8 @@
-"""Figures about many answered Modbus/TCP reads that break no rule by themselves, for the rules of
-`mbtool check`.
+"""Figures about many answered Modbus/TCP reads and writes that break no rule by themselves, for the
+rules of `mbtool check`.
 """
 
-# Most transactions of a capture are such reads; columns/ decodes them into arrays, without an
+# Most transactions of a capture are such ones; columns/ decodes them into arrays, without an
 # object for each. A rule must still remember something of them, such as the last request of a
 # connection or the periods of a poll. The rules take that from these figures, without checking each
 # transaction. A "run" here is a series of such reads with no other record between them.
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class QuietPoll(NamedTuple):
-    """The equal requests to one unit, from all masters, in a run (consecutive answered reads)."""
+    """The equal requests to one unit, from all masters, in a run."""
 
     link: str
     unit: int
@@ -33,7 +33,7 @@ class QuietPoll(NamedTuple):
 
 
 class QuietConnection(NamedTuple):
-    """The requests on one connection in a run (consecutive answered reads).
+    """The requests on one connection in a run.
 
     Each request came after the response to the request before it.
     """
@@ -54,17 +54,31 @@ class QuietConnection(NamedTuple):
     the request (ns) and time of the response (ns)."""
 
 
+class QuietWrite(NamedTuple):
+    """A write in a run."""
+
+    source: str
+    """HOST:PORT of the master."""
+    destination: str
+    at_ns: int
+    """The time of its request, in ns."""
+    row: int
+    """Its row number, for `QuietRun.transaction`."""
+
+
 @dataclass(slots=True)
 class QuietRun:
-    """Figures about consecutive Modbus/TCP reads with the outcome OK.
+    """Figures about consecutive Modbus/TCP reads and writes with the outcome OK.
 
-    None of the reads has a finding, a retry, or a verdict of the decoder such as `malformed`.
+    None of them has a finding, a retry, or a verdict of the decoder such as `malformed`.
     """
 
     polls: list[QuietPoll]
-    """The reads grouped by equal requests; the groups are in the order of their last requests."""
+    """The transactions grouped by equal requests, in the order of their last requests."""
     connections: list[QuietConnection]
-    """The reads grouped by connection; the groups are in the order of their last requests."""
+    """The transactions grouped by connection, in the order of their last requests."""
+    writes: list[QuietWrite]
+    """The writes among them, in their order."""
     transaction: Callable[[int], NamedTransaction]
     """Makes the transaction with a row number, which `QuietPoll.first` gives."""
 
@@ -78,18 +92,20 @@ class QuietRun:
 
 
 class QuietRows(Protocol):
-    """Consecutive answered reads (rows) that break no rule, with no other record between them."""
+    """Consecutive answered reads and writes (rows) that break no rule, with no other record between
+    them.
+    """
 
     def __len__(self) -> int: ...
 
     def run(self) -> QuietRun:
-        """The figures about all rows (answered reads), for the rules."""
+        """The figures about all rows, for the rules."""
         ...
 
     def transactions(self, count: int) -> Iterator[NamedTransaction]:
-        """The transactions of the first `count` rows (answered reads)."""
+        """The transactions of the first `count` rows."""
         ...
 
     def behind(self, count: int) -> Self:
-        """All rows (answered reads) but the first `count`."""
+        """All rows but the first `count`."""
         ...

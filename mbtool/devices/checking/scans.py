@@ -9,12 +9,21 @@
 # A master that polls may also use many units and registers, but it repeats the same requests.
 # unpolled.py leaves out everything that a master polls. As a poll may be recognised late, the
 # findings come at the end of the capture.
+#
+# A capture can be too short to have a master's second turn. So of addresses and units that answer
+# what is asked, the rules SEC-201 and SEC-202 count only those that were requested first_time_ns
+# (the first minutes of SEC-205) before the capture's end, and those of a host that was first heard
+# when another one had been polling, and whose connections the capture has from the beginning.
+#
+# Memory: the time at which each of the first MAX_HOSTS hosts was first heard. Later ones count as
+# heard from the beginning.
 
 from __future__ import annotations
 
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from mbtool.core import CONNECTION_JOINED
 from mbtool.devices.checking.finding import event_finding, transaction_finding
 from mbtool.devices.checking.security_cases import (
     host_of,
@@ -24,6 +33,7 @@ from mbtool.devices.checking.security_cases import (
 from mbtool.devices.checking.transactions import request_text
 from mbtool.devices.checking.unpolled import OPENED, Unpolled
 from mbtool.modbus.functions import FUNCTIONS, ExceptionCode
+from mbtool.modbus.transaction import Outcome
 
 if TYPE_CHECKING:
     from mbtool.core import WireEvent
@@ -34,6 +44,13 @@ if TYPE_CHECKING:
     from mbtool.devices.model import Profile
     from mbtool.devices.named_transaction import NamedTransaction
 
+MAX_HOSTS = 4096
+MOST_UNITS = 64
+"""More units of one slave than this count as scanned, even if the capture is short and all of them
+answer. A gateway has fewer; a device that ignores the unit answers for every one."""
+
+_AS_ASKED = frozenset((Outcome.OK, Outcome.LATE, Outcome.NOT_CAPTURED))
+"""Outcomes of requests that the slave may have answered as asked."""
 _REFUSED_ADDRESS = frozenset((ExceptionCode.ILLEGAL_DATA_ADDRESS, ExceptionCode.ILLEGAL_DATA_VALUE))
 
 
@@ -44,10 +61,17 @@ class ScanRules:
     """
 
     def __init__(self, limits: SecurityLimits, cases: SecurityCases) -> None:
+        self._first_time_ns = limits.identification.window_ns
         self._hosts = Unpolled(limits.host_scan, cases)
-        self._units = Unpolled(limits.unit_scan, cases)
+        self._units = Unpolled(limits.unit_scan, cases, most_ordinary=MOST_UNITS)
         self._functions = Unpolled(limits.function_scan, cases)
         self._registers = Unpolled(limits.register_scan, cases)
+        self._end_ns = 0
+        """The time of the latest request, in ns."""
+        self._polled_ns: int | None = None
+        """The time (ns) of the request that showed for the first time that a host polls."""
+        self._first_heard_ns: dict[str, int] = {}
+        """The time (ns) at which each host was first heard."""
 
     def transaction(
         self, transaction: NamedTransaction, source: str, slave: str, profile: Profile | None
@@ -57,6 +81,7 @@ class ScanRules:
         `source` is the master's IP address and `slave` the slave's HOST:PORT. On a serial line,
         both are the name of the line. `profile` is the slave's; None if it has none.
         """
+        self._heard(source, transaction.start_ns)
         if not self._units.is_polled((source, slave), transaction.unit):
             self._note_unit(transaction, source, slave)
         if transaction.exception in _REFUSED_ADDRESS:
@@ -74,9 +99,16 @@ class ScanRules:
             for unit in one.units
         )
 
+    def run(self, run: QuietRun) -> None:
+        """Note the time of many answered reads of units that are all polled."""
+        self._end_ns = max(self._end_ns, run.last_request_ns)
+
     def opened(self, event: WireEvent) -> None:
         """Count the opening of a connection as an attempt to reach an IP address (SEC-201)."""
         source, host = host_of(event.source), host_of(event.destination)
+        self._heard(source, event.ts_ns)
+        if event.message.startswith(CONNECTION_JOINED):
+            return
         self._hosts.note(
             (source,),
             host,
@@ -90,11 +122,31 @@ class ScanRules:
 
         Call this method at the end of the capture.
         """
-        for things in (self._hosts, self._units, self._functions, self._registers):
-            things.close()
+        self._hosts.close(self._is_too_short)
+        self._units.close(lambda source, ts_ns, _: self._is_too_short(source, ts_ns, False))
+        self._functions.close()
+        self._registers.close()
+
+    def _heard(self, source: str, at_ns: int) -> None:
+        self._end_ns = max(self._end_ns, at_ns)
+        if source not in self._first_heard_ns and len(self._first_heard_ns) < MAX_HOSTS:
+            self._first_heard_ns[source] = at_ns
+
+    def _is_too_short(self, source: str, ts_ns: int, was_opened: bool) -> bool:
+        """True if the capture may only lack the second turn of a master.
+
+        `ts_ns` is the time of the request; `was_opened` is True if the capture has the beginning of
+        its connection.
+        """
+        if self._end_ns - ts_ns > self._first_time_ns:
+            return False
+        first_ns = self._first_heard_ns.get(source)
+        is_new = self._polled_ns is not None and first_ns is not None and first_ns > self._polled_ns
+        return not (is_new and was_opened)
 
     def _note_unit(self, transaction: NamedTransaction, source: str, slave: str) -> None:
         request, is_answered = _request(transaction), transaction.response_raw is not None
+        as_asked = transaction.outcome in _AS_ASKED
 
         def first_unit() -> tuple[str, Finding]:
             text = (
@@ -104,8 +156,15 @@ class ScanRules:
             return str(transaction.unit), _finding("SEC-202", transaction, text)
 
         is_polled = self._units.note(
-            (source, slave), transaction.unit, request, first_unit, is_answered=is_answered
+            (source, slave),
+            transaction.unit,
+            request,
+            first_unit,
+            is_answered=is_answered,
+            is_answered_as_asked=as_asked,
         )
+        if is_polled and self._polled_ns is None:
+            self._polled_ns = transaction.start_ns
         if transaction.destination is None:
             return
         host = host_of(transaction.destination)
@@ -118,6 +177,7 @@ class ScanRules:
             hash((request, transaction.unit)),
             lambda: (host, _finding("SEC-201", transaction, _hosts(source))),
             is_answered=is_answered,
+            is_answered_as_asked=as_asked,
         )
 
     def _note_function(self, transaction: NamedTransaction, source: str, slave: str) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mbtool.core import EventKind, WireEvent
+from mbtool.core import CONNECTION_JOINED, EventKind, WireEvent
 from mbtool.devices.checking.commands import CommandRules
 from mbtool.devices.checking.masters import MasterRules
 from mbtool.devices.checking.scans import ScanRules
@@ -60,13 +60,19 @@ class SecurityRules:
         return self._masters.takes(run) and self._scans.takes(run)
 
     def run(self, run: QuietRun) -> None:
-        """Count many answered reads together, with the same result as `transaction` for each."""
+        """Count many transactions together, with the same result as `transaction` for each."""
         self._masters.run(run)
+        self._commands.run(run)
+        self._scans.run(run)
 
     def event(self, event: WireEvent) -> None:
         """Note the opening of a TCP connection. Other events do not matter to these rules."""
         if event.kind is EventKind.OPENED:
-            self._masters.heard(host_of(event.source), event.ts_ns)
+            host = host_of(event.source)
+            if event.message.startswith(CONNECTION_JOINED):
+                self._masters.joined(host, event.destination, event.ts_ns)
+            else:
+                self._masters.heard(host, event.ts_ns)
             self._scans.opened(event)
 
     def close(self) -> Iterator[Finding]:

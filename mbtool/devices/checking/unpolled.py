@@ -10,6 +10,11 @@
 # a connection counts as a request, but only until a real request comes: a scan may open a
 # connection for each request.
 #
+# What a capture lacks is no evidence: a master whose second turn the capture does not have looks
+# like a scan. A thing is ordinary if its slave answered as asked, and the caller says that the
+# capture is too short to know if the master polls it. If more than half of the things in a scope
+# are ordinary, and they are at most `most_ordinary`, none of them is counted.
+#
 # Memory: MAX_THINGS things that are not known to be polled, and as many that are. If there are
 # more, the oldest thing not known to be polled is counted as never polled. For each of at most
 # MAX_ENTRIES scopes (lru_dict.py): the times of recent cases (sliding_window.py), and as many
@@ -17,7 +22,7 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict, deque
+from collections import Counter, OrderedDict, deque
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -62,6 +67,11 @@ class _Attempts:
     """The number of the master's requests to the thing so far."""
     repeats: int = 0
     """Number of times that the remembered request was repeated."""
+    is_answered_as_asked: bool = False
+    """True if a response brought what was requested."""
+    was_opened: bool = False
+    """True if the capture has the opening of a connection to the thing, an IP address, before the
+    first request."""
 
     def is_poll(self, request: int, *, is_answered: bool) -> bool:
         """Take the master's next request to the thing into account.
@@ -105,8 +115,14 @@ class Unpolled:
     within which things are counted together; its first item is the source.
     """
 
-    def __init__(self, limit: SecurityLimit, cases: SecurityCases) -> None:
+    def __init__(
+        self, limit: SecurityLimit, cases: SecurityCases, *, most_ordinary: int | None = None
+    ) -> None:
+        """`most_ordinary` is the largest number of things in a scope that can all be ordinary
+        polling; None for any number.
+        """
         self._cases = cases
+        self._most_ordinary = most_ordinary
         self._attempts: OrderedDict[_Thing, _Attempts] = OrderedDict()
         self._polled: dict[_Thing, None] = {}
         """The things (IP addresses, units ...) that are known to be polled, the oldest first."""
@@ -136,11 +152,13 @@ class Unpolled:
         describe: Callable[[], tuple[str, Finding]],
         *,
         is_answered: bool = False,
+        is_answered_as_asked: bool = False,
     ) -> bool:
         """Take a request to a thing (an IP address, unit, function or register) into account.
 
         Returns True if the thing is now known to be polled. `request` is the hash of the request;
-        `is_answered` is True if it has a response. `describe` is called for the first request to a
+        `is_answered` is True if it has a response, `is_answered_as_asked` if that response brings
+        what was requested, and is no exception. `describe` is called for the first request to a
         thing. It returns the thing as text, for an example in a message, and the finding to use if
         this is the first case of a scan.
         """
@@ -149,22 +167,44 @@ class Unpolled:
             return True
         attempts = self._attempts.get(thing)
         if attempts is None:
-            self._attempts[thing] = _Attempts(request, is_answered, *describe())
+            self._attempts[thing] = _Attempts(
+                request,
+                is_answered,
+                *describe(),
+                is_answered_as_asked=is_answered_as_asked,
+                was_opened=request == OPENED,
+            )
             if len(self._attempts) > MAX_THINGS:
                 self._settle(*self._attempts.popitem(last=False))
         elif attempts.is_poll(request, is_answered=is_answered):
             self.set_polled(scope, item)
             return True
+        else:
+            attempts.is_answered_as_asked |= is_answered_as_asked
         return False
 
-    def close(self) -> None:
+    def close(
+        self,
+        is_too_short: Callable[[str, int, bool], bool] = lambda source, ts_ns, was_opened: False,
+    ) -> None:
         """Count all things (IP addresses, units ...) that are not known to be polled.
 
-        Call this method at the end of the capture.
+        Call this method at the end of the capture. `is_too_short` tells of a request whether the
+        capture is too short to know if the source polls; it takes the source, the time of the
+        request (ns), and True if the capture has the opening of the connection.
         """
         left, self._attempts = self._attempts, OrderedDict()
-        for thing, attempts in sorted(left.items(), key=lambda one: one[1].finding.ts_ns):
-            self._settle(thing, attempts)
+        all_things, ordinary = Counter[_Scope](), Counter[_Scope]()
+        for (scope, _), one in left.items():
+            all_things[scope] += 1
+            ordinary[scope] += one.is_answered_as_asked and is_too_short(
+                str(scope[0]), one.finding.ts_ns, one.was_opened
+            )
+        for thing, one in sorted(left.items(), key=lambda item: item[1].finding.ts_ns):
+            scope, most = thing[0], self._most_ordinary
+            is_plant = 2 * ordinary[scope] > all_things[scope]
+            if not is_plant or (most is not None and all_things[scope] > most):
+                self._settle(thing, one)
 
     def _settle(self, thing: _Thing, attempts: _Attempts) -> None:
         scope = thing[0]

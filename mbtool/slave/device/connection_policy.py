@@ -6,7 +6,10 @@ new one, and the times at which one is closed.
 #
 #     admit             a master has connected: may it stay, and must another one leave for it?
 #     lost              a connection has ended, and why
-#     closed_until_ns   all connections are to be closed now, and none is accepted until this time
+#     end_of            when and how the device ends a connection by itself
+#     ends              the device ends a connection now
+#     closed_until_ns   no connection is accepted until this time; with `closes_all`, all those that
+#                       are open are closed now
 #
 # The policy also gives the sockets' keep-alive and idle times. A request may change these times;
 # `changed` is then True until the shell has read them again.
@@ -20,6 +23,10 @@ import math
 from collections import deque
 from dataclasses import dataclass
 from enum import Enum, auto
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from mbtool.modbus.response import ConnectionEnding
 
 MAX_NOTES = 16
 SPARE_NS = 1_000_000_000
@@ -46,6 +53,8 @@ class Peer:
     host: str
     heard_ns: int
     """The time in ns when the master last sent bytes, or connected. The shell updates it."""
+    asked: int = 0
+    """The number of complete requests that the master has sent. The shell updates it."""
     connected_ns: int = -1
     """The time in ns when the master connected; -1 if this connection is never closed in favour of
     another."""
@@ -81,12 +90,15 @@ class ConnectionPolicy:
     At most `places` masters may be connected, and an idle connection is closed after `idle_s`.
     """
 
+    closes_all = True
+    """True if a device that accepts no connection for a while also closes all that are open."""
+
     def __init__(self, places: int = 32, idle_s: float = 600.0) -> None:
         self.places = places
         self.idle_s = idle_s
         """A connection is closed after this many seconds without a complete request."""
         self.changed = False
-        """True if `keep_alive`, `split_s` or `closed_until_ns` may have changed.
+        """True if `keep_alive`, `split_s`, `closed_until_ns` or an `end_of` may have changed.
 
         The shell sets it to False when it has read them again.
         """
@@ -108,8 +120,18 @@ class ConnectionPolicy:
 
     @property
     def closed_until_ns(self) -> int | None:
-        """All connections must be closed until this time in ns; None if they may be open now."""
+        """No connection is accepted until this time in ns; None if one may be open now."""
         return None
+
+    def end_of(self, peer: Peer) -> tuple[int, ConnectionEnding] | None:
+        """Return the time (ns) at which the device ends a master's connection by itself, and how;
+        None if it does not. The shell asks after each read of the connection, and when `changed` is
+        True.
+        """
+        return None
+
+    def ends(self, peer: Peer, now_ns: int) -> None:
+        """Called when the time that `end_of` gave has come, before the connection is ended."""
 
     def admit(self, host: str, now_ns: int) -> Admission:
         """Decide whether a master that has connected from the IP address `host` may stay.

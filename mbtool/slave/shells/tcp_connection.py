@@ -88,7 +88,12 @@ class Host(Protocol):
         """Called when a connection has ended."""
 
     def follow_rules(self) -> None:
-        """Called after the rules changed: apply keep-alive times, or close all connections."""
+        """Called after the rules changed: apply the times that they give, and take no connection
+        for as long as they say.
+        """
+
+    def once_closed(self, ends: Callable[[], None]) -> None:
+        """Apply the rules, and call `ends` once they are in force."""
 
 
 class MasterConnection(asyncio.BufferedProtocol):
@@ -125,9 +130,20 @@ class MasterConnection(asyncio.BufferedProtocol):
         self._send_timer: asyncio.TimerHandle | None = None
         self._idle_timer: asyncio.TimerHandle | None = None
         self._split_timer: asyncio.TimerHandle | None = None
+        self._end_timer: asyncio.TimerHandle | None = None
 
     def abort(self) -> None:
         self._transport.abort()
+
+    def plan_end(self) -> None:
+        """Set a timer for the time at which the device ends this connection by itself, if it
+        does.
+        """
+        planned = self._rules.end_of(self.peer)
+        if planned is not None and self._end_timer is None:
+            due_ns, ending = planned
+            rest_s = max(due_ns - self._clock(), 0) / 1e9
+            self._end_timer = self._loop.call_later(rest_s, self._end_as_planned, ending)
 
     def keep_alive(self, setting: KeepAlive | None) -> None:
         """Switch TCP keep-alive on with the times of `setting`; off if it is None."""
@@ -157,6 +173,9 @@ class MasterConnection(asyncio.BufferedProtocol):
         self.peer = peer
         self.keep_alive(self._rules.keep_alive)
         self._watch_idle()
+        self.plan_end()
+        if self._rules.changed:
+            self._shell.follow_rules()
 
     def get_buffer(self, sizehint: int) -> memoryview:
         return self._buffer
@@ -166,6 +185,7 @@ class MasterConnection(asyncio.BufferedProtocol):
         self.peer.heard_ns = now_ns
         if not self._answer_in_place(nbytes, now_ns):
             self._split(bytes(self._buffer[:nbytes]), now_ns)
+        self.plan_end()
         if self._rules.changed:
             self._shell.follow_rules()
         if self._pending:
@@ -188,7 +208,7 @@ class MasterConnection(asyncio.BufferedProtocol):
         self._pause_or_resume_reading()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        for timer in (self._send_timer, self._idle_timer, self._split_timer):
+        for timer in (self._send_timer, self._idle_timer, self._split_timer, self._end_timer):
             if timer is not None:
                 timer.cancel()
         if hasattr(self, "peer"):
@@ -196,6 +216,8 @@ class MasterConnection(asyncio.BufferedProtocol):
             loss = Loss.NOT_ALIVE if is_gone else self._loss
             self._rules.lost(self.peer, loss, self._clock())
             self._shell.left(self)
+            if self._rules.changed:
+                self._shell.follow_rules()
 
     # The following methods are called by the methods above.
 
@@ -212,6 +234,7 @@ class MasterConnection(asyncio.BufferedProtocol):
         pdu = bytes(self._buffer[MBAP_BYTES:nbytes])
         answer = self._responder.respond(unit, pdu, now_ns)
         self._last_request_ns = now_ns
+        self.peer.asked += 1
         if answer is None:
             return True
         if answer.delay_ns or answer.distortion is not None or self._pending:
@@ -230,6 +253,7 @@ class MasterConnection(asyncio.BufferedProtocol):
             if isinstance(event, Adu):
                 answer = self._responder.respond(event.unit, event.pdu, now_ns)
                 self._last_request_ns = now_ns
+                self.peer.asked += 1
                 if answer is not None:
                     self._put(answer, event.transaction_id, event.unit, now_ns)
                 if self._shell.on_exchange is not None:
@@ -278,6 +302,18 @@ class MasterConnection(asyncio.BufferedProtocol):
             self._transport.close()
             return
         self._pause_or_resume_reading()
+
+    def _end_as_planned(self, ending: ConnectionEnding) -> None:
+        """End the connection when the responses that wait have been sent. If the device then
+        accepts no connection, the listening socket is closed first, so that a master that connects
+        again at once is refused.
+        """
+        if self._pending:
+            rest_s = max(self._pending[-1][0] - self._clock(), 0) / 1e9
+            self._end_timer = self._loop.call_later(rest_s, self._end_as_planned, ending)
+            return
+        self._rules.ends(self.peer, self._clock())
+        self._shell.once_closed(lambda: self._end(b"", ending))
 
     def _end(self, last: bytes, ending: ConnectionEnding) -> None:
         """Send the bytes `last`, then close or reset the connection, as `ending` says."""

@@ -36,6 +36,8 @@ from mbtool.slave.shells.shell import OnExchange, Shell
 from mbtool.slave.shells.tcp_connection import MasterConnection
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from mbtool.modbus.response import Responder
     from mbtool.slave.device.connection_policy import Peer
 
@@ -91,8 +93,12 @@ class TcpSlave(Shell):
         self._listener = TcpListener(link, link.endpoint, allowed)
         self._refused_hosts: set[str] = set()
         self._woken = asyncio.Event()
-        """Set when the slave must stop, or when the rules close all connections for a while."""
+        """Set when the slave must stop, or when the rules accept no connection for a while."""
         self._is_stopping = False
+        self._is_closed = False
+        """True while the port does not listen."""
+        self._once_closed: list[Callable[[], None]] = []
+        """Functions to call as soon as the port does not listen."""
 
     @property
     def endpoint(self) -> Endpoint:
@@ -147,8 +153,17 @@ class TcpSlave(Shell):
         self.rules.changed = False
         for connection in self.connections:
             connection.keep_alive(self.rules.keep_alive)
+            connection.plan_end()
         if self._closed_s() > 0:
             self._woken.set()
+
+    def once_closed(self, ends: Callable[[], None]) -> None:
+        if self.rules.changed:
+            self.follow_rules()
+        if self._closed_s() > 0 and not self._is_closed:
+            self._once_closed.append(ends)
+        else:
+            ends()
 
     def _tell_refused(self, host: str, refusal: str) -> None:
         """Report a refused machine to the user once, as it usually tries again and again.
@@ -187,11 +202,18 @@ class TcpSlave(Shell):
             await self._woken.wait()
             await self._finish_accepting()
             server.close()
-            await self._close_connections()
-            await server.wait_closed()
+            self._is_closed = True
+            for ends in self._once_closed:
+                ends()
+            self._once_closed.clear()
+            if self.rules.closes_all:
+                await self._close_connections()
+                await server.wait_closed()
             if not self._is_stopping:
                 self._listener.hold()
                 await self._stay_closed()
+            self._is_closed = False
+        await self._close_connections()
 
     async def _finish_accepting(self) -> None:
         """Wait until asyncio has made a MasterConnection for each connection that it accepted.
@@ -212,9 +234,11 @@ class TcpSlave(Shell):
             await asyncio.sleep(0)  # asyncio ends an aborted connection in its next round.
 
     async def _stay_closed(self) -> None:
+        while self._closed_s() > 0 and not self._is_stopping:
+            self._woken.clear()
+            with suppress(TimeoutError):
+                await asyncio.wait_for(self._woken.wait(), self._closed_s())
         self._woken.clear()
-        with suppress(TimeoutError):
-            await asyncio.wait_for(self._woken.wait(), self._closed_s())
 
     def _closed_s(self) -> float:
         """Return the number of seconds, from now, for which the rules let no master connect."""

@@ -2,7 +2,7 @@
 
 # The transactions, their order, the remarks for the user and the errors are the same as with the
 # class `Reading`, which decodes one packet at a time. Reading as arrays only works for files of
-# packets, and without device profiles.
+# packets.
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from mbtool.columns.column_decoder import ColumnDecoder, DecodedBlock
 from mbtool.columns.packet_block import read_blocks
 from mbtool.columns.plain_lines import BlockLines
 from mbtool.columns.plain_records import plain_records
+from mbtool.columns.plain_transactions import PlainObjects
 from mbtool.columns.portions import portions
 from mbtool.columns.quiet_rows import QuietParts
 from mbtool.columns.usual_runs import UsualRuns
@@ -62,11 +63,11 @@ class ColumnReading(Reading):
         Raises InputError if a file cannot be read; CutError for a file that ends in the middle of a
         packet, after the records before that place.
         """
-        namer = Namer(self.assignments)
+        objects = PlainObjects(Namer(self.assignments))
         for block in self._blocks():
             for _, record in block.records:
                 self._note(record)
-            yield from plain_records(block, namer)
+            yield from plain_records(block, objects)
 
     def batches(self) -> Iterator[TransactionBatch]:
         """Yield the transactions and events, those of each block of packets together, with the
@@ -77,7 +78,7 @@ class ColumnReading(Reading):
         """
         from mbtool.columns.block_table import BlockTables  # Other methods do not need pyarrow.
 
-        tables = BlockTables()
+        tables = BlockTables(Namer(self.assignments))
         for block in self._portions():
             batch = tables.batch(block)
             for record in batch.records:
@@ -93,7 +94,7 @@ class ColumnReading(Reading):
         in a line. Raises InputError if a file cannot be read, CutError for a file that ends in the
         middle of a packet.
         """
-        lines = BlockLines(line_of, separator)
+        lines = BlockLines(line_of, separator, Namer(self.assignments))
         for block in self._portions():
             batch = lines.batch(block)
             for record in batch.records:
@@ -119,18 +120,18 @@ class ColumnReading(Reading):
 
         `form_of` and `singly` are as for UsualRuns. Raises the errors of `batches`.
         """
-        runs = UsualRuns(form_of, singly)
+        runs = UsualRuns(form_of, singly, Namer(self.assignments))
         for block in self._portions():
             for part in runs.parts(block):
                 if not isinstance(part, UsualRun):
                     self._note(part)
                 yield part
 
-    def quiet_parts(self) -> Iterator[Record | BlockRows]:
-        """Yield all transactions and events. Many answered reads that break no rule come together
-        as one BlockRows.
+    def quiet_parts(self, *, reads_only: bool = False) -> Iterator[Record | BlockRows]:
+        """Yield all transactions and events. Many answered reads and writes that break no rule come
+        together as one BlockRows; with `reads_only`, reads only.
         """
-        quiet = QuietParts()
+        quiet = QuietParts(Namer(self.assignments), reads_only=reads_only)
         for block in self._blocks():
             for _, record in block.records:
                 self._note(record)

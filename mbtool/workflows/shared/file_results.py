@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeVar
 
-from mbtool.core import CutError, DamageError, InputError, WireEvent
+from mbtool.core import CutError, DamageError, EmptyError, InputError, WireEvent
 from mbtool.packets import CaptureHead
 from mbtool.sources.files import shown_name
 
@@ -97,7 +97,9 @@ class FileResults:
         end those of `end()`.
 
         After a file that is cut or damaged, yield those of `go_on(error)`, unless it is the last
-        file. If a file cannot be opened, reading stops: yield those of `end()`, and raise its
+        file. After a text without frames, go on with the next file.
+
+        If a file cannot be opened, reading stops: yield those of `end()`, and raise its
         InputError. Otherwise raise, after all items, the first error of a file that is cut, damaged
         or left out.
         """
@@ -127,6 +129,8 @@ class FileResults:
             result.error = error
             if not is_last:
                 yield from go_on(error)
+        except EmptyError as error:
+            result.error = error
 
     def note(self, name: str, record: Record) -> None:
         """Count a record as read from the file with this name."""

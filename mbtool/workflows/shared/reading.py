@@ -104,6 +104,8 @@ class Reading:
         self._logs = LogRemarks(paths, is_raw=options.raw)
         self.results = FileResults(paths)
         self._misordered: list[str] = []
+        self._of_texts: list[str] = []
+        """For each text with frames, a line that says how many it has."""
         self._kinds: set[CaptureKind] = set()
         self._last_ns = 0
         """The time (UTC ns) of the last transaction or event that was yielded."""
@@ -190,7 +192,9 @@ class Reading:
             remarks.append("--link has no effect: these are packets of a network")
         if self._has_found and self._is_complete:
             remarks += self._options.assignments.remarks
-        return remarks + self._misordered + self._logs.remarks + self.results.table()
+        return (
+            remarks + self._of_texts + self._misordered + self._logs.remarks + self.results.table()
+        )
 
     def demand_files(self) -> None:
         """Check that the files exist, are named once, and are of a kind that can be read.
@@ -251,6 +255,8 @@ class Reading:
                 yield from self._packet_records(capture)
             else:
                 yield from self._serial_records(capture)
+                if capture.remark is not None:
+                    self._of_texts.append(capture.remark)
 
     def _packet_records(self, capture: CaptureFile) -> Iterator[Record]:
         packets = capture.packets()

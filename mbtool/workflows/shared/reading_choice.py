@@ -42,7 +42,7 @@ def can_read_columns(paths: Sequence[str], options: ReadingOptions) -> bool:
 
     Raises InputError if a file cannot be read.
     """
-    if any(options.assignments) or options.line is not None or options.any_port:
+    if options.line is not None or options.any_port:
         return False
     return all(not place_of(path)[1] and _has_plain_packets(path) for path in paths)
 

@@ -12,6 +12,7 @@ from mbtool.core import InputError, UsageError, WireEvent
 from mbtool.devices import NamedTransaction
 from mbtool.modbus import Outcome
 from mbtool.replay import TimeRange
+from mbtool.replay.connections import ConnectionHistory, RecordedConnection, in_window
 from mbtool.replay.damaged import DAMAGED_KINDS
 from mbtool.workflows.shared.read_all import Watch, read_all, unwatched
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
@@ -32,15 +33,41 @@ class PlayOptions:
     rate: Fraction | None = Fraction(1)
     """Recorded time divided by real time: 2 plays twice as fast; None as fast as possible."""
     window: TimeRange = field(default_factory=TimeRange)
+    answers_only: bool = False
+    """True if connections are neither opened, refused nor ended as recorded."""
 
 
 class Recorded(NamedTuple):
-    """The transactions to replay, the profiles of their devices, and the damaged frames."""
+    """The transactions to replay, the profiles of their devices, damaged frames, connections."""
 
     transactions: list[NamedTransaction]
     assignments: Assignments
     damage: list[WireEvent]
     """The events about bytes that could not be decoded, for example because of a wrong CRC."""
+    history: ConnectionHistory
+    """The TCP connections, with the number of all their requests."""
+
+    def connections(
+        self, options: PlayOptions, origin_ns: int | None, on_remark: Callable[[str], None]
+    ) -> list[RecordedConnection]:
+        """Return the connections to the slave of the transactions, in the part to be played; none
+        if the user wants answers only, or if the transactions are of several slaves.
+
+        The part counts from `origin_ns` (UTC ns), or from the first request if it is None.
+        """
+        asked = [one for one in self.transactions if one.request_ns is not None]
+        slaves = {one.destination or one.link for one in asked}
+        if options.answers_only or not asked:
+            return []
+        first_ns = min(one.start_ns for one in asked) if origin_ns is None else origin_ns
+        found = in_window(self.history.of_slaves(slaves), options.window, first_ns)
+        if len(slaves) > 1 and found:
+            on_remark(
+                f"mbtool: connections are not played as recorded, as {len(slaves)} slaves share "
+                "one link; give each a link of its own: --on WHO=LINK"
+            )
+            return []
+        return found
 
 
 def read_recorded(
@@ -60,14 +87,17 @@ def read_recorded(
     """
     transactions: list[NamedTransaction] = []
     damage: list[WireEvent] = []
+    history = ConnectionHistory()
     reading = Reading([path], options.reading)
     count = 0
     for record in read_all(reading, on_remark, "mbtool: {error}; playing what is there", watch):
         if isinstance(record, WireEvent):
             if record.kind in DAMAGED_KINDS:
                 damage.append(record)
+            history.add_event(record)
         else:
             count += 1
+            history.add(record)
             if options.wanted(record):
                 transactions.append(record)
     if count and not transactions:
@@ -77,7 +107,7 @@ def read_recorded(
         )
     if not may_repeat_units:
         demand_one_slave_each(path, transactions)
-    return Recorded(transactions, reading.assignments, damage)
+    return Recorded(transactions, reading.assignments, damage, history)
 
 
 def lateness_p99_ns(sample: Sample, options: PlayOptions) -> int | None:

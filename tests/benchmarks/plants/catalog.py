@@ -5,7 +5,13 @@ from __future__ import annotations
 from random import Random
 from typing import TYPE_CHECKING
 
-from tests.benchmarks.plants import disturbed_plants, odd_plants, polling_plants, silent_plants
+from tests.benchmarks.plants import (
+    disturbed_plants,
+    heard_plants,
+    odd_plants,
+    polling_plants,
+    silent_plants,
+)
 from tests.benchmarks.plants.site import Site
 
 if TYPE_CHECKING:
@@ -50,6 +56,13 @@ PLANTS: dict[str, Plant] = {
     "slow slave": odd_plants.slow_slave,
     "slave of two": odd_plants.slave_of_two,
     "set points": odd_plants.set_points,
+    "odd devices": odd_plants.odd_devices,
+    "only one wire": heard_plants.only_one_wire,
+    "repeater": heard_plants.repeater,
+    "lost bytes": heard_plants.lost_bytes,
+    "bias": heard_plants.bias,
+    "baud change": heard_plants.baud_change,
+    "foreign protocol": heard_plants.foreign_protocol,
 }
 
 

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from tests.benchmarks.adapters import Read
     from tests.benchmarks.plants.recording import Recording
 
-ECHO = "echo"
-"""The kind of event that an adapter's echo is."""
+COPIES = ("echo", "repeated")
+"""The kinds of events of frames that come a second time."""
 
 
 def hear(recording: Recording, adapter: Adapter) -> Told:
@@ -41,7 +41,7 @@ def decode(line: SerialFormat, reads: Sequence[Read], *, timed: bool) -> Told:
         if isinstance(one, Adu):
             told.frames.append(ToldFrame(offset, one.raw, one.direction, one.confidence))
             places[one.raw, one.end_ns].append(offset)
-        elif str(one.kind) == ECHO:
+        elif str(one.kind) in COPIES:
             told.echoes.append(offset)
         offset += len(one.raw)
     # No byte disappears, so all bytes before a frame say where it begins.

@@ -29,6 +29,8 @@ class Adapter(StrEnum):
     BURST_62 = "bursts of 62"
     BURST_64 = "bursts of 64"
     """A buffer that is given when it is full, or 255 ms after its first byte."""
+    BURST_8K = "bursts of 8 KB"
+    """A buffer that is given only when it is full."""
     FLUSHED = "64 or 0.2 s"
     """A program that reads 64 bytes with a timeout of 0.2 s, again and again: it tears frames."""
     NO_TIMES = "no times"
@@ -57,6 +59,8 @@ def delivered(recording: Recording, adapter: Adapter) -> list[Read]:
             return list(adapters.with_steps_back(data, times))
         case Adapter.BURST_32 | Adapter.BURST_62 | Adapter.BURST_64:
             return list(adapters.by_count(data, times, int(adapter.rpartition(" ")[2])))
+        case Adapter.BURST_8K:
+            return list(adapters.by_count(data, times, 8192, flush_ns=None))
         case Adapter.FLUSHED:
             return list(adapters.by_timer(data, times, FLUSH_NS, 64))
         case Adapter.NO_TIMES:

@@ -8,7 +8,12 @@
 # more, not as ambiguous, and not right. What cannot be known (knowable.py) is also found if it is
 # told as ambiguous; what is hidden is not counted.
 #
-# Calibration is counted over frames, since the confidence is that of a frame's direction.
+# A frame that lacks bytes is no frame. Its request or response is not counted as found, and may not
+# be told with a frame of another transaction. A response whose request was not heard is right if it
+# is told alone.
+#
+# Calibration is counted over frames, whose confidence is that of their direction, and over pairs of
+# a request and a response, whose confidence is that of the transaction.
 
 from __future__ import annotations
 
@@ -86,6 +91,11 @@ class PlantFigures:
     sure_amiss: int = 0
     likely: int = 0
     likely_amiss: int = 0
+    pairs_sure: int = 0
+    """Pairs told with SURE or more, and how many of them are none."""
+    pairs_sure_amiss: int = 0
+    ambiguous_knowable: int = 0
+    """Transactions told as ambiguous though the truth can be known."""
     misses: list[str] = field(default_factory=list)
 
     def add(self, other: PlantFigures) -> None:
@@ -115,6 +125,14 @@ class PlantFigures:
     @property
     def likely_amiss_share(self) -> float | None:
         return _share(self.likely_amiss, self.likely)
+
+    @property
+    def pairs_amiss_share(self) -> float | None:
+        return _share(self.pairs_sure_amiss, self.pairs_sure)
+
+    @property
+    def ambiguous_knowable_share(self) -> float | None:
+        return _share(self.ambiguous_knowable, self.told)
 
     def as_json(self) -> dict[str, Any]:
         counts = asdict(self)
@@ -196,6 +214,8 @@ class _Transactions:
         self._figures = figures
         self._groups = _groups(recording)
         self._places = {one.offset: at for at, one in enumerate(recording.sent)}
+        self._joined: set[int] = set()
+        """Responses that were told with a request."""
         self._covered: Counter[int] = Counter()
         """Frames in transactions that were told right or as ambiguous."""
 
@@ -218,6 +238,16 @@ class _Transactions:
         if frames and all(at in self._unclear.hidden for at in frames):
             return
         self._figures.told += 1
+        if not any(at in self._unclear.doubtful | self._unclear.hidden for at in frames):
+            self._figures.ambiguous_knowable += told.is_ambiguous
+        if (
+            told.request is not None
+            and told.response is not None
+            and told.confidence >= SURE
+            and not any(at in self._unclear.hidden for at in frames)
+        ):
+            self._figures.pairs_sure += 1
+            self._figures.pairs_sure_amiss += not right
         if right or told.is_ambiguous:
             # Also where a frame ends may be in doubt, so that only its beginning counts here.
             self._covered.update(
@@ -262,24 +292,53 @@ class _Transactions:
                 response is not None
                 and response >= 0
                 and self._may_be_unasked(response)
-                and told.outcome in (Outcome.UNSOLICITED, None)
+                and told.outcome in (Outcome.UNSOLICITED, Outcome.NOT_CAPTURED, None)
             )
+        if request < 0 and told.request is not None and response is not None and response >= 0:
+            return self._is_damaged_request(told.request[0], response)
         if request < 0 or self._sent[request].role is not Role.REQUEST:
             return False
         group = self._groups[request]
         if response is None:
             return self._is_alone(told, request, group)
-        if response < 0 or response not in group.responses:
+        if response < 0 and told.response is not None:
+            return self._is_damaged_response(told, group)
+        if response < 0 or response not in group.responses or response in self._joined:
             return False
+        self._joined.add(response)
         group.joined += 1
         expected = Outcome.EXCEPTION if self._sent[response].is_exception else Outcome.OK
+        if self._sent[response].is_odd and told.outcome is Outcome.MALFORMED:
+            return True
         may_be_late = self._sent[response].is_late or len(group.requests) > 1
         return told.outcome in (expected, None) or (may_be_late and told.outcome is Outcome.LATE)
+
+    def _is_damaged_request(self, offset: int, response: int) -> bool:
+        """True if what was told as the request is what the listener heard of it."""
+        at = self._damaged_at(offset)
+        return at is not None and self._sent[response].answers == at
+
+    def _is_damaged_response(self, told: ToldTransaction, group: _Group) -> bool:
+        """True if what was told as the response is what the listener heard of it."""
+        assert told.response is not None
+        at = self._damaged_at(told.response[0])
+        return (
+            at is not None
+            and self._sent[at].answers in group.requests
+            and told.outcome in (Outcome.MALFORMED, Outcome.NOT_CAPTURED, None)
+        )
+
+    def _damaged_at(self, offset: int) -> int | None:
+        at = self._places.get(offset)
+        return at if at is not None and self._sent[at].is_damaged else None
 
     def _is_alone(self, told: ToldTransaction, request: int, group: _Group) -> bool:
         if self._sent[request].unit == 0:
             return told.outcome in (Outcome.BROADCAST, None)
-        if told.outcome not in (Outcome.NO_ANSWER, None):
+        lacks_response = any(self._sent[at].lacks_response for at in group.requests)
+        if told.outcome not in (Outcome.NO_ANSWER, None) and not (
+            lacks_response and told.outcome in (Outcome.NOT_CAPTURED, Outcome.MALFORMED)
+        ):
             return False
         group.alone += 1
         if any(self._sent[at].is_late for at in group.responses):
@@ -291,11 +350,12 @@ class _Transactions:
     def _may_be_unasked(self, response: int) -> bool:
         """True for a late response, and the second response to a request and its retry."""
         one = self._sent[response]
-        if one.role is not Role.RESPONSE or one.answers is None:
+        if one.role is not Role.RESPONSE or response in self._joined:
             return False
-        group = self._groups[one.answers]
-        if not one.is_late and len(group.responses) < 2:
+        group = self._groups[one.answers if one.answers in self._groups else response]
+        if group.requests and not one.is_late and len(group.responses) < 2:
             return False
+        self._joined.add(response)
         group.joined += 1
         return True
 
@@ -316,7 +376,7 @@ class _Transactions:
             return
         figures.found += group.found
         if group.found < total:
-            first = self._sent[group.requests[0]]
+            first = self._sent[frames[0]]
             figures.misses.append(
                 f"{first.offset}: not told: {len(group.requests)} x {first.raw.hex(' ')} with "
                 f"{len(group.responses)} responses"
@@ -328,7 +388,9 @@ def _at(frame: tuple[int, bytes] | None) -> str:
 
 
 def _groups(recording: Recording) -> dict[int, _Group]:
-    """For each request the group that it belongs to."""
+    """For each request the group that it belongs to; for a response whose request was not heard
+    a group of its own.
+    """
     sent = recording.sent
     answers: dict[int, list[int]] = defaultdict(list)
     frames = recording.frames()
@@ -346,6 +408,8 @@ def _groups(recording: Recording) -> dict[int, _Group]:
             group.requests.append(at)
             group.responses += answers[at]
             groups[at] = group
+        elif one.answers is None or sent[one.answers].is_damaged:
+            groups[at] = _Group(responses=[at])
         before = one
     return groups
 

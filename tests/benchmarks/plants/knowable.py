@@ -60,6 +60,8 @@ def unknowable(recording: Recording, resolution_ns: int | None) -> Unknowable:
             else:
                 _doubt_with_times(recording, run, heard, resolution_ns, found)
         heard.learn(recording.sent, run)
+    _doubt_partners_of_damaged(recording, found)
+    _hide_partners_of_lost(recording, found)
     _doubt_ends(recording, resolution_ns, found)
     _hide_learning(recording, found)
     return found
@@ -182,6 +184,30 @@ def _is_clearly_a_retry(recording: Recording, heard: _Heard, resolution_ns: int)
 def _near_ns(recording: Recording, resolution_ns: int) -> int:
     """Two times that differ by less cannot be told apart."""
     return recording.jitter_ns + 2 * resolution_ns + 2 * MS
+
+
+def _doubt_partners_of_damaged(recording: Recording, found: Unknowable) -> None:
+    """A frame whose form does not tell its direction, if its partner, which would, is damaged."""
+    sent = recording.sent
+    for at, one in enumerate(sent):
+        if one.role is Role.NOISE:
+            continue
+        partner_is_damaged = one.lacks_response or (
+            one.answers is not None and sent[one.answers].is_damaged
+        )
+        is_clear = one.function & 0x7F in KNOWN and one.function not in ECHOED
+        if partner_is_damaged and not is_clear:
+            found.doubtful.add(at)
+
+
+def _hide_partners_of_lost(recording: Recording, found: Unknowable) -> None:
+    """A response that equals its request, if that request is lost as a whole."""
+    sent = recording.sent
+    if all(one.role is Role.RESPONSE for one in sent):
+        return  # Only the slaves are heard: that tells the direction.
+    for at, one in enumerate(sent):
+        if one.role is Role.RESPONSE and one.answers is None and one.function in ECHOED:
+            found.hidden.add(at)
 
 
 def _doubt_ends(recording: Recording, resolution_ns: int | None, found: Unknowable) -> None:

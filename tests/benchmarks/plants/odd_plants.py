@@ -1,4 +1,4 @@
-"""Plants with gaps inside frames, slaves that are late, a slave of two masters, and only writes."""
+"""Plants with gaps inside frames, late or odd slaves, a slave of two masters, and only writes."""
 
 # Each function plays a line until the master has sent `requests` requests. Its docstring says why
 # such a line exists.
@@ -125,3 +125,42 @@ def set_points(site: Site, requests: int) -> None:
         for unit in site.units:
             request = pdus.write_register(random.choice(addresses), random.randrange(0x1000))
             site.exchange(unit, request, lambda sent=request: sent)  # type: ignore[misc]
+
+
+def odd_devices(site: Site, requests: int) -> None:
+    """Slaves that answer in a form of their own, as cheap devices do, beside others.
+
+    One repeats the whole request of function 10H. One limits the value of function 06 and repeats
+    the value that it took. One answers function 05 with 1 in place of FF00H.
+    """
+    random = site.random
+    units = [*site.units, *(unit for unit in range(1, 40) if unit not in site.units)]
+    whole, limiting, switching = units[:3]
+    limit = random.randrange(100, 2000)
+    site.latency_ns |= {unit: site.latency_ns.get(unit) or (5 * MS, 8 * MS) for unit in units[:3]}
+    site.polls = [site.poll(unit) for unit in {*site.units, *units[:3]}]
+    while site.asked < requests:
+        for poll in site.polls:
+            site.read(poll)
+            if random.random() < 0.3:
+                _write_to_odd(site, random.choice((whole, limiting, switching)), units, limit)
+
+
+def _write_to_odd(site: Site, unit: int, units: list[int], limit: int) -> None:
+    random = site.random
+    address = random.randrange(0x40)
+    if unit == units[0]:
+        request = pdus.write_registers(address, [site.value() for _ in range(random.randint(1, 6))])
+        response = request
+    elif unit == units[1]:
+        value = random.randrange(0x1000)
+        request = pdus.write_register(address, value)
+        response = pdus.write_register(address, min(value, limit))
+    else:
+        request = pdus.write_coil(address, True)
+        response = request[:3] + b"\x00\x01"
+    at = site.bus.ask(unit, request)
+    site.bus.wait(random.randint(*site.latency(unit)))
+    answer = site.bus.reply(at, response)
+    site.bus.recording.sent[answer].is_odd = response != pdus.write_response(request)
+    site.pause()

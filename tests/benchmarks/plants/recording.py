@@ -10,6 +10,7 @@ from mbtool.core import SerialFormat
 from tests.benchmarks.plants.pdus import rtu_frame
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from random import Random
 
 START_NS = 1_700_000_000_000_000_000
@@ -22,7 +23,7 @@ class Role(StrEnum):
     REQUEST = "request"
     RESPONSE = "response"
     ECHO = "echo"
-    """A request heard again because the adapter hears what it sends."""
+    """A frame heard again: the adapter hears what it sends, or a repeater sends what it hears."""
     NOISE = "noise"
     """Bytes that nobody sent."""
 
@@ -45,6 +46,12 @@ class Sent:
     is_retry: bool = False
     is_late: bool = False
     """A response that came after the master had given up and asked something else."""
+    is_odd: bool = False
+    """Of a response: it does not have the form of its function, or repeats something else."""
+    is_damaged: bool = False
+    """Noise that is left of a frame: the listener lost some of its bytes."""
+    lacks_response: bool = False
+    """Of a request: it got a response, which was not heard or is damaged."""
 
     @property
     def unit(self) -> int:
@@ -81,6 +88,10 @@ class Recording:
         return [at for at, one in enumerate(self.sent) if one.role in (Role.REQUEST, Role.RESPONSE)]
 
 
+def _no_glitch() -> tuple[bytes, bytes]:
+    return b"", b""
+
+
 class Bus:
     """A line on which somebody speaks; it keeps the time and the truth."""
 
@@ -89,6 +100,10 @@ class Bus:
         self.now_ns = START_NS
         self.echo_ns: int | None = None
         """After which time the adapter gives each request again; None: it does not."""
+        self.repeat_ns: tuple[int, int] | None = None
+        """The shortest and the longest time after which a repeater sends each frame again."""
+        self.glitch: Callable[[], tuple[bytes, bytes]] = _no_glitch
+        """Gives the bytes that a receiver makes of the edges before and behind a frame."""
         self.hesitates = 0.02
         """The share of the frames with a pause of up to t1.5 inside."""
         self.gapped = 0.0
@@ -106,9 +121,8 @@ class Bus:
         self.recording.requests += 1
         if self.echo_ns is not None:
             self.wait(self.echo_ns)
-            copy = self._send(Role.ECHO, rtu_frame(unit, pdu))
-            self.recording.sent[copy].copies = at
-        return at
+            self._copy(at)
+        return self._repeated(at)
 
     def reply(self, request: int, pdu: bytes, *, is_late: bool = False) -> int:
         """Send the response to a request."""
@@ -116,12 +130,31 @@ class Bus:
         at = self._send(Role.RESPONSE, rtu_frame(unit, pdu))
         self.recording.sent[at].answers = request
         self.recording.sent[at].is_late = is_late
-        return at
+        return self._repeated(at)
 
     def noise(self, data: bytes) -> None:
         self._send(Role.NOISE, data)
 
+    def _repeated(self, at: int) -> int:
+        if self.repeat_ns is not None:
+            self.wait(self._random.randint(*self.repeat_ns))
+            self._copy(at)
+        return at
+
+    def _copy(self, at: int) -> None:
+        copy = self._send(Role.ECHO, self.recording.sent[at].raw)
+        self.recording.sent[copy].copies = at
+
     def _send(self, role: Role, raw: bytes) -> int:
+        before, behind = (b"", b"") if role is Role.NOISE else self.glitch()
+        if before:
+            self._put(Role.NOISE, before)
+        at = self._put(role, raw)
+        if behind:
+            self._put(Role.NOISE, behind)
+        return at
+
+    def _put(self, role: Role, raw: bytes) -> int:
         recording, random = self.recording, self._random
         start_ns, offset = self.now_ns, len(recording.data)
         pauses_at = -1

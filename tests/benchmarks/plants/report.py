@@ -6,6 +6,8 @@
 #   sure wrong transactions told with a confidence of 0.9 or more that are not in the truth
 #   0.9+       frames told with 0.9 or more whose direction is wrong, or that are none; 0.8+ is the
 #              same of those told with 0.8 to 0.9
+#   pairs 0.9+ pairs told with 0.9 or more that are none
+#   ambiguous  transactions told as ambiguous though the truth can be known
 #   times cost by how many points fewer transactions are right than without times (more than
 #              TIMES_MAY_COST breaks the rule that times never make it worse)
 #   command    how many transactions `mbtool decode` tells otherwise than the class
@@ -43,7 +45,7 @@ if TYPE_CHECKING:
 TIMES_MAY_COST = 0.0002
 HEADINGS = (
     "plant", "adapter", "decoder", "found", "sure wrong", "frames", "false", "0.9+", "0.8+",
-    "transactions", "doubtful", "hidden", "times cost", "command",
+    "pairs 0.9+", "ambiguous", "transactions", "doubtful", "hidden", "times cost", "command",
 )  # fmt: skip
 WORDS = 3
 """How many of the columns are words, not numbers."""
@@ -188,6 +190,8 @@ def row(cell: PlantCell, cost: float | None) -> list[str]:
         str(one.frames_false),
         percent(one.sure_amiss_share, up=True),
         percent(one.likely_amiss_share, up=True),
+        percent(one.pairs_amiss_share, up=True),
+        percent(one.ambiguous_knowable_share, up=True),
         str(one.transactions),
         str(one.doubtful),
         str(one.hidden),

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+import msgspec
 import pytest
 
 from mbtool.core import EventKind, WireEvent
@@ -26,9 +27,10 @@ def found(*records: Record, profile: str = AT1M8X) -> list[tuple[str, str]]:
     findings: list[Finding] = []
     for record in records:
         if isinstance(record, WireEvent):
-            findings += rules.event(record)
+            findings += rules.event(record, device)
         else:
             findings += rules.transaction(record, device)
+    findings += rules.close()
     return [(one.code, one.message) for one in findings]
 
 
@@ -40,8 +42,9 @@ def said(*of: Any, profile: str = AT1M8X, **fields: Any) -> NamedTransaction:
     return transaction(*of, profile=profile, **fields)
 
 
-def closed(*, at_ms: float = 0, source: str = MASTER) -> WireEvent:
-    return event(EventKind.CLOSED, at_ms=at_ms, source=source)
+def closed(*, at_ms: float = 0, source: str = MASTER, how: str = "finished") -> WireEvent:
+    message = f"connection closed: {how}"
+    return event(EventKind.CLOSED, at_ms=at_ms, source=source, message=message)
 
 
 def x9(value: int, *, at_ms: float = 0) -> NamedTransaction:
@@ -59,15 +62,62 @@ def test_a_reset_with_wrong_data_is_no_reset() -> None:
     assert codes(said("41 01", None)) == []
 
 
-def test_a_third_connection_drops_the_one_that_was_silent_longest() -> None:
-    two: list[Record] = [opened(source=A), opened(source=B, at_ms=1), said(source=A, at_ms=50)]
-    assert found(*two, opened(source=C, at_ms=100)) == [
-        ("FA3-X2", f"{C} connects beside {A} and {B}; the module drops {B}")
+TWO = (opened(source=A), opened(source=B, at_ms=1), said(source=A, at_ms=50))
+THREE = (*TWO, opened(source=C, at_ms=100))
+BESIDE = f"{C} connects beside {A} and {B}"
+
+
+@pytest.mark.parametrize(
+    ("after", "told"),
+    [
+        ((), ("FA3-X2", f"{BESIDE}; the module takes two")),
+        (
+            (closed(source=B, at_ms=101, how="reset by the slave"),),
+            ("FA3-X2", f"{BESIDE}; the module drops {B}"),
+        ),
+        (
+            (closed(source=C, at_ms=101, how="refused"),),
+            ("FA3-X9", f"{BESIDE}; the module refuses it, although {B} was silent longest"),
+        ),
+        (
+            (closed(source=A, at_ms=101, how="finished by the slave"),),
+            ("FA3-X9", f"{BESIDE}; the module drops {A}, although {B} was silent longest"),
+        ),
+        (
+            (said(source=B, at_ms=1200),),
+            ("FA3-X9", f"{BESIDE}; the module goes on with all, also with {B}"),
+        ),
+    ],
+)
+def test_a_third_connection_is_told_as_the_module_deals_with_it(
+    after: tuple[Record, ...], told: tuple[str, str]
+) -> None:
+    assert found(*THREE, *after) == [told]
+
+
+def test_a_third_connection_is_no_finding_if_the_master_makes_room() -> None:
+    assert codes(*TWO, closed(source=A, at_ms=60), opened(source=C, at_ms=100)) == []
+    assert codes(*THREE, closed(source=A, at_ms=101, how="finished by the master")) == []
+
+
+def test_a_module_may_refuse_while_it_ends_a_connection_or_restarts() -> None:
+    failed = "reset by the slave, 3 keep-alive probes, the last 3 unanswered"
+    refused = closed(source="10.0.0.1:4", at_ms=9000, how="refused")
+    checked = (*THREE, closed(source=B, at_ms=200, how=failed))
+    assert codes(*checked, opened(source="10.0.0.1:4", at_ms=9000), refused) == [
+        "FA3-X7", "FA3-X2",
+    ]  # fmt: skip
+
+
+def test_a_module_that_answers_on_after_a_remote_reset_is_found() -> None:
+    reset = (opened(source=A), said("41 00", None, source=A, at_ms=10))
+    assert found(*reset, said(source=A, at_ms=20))[1:] == [
+        ("FA3-X9", "answers read holding RWw0 on the connection of the remote reset")
     ]
-    assert codes(*two, closed(source=A, at_ms=60), opened(source=C, at_ms=100)) == []
-    # The one that was dropped makes no fourth a finding, if another has closed since.
-    third: list[Record] = [*two, opened(source=C, at_ms=100), closed(source=A, at_ms=110)]
-    assert codes(*third, opened(source=B, at_ms=120)) == ["FA3-X2"]
+    assert codes(*reset, said("03 0000 0001", None, source=A, at_ms=20)) == ["FA3-X3"]
+    # The reset has no response, so it is decoded last.
+    assert codes(opened(source=A), said(source=A, at_ms=20), reset[1]) == ["FA3-X3", "FA3-X9"]
+    assert codes(opened(source=A), said(source=A, at_ms=5), reset[1]) == ["FA3-X3"]
 
 
 def test_a_remote_reset_is_found_unless_it_is_refused() -> None:
@@ -148,8 +198,79 @@ def test_a_reset_after_three_unanswered_alive_checks_is_found() -> None:
         ("FA3-X7", "a reset after 3 alive checks without an answer; the alarm is 0E30H")
     ]
     assert ended("reset, 4 keep-alive probes, the last 2 unanswered") == []
+    assert ended("reset by the master, 3 keep-alive probes, the last 3 unanswered") == []
     assert ended("finished, 3 keep-alive probes, the last 3 unanswered") == []
     assert ended("reset, 3 keep-alive probes") == []
+
+
+@pytest.mark.parametrize(("count", "unanswered", "is_told"), [(1, 1, True), (2, 1, False)])
+def test_the_number_of_alive_checks_is_taken_from_00f4h(
+    count: int, unanswered: int, is_told: bool
+) -> None:
+    write = f"06 00F4 {count:04X}"
+    how = f"reset by the slave, 5 keep-alive probes, the last {unanswered} unanswered"
+    assert codes(said(write, write), closed(how=how)) == ["FA3-X7"] * is_told
+    read = said("03 00F2 0004", f"03 08 0258 000A {count:04X} 001E")
+    assert codes(read, closed(how=how)) == ["FA3-X7"] * is_told
+
+
+@pytest.mark.parametrize(
+    ("written", "seconds", "is_told"),
+    [(None, 31, True), (None, 29, False), (5, 10, True), (60, 40, False), (0, 2, True)],
+)
+def test_the_time_for_the_parts_of_a_request_is_taken_from_00f5h(
+    written: int | None, seconds: int, is_told: bool
+) -> None:
+    write = f"06 00F5 {written or 0:04X}"
+    before = [] if written is None else [said(write, write)]
+    late = msgspec.structs.replace(said(), request_parts_ns=seconds * 1_000_000_000)
+    assert codes(*before, late) == ["FA3-X8"] * is_told
+    # The module ends the connection before the last part.
+    part = event(EventKind.SKIPPED, source=MASTER, raw=b"\0\1\0\0\0\6")
+    over = closed(at_ms=seconds * 1000, how="reset by the slave")
+    assert codes(*before, opened(), part, over) == ["FA3-X8"] * is_told
+
+
+def test_a_value_that_is_read_before_its_conversion_is_found() -> None:
+    enable = said("06 0102 005C", "06 0102 005C")  # Channels 1, 2, 6 and 8 (10.5).
+    start = (said(Y9_ON, Y9_ON), x9(1), said(Y9_OFF, Y9_OFF))
+    done, not_yet = (said("02 0010 0008", f"02 01 {bits}") for bits in ("A3", "83"))
+    read = said("04 0002 0008", "04 10" + "0000" * 8)
+    assert codes(enable, *start, done, read) == []
+    assert found(enable, *start, not_yet, read) == [
+        ("FA3-X10", "read input RWr2..RWr9, but X15 of CH6 was last read as off")
+    ]
+    assert codes(not_yet, read) == []  # Nobody knows which channels are enabled.
+    assert codes(enable, *start, not_yet, read, read) == ["FA3-X10"]
+
+
+def test_an_alarm_is_found_with_its_meaning() -> None:
+    alarm = said("04 0001 0001", "04 02 0E30")
+    none = said("04 0001 0001", "04 02 0000")
+    assert found(alarm, alarm) == [("FA3-X11", "RWr1 is 0E30H: alive check error")]
+    assert codes(none) == []
+    assert codes(alarm, none, alarm) == ["FA3-X11", "FA3-X11"]
+    (told,) = found(said("04 0000 0002", "04 04 0000 1234"))
+    assert told == ("FA3-X11", "RWr1 is 1234H: see the manual's list of alarm codes")
+
+
+def test_another_model_than_the_one_that_was_named_is_found() -> None:
+    other = said("42 00", "42 0013")
+    assert found(other, other) == [
+        ("FA3-X12", "42H says 0013H, FA3-TH1M16XC; it was named fa3-at1m8x")
+    ]
+    assert codes(said("42 00", "42 0016")) == []
+    assert codes(said("42 00", "42 0099")) == []  # FA3-M66 tells of it.
+
+
+def test_y9_that_is_set_twice_or_never_followed_by_x9_is_found() -> None:
+    asked = said(Y9_ON, Y9_ON)
+    assert found(asked, asked) == [("FA3-X5", "Y9 is set, but it is on already")]
+    read = said(*READ_INPUTS)
+    assert found(asked, read, read) == [
+        ("FA3-X5", "read input RWr2..RWr3, while Y9 is on and X9 was not read")
+    ]
+    assert codes(asked, x9(0), read) == []
 
 
 def test_a_handshake_without_its_beginning_is_no_finding() -> None:
@@ -181,10 +302,11 @@ def test_memory_is_bounded() -> None:
     rules = Fa3Rules()
     for number in range(MAX_ENTRIES + 10):
         one = event(EventKind.OPENED, destination=f"10.1.{number // 256}.{number % 256}:502")
-        assert not [*rules.event(one)]
+        assert not [*rules.event(one, load_profile(AT1M8X))]
     assert len(rules._modules) == MAX_ENTRIES
     for number in range(500):
-        assert len([*rules.event(opened(source=f"10.0.0.1:{number}"))]) == (number > 1)
+        third = opened(source=f"10.0.0.1:{number}")
+        assert len([*rules.event(third, load_profile(AT1M8X))]) == (number > 2)
     module = rules._modules["10.0.0.2:502"]
-    assert len(module.connections) == 2
+    assert len(module.connections) == 3
     assert len(module.recent) == 64

@@ -8,7 +8,7 @@ from mbtool.devices.checking.rules import RULES, DeviceCode, Severity, rule_of, 
 def test_a_code_has_a_family_and_a_number_or_is_the_letter_of_devices() -> None:
     for code, rule in RULES.items():
         assert rule.code == code
-        pattern = r"[A-Z]" if rule.is_of_devices else r"(MB|RTU|TCP|SEC)-\d{3}|(FA3|WAGO)-X\d"
+        pattern = r"[A-Z]" if rule.is_of_devices else r"(MB|RTU|TCP|SEC)-\d{3}|(FA3|WAGO)-X\d{1,2}"
         assert re.fullmatch(pattern, code), code
 
 

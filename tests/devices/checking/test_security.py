@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tracemalloc
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -10,13 +11,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mbtool.core import CONNECTION_OPENED, EventKind, WireEvent
+from mbtool.core import CONNECTION_JOINED, CONNECTION_OPENED, EventKind, WireEvent
 from mbtool.devices.checking.capture_context import CaptureContext
 from mbtool.devices.checking.checker import Checker
 from mbtool.devices.checking.security import SecurityRules
 from mbtool.devices.checking.security_limits import SecurityLimits
 from mbtool.devices.named_transaction import NamedTransaction
 from mbtool.modbus.adu import Verdict
+from mbtool.modbus.transaction import Outcome
 from tests.devices.checking.talk import assigned, event, transaction
 
 if TYPE_CHECKING:
@@ -93,6 +95,14 @@ def test_a_host_that_comes_later_and_writes_is_a_second_master() -> None:
     assert messages(attack) == [
         ("SEC-101", 1, f"{B} writes to {PLC}:502, which {A} asked before: write holding 5")
     ]
+
+
+def test_a_host_whose_connection_began_before_the_capture_is_no_second_master() -> None:
+    joined = replace(opens(PLC, at_ms=30_000), message=CONNECTION_JOINED)
+    write = said(*WRITE, master=B, at_ms=60_500)
+    assert found([*polls(times=61), joined, write, *polls(times=61)]) == []
+    opened = opens(PLC, at_ms=60_400)
+    assert len(found([*polls(times=61), opened, write, *polls(times=61)])) == 1
 
 
 def test_reading_is_no_attack() -> None:
@@ -253,7 +263,10 @@ def test_so_many_commands_are_a_finding(number: int, seconds: int) -> None:
 
 
 def scan_of_hosts(times: int, step_ms: float) -> list[Record]:
-    return [said(master=B, slave=f"10.1.0.{one}", at_ms=one * step_ms) for one in range(times)]
+    return [
+        said("03 0000 0001", None, master=B, slave=f"10.1.0.{one}", at_ms=one * step_ms)
+        for one in range(times)
+    ]
 
 
 def scan_of_closed_ports(times: int, step_ms: float) -> list[Record]:
@@ -361,9 +374,55 @@ def test_scans_of_several_slaves_by_one_host_are_one_finding() -> None:
 
 def test_a_host_scan_may_ask_several_units_of_each_address() -> None:
     scan = [
-        said(master=B, slave=f"10.1.0.{one // 3}", unit=one % 3, at_ms=one) for one in range(60)
+        said("11", "91 01", master=B, slave=f"10.1.0.{one // 3}", unit=one % 3, at_ms=one)
+        for one in range(60)
     ]
     assert [(one.code, one.count) for one in found(scan)] == [("SEC-201", 20)]
+
+
+def turn_of(
+    slaves: int, *, master: str = A, at_ms: float = 0, outcome: Outcome = Outcome.OK
+) -> list[Record]:
+    """A master asks so many slaves once, and all answer."""
+    asked = [
+        said(master=master, slave=f"10.1.0.{one}", at_ms=at_ms + one * 50) for one in range(slaves)
+    ]
+    return [msgspec.structs.replace(one, outcome=outcome) for one in asked]
+
+
+@pytest.mark.parametrize("outcome", [Outcome.OK, Outcome.LATE, Outcome.NOT_CAPTURED])
+def test_the_first_turn_of_a_plant_in_a_short_capture_is_no_scan(outcome: Outcome) -> None:
+    assert found(turn_of(100, outcome=outcome)) == []
+    assert found([*turn_of(100, outcome=outcome), said(at_ms=300_000)]) == []
+
+
+def test_a_gateway_that_is_polled_once_a_minute_is_no_scan_in_a_capture_of_59_seconds() -> None:
+    turn = [said(unit=unit, at_ms=unit * 4000) for unit in range(1, 13)]
+    assert found(turn) == []
+    absent = [said("03 0000 0001", "83 0B", unit=unit, at_ms=unit * 4000) for unit in (13, 14)]
+    assert found([*turn, *absent]) == []
+
+
+def test_slaves_that_are_asked_only_once_in_a_long_capture_are_scanned() -> None:
+    (finding,) = found([*turn_of(12), *polls(times=310)])
+    assert (finding.code, finding.count) == ("SEC-201", 12)
+
+
+def test_connections_joined_midway_are_no_scan() -> None:
+    joined = [opens(f"10.1.0.{one}", at_ms=one) for one in range(30)]
+    joined = [replace(one, message=CONNECTION_JOINED) for one in joined]
+    assert found(joined) == []
+
+
+def test_a_host_that_connects_to_many_slaves_after_others_have_polled_scans() -> None:
+    plant = [one for at_ms in (0, 1000, 2000) for one in turn_of(15, at_ms=at_ms)]
+    opened = [opens(f"10.1.0.{one}", at_ms=3000, master=B) for one in range(15)]
+    scan = [*opened, *turn_of(15, master=B, at_ms=4000)]
+    assert [one.code for one in found([*plant, *scan])] == ["SEC-201"]
+    assert found([*plant, *turn_of(15, master=B, at_ms=4000)]) == []
+    first = [opens(f"10.1.0.{one}", at_ms=0, master=B) for one in range(15)]
+    later = [one for at_ms in (5000, 6000, 7000) for one in turn_of(15, at_ms=at_ms)]
+    assert found([*first, *turn_of(15, master=B, at_ms=1), *later]) == []
 
 
 def test_the_answers_of_a_device_that_ignores_the_unit_do_not_hide_a_scan() -> None:

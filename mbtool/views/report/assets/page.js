@@ -345,7 +345,7 @@ function verdict() {
   const names = stats.sources.map(baseName), shownNames = names.length > 4 ? `${names.slice(0, 3).join(", ")} and ${count(names.length - 3)} more files` : names.join(", ");
   document.title = clean(`mbtool report: ${shownNames}`);
   get("what").append(clean(shownNames));
-  const lead = (one, text) => el("button", { type: "button", class: "link screen", "aria-label": `${text}: the transactions of ${one.text}`, on: { click: () => search(one.search) } }, text);
+  const lead = (one, text) => el("button", { type: "button", class: "link screen", "aria-label": `${text}: show the transactions. ${one.text}`, on: { click: () => search(one.search) } }, text);
   const told = troubles.filter((one, at) => one.told && one.search && troubles.findIndex((other) => other.search === one.search) === at), others = troubles.filter((one) => !one.told);
   if (told.length) get("troubles").before(el("p", { class: "screen" }, "Transactions of ", told.flatMap((one, at) => [at ? ", " : "", lead(one, one.who)])));
   get("troubles").append(...others.slice(0, MOST_TROUBLES).map((one) => el("li", {}, one.text, " ", one.search ? lead(one, "show") : null)));

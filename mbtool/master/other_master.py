@@ -1,0 +1,200 @@
+"""Finds out if another master asks on a serial line, and when it pauses."""
+
+# Bytes go through the splitter of a line that is only heard (serial_line), which says which frames
+# are requests. Each different request is a poll of the other master.
+#
+# After a response the other master leaves the line silent until its next request. The shortest
+# silence that was heard behind a poll is the pause that one can rely on, once LEAST_SEEN were
+# heard. If the splitter decides late that a response was whole, less of the pause is left, and
+# nothing is sent in it.
+#
+# Memory: at most MAX_POLLS different requests, and what the splitter holds.
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from mbtool.core import Direction, LinkError
+from mbtool.core.wording import counted, duration
+from mbtool.devices import write_reference
+from mbtool.modbus import FUNCTIONS, Adu, function_name
+from mbtool.serial_line import AsciiSplitter, RtuSplitter
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from mbtool.core import SerialLink
+    from mbtool.modbus import Skipped
+
+SILENT_LISTEN_NS = 1_000_000_000
+"""A line on which nothing is heard for this long (ns) counts as free."""
+MOST_LISTEN_NS = 5_000_000_000
+"""Listening ends after this time (ns), if the polls heard are not all known before."""
+LEAST_SEEN = 3
+"""So often a pause must have been heard before a request is sent in it."""
+MAX_POLLS = 256
+MARGIN_NS = 20_000_000
+"""A request must fit into a pause with this much time to spare, in ns. USB adapters deliver bytes
+up to 16 ms late."""
+RELIABLE = 0.9
+"""The share of the shortest pause heard that counts as the next one's length."""
+FEW_BYTES = 8
+"""Fewer bytes than these, without a right frame among them, are noise and not another speaker."""
+_NAMED = 3
+"""So many polls of the other master are named to the user."""
+
+
+@dataclass(slots=True)
+class HeardPoll:
+    """A request that another master repeats. All times are in ns."""
+
+    request: Adu
+    times: int = 1
+    first_ns: int = 0
+    last_ns: int = 0
+    shortest_pause_ns: int | None = None
+    """The shortest silence heard between the end of its response and the next request."""
+    pauses: int = 0
+    """The number of silences heard behind its responses."""
+    longest_latency_ns: int = 0
+
+    def note_pause(self, pause_ns: int) -> None:
+        known_ns = self.shortest_pause_ns
+        self.shortest_pause_ns = pause_ns if known_ns is None else min(known_ns, pause_ns)
+        self.pauses += 1
+
+    @property
+    def pause_ns(self) -> int:
+        """The silence, in ns, that surely follows the response; 0 if it was heard too rarely."""
+        if self.shortest_pause_ns is None or self.pauses < LEAST_SEEN:
+            return 0
+        return round(self.shortest_pause_ns * RELIABLE)
+
+    def note_latency(self, latency_ns: int) -> None:
+        self.longest_latency_ns = max(self.longest_latency_ns, latency_ns)
+
+    @property
+    def text(self) -> str:
+        """The request and its period, as in `unit 2 03 holding 16..19 every 0.50 s`."""
+        code, pdu = self.request.pdu[0], self.request.pdu
+        table = FUNCTIONS[code].table if code in FUNCTIONS else None
+        what = function_name(code).replace("_", " ").lower()
+        if table is not None and len(pdu) >= 5:
+            first = int.from_bytes(pdu[1:3])
+            quantity = 1 if code in (0x05, 0x06) else int.from_bytes(pdu[3:5])
+            last = first + max(quantity, 1) - 1
+            what = write_reference(None, table, first) + (f"..{last}" if last > first else "")
+        every = ""
+        if self.times > 1:
+            every = f" every {duration((self.last_ns - self.first_ns) // (self.times - 1))}"
+        return f"unit {self.request.unit} {code:02X} {what}{every}"
+
+
+class OtherMaster:
+    """What was heard of another master on a serial line."""
+
+    def __init__(self, link: SerialLink) -> None:
+        self._link = link
+        self._splitter = (AsciiSplitter if link.ascii else RtuSplitter)(link.format)
+        self.polls: dict[bytes, HeardPoll] = {}
+        """Each different request that was heard, by the bytes of its ADU."""
+        self.unread_bytes = 0
+        """The number of bytes heard that belong to no frame."""
+        self.listened_ns = 0
+        self._last_byte_ns = 0
+        self._asked: HeardPoll | None = None
+        """The poll whose response is to come."""
+        self._answered: tuple[HeardPoll, int] | None = None
+        """The poll whose response was the last frame, and the end of that frame in ns."""
+
+    def feed(self, data: bytes, at_ns: int) -> None:
+        """Take bytes that were heard, the last of them at the time `at_ns`; or no bytes, if the
+        line was silent up to that time.
+        """
+        self._last_byte_ns = at_ns if data else self._last_byte_ns
+        self._take(self._splitter.feed(data, at_ns) if data else self._splitter.advance(at_ns))
+
+    def end(self, listened_ns: int) -> None:
+        """End the listening before the first request, which took `listened_ns` ns."""
+        self.listened_ns = listened_ns
+        self._take(self._splitter.close())
+
+    @property
+    def has_heard(self) -> bool:
+        """True if any byte was heard."""
+        return self._last_byte_ns > 0
+
+    def _take(self, events: Iterable[Adu | Skipped]) -> None:
+        for event in events:
+            if isinstance(event, Adu):
+                self._take_frame(event)
+            else:
+                self.unread_bytes += len(event.raw)
+
+    def _take_frame(self, adu: Adu) -> None:
+        if self._answered is not None:
+            poll, end_ns = self._answered
+            poll.note_pause(adu.start_ns - end_ns)
+            self._answered = None
+        if adu.direction is Direction.RESPONSE:
+            if self._asked is not None and self._asked.request.unit == adu.unit:
+                self._asked.note_latency(adu.start_ns - self._asked.last_ns)
+                self._answered = self._asked, adu.end_ns
+            self._asked = None
+            return
+        known = self.polls.get(adu.raw)
+        if known is None:
+            known = HeardPoll(adu, 0, adu.end_ns)
+            if len(self.polls) < MAX_POLLS:
+                self.polls[adu.raw] = known
+        known.times += 1
+        known.last_ns = adu.end_ns
+        self._asked = known
+
+    @property
+    def is_known(self) -> bool:
+        """True if each poll was heard often enough to tell its period and its pause."""
+        return bool(self.polls) and all(one.times > LEAST_SEEN for one in self.polls.values())
+
+    def rest_ns(self, now_ns: int) -> int:
+        """Return how long, in ns, the other master will surely leave the line silent; 0 if nothing
+        tells.
+        """
+        if self._answered is None or self._last_byte_ns > self._answered[1]:
+            return 0
+        poll, end_ns = self._answered
+        return max(0, poll.pause_ns - (now_ns - end_ns))
+
+    @property
+    def longest_pause_ns(self) -> int:
+        """The longest pause, in ns, that one can rely on; 0 if there is none."""
+        return max((one.pause_ns for one in self.polls.values()), default=0)
+
+    def latency_ns(self, unit: int) -> int | None:
+        """Return the longest latency heard of a unit, in ns; None if no response was heard."""
+        heard = [one.longest_latency_ns for one in self.polls.values() if one.request.unit == unit]
+        return max(heard, default=0) or None
+
+    def note_our_request(self) -> None:
+        """Note that a request of ours fills the present pause, so that no other one is sent."""
+        self._answered = self._asked = None
+
+    def demand_free(self) -> None:
+        """Raise LinkError if somebody else speaks on the line; its text says who asks what."""
+        listened = duration(self.listened_ns)
+        if self.polls:
+            often = sorted(self.polls.values(), key=lambda one: -one.times)
+            named = ", ".join(one.text for one in often[:_NAMED])
+            more = f" and {len(often) - _NAMED} more" if len(often) > _NAMED else ""
+            raise LinkError(
+                f"{self._link}: another master asks on this line: {named}{more} (heard in "
+                f"{listened}). Nothing was sent; --between asks in its pauses, --listen 0s at once"
+            )
+        if self.unread_bytes >= FEW_BYTES:
+            raise LinkError(
+                f"{self._link}: {counted(self.unread_bytes, 'byte', ',')} were heard in "
+                f"{listened}, and no frame: somebody speaks with other settings, which mbtool "
+                f"sniff {self._link.scheme}:{self._link.port}@auto finds. Nothing was sent; "
+                "--listen 0s asks at once"
+            )

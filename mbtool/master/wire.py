@@ -1,0 +1,228 @@
+"""Sends any bytes to a slave, right or wrong, and returns the bytes that come back."""
+
+# A test bench needs bytes that a master never sends: a wrong CRC, half an ADU, two at once. What
+# comes back ends with a silence on a serial line, and on TCP with the last of the ADUs that were
+# awaited, the end of the connection, or the timeout.
+
+from __future__ import annotations
+
+import socket
+import time
+from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING, NamedTuple
+
+from mbtool.core import LinkError, SerialLink, TcpLink
+from mbtool.master.links import CONNECT_S, READ_BYTES, SerialMaster
+from mbtool.modbus import ascii_adu, mbap_adu, rtu_adu
+from mbtool.modbus.adu_bytes import crc, mbap_size
+from mbtool.modbus.ascii_frame import read_frame
+from mbtool.ports.host_names import why_failed
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from mbtool.core import LinkSpec
+
+_MBAP = 7
+QUIET_NS = 300_000_000
+"""Bytes that must get no answer have got none if nothing comes for this time, in ns."""
+_LEAST_GAP_NS = 40_000_000
+"""After a whole response on a serial line further bytes are awaited for at least this time, in ns:
+USB adapters deliver bytes in blocks up to 16 ms apart."""
+_NS = 1_000_000_000
+
+
+class HeardAdu(NamedTuple):
+    """An ADU that a slave sent."""
+
+    unit: int
+    pdu: bytes
+    transaction_id: int | None = None
+
+
+class Heard(NamedTuple):
+    """What came back after bytes were sent."""
+
+    raw: bytes
+    adus: tuple[HeardAdu, ...]
+    """The ADUs in `raw`; fewer than sent if bytes are no ADU."""
+    after_ns: int
+    """The time from the last byte sent to the first byte that came back, in ns."""
+    is_closed: bool = False
+    """True if the slave closed the TCP connection."""
+    rest: bytes = b""
+    """What came behind the last ADU on TCP."""
+
+
+class Wire(ABC):
+    """A link to one slave, for any bytes. A context manager whose exit closes it."""
+
+    def __init__(self, timeout_ns: int) -> None:
+        self.timeout_ns = timeout_ns
+        self._last_id = 0
+
+    @abstractmethod
+    def adu(self, unit: int, pdu: bytes) -> bytes:
+        """Return the right ADU of a PDU on this link."""
+
+    @abstractmethod
+    def send(self, pieces: Sequence[bytes], pause_ns: int = 0, awaited: int = 1) -> Heard:
+        """Send pieces with a pause between them, and return what comes back.
+
+        Waits for `awaited` ADUs on TCP; with 0, as for bytes that get no answer, at most QUIET_NS.
+        Raises LinkError if the link is lost.
+        """
+
+    def _wait_ns(self, awaited: int) -> int:
+        return self.timeout_ns if awaited else min(self.timeout_ns, QUIET_NS)
+
+    @abstractmethod
+    def close(self) -> None: ...
+
+    def renew(self) -> None:  # noqa: B027 - a serial line has no connections
+        """Open a new TCP connection in place of this one."""
+
+    def __enter__(self) -> Wire:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def open_wire(link: LinkSpec, timeout_ns: int, listen_ns: int | None) -> Wire:
+    """Open a link for any bytes. On a serial line listen first, as `MasterLink.take_line` does.
+
+    Raises LinkError if the slave cannot be reached, or another master asks on the line.
+    """
+    if isinstance(link, TcpLink):
+        return TcpWire(link, timeout_ns)
+    assert isinstance(link, SerialLink)
+    link.demand_one_port()
+    master = SerialMaster(link, timeout_ns)
+    try:
+        master.take_line(listen_ns)
+    except BaseException:
+        master.close()
+        raise
+    return SerialWire(master, timeout_ns)
+
+
+class SerialWire(Wire):
+    """A serial port, RTU or ASCII."""
+
+    def __init__(self, master: SerialMaster, timeout_ns: int) -> None:
+        super().__init__(timeout_ns)
+        self._master = master
+        self._format = master.link.format
+        self._gap_ns = max(_LEAST_GAP_NS, 2 * self._format.t3_5_ns)
+
+    def adu(self, unit: int, pdu: bytes) -> bytes:
+        return (ascii_adu if self._master.link.ascii else rtu_adu)(unit, pdu)
+
+    def send(self, pieces: Sequence[bytes], pause_ns: int = 0, awaited: int = 1) -> Heard:
+        while self._master.overhear(2 * self._format.t3_5_ns)[0]:
+            pass
+        for number, piece in enumerate(pieces):
+            if number:
+                time.sleep(pause_ns / _NS)
+            self._master.send_bytes(piece)
+        sent_ns = time.monotonic_ns()
+        raw, first_ns = b"", 0
+        until_ns = sent_ns + self._wait_ns(awaited)
+        while (now_ns := time.monotonic_ns()) < until_ns:
+            data, _ = self._master.overhear(until_ns - now_ns)
+            if data:
+                first_ns = first_ns or time.monotonic_ns()
+                raw += data
+                is_whole = bool(self._adus(raw))
+                until_ns = time.monotonic_ns() + (
+                    self._gap_ns if is_whole else self._wait_ns(awaited)
+                )
+        return Heard(raw, self._adus(raw), first_ns - sent_ns if first_ns else 0)
+
+    def _adus(self, raw: bytes) -> tuple[HeardAdu, ...]:
+        if self._master.link.ascii:
+            frames = [read_frame(part + b"\r\n") for part in raw.split(b"\r\n") if part]
+            return tuple(
+                HeardAdu(one.body[0], one.body[1:])
+                for one in frames
+                if one is not None and one.checksum.ok
+            )
+        if len(raw) >= 4 and crc(raw[:-2]) == int.from_bytes(raw[-2:], "little"):
+            return (HeardAdu(raw[0], raw[1:-2]),)
+        return ()
+
+    def close(self) -> None:
+        self._master.close()
+
+
+class TcpWire(Wire):
+    """A TCP connection: Modbus/TCP, or RTU over TCP."""
+
+    def __init__(self, link: TcpLink, timeout_ns: int) -> None:
+        super().__init__(timeout_ns)
+        self._link = link
+        self._socket: socket.socket | None = None
+        self.renew()
+
+    def adu(self, unit: int, pdu: bytes) -> bytes:
+        if self._link.rtu:
+            return rtu_adu(unit, pdu)
+        self._last_id = self._last_id % 0xFFFF + 1
+        return mbap_adu(self._last_id, unit, pdu)
+
+    def renew(self) -> None:
+        self.close()
+        endpoint = self._link.endpoint
+        try:
+            self._socket = socket.create_connection((endpoint.host, endpoint.port), CONNECT_S)
+            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        except (OSError, UnicodeError) as error:
+            raise LinkError(f"{self._link}: cannot be reached: {why_failed(error)}") from error
+
+    def send(self, pieces: Sequence[bytes], pause_ns: int = 0, awaited: int = 1) -> Heard:
+        if self._socket is None:
+            self.renew()
+        assert self._socket is not None
+        raw, first_ns, is_closed = b"", 0, False
+        try:
+            for number, piece in enumerate(pieces):
+                if number:
+                    time.sleep(pause_ns / _NS)
+                self._socket.sendall(piece)
+            sent_ns = time.monotonic_ns()
+            until_ns = sent_ns + self._wait_ns(awaited)
+            while (not awaited or len(self._adus(raw)) < awaited) and not is_closed:
+                rest_ns = until_ns - time.monotonic_ns()
+                if rest_ns <= 0:
+                    break
+                self._socket.settimeout(rest_ns / _NS)
+                data = self._socket.recv(READ_BYTES)
+                first_ns = first_ns or time.monotonic_ns()
+                raw += data
+                is_closed = not data
+        except TimeoutError:
+            pass
+        except OSError:
+            sent_ns, is_closed = time.monotonic_ns(), True
+        if is_closed:
+            self.close()
+        adus = self._adus(raw)
+        size = 0 if self._link.rtu else sum(_MBAP + len(one.pdu) for one in adus)
+        after_ns = max(first_ns - sent_ns, 0) if raw else 0
+        return Heard(raw, adus, after_ns, is_closed, raw[size:] if adus and size else b"")
+
+    def _adus(self, raw: bytes) -> tuple[HeardAdu, ...]:
+        if self._link.rtu:
+            is_right = len(raw) >= 4 and crc(raw[:-2]) == int.from_bytes(raw[-2:], "little")
+            return (HeardAdu(raw[0], raw[1:-2]),) if is_right else ()
+        adus = []
+        while len(raw) > _MBAP and len(raw) >= (size := mbap_size(raw[:_MBAP])) > _MBAP:
+            adus.append(HeardAdu(raw[6], raw[_MBAP:size], int.from_bytes(raw[:2])))
+            raw = raw[size:]
+        return tuple(adus)
+
+    def close(self) -> None:
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None

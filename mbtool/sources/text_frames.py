@@ -1,0 +1,454 @@
+"""Finds whole Modbus frames among the bytes that a log shows, and decides who sent each."""
+
+# Bytes are a frame if the CRC of an RTU frame holds at the length that its function tells, the LRC
+# of an ASCII frame, or the length of an MBAP header together with that of its function. Bytes that
+# are no frame may be a part of one: they are kept with those of the same place in the log's lines
+# (its "voice", such as `recv:`), and joined with the next ones. RTU frames are found anywhere among
+# joined bytes, the others only at their beginning, as zeros look like an MBAP header.
+#
+# The direction of a frame is that of its form, if only a request or only a response has it. Else it
+# is that of the voice, as its other frames have shown; else that of its word (`Tx`), as other
+# frames of that word have shown; else the frame is a response if it answers the last request; else
+# the word decides, and a frame without one is a request. Many programs show a frame twice, and an
+# adapter may hear what it sends. So a frame is left out if the frame before is equal, in the same
+# direction, and of another voice; a request of the same voice is a retry.
+#
+# A log is taken for Modbus once it has given enough evidence (ENOUGH). Frames before that are held.
+#
+# Memory: MAX_HELD frames, MAX_VOICES voices with at most MAX_PART bytes each.
+
+from __future__ import annotations
+
+import re
+from collections import OrderedDict, defaultdict, deque
+from functools import lru_cache
+from typing import TYPE_CHECKING, NamedTuple
+
+from mbtool.core import Direction
+from mbtool.framing.rtu_lengths import frame_size
+from mbtool.modbus.adu import MAX_RTU_ADU, MAX_TCP_ADU, Transport
+from mbtool.modbus.adu_bytes import MBAP_BYTES, crc, mbap_size
+from mbtool.modbus.ascii_frame import read_frame
+from mbtool.modbus.expected_response import ExpectedResponse
+from mbtool.modbus.functions import EXCEPTION_BIT, FUNCTIONS
+from mbtool.modbus.pdu import parse_pdu, pdu_length, pdu_of
+
+if TYPE_CHECKING:
+    from mbtool.sources.text_marks import Mark
+
+MAX_HELD = 256
+MAX_VOICES = 256
+MAX_PART = 2 * MAX_RTU_ADU
+MAX_LINES_APART = 64
+"""Bytes are joined with those before them if at most this many lines lie between."""
+ENOUGH = 4
+"""The evidence from which on a log is taken for Modbus. A request with its response right behind it
+is enough; an RTU frame counts 2 if a word or arrow gives it a direction, otherwise 1; a frame of
+another kind counts 1 if it has a direction, and 1 if its transaction id is the next one. A frame
+must have the form of its function. One of 65,536 random runs of bytes has a right CRC, and few of
+these have the length of a function."""
+MAX_MISSES = 32
+"""After this many runs of bytes without a frame, the evidence so far counts no more. The rows of a
+dump of one frame are 17 at most."""
+
+FEW_MISSES = 16
+"""A log of a single RTU frame that has a direction counts if at most so many runs of bytes are no
+frame."""
+
+_LABELLED = 2
+_MIN_RTU, _MIN_MBAP = 4, MBAP_BYTES + 1
+_MAX_UNIT = 247
+_SENDERS = (Direction.REQUEST, Direction.RESPONSE)
+_CODES = bytes(sorted({*FUNCTIONS, *(code | EXCEPTION_BIT for code in FUNCTIONS)}))
+_RTU_START = re.compile(rb"(?=[\x00-\xf7][%s])" % re.escape(_CODES), re.DOTALL)
+_ASCII = re.compile(rb":(?:[0-9A-Fa-f]{2}){4,255}\r?\n?")
+
+
+class TextFrame(NamedTuple):
+    """A whole ADU from a log."""
+
+    ts_ns: int | None
+    """The time that the log gives; None if it gives none."""
+    raw: bytes
+    transport: Transport
+    direction: Direction
+    row: int
+    """The number of its line in the file, from 1."""
+
+
+class Voice(NamedTuple):
+    """Where bytes stand in the lines of a log: the text before them, and its mark."""
+
+    text: bytes
+    mark: Mark | None
+
+
+class _OpenBytes:
+    """Bytes of one voice that are no whole frame yet, at most MAX_PART."""
+
+    def __init__(self) -> None:
+        self.data = b""
+        self.row = 0
+        """The number of the last line that brought bytes."""
+        self._open: list[tuple[int, int]] = []
+        """The places, begin and end, at which an RTU frame may stand that is not complete."""
+        self._searched = 0
+        """The offset up to which beginnings of RTU frames were looked for."""
+
+    def feed(self, data: bytes, *, labelled: bool) -> list[tuple[Transport, bytes]]:
+        """Take more bytes; return the frames that they complete, and forget all before these."""
+        is_first = not self.data
+        self.data += data
+        if not is_first and len(self.data) <= MAX_TCP_ADU:
+            found = whole_frames(self.data, labelled=labelled)
+            if found:
+                self._drop(len(self.data))
+                return found
+        found = []
+        self._search()
+        while (place := self._complete()) is not None:
+            begin, end = place
+            found.append((Transport.RTU, self.data[begin:end]))
+            self._drop(end)
+        if not found and b":" in self.data:
+            found = self._ascii()
+        if len(self.data) > MAX_PART:
+            self._drop(len(self.data) - MAX_PART)
+        return found
+
+    def _search(self) -> None:
+        """Look for places at which an RTU frame may begin, once for each byte."""
+        for match in _RTU_START.finditer(self.data, self._searched):
+            at = match.start()
+            start = self.data[at : at + MAX_RTU_ADU]
+            sizes = [frame_size(start, direction) for direction in _SENDERS]
+            if None in sizes:
+                self._searched = at
+                return
+            self._open += [(at, at + size) for size in {*sizes} if size]
+        self._searched = max(self._searched, len(self.data) - 1)
+
+    def _complete(self) -> tuple[int, int] | None:
+        """Return the first place with a whole RTU frame; forget the places without one."""
+        size = len(self.data)
+        for place in [one for one in self._open if one[1] <= size]:
+            if crc(self.data[place[0] : place[1]]) == 0:
+                return place
+        self._open = [one for one in self._open if one[1] > size]
+        return None
+
+    def _ascii(self) -> list[tuple[Transport, bytes]]:
+        found = []
+        end = 0
+        for match in _ASCII.finditer(self.data):
+            if match[0].endswith((b"\r", b"\n")):
+                found += _ascii_frames(match[0])
+                end = match.end()
+        self._drop(end)
+        return found
+
+    def _drop(self, count: int) -> None:
+        self.data = self.data[count:]
+        self._open = [(begin - count, end - count) for begin, end in self._open if begin >= count]
+        self._searched = max(0, self._searched - count)
+
+
+class TextFrames:
+    """Takes the bytes of one line after the other; returns frames."""
+
+    def __init__(self) -> None:
+        self._parts: OrderedDict[bytes, _OpenBytes] = OrderedDict()
+        self._voices: dict[bytes, list[int]] = {}
+        self._words: defaultdict[bytes, list[int]] = defaultdict(lambda: [0, 0])
+        self._last: tuple[TextFrame, bytes] | None = None
+        """The last frame, and the text of its voice."""
+        self._pending: TextFrame | None = None
+        self._held: deque[TextFrame] = deque(maxlen=MAX_HELD)
+        self._is_network = False
+        """True once a Modbus/TCP ADU was shown as an RTU frame, too."""
+        self._evidence = 0
+        self._misses = 0
+        self._missed = 0
+        """The number of runs of bytes without a frame before the log was known."""
+        self.left_out = 0
+        """The number of frames that were shown twice."""
+
+    @property
+    def is_modbus(self) -> bool:
+        """True once the log has shown that it has Modbus frames."""
+        return self._evidence >= ENOUGH
+
+    def feed(
+        self, choices: list[bytes], voice: Voice, ts_ns: int | None, row: int
+    ) -> list[TextFrame]:
+        """Take the bytes at one place of a line, and other readings of the same place.
+
+        Returns the frames that are complete, if the log is known to be Modbus.
+        """
+        for data in choices:
+            found = whole_frames(data, labelled=voice.mark is not None)
+            if found:
+                self._parts.pop(voice.text, None)
+                break
+        else:
+            found = self._joined(choices[0], voice, row)
+        if not self.is_modbus:
+            self._note_miss(choices[0], is_miss=not found)
+        frames = [
+            frame
+            for transport, raw in found
+            if (frame := self._frame(transport, raw, voice, ts_ns, row)) is not None
+        ]
+        if self.is_modbus:
+            if self._held:
+                frames = [*self._held, *frames]
+                self._held.clear()
+            return frames
+        return []
+
+    def close(self) -> list[TextFrame]:
+        """Return the frames of a log that ends before it has given enough evidence.
+
+        There are some only if all bytes of the log were frames, or nearly all.
+        """
+        most = FEW_MISSES if self._evidence >= _LABELLED else 0
+        if self.is_modbus or self._missed > most or not self._evidence:
+            return []
+        return [*self._held]
+
+    def drop_parts(self) -> None:
+        """Forget incomplete bytes, as at the beginning of another dump."""
+        self._parts.clear()
+
+    def _note_miss(self, data: bytes, *, is_miss: bool) -> None:
+        if is_miss and self._last is not None and data in self._last[0].raw:
+            return  # The program shows a part of the frame again.
+        self._misses = self._misses + (len(data) >= _MIN_RTU) if is_miss else 0
+        self._missed += is_miss
+        if self._misses >= MAX_MISSES:
+            self._evidence = 0
+            self._held.clear()
+
+    def _joined(self, data: bytes, voice: Voice, row: int) -> list[tuple[Transport, bytes]]:
+        part = self._parts.pop(voice.text, None)
+        if part is None or row - part.row > MAX_LINES_APART:
+            part = _OpenBytes()
+        part.row = row
+        found = part.feed(data, labelled=voice.mark is not None)
+        if part.data:
+            self._parts[voice.text] = part
+            if len(self._parts) > MAX_VOICES:
+                self._parts.popitem(last=False)
+        return found
+
+    def _frame(
+        self, transport: Transport, raw: bytes, voice: Voice, ts_ns: int | None, row: int
+    ) -> TextFrame | None:
+        """Decide the direction of a frame; None if it is one that was shown before."""
+        if self._is_network and transport is not Transport.TCP:
+            self.left_out += 1
+            return None
+        form = forms(transport, raw)
+        direction, is_sure = self._direction(transport, raw, form, voice)
+        frame = TextFrame(ts_ns, raw, transport, direction, row)
+        if is_sure:
+            self._learn(voice, direction)
+        if self._is_other_form(frame):
+            self._keep_network()
+            if transport is not Transport.TCP:
+                self.left_out += 1
+                return None
+        elif self._is_shown_twice(frame, voice, is_sure=is_sure):
+            self.left_out += 1
+            return None
+        before, self._last = self._last, (frame, voice.text)
+        is_pair = False
+        if direction is Direction.REQUEST:
+            self._pending = frame
+        elif self._pending is not None:
+            is_pair = _answers(self._pending, transport, raw)
+            self._pending = None
+        if not self.is_modbus:
+            is_labelled = voice.mark is not None and voice.mark.is_strong
+            is_next = before is not None and _follows(before[0], frame)
+            weight = _weight(transport, form, is_labelled) + is_next
+            self._evidence += ENOUGH if is_pair else weight
+            self._held.append(frame)
+            if self._evidence < ENOUGH:
+                return None
+            self._held.pop()
+        return frame
+
+    def _direction(
+        self, transport: Transport, raw: bytes, form: tuple[Direction, ...], voice: Voice
+    ) -> tuple[Direction, bool]:
+        """Return the direction of a frame, and True if its form alone shows it."""
+        if len(form) == 1:
+            return form[0], True
+        of_voice = _decided(self._voices.get(voice.text))
+        if of_voice is not None:
+            return of_voice, False
+        of_word = _decided(self._words[voice.mark.word]) if voice.mark is not None else None
+        if of_word is not None:
+            return of_word, False
+        if self._pending is not None and _answers(self._pending, transport, raw):
+            return Direction.RESPONSE, False
+        if voice.mark is None:
+            return Direction.REQUEST, False
+        return (Direction.REQUEST if voice.mark.is_sent else Direction.RESPONSE), False
+
+    def _learn(self, voice: Voice, direction: Direction) -> None:
+        which = direction is Direction.RESPONSE
+        if len(self._voices) >= MAX_VOICES and voice.text not in self._voices:
+            self._voices.clear()
+        self._voices.setdefault(voice.text, [0, 0])[which] += 1
+        if voice.mark is not None:
+            self._words[voice.mark.word][which] += 1
+
+    def _is_other_form(self, frame: TextFrame) -> bool:
+        """True if a frame is the one before in another form: of a Modbus/TCP ADU some programs show
+        the RTU frame, too.
+        """
+        if self._last is None or self._last[0].transport is frame.transport:
+            return False
+        last = self._last[0]
+        return pdu_of(last.transport, last.raw) == pdu_of(frame.transport, frame.raw)
+
+    def _keep_network(self) -> None:
+        """From now on, leave out the frames that are not of Modbus/TCP; forget those held."""
+        self._is_network = True
+        kept = [one for one in self._held if one.transport is Transport.TCP]
+        self.left_out += len(self._held) - len(kept)
+        self._held = deque(kept, MAX_HELD)
+        self._pending = None
+
+    def _is_shown_twice(self, frame: TextFrame, voice: Voice, *, is_sure: bool) -> bool:
+        if self._last is None:
+            return False
+        last, text = self._last
+        if last.raw != frame.raw or (last.direction is not frame.direction and voice.mark):
+            return False
+        if last.direction is frame.direction is Direction.RESPONSE:
+            return True
+        return text != voice.text and (
+            is_sure or voice.mark is None or last.direction is frame.direction
+        )
+
+
+def _weight(transport: Transport, form: tuple[Direction, ...], is_labelled: bool) -> int:
+    if not form:
+        return 0
+    return is_labelled + (transport is Transport.RTU)
+
+
+def _follows(before: TextFrame, frame: TextFrame) -> bool:
+    """True if two Modbus/TCP ADUs have transaction ids in a row."""
+    if before.transport is not Transport.TCP or frame.transport is not Transport.TCP:
+        return False
+    ids = [int.from_bytes(one.raw[:2]) for one in (before, frame)]
+    return ids[1] == ids[0] + 1
+
+
+def _decided(votes: list[int] | None) -> Direction | None:
+    """Return the direction that has at least three of four votes; None if neither has."""
+    if votes is None or 4 * max(votes) < 3 * sum(votes) or not sum(votes):
+        return None
+    return _SENDERS[votes[1] > votes[0]]
+
+
+def _answers(request: TextFrame, transport: Transport, raw: bytes) -> bool:
+    """True if a frame can be the response to a request."""
+    if request.transport is not transport:
+        return False
+    if transport is Transport.TCP and request.raw[:2] != raw[:2]:
+        return False
+    unit, asked = pdu_of(transport, request.raw)
+    other, pdu = pdu_of(transport, raw)
+    expected = ExpectedResponse.of(asked)
+    return unit == other and expected is not None and expected.fits(pdu)
+
+
+@lru_cache(maxsize=1024)
+def forms(transport: Transport, raw: bytes) -> tuple[Direction, ...]:
+    """The directions of which an ADU has the form."""
+    _, pdu = pdu_of(transport, raw)
+    found = tuple(each for each in _SENDERS if pdu_length(pdu, each) in (len(pdu), 0))
+    if pdu[0] & EXCEPTION_BIT:
+        return (Direction.RESPONSE,) if Direction.RESPONSE in found else ()
+    if len(found) == 1 and pdu[0] in FUNCTIONS:
+        return found
+    return tuple(each for each in _SENDERS if parse_pdu(pdu, each).problem is None)
+
+
+@lru_cache(maxsize=1024)
+def whole_frames(data: bytes, *, labelled: bool = False) -> list[tuple[Transport, bytes]]:
+    """Return the frames of which bytes consist, without a rest; an empty list if they do not.
+
+    `labelled` is True if a word says that the bytes were sent or received. Then a function that no
+    table knows is accepted, too.
+    """
+    if data[:1] == b":":
+        return _ascii_frames(data)
+    return _rtu_frames(data, labelled=labelled) or _mbap_frames(data)
+
+
+def _rtu_frames(data: bytes, *, labelled: bool) -> list[tuple[Transport, bytes]]:
+    found = []
+    at = 0
+    while at < len(data):
+        size = _rtu_size(data, at)
+        if not size:
+            break
+        found.append((Transport.RTU, data[at : at + size]))
+        at += size
+    if at == len(data):
+        return found
+    is_known = len(data) > 1 and (data[1] & ~EXCEPTION_BIT) in FUNCTIONS
+    if _MIN_RTU <= len(data) <= MAX_RTU_ADU and (labelled or is_known) and crc(data) == 0:
+        return [(Transport.RTU, data)] if data[1] > 0 else []
+    return []
+
+
+def _rtu_size(data: bytes, at: int) -> int:
+    """The size of the RTU frame of a known function that begins at `at`; 0 if there is none."""
+    start = data[at : at + MAX_RTU_ADU]
+    if len(start) < _MIN_RTU or start[0] > _MAX_UNIT:
+        return 0
+    for direction in _SENDERS:
+        size = frame_size(start, direction)
+        if size and size <= len(start) and crc(start[:size]) == 0:
+            return size
+    return 0
+
+
+def _mbap_frames(data: bytes) -> list[tuple[Transport, bytes]]:
+    found = []
+    at = 0
+    while at < len(data):
+        header = data[at : at + _MIN_MBAP]
+        if len(header) < _MIN_MBAP or header[2:4] != b"\0\0":
+            return []
+        size = mbap_size(header)
+        raw = data[at : at + size]
+        if size < _MIN_MBAP or len(raw) < size or not forms(Transport.TCP, raw):
+            return []
+        if raw[7] & ~EXCEPTION_BIT not in FUNCTIONS:
+            return []
+        found.append((Transport.TCP, raw))
+        at += size
+    return found
+
+
+def _ascii_frames(data: bytes) -> list[tuple[Transport, bytes]]:
+    found = []
+    at = 0
+    while match := _ASCII.match(data, at):
+        raw = match[0].rstrip(b"\r\n") + b"\r\n"
+        frame = read_frame(raw)
+        if frame is None or not frame.checksum.ok or frame.body[0] > _MAX_UNIT:
+            return []
+        if not forms(Transport.ASCII, raw):
+            return []
+        found.append((Transport.ASCII, raw))
+        at = match.end()
+    return found if at == len(data) else []

@@ -1,0 +1,285 @@
+"""Reads Modbus frames from text: the logs of other programs, terminals and analysers."""
+
+# No program has a form of its own here. A line is read in three steps: its time (text_marks.py),
+# the places at which bytes are written (text_notations.py), and the word or arrow before them that
+# says who sent. A line without such a mark has that of the lines before it, up to LOOK_BACK; the
+# rows of a dump have that of its heading. What of the bytes is a Modbus frame, and of which
+# direction, is decided in text_frames.py. All other text is passed over and counted.
+#
+# Lines that differ only in hexadecimal digits have one shape, and the places found in a shape are
+# kept, as programs write the same few lines again and again. So a line that is like an earlier one
+# costs a look into a dictionary.
+#
+# Frames of RTU and ASCII are one serial line, those with an MBAP header one TCP connection, both
+# with the name of the file. A log without times has times that only show the order: as if the bytes
+# had come without gaps at the line's baud rate, from 1970-01-01 on. In a log with times, a frame
+# without one has that of the frame before, and a time that goes back by less than MAX_BACK_NS is
+# replaced by that of the frame before, as threads write their lines a little out of order.
+#
+# Memory: lines of at most MAX_LINE bytes, MAX_SHAPES shapes, and that of text_frames.py.
+
+from __future__ import annotations
+
+import codecs
+import re
+from collections import deque
+from typing import TYPE_CHECKING, BinaryIO, NamedTuple, cast
+
+from mbtool.core import Chunk, Connection, Endpoint, Origin, Stamp, StreamPlace
+from mbtool.core.link_spec import MODBUS_PORT
+from mbtool.modbus.adu import Transport
+from mbtool.sources.text_frames import TextFrame, TextFrames, Voice
+from mbtool.sources.text_marks import DAY_NS, MAX_TIME_NS, Time, find_mark, find_time
+from mbtool.sources.text_notations import SHAPE, FoundBytes, find_bytes
+
+if TYPE_CHECKING:
+    import io
+    from collections.abc import Iterator
+
+    from mbtool.core import SerialFormat
+    from mbtool.sources.text_marks import Mark
+
+READ_BYTES = 1 << 16
+MAX_LINE = 1 << 16
+"""A longer line is read in pieces of this many bytes."""
+MAX_SHAPES = 4096
+LOOK_BACK = 4
+"""The number of lines before a line in which its mark or time is looked for."""
+MAX_BACK_NS = 2_000_000_000
+LEAST_BYTES = 4
+"""Fewer bytes than these at one place, without a mark, are no part of a frame."""
+MASTER = "master"
+"""The name of the master of a connection in a log, which seldom tells its address."""
+
+_MAY_BE_BYTES = re.compile(
+    rb"00[ ,:|;\t_-]{1,2}00(?![0-9A-Za-z])|0[xX]0|0{8}|[\[<]00[\]>]|\\[x0]|00[hH][ ,]"
+    rb"|0{2,}0(?: 0000)|(?:[:=>\]]\s?|^\s*)00(?:\s{3,}\S{1,3})?\s*$|(?:0{1,3},\s?){3}"
+)
+_UNIMPORTANT = re.compile(rb"[0\s]+")
+_COLOURS = re.compile(rb"\x1b\[[0-9;]*[A-Za-z]")
+_ESCAPE = b"\x1b"
+
+
+class _BytesPlace(NamedTuple):
+    """A place of a line at which bytes are written, with what stands before it."""
+
+    readings: tuple[FoundBytes, ...]
+    voice: Voice
+
+
+class _Plan(NamedTuple):
+    """What to read in lines of one shape."""
+
+    time: Time | None
+    places: tuple[_BytesPlace, ...]
+
+
+class TextLog:
+    """Reads the frames of one text file."""
+
+    def __init__(self, stream: BinaryIO, name: str, link: str, line: SerialFormat) -> None:
+        self._stream = stream
+        self._link = link
+        self._character_ns = line.character_ns
+        self._origin = Origin(name, 0)
+        self._connection = Connection(Endpoint(MASTER, 0), Endpoint(link, MODBUS_PORT))
+        self._frames = TextFrames()
+        self._plans: dict[bytes, _Plan | None] = {}
+        self._recent: deque[bytes] = deque(maxlen=LOOK_BACK)
+        self._last_row: tuple[int, Voice] | None = None
+        """The number and the voice of the last row of a dump."""
+        self._last_mark: tuple[int, Mark | None] = 0, None
+        """The number and the mark of the last line that had bytes."""
+        self._day_ns = 0
+        self._clock_ns = 0
+        self._time_ns: int | None = None
+        """The last time that a line of bytes had."""
+        self._sent_ns = 0
+        self._is_timed: bool | None = None
+        self._bytes = 0
+        self.lines = 0
+        self.bytes_seen = 0
+        """The number of bytes that the log shows, of frames or not."""
+        self.found = 0
+        """The number of frames found."""
+
+    @property
+    def shown_twice(self) -> int:
+        """The number of frames that the log shows twice, and which count once."""
+        return self._frames.left_out
+
+    def chunks(self) -> Iterator[Chunk]:
+        """Yield the frames of the log, each as a chunk; none if it is not known to be Modbus."""
+        for lines in self._blocks():
+            shapes = b"\n".join(lines).translate(SHAPE).split(b"\n")
+            for line, shape in zip(lines, shapes, strict=True):
+                self.lines += 1
+                try:
+                    plan = self._plans[shape]
+                except KeyError:
+                    plan = self._planned(line, shape)
+                if plan is not None:
+                    for frame in self._read(line, plan):
+                        yield self._chunk(frame)
+                self._recent.append(line)
+        for frame in self._frames.close():
+            yield self._chunk(frame)
+
+    def _blocks(self) -> Iterator[list[bytes]]:
+        """Yield the lines of the file, many at a time, without their ends and without colours."""
+        read = cast("io.BufferedIOBase", self._stream).read1
+        decoder: codecs.IncrementalDecoder | None = None
+        rest = b""
+        is_first = True
+        while data := read(READ_BYTES):
+            if is_first and data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+                decoder = codecs.getincrementaldecoder("utf-16")("replace")
+            is_first = False
+            if decoder is not None:
+                data = decoder.decode(data).encode("utf-8", "replace")
+            lines = (rest + data).split(b"\n")
+            rest = lines.pop()
+            if len(rest) >= MAX_LINE:
+                lines.append(rest)
+                rest = b""
+            if lines:
+                yield _cleaned(lines)
+        if rest:
+            yield _cleaned([rest])
+
+    def _planned(self, line: bytes, shape: bytes) -> _Plan | None:
+        """Find what to read in lines of this shape; None if there is nothing."""
+        if len(self._plans) >= MAX_SHAPES:
+            self._plans.clear()
+        plan = None
+        if _MAY_BE_BYTES.search(shape) is not None:
+            plan = _plan(line, shape)
+        self._plans[shape] = plan
+        return plan
+
+    def _read(self, line: bytes, plan: _Plan) -> list[TextFrame]:
+        ts_ns = None if plan.time is None else self._ns(plan.time, line)
+        frames: list[TextFrame] = []
+        for place in plan.places:
+            choices = []
+            for each in place.readings:
+                try:
+                    choices.append(each.read(line[each.start : each.end]))
+                except ValueError:
+                    continue
+            if not choices:
+                continue
+            self.bytes_seen += len(choices[0])
+            first, voice = place.readings[0], place.voice
+            if first.is_row or not (voice.text or voice.mark or plan.time):
+                voice, ts_ns = self._of_dump(line[: first.start], voice, ts_ns)
+            elif voice.mark is None or ts_ns is None:
+                voice, ts_ns = self._of_lines_before(voice, ts_ns)
+            if len(choices[0]) < LEAST_BYTES and voice.mark is None and not first.is_row:
+                continue
+            self._last_mark = self.lines, voice.mark
+            self._time_ns = ts_ns if ts_ns is not None else self._time_ns
+            frames += self._frames.feed(choices, voice, self._time_ns, self.lines)
+        return frames
+
+    def _of_dump(self, offset: bytes, voice: Voice, ts_ns: int | None) -> tuple[Voice, int | None]:
+        """Return the voice and the time of a row of bytes: those of its heading.
+
+        `offset` is the offset at the front of the row; it is 0 where a dump begins.
+        """
+        is_first = b"0" in offset and not offset.strip(b" \t:0xh")
+        if is_first:
+            self._frames.drop_parts()
+        if not is_first and self._last_row is not None and self._last_row[0] == self.lines - 1:
+            voice = self._last_row[1]
+        elif voice.mark is None:
+            voice, ts_ns = self._of_lines_before(voice, ts_ns)
+        self._last_row = self.lines, voice
+        return voice, ts_ns
+
+    def _of_lines_before(self, voice: Voice, ts_ns: int | None) -> tuple[Voice, int | None]:
+        """Return the voice and the time, each from the lines before if the line has none."""
+        mark: Mark | None = voice.mark
+        row = self.lines
+        for line in reversed(self._recent):
+            row -= 1
+            if mark is None:
+                mark = find_mark(line, is_strong=True)
+            if ts_ns is None and (time := find_time(line)) is not None:
+                ts_ns = self._ns(time, line)
+            is_of_bytes = self._plans.get(line.translate(SHAPE)) is not None
+            if is_of_bytes and mark is None and self._last_mark[0] == row and line[:1].isspace():
+                mark = self._last_mark[1]  # Both lines are of one object that has several.
+            if (mark is not None and ts_ns is not None) or is_of_bytes:
+                break
+        if mark is not None and voice.mark is None:
+            voice = Voice(voice.text + b"/" + mark.word, mark)
+        return voice, ts_ns
+
+    def _ns(self, time: Time, line: bytes) -> int | None:
+        try:
+            ts_ns = time.read(line[time.start : time.end])
+        except (ValueError, KeyError):
+            return None
+        if time.is_clock:
+            if ts_ns < self._clock_ns - DAY_NS // 2:
+                self._day_ns += DAY_NS
+            self._clock_ns = ts_ns
+            ts_ns += self._day_ns
+        return ts_ns if 0 <= ts_ns < MAX_TIME_NS else None
+
+    def _chunk(self, frame: TextFrame) -> Chunk:
+        if self._is_timed is None:
+            self._is_timed = frame.ts_ns is not None
+        self._bytes += len(frame.raw)
+        ts_ns = frame.ts_ns
+        if not self._is_timed:
+            ts_ns = self._bytes * self._character_ns
+        elif ts_ns is None or 0 < self._sent_ns - ts_ns < MAX_BACK_NS:
+            ts_ns = self._sent_ns
+        self._sent_ns = ts_ns
+        self.found += 1
+        is_network = frame.transport is Transport.TCP
+        origin = None if is_network else StreamPlace(0, None, self._origin)
+        return Chunk(
+            ts_ns=ts_ns,
+            link=self._link,
+            data=frame.raw,
+            direction=frame.direction,
+            stamp=Stamp.AT_ONCE if self._is_timed else Stamp.UNKNOWN,
+            connection=self._connection if is_network else None,
+            place=origin,
+        )
+
+
+def _cleaned(lines: list[bytes]) -> list[bytes]:
+    return [
+        _COLOURS.sub(b"", line.rstrip(b"\r")) if _ESCAPE in line else line.rstrip(b"\r")
+        for line in lines
+    ]
+
+
+def _plan(line: bytes, shape: bytes) -> _Plan | None:
+    time = find_time(line)
+    found = find_bytes(line, shape, 0 if time is None else time.end)
+    if time is not None:
+        all_found = find_bytes(line, shape)
+        if time.is_number and all_found and all_found[0].start <= time.start:
+            time, found = None, all_found  # The first byte of [01][03] is no time.
+        elif not found:
+            found = [one for one in all_found if one.end <= time.start]
+    places: list[_BytesPlace] = []
+    end = 0
+    for one in found:
+        if places and one.start < end:
+            last = places[-1]
+            places[-1] = last._replace(readings=(*last.readings, one))
+            end = max(end, one.end)
+            continue
+        before = line[end : one.start]
+        mark = find_mark(before) or (places[-1].voice.mark if places else None)
+        mark = mark or find_mark(line[one.end :], last=False)
+        text = _UNIMPORTANT.sub(b"", shape[end : one.start])[-80:]
+        places.append(_BytesPlace((one,), Voice(text, mark)))
+        end = one.end
+    return _Plan(time, tuple(places)) if places else None

@@ -1,0 +1,212 @@
+"""Finds in a line of a log its time, and the word or arrow that says who sent."""
+
+# Times are UTC unless the line names an offset. A time without a date counts from 1970-01-01, and
+# from the next day on when it goes back by more than half a day. A syslog time has no year; it is
+# in 1970. Times in seconds, and milliseconds since the boot of a device, count from 1970.
+#
+# Only what stands before the bytes is a time: a date and a time anywhere, a number at the front.
+
+from __future__ import annotations
+
+import re
+from calendar import timegm
+from functools import lru_cache
+from typing import TYPE_CHECKING, NamedTuple
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+DAY_NS = 86_400 * 10**9
+MAX_TIME_NS = 1 << 62
+NEAR = 120
+"""A mark is looked for in this many characters next to the bytes."""
+LOOKED_AT = 120
+"""A time is looked for in this many characters at the front of a line."""
+
+_CLOCK = rb"(\d{1,2}):(\d\d):(\d\d)(?:[.,:](\d{1,9}))?(?!\d|:\d)"
+_MONTHS = {
+    name: number
+    for number, name in enumerate(b"jan feb mar apr may jun jul aug sep oct nov dec".split(), 1)
+}
+
+
+class Time(NamedTuple):
+    """The place of a time in a line, and how to read it."""
+
+    start: int
+    end: int
+    read: Callable[[bytes], int]
+    """Reads the text of the place; returns ns. Raises ValueError if it is no time."""
+    is_clock: bool
+    """True for a time of day without a date."""
+    is_number: bool = False
+    """True for seconds or milliseconds, which are mere digits."""
+
+
+def iso_ns(text: bytes) -> int:
+    """Read 2024-01-20 12:00:00.123+01:00 to ns. Raises ValueError for another text."""
+    rest = text[19:]
+    if rest[:1] == b" " and rest[1:2].isdigit():
+        raise ValueError
+    ns = _second_ns(text[:19])
+    if not rest:
+        return ns
+    match = _FRACTION.match(rest)
+    if match is None:
+        raise ValueError
+    fraction, zone = match.groups()
+    ns += int(fraction.ljust(9, b"0")) if fraction else 0
+    if zone and zone != b"Z":
+        digits = zone[1:].replace(b":", b"")
+        shift = int(digits[:2]) * 3600 + int(digits[2:] or b"0") * 60
+        ns += (-shift if zone[:1] == b"+" else shift) * 10**9
+    return ns
+
+
+@lru_cache(maxsize=1024)
+def _second_ns(text: bytes) -> int:
+    """Read a date and a time in seconds, 2024-01-20 12:00:00, to ns."""
+    clock = _clock_ns(text[11:13], text[14:16], text[17:19], None)
+    return _date_ns(text[:4], text[5:7], text[8:10]) + clock
+
+
+def _day_first(text: bytes) -> int:
+    match = _SHORT.match(text)
+    if match is None:
+        raise ValueError
+    one, mark, other, year, hours, minutes, seconds, fraction, half = match.groups()
+    day, month = (other, one) if mark == b"/" and int(one) <= 12 else (one, other)
+    clock_ns = _clock_ns(hours, minutes, seconds, fraction)
+    if half:
+        clock_ns += (12 * (half[:1] in b"pP") - 12 * (int(hours) == 12)) * 3600 * 10**9
+    return _date_ns(year, month, day) + clock_ns
+
+
+def _syslog(text: bytes) -> int:
+    match = _SYSLOG.match(text)
+    if match is None:
+        raise ValueError
+    month, day, year, *clock = match.groups()
+    return _date_ns(year or b"1970", b"%d" % _MONTHS[month.lower()], day) + _clock_ns(*clock)
+
+
+def _day_month(text: bytes) -> int:
+    match = _DAY_MONTH.match(text)
+    if match is None:
+        raise ValueError
+    day, month, year, *clock = match.groups()
+    return _date_ns(year, b"%d" % _MONTHS[month.lower()], day) + _clock_ns(*clock)
+
+
+def _clock(text: bytes) -> int:
+    match = _OF_DAY.match(text)
+    if match is None:
+        raise ValueError
+    return _clock_ns(*match.groups())
+
+
+def _seconds(text: bytes) -> int:
+    whole, _, fraction = text.replace(b",", b".").partition(b".")
+    return int(whole) * 10**9 + int(fraction[:9].ljust(9, b"0"))
+
+
+def _milliseconds(text: bytes) -> int:
+    return int(text) * 10**6
+
+
+_ISO = re.compile(
+    rb"\d{4}[-/.]\d\d[-/.]\d\d[ T_,]\d\d:\d\d:\d\d(?:[.,:]\d{1,9})?(?: ?(?:Z|[+-]\d\d:?\d\d))?"
+    rb"(?!\d|:\d)"
+)
+_FRACTION = re.compile(rb"(?:[.,:](\d{1,9}))? ?(Z|[+-]\d\d:?\d\d)?")
+_SHORT = re.compile(
+    rb"(\d{1,2})([./-])(\d{1,2})[./-](\d{4}),?[ T]{1,2}" + _CLOCK + rb"(?: ?([aApP][mM]))?"
+)
+_SYSLOG = re.compile(rb"(?i)\b([a-z]{3})\s+(\d{1,2})(?:,? (\d{4}))?,? +" + _CLOCK)
+_DAY_MONTH = re.compile(rb"(?i)\b(\d{1,2})[ /-]([a-z]{3})[ /-](\d{4})[ :T]" + _CLOCK)
+_OF_DAY = re.compile(rb"(?<![\d:.])" + _CLOCK)
+_FORMS: tuple[tuple[re.Pattern[bytes], Callable[[bytes], int], int, bool], ...] = (
+    (_ISO, iso_ns, 0, False),
+    (_SHORT, _day_first, 0, False),
+    (_SYSLOG, _syslog, 0, False),
+    (_DAY_MONTH, _day_month, 0, False),
+    (re.compile(rb"()()" + _OF_DAY.pattern), _clock, 0, True),
+)
+_AT_FRONT: tuple[tuple[re.Pattern[bytes], Callable[[bytes], int]], ...] = (
+    (re.compile(rb"[\[(]?\s*(\d{13})(?!\d)"), _milliseconds),
+    (re.compile(rb"[\[(]?\s*(\d{1,10}[.,]\d{3,9})(?![\d.])"), _seconds),
+    (re.compile(rb"\s*(\d{1,12}) ?ms\b"), _milliseconds),
+    (re.compile(rb"[\[(]\s*(\d{1,12})\s?[\])]"), _milliseconds),
+)
+
+
+def find_time(line: bytes) -> Time | None:
+    """Return the time at the front of a line; None if it has none."""
+    front = line[:LOOKED_AT]
+    for pattern, read, group, is_clock in _FORMS:
+        match = pattern.search(front)
+        if match is not None:
+            return Time(*match.span(group), read, is_clock)
+    for pattern, read in _AT_FRONT:
+        match = pattern.match(front)
+        if match is not None:
+            return Time(*match.span(1), read, is_clock=False, is_number=True)
+    return None
+
+
+@lru_cache(maxsize=256)
+def _date_ns(year: bytes, month: bytes, day: bytes) -> int:
+    return timegm((int(year), int(month), int(day), 0, 0, 0)) * 10**9
+
+
+def _clock_ns(hours: bytes, minutes: bytes, seconds: bytes, fraction: bytes | None) -> int:
+    second = int(hours) * 3600 + int(minutes) * 60 + int(seconds)
+    return second * 10**9 + int((fraction or b"0").ljust(9, b"0"))
+
+
+_STRONG = re.compile(
+    rb"(?i)(?<![a-z])(?:(sen(?:d|t|ding)|txd?|transmit\w*|req(?:uest)?|query|queries|>>+|-+>|=+>"
+    rb"|\xe2\x86\x92|\xe2\x9f\xb6)|(rec(?:v|eive|eived|eiving)|rcvd?|rxd?|resp(?:onse|ond|onded)?|rsp|answer|reply|replied"
+    rb"|<<+|<-+|<=+|\xe2\x86\x90|\xe2\x9f\xb5))(?![a-z])|^\s*(?:(>)|(<))\s"
+)
+_WEAK = re.compile(
+    rb"(?i)(?<![a-z])(?:(writ(?:e|es|ing|ten)|wrote|master|output|out)"
+    rb"|(read(?:ing)?|slave|input|in|got)|(\0)|(\0))(?![a-z])"
+)
+"""Words that stand in other meanings, too: they count if there is no other."""
+
+
+class Mark(NamedTuple):
+    """A word or an arrow that says who sent."""
+
+    word: bytes
+    is_sent: bool
+    """True if the word stands for what the program sends, False for what it receives. In the log of
+    a slave, what is received is the request."""
+    is_strong: bool = True
+    """False for a word that has other meanings, too, and for one behind the bytes."""
+
+
+_NUMBERS = b"0123456789"
+
+
+def find_mark(text: bytes, *, last: bool = True, is_strong: bool = False) -> Mark | None:
+    """Return the last mark in a text, or the first one; None if there is none.
+
+    With `is_strong`, words that have other meanings, too, do not count. Only the NEAR characters at
+    that end of the text are looked at.
+    """
+    near = text[-NEAR:] if last else text[:NEAR]
+    return _find_mark(near.translate(None, _NUMBERS), last, is_strong)
+
+
+@lru_cache(maxsize=1024)
+def _find_mark(text: bytes, last: bool, is_strong: bool) -> Mark | None:
+    for pattern in (_STRONG,) if is_strong else (_STRONG, _WEAK):
+        every = [*pattern.finditer(text)]
+        if every:
+            found = every[-1 if last else 0]
+            is_sent = bool(found[1] or found[3])
+            strong = pattern is _STRONG and last
+            return Mark(found[0].strip().lower(), is_sent, strong)
+    return None

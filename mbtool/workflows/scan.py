@@ -1,0 +1,271 @@
+"""Finds the units on a link and the registers that each lets read, by requests that only read."""
+
+# Units. Each unit is asked to read holding register 0, for its diagnostics echo (08) and for its
+# identification (2B/0E), until it answers. An exception response is an answer. On TCP a device
+# without a gateway often answers under every unit number: then it is scanned under one.
+#
+# Registers. A table is read in blocks. Of a block that is refused, single addresses are read: its
+# first, and multiples of 10 and of 16, where areas begin as a rule; from one that can be read, the
+# area is followed to both ends by bisection. With `every`, a refused block is halved down to single
+# registers, which takes up to two requests for each address. An exception 03 means that the block
+# is too long for the device: the blocks are halved from there on. An exception 01 ends the table.
+#
+# Only functions 01 to 04, 08/00 and 2B/0E are sent. Nothing is written.
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from mbtool.core import Direction
+from mbtool.modbus import FUNCTIONS, Outcome, encode_pdu
+from mbtool.modbus.identification import identities
+from mbtool.modbus.tables import Table
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator, Sequence
+
+    from mbtool.devices import NamedTransaction
+
+READS = {
+    Table.HOLDING_REGISTERS: 0x03,
+    Table.INPUT_REGISTERS: 0x04,
+    Table.COILS: 0x01,
+    Table.DISCRETE_INPUTS: 0x02,
+}
+_PROBES = (
+    bytes.fromhex("03 0000 0001"),  # read holding register 0
+    bytes.fromhex("08 0000 a55a"),  # diagnostics: echo
+    bytes.fromhex("2b 0e 01 00"),  # read device identification, basic
+)
+_IDENTIFICATION = _PROBES[2]
+_LEAST_SAME = 4
+"""If so many units of a TCP link give the same answers, one device answers for all."""
+_VALUES, _NOTHING = 0, -1
+"""How a read ended, beside exception codes: with values; without an answer of any use."""
+_ILLEGAL_FUNCTION, _ILLEGAL_VALUE = 0x01, 0x03
+_UNREACHED = (0x0A, 0x0B)
+"""Exceptions that a gateway gives in place of the unit (V1.1b3, section 7): no sign of life."""
+MOST_SILENT = 3
+"""So many requests in a row without an answer end the scan of a unit that answered before."""
+
+
+class FoundUnit(msgspec.Struct, kw_only=True, omit_defaults=True):
+    """A unit that answered."""
+
+    unit: int
+    sign: str
+    """The answer that it gave, as a table shows it."""
+    identity: list[str] = []
+    """Its answers to 2B/0E, each as `name: text`."""
+    is_any: bool = False
+    """True if the device gives the same answers under every unit number."""
+
+
+class FoundArea(msgspec.Struct, kw_only=True, frozen=True):
+    """Addresses (on the wire, both included) of one table that a unit lets read."""
+
+    unit: int
+    table: str
+    first: int
+    last: int
+
+
+class ScanState(msgspec.Struct, kw_only=True):
+    """What a scan has found and where it stands; also the content of the file of --resume."""
+
+    link: str
+    next_unit: int = 0
+    """The place of the next unit to ask in the list of units."""
+    units: list[FoundUnit] = []
+    areas: list[FoundArea] = []
+    next_addresses: dict[str, int] = {}
+    """The next address to read, by `unit table`; the table is done if it is 65536."""
+    remarks: list[str] = []
+
+
+class Scan:
+    """A scan of one link. `ask` sends a request PDU to a unit and returns the transaction."""
+
+    def __init__(
+        self,
+        ask: Callable[[int, bytes], NamedTransaction],
+        state: ScanState,
+        *,
+        is_tcp: bool,
+        every: bool = False,
+        interval_ns: int = 0,
+    ) -> None:
+        """With `every`, each address of a refused block is read. `interval_ns` is the least time
+        from one request to the next, in ns.
+        """
+        self._ask = ask
+        self.state = state
+        self._is_tcp = is_tcp
+        self._every = every
+        self._interval_ns = interval_ns
+        self.asked = 0
+        """The number of requests sent."""
+        self._next_ns = 0
+        self._silent = 0
+        """The number of requests without an answer since the last answer."""
+        self._limits: dict[int, int] = {}
+        """The longest block to read, by function code."""
+
+    def units(self, numbers: Sequence[int]) -> Iterator[int]:
+        """Ask each unit; yield the number of each, asked or left out, after it."""
+        signs: list[str] = []
+        for place in range(self.state.next_unit, len(numbers)):
+            unit = numbers[place]
+            found = self._sign_of(unit)
+            if found is not None:
+                self.state.units.append(found)
+                signs.append(found.sign)
+            self.state.next_unit = place + 1
+            if self._is_tcp and len(signs) == place + 1 >= _LEAST_SAME and len(set(signs)) == 1:
+                self.state.units[1:] = []
+                self.state.units[0].is_any = True
+                self.state.next_unit = len(numbers)
+                yield unit
+                return
+            yield unit
+
+    def _sign_of(self, unit: int) -> FoundUnit | None:
+        for pdu in _PROBES:
+            transaction = self._send(unit, pdu)
+            if _is_sign(transaction):
+                found = FoundUnit(unit=unit, sign=_sign_text(transaction))
+                known = transaction if pdu == _IDENTIFICATION else self._send(unit, _IDENTIFICATION)
+                found.identity = [f"{one.name}: {one.text}" for one in identities(known)]
+                return found
+        return None
+
+    def registers(self, unit: int, addresses: range) -> Iterator[tuple[Table, int]]:
+        """Find the areas of each table; yield table and next address after each block.
+
+        Addresses are those on the wire. Ends early if the unit answers no more.
+        """
+        for table, code in READS.items():
+            key = f"{unit} {table.value}"
+            at = self.state.next_addresses.get(key, addresses.start)
+            self._silent = 0
+            while at < addresses.stop:
+                size = min(self._limits.get(code, FUNCTIONS[code].limit), addresses.stop - at)
+                answer = self._read(unit, code, at, size)
+                if answer == _ILLEGAL_FUNCTION:
+                    at = addresses.stop
+                elif answer == _ILLEGAL_VALUE and size > 1:
+                    self._limits[code] = size // 2
+                    continue
+                elif answer == _VALUES:
+                    self._add(unit, table, at, at + size)
+                    at += size
+                else:
+                    for first, end in self._within(unit, code, range(at, at + size)):
+                        self._add(unit, table, first, end)
+                    at += size
+                self.state.next_addresses[key] = at
+                yield table, at
+                if self._silent >= MOST_SILENT:
+                    self.state.remarks.append(
+                        f"unit {unit} answers no more: {table.value} is not read from {at} on"
+                    )
+                    return
+
+    def _within(self, unit: int, code: int, block: range) -> Iterable[tuple[int, int]]:
+        """Yield the parts of a refused block that can be read, as first address and end."""
+        if self._every:
+            yield from self._halves(unit, code, block)
+            return
+        done = block.start
+        for seed in block:
+            is_likely = seed == block.start or not seed % 10 or not seed % 16
+            if seed < done or not is_likely or self._silent >= MOST_SILENT:
+                continue
+            if self._can_read(unit, code, seed, 1):
+                first = self._edge(unit, code, seed, range(done, seed), step=-1)
+                end = self._edge(unit, code, seed, range(seed + 1, block.stop), step=1) + 1
+                yield first, end
+                done = end
+
+    def _edge(self, unit: int, code: int, seed: int, rest: range, *, step: int) -> int:
+        """Return the last address that can be read from `seed` on, upwards or downwards, within
+        the addresses of `rest`, which begin or end beside `seed`.
+        """
+        least, most = 0, len(rest)  # so many addresses of `rest` can be read
+        while least < most:
+            middle = (least + most + 1) // 2
+            first = seed if step > 0 else seed - middle
+            if self._can_read(unit, code, first, middle + 1):
+                least = middle
+            else:
+                most = middle - 1
+        return seed + step * least
+
+    def _halves(self, unit: int, code: int, block: range) -> Iterator[tuple[int, int]]:
+        if len(block) == 1 or self._silent >= MOST_SILENT:
+            return
+        middle = block.start + len(block) // 2
+        for half in (range(block.start, middle), range(middle, block.stop)):
+            if self._can_read(unit, code, half.start, len(half)):
+                yield half.start, half.stop
+            else:
+                yield from self._halves(unit, code, half)
+
+    def _add(self, unit: int, table: Table, first: int, end: int) -> None:
+        """Note that addresses can be read, joined with the area that ends before them."""
+        areas = self.state.areas
+        if areas and (areas[-1].unit, areas[-1].table) == (unit, table.value):
+            last = areas[-1]
+            if last.last + 1 == first:
+                areas[-1] = FoundArea(unit=unit, table=table.value, first=last.first, last=end - 1)
+                return
+        areas.append(FoundArea(unit=unit, table=table.value, first=first, last=end - 1))
+
+    def _can_read(self, unit: int, code: int, first: int, quantity: int) -> bool:
+        return self._read(unit, code, first, quantity) == _VALUES
+
+    def _read(self, unit: int, code: int, first: int, quantity: int) -> int:
+        """Read; return _VALUES, the exception code if it is refused, or _NOTHING."""
+        pdu = encode_pdu(code, Direction.REQUEST, address=first, quantity=quantity)
+        transaction = self._send(unit, pdu)
+        self._silent = self._silent + 1 if transaction.outcome is Outcome.NO_ANSWER else 0
+        if transaction.outcome is Outcome.EXCEPTION:
+            return transaction.exception or _NOTHING
+        return _VALUES if transaction.outcome is Outcome.OK else _NOTHING
+
+    def _send(self, unit: int, pdu: bytes) -> NamedTransaction:
+        wait_ns = self._next_ns - time.monotonic_ns()
+        if wait_ns > 0:
+            time.sleep(wait_ns / 1e9)
+        self._next_ns = time.monotonic_ns() + self._interval_ns
+        self.asked += 1
+        return self._ask(unit, pdu)
+
+
+def final_reads(state: ScanState, unit: int) -> Iterator[bytes]:
+    """Yield the PDUs of the requests that read all areas found of a unit, each once."""
+    codes = {table.value: code for table, code in READS.items()}
+    for area in state.areas:
+        if area.unit != unit:
+            continue
+        code, at = codes[area.table], area.first
+        while at <= area.last:
+            size = min(FUNCTIONS[code].limit, area.last + 1 - at)
+            yield encode_pdu(code, Direction.REQUEST, address=at, quantity=size)
+            at += size
+
+
+def _is_sign(transaction: NamedTransaction) -> bool:
+    if transaction.outcome is Outcome.EXCEPTION:
+        return transaction.exception not in _UNREACHED
+    return transaction.outcome in (Outcome.OK, Outcome.MALFORMED)
+
+
+def _sign_text(transaction: NamedTransaction) -> str:
+    code = f"{transaction.function:02X}"
+    if transaction.outcome is Outcome.EXCEPTION:
+        return f"{code}: {transaction.exception:02X} {transaction.exception_name or 'exception'}"
+    return f"{code}: {'malformed' if transaction.outcome is Outcome.MALFORMED else 'answered'}"

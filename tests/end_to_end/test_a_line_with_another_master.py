@@ -1,0 +1,102 @@
+"""mbtool beside pymodbus on one line: it sends nothing unasked, and disturbs nobody in pauses.
+
+How many requests failed is what pymodbus counts itself.
+"""
+
+from __future__ import annotations
+
+import json
+from contextlib import ExitStack
+from threading import Thread
+from typing import TYPE_CHECKING
+
+import pytest
+
+import mbtool as api
+from tests.end_to_end.programs import mbtool
+from tests.end_to_end.test_troubles_of_real_masters import RawSlave, poll
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from mbtool.api.serial_bench import SerialBench
+
+UNITS = {1: 0.005, 2: 0.01, 5: 0.008}
+
+
+class Polled:
+    """A line with slaves, on which pymodbus polls units 1 and 2 as long as the context is open."""
+
+    def __init__(self, line: SerialBench, slave: RawSlave) -> None:
+        self.link = line.link(2)
+        self.slave = slave
+        self.failed = 0
+        self.asked = 0
+        self._ends = False
+        self._thread = Thread(target=self._poll, args=(line.ports[0],))
+
+    def __enter__(self) -> Polled:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ends = True
+        self._thread.join()
+
+    def _poll(self, port: str) -> None:
+        while not self._ends:
+            self.failed += poll(port, [1, 2], 1, timeout=0.5, pause=0.4)
+            self.asked += 2
+
+
+@pytest.fixture
+def polled() -> Iterator[Polled]:
+    with ExitStack() as stack:
+        line = stack.enter_context(api.line(ends=3))
+        slave = stack.enter_context(RawSlave(line.ports[1], UNITS))
+        yield stack.enter_context(Polled(line, slave))
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("read", "{}", "holding 0..3", "--unit", "5"),
+        ("write", "{}", "holding 0=1", "--unit", "5", "--yes"),
+        ("poll", "{}", "holding 0..3", "--unit", "5"),
+        ("replay", "captures/ft1a-touch-line.mcap", "--as-master", "--to", "{}"),
+    ],
+    ids=lambda words: words[0],
+)
+def test_nothing_is_sent_where_another_master_asks(
+    polled: Polled, command: tuple[str, ...]
+) -> None:
+    with mbtool(*(word.format(polled.link) for word in command)) as program:
+        assert program.wait() == 3
+        assert program.said.text.count("\n") == 1 + program.said.text.count("requests to unit")
+    assert "another master asks on this line: unit " in program.said.text
+    assert "unit 1 03 holding 1..4 every" in program.said.text
+    assert "unit 2 03 holding 2..5 every" in program.said.text
+    assert 5 not in polled.slave.asked_units
+    assert polled.failed == 0
+
+
+def test_requests_between_the_polls_of_another_master_disturb_none_of_them(
+    polled: Polled,
+) -> None:
+    words = ("--unit", "5", "--between", "--timeout", "0.1", "--count", "10", "--every", "50ms")
+    with mbtool(
+        "poll", polled.link, "holding 0..3", *words, "--all", "--format", "jsonl"
+    ) as program:
+        assert program.wait() == 0, program.said.text
+        rows = [json.loads(line) for line in program.printed.text.splitlines()]
+    assert [row["outcome"] for row in rows] == ["ok"] * 10
+    assert polled.asked > 10
+    assert polled.failed == 0
+
+
+def test_a_pause_that_is_too_short_is_told(polled: Polled) -> None:
+    words = ("--unit", "5", "--between", "--timeout", "2")
+    with mbtool("read", polled.link, "holding 0..3", *words) as program:
+        assert program.wait() == 3
+    assert "needs a pause of 2.0" in program.said.text
+    assert "A shorter --timeout needs less" in program.said.text

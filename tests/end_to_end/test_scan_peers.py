@@ -1,0 +1,84 @@
+"""mbtool scan of slaves of others, and a capture of a scan, which has no write."""
+
+from __future__ import annotations
+
+import json
+from contextlib import ExitStack
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+import mbtool as api
+from mbtool.devices import load_profile
+from tests.end_to_end.peers import SIZE, UNIT, libmodbus_server, pymodbus_server
+from tests.end_to_end.programs import mbtool, run_mbtool
+from tests.end_to_end.test_troubles_of_real_masters import RawSlave, heard
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+TABLES = ("holding_registers", "input_registers", "coils", "discrete_inputs")
+
+
+def scanned(*words: str) -> list[dict[str, Any]]:
+    text = run_mbtool("scan", *words, "--format", "jsonl", "--rate", "2000")
+    return [json.loads(line) for line in text.splitlines()]
+
+
+def test_finds_all_that_a_pymodbus_server_has(tmp_path: Path) -> None:
+    profile = tmp_path / "server.toml"
+    with pymodbus_server() as (port, _):
+        link, options = f"tcp:127.0.0.1:{port}", ("--units", str(UNIT), "--addresses", "0..999")
+        (row,) = scanned(link, *options, "-o", str(profile))
+    areas = {one["table"]: (one["first"], one["last"]) for one in row["areas"]}
+    bits = -(-SIZE // 16) * 16  # pymodbus keeps bits in whole registers.
+    sizes = dict(zip(TABLES, (SIZE, SIZE, bits, bits), strict=True))
+    assert areas == {table: (0, size - 1) for table, size in sizes.items()}
+    drafted = {area.table.value: area.last + 1 for area in load_profile(str(profile)).areas}
+    assert drafted == sizes
+
+
+@pytest.mark.peers
+def test_finds_all_that_a_libmodbus_server_has(tmp_path: Path) -> None:
+    with libmodbus_server(tmp_path) as (port, _):
+        (row,) = scanned(f"tcp:127.0.0.1:{port}", "--units", str(UNIT), "--addresses", "0..999")
+    areas = {one["table"]: (one["first"], one["last"]) for one in row["areas"]}
+    assert areas == dict.fromkeys(TABLES, (0, SIZE - 1))
+
+
+def test_finds_the_units_of_a_line_and_writes_nothing(tmp_path: Path) -> None:
+    log = tmp_path / "scan.mcap"
+    with ExitStack() as stack:
+        line = stack.enter_context(api.line(ends=3))
+        stack.enter_context(RawSlave(line.ports[1], {2: 0.002, 7: 0.002}))
+        stack.enter_context(heard(line.link(2), log))
+        rows = scanned(line.link(0), "--units", "1..8", "--units-only", "--timeout", "0.2")
+    assert [row["unit"] for row in rows] == [2, 7]
+    asked = list(api.open(log))
+    assert {one.function for one in asked} <= {1, 2, 3, 4, 8, 0x2B}
+    assert len(asked) >= 8
+
+
+def test_says_that_nobody_answers(tmp_path: Path) -> None:
+    with (
+        api.line(ends=2) as line,
+        mbtool("scan", line.link(0), "--units", "1..2", "--timeout", "0.05") as program,
+    ):
+        assert program.wait() == 1
+    assert program.said.text == "no unit answered\n"
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("tcp:10.0.0.0/8:502",), "16,777,216 hosts, at most 1,024"),
+        (("tcp:10.0.0.0/99:502",), "write a network such as tcp:10.0.0.0/28:502"),
+        (("tcp:127.0.0.1:1", "--units", "9..3"), "--units 9..3: write the smaller number first"),
+        (("tcp:127.0.0.1:1", "--units", "x"), "--units: 'x' is no number"),
+        (("tcp:127.0.0.1:1", "--addresses", "1,2"), "name one range, as in 0..9999"),
+    ],
+)  # fmt: skip
+def test_wrong_usage_is_told(words: tuple[str, ...], told: str) -> None:
+    with mbtool("scan", *words) as program:
+        assert program.wait() == 2
+    assert told in program.said.text
