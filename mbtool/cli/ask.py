@@ -52,19 +52,19 @@ def write(
     *,
     ask: AskOptions,
     yes: Annotated[
-        bool, typer.Option("--yes", help="Write without asking, where a terminal would be asked.")
+        bool, typer.Option("--yes", help="Write without asking; needed where there is no terminal.")
     ] = False,
     format_: Annotated[Format, typer.Option("--format", help="How to print.")] = Format.TABLE,
     table: TableOptionGroup,
 ) -> None:
     """Write to a slave, once, as its master.
 
-    At a terminal it shows what it will write, and asks. Each REFERENCE=VALUE is one request. Exit 1
-    when a request gets an exception or no answer, or when you say no.
+    It shows what it will write, and asks at the terminal. Each REFERENCE=VALUE is one request.
+    Exit 1 when a request gets an exception or no answer, or when you say no.
     """
     asked, options = ask.read(link), table.read()
     requests = [asked.wording.write(each) for each in values]
-    if not yes and sys.stdin is not None and sys.stdin.isatty():
+    if not yes:
         _demand_consent(asked, values)
     if_interrupted = "interrupted; the slave may have taken what was sent, or may take it yet"
     _ask_all(asked, requests, format_, options, if_interrupted)
@@ -73,10 +73,13 @@ def write(
 def _demand_consent(asked: AskedSlave, values: Sequence[str]) -> None:
     """Ask the user at the terminal for consent to a write.
 
-    Raises typer.Exit if the answer is no.
+    Raises typer.Exit if the answer is no, UsageError if there is no terminal to ask at.
     """
     from mbtool.cli.talk import say
+    from mbtool.core import UsageError
 
+    if sys.stdin is None or not sys.stdin.isatty():
+        raise UsageError("write: nobody can be asked here, as there is no terminal; give --yes")
     say(f"write {'; '.join(values)} to unit {asked.unit} at {asked.link}")
     if not typer.confirm("really?", err=True):
         say("nothing is written")

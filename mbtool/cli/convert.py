@@ -41,6 +41,25 @@ def convert(
     start: StartOption = None,
     end: EndOption = None,
     where: WhereOption = None,
+    anonymous: Annotated[
+        bool,
+        typer.Option(
+            "--anonymous",
+            help="Replace addresses, MACs, names of hosts and ports, texts in registers; "
+            "shift times; leave out comments and all that is no Modbus.",
+        ),
+    ] = False,
+    key: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE",
+            help="With --anonymous: the same key replaces the same by the same. Without it, "
+            "the key is random.",
+        ),
+    ] = None,
+    units: Annotated[
+        bool, typer.Option("--units", help="With --anonymous: replace unit ids, too.")
+    ] = False,
     device: DeviceOption = None,
     topic_per_point: TopicPerPointOption = False,
     events: EventsOption = None,
@@ -56,12 +75,9 @@ def convert(
 
     from mbtool.cli.options import condition
     from mbtool.cli.output import OUTPUT_FORMATS
-    from mbtool.cli.output_file import kept_told, left_told
     from mbtool.cli.output_path import demand_other_file
     from mbtool.cli.progress import with_progress
-    from mbtool.cli.talk import say
     from mbtool.core import UsageError
-    from mbtool.core.wording import counted
     from mbtool.workflows.convert import CAPTURE_SUFFIXES, Conversion
     from mbtool.workflows.shared.time_window import TimeWindow
 
@@ -78,6 +94,34 @@ def convert(
     options = source.read(device, silences=silences)
     window = TimeWindow.parse(start, end)
     conversion = Conversion(paths, options, window, fits, with_progress)
+    if not anonymous:
+        if key is not None or units:
+            raise UsageError("--key and --units go with --anonymous")
+        _convert(conversion, out, events, overwrite, topic_per_point)
+        return
+    from mbtool.workflows.anonymise import anonymous_conversion, read_key
+    from mbtool.workflows.shared.anonymous_packets import Choice
+
+    with anonymous_conversion(conversion, read_key(key), Choice(units)) as copy:
+        _convert(copy, out, events, overwrite, topic_per_point)
+    conversion.demand_whole()
+
+
+def _convert(
+    conversion: Conversion,
+    out: str,
+    events: EventChoice | None,
+    overwrite: bool,
+    topic_per_point: bool,
+) -> None:
+    from pathlib import PurePath
+
+    from mbtool.cli.output_file import kept_told, left_told
+    from mbtool.cli.talk import say
+    from mbtool.core import UsageError
+    from mbtool.core.wording import counted
+    from mbtool.workflows.convert import CAPTURE_SUFFIXES
+
     if PurePath(out).suffix.lower() not in CAPTURE_SUFFIXES:
         _write_records(conversion, out, events, overwrite=overwrite)
     elif events is not None:

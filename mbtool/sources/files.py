@@ -187,6 +187,8 @@ class CaptureFile:
         if text is None or not text.found:
             return None
         twice = f"; {counted(text.shown_twice, 'frame')} shown twice" if text.shown_twice else ""
+        if text.bare:
+            twice += f"; {counted(text.bare, 'frame')} shown without CRC, which is computed"
         found = f"{counted(text.found, 'frame')} in {counted(text.lines, 'line')}"
         return f"{self.name}: {found} of text, all else passed over{twice}"
 
@@ -478,7 +480,10 @@ def _size(file: io.BufferedIOBase) -> int | None:
 
 def _unreadable(name: str, error: OSError | ValueError) -> InputError:
     if isinstance(error, FileNotFoundError):
-        return InputError(f"{name}: there is no such file")
+        stem, suffix = os.path.splitext(name)
+        parts = f"; its parts are {stem}-0001{suffix} and following: name {stem}-*{suffix}"
+        is_rotated = os.path.exists(f"{stem}-0001{suffix}")
+        return InputError(f"{name}: there is no such file{parts if is_rotated else ''}")
     if isinstance(error, IsADirectoryError):
         return InputError(f"{name}: a directory; name a capture file in it")
     if isinstance(error, PermissionError):

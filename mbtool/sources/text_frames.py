@@ -4,7 +4,7 @@
 # of an ASCII frame, or the length of an MBAP header together with that of its function. Bytes that
 # are no frame may be a part of one: they are kept with those of the same place in the log's lines
 # (its "voice", such as `recv:`), and joined with the next ones. RTU frames are found anywhere among
-# joined bytes, the others only at their beginning, as zeros look like an MBAP header.
+# joined bytes, the others only where a piece begins, as zeros look like an MBAP header.
 #
 # The direction of a frame is that of its form, if only a request or only a response has it. Else it
 # is that of the voice, as its other frames have shown; else that of its word (`Tx`), as other
@@ -12,6 +12,10 @@
 # the word decides, and a frame without one is a request. Many programs show a frame twice, and an
 # adapter may hear what it sends. So a frame is left out if the frame before is equal, in the same
 # direction, and of another voice; a request of the same voice is a retry.
+#
+# Some programs show unit and PDU without a frame. Such bytes count, as RTU frames with the CRC that
+# they would have, in a log without frames: a request of the form of its function, and behind it the
+# response that fits it, both with a word or arrow.
 #
 # A log is taken for Modbus once it has given enough evidence (ENOUGH). Frames before that are held.
 #
@@ -39,6 +43,9 @@ if TYPE_CHECKING:
 MAX_HELD = 256
 MAX_VOICES = 256
 MAX_PART = 2 * MAX_RTU_ADU
+MAX_BEGINS = 8
+"""A frame other than RTU is found in the first piece since the last frame and what follows, or in
+the last pieces, at most so many."""
 MAX_LINES_APART = 64
 """Bytes are joined with those before them if at most this many lines lie between."""
 ENOUGH = 4
@@ -56,7 +63,7 @@ FEW_MISSES = 16
 frame."""
 
 _LABELLED = 2
-_MIN_RTU, _MIN_MBAP = 4, MBAP_BYTES + 1
+_MIN_RTU, _MIN_MBAP, _MIN_BARE = 4, MBAP_BYTES + 1, 3
 _MAX_UNIT = 247
 _SENDERS = (Direction.REQUEST, Direction.RESPONSE)
 _CODES = bytes(sorted({*FUNCTIONS, *(code | EXCEPTION_BIT for code in FUNCTIONS)}))
@@ -90,21 +97,25 @@ class _OpenBytes:
         self.data = b""
         self.row = 0
         """The number of the last line that brought bytes."""
+        self._begins: list[int] = []
+        """The offsets at which the last pieces begin, at which a frame of any kind may begin."""
         self._open: list[tuple[int, int]] = []
         """The places, begin and end, at which an RTU frame may stand that is not complete."""
         self._searched = 0
         """The offset up to which beginnings of RTU frames were looked for."""
 
-    def feed(self, data: bytes, *, labelled: bool) -> list[tuple[Transport, bytes]]:
+    def feed(self, data: bytes) -> list[tuple[Transport, bytes]]:
         """Take more bytes; return the frames that they complete, and forget all before these."""
-        is_first = not self.data
+        size = len(self.data)
         self.data += data
-        if not is_first and len(self.data) <= MAX_TCP_ADU:
-            found = whole_frames(self.data, labelled=labelled)
-            if found:
-                self._drop(len(self.data))
-                return found
-        found = []
+        found: list[tuple[Transport, bytes]] = []
+        for begin in self._begins:
+            if len(self.data) - begin <= MAX_TCP_ADU:
+                found = whole_frames(self.data[begin:])
+                if found:
+                    self._drop(len(self.data))
+                    return found
+        self._begins = [*self._begins[:1], *self._begins[1:][1 - MAX_BEGINS :], size]
         self._search()
         while (place := self._complete()) is not None:
             begin, end = place
@@ -150,6 +161,7 @@ class _OpenBytes:
     def _drop(self, count: int) -> None:
         self.data = self.data[count:]
         self._open = [(begin - count, end - count) for begin, end in self._open if begin >= count]
+        self._begins = [begin - count for begin in self._begins if begin >= count]
         self._searched = max(0, self._searched - count)
 
 
@@ -170,6 +182,10 @@ class TextFrames:
         self._misses = 0
         self._missed = 0
         """The number of runs of bytes without a frame before the log was known."""
+        self._bare_request: bytes | None = None
+        """The last request that was shown without a frame, with the CRC that it would have."""
+        self.bare = 0
+        """The number of frames that were shown without their CRC."""
         self.left_out = 0
         """The number of frames that were shown twice."""
 
@@ -192,12 +208,16 @@ class TextFrames:
                 break
         else:
             found = self._joined(choices[0], voice, row)
+        ways: list[Direction | None] = [None] * len(found)
+        if not found:
+            found = self._bare(choices[0], voice)
+            ways = [*_SENDERS]
         if not self.is_modbus:
             self._note_miss(choices[0], is_miss=not found)
         frames = [
             frame
-            for transport, raw in found
-            if (frame := self._frame(transport, raw, voice, ts_ns, row)) is not None
+            for (transport, raw), way in zip(found, ways, strict=False)
+            if (frame := self._frame(transport, raw, voice, ts_ns, row, way)) is not None
         ]
         if self.is_modbus:
             if self._held:
@@ -220,6 +240,23 @@ class TextFrames:
         """Forget incomplete bytes, as at the beginning of another dump."""
         self._parts.clear()
 
+    def _bare(self, data: bytes, voice: Voice) -> list[tuple[Transport, bytes]]:
+        """Return a request and its response that are shown without a frame, once both are there."""
+        is_framed = self._last is not None and not self.bare
+        if is_framed or voice.mark is None or not _MIN_BARE <= len(data) <= MAX_RTU_ADU - 2:
+            return []
+        raw = data + crc(data).to_bytes(2, "little")
+        form = forms(Transport.RTU, raw) if data[1] & ~EXCEPTION_BIT in FUNCTIONS else ()
+        asked, self._bare_request = self._bare_request, None
+        if asked is not None and Direction.RESPONSE in form:
+            request = TextFrame(None, asked, Transport.RTU, Direction.REQUEST, 0)
+            if _answers(request, Transport.RTU, raw):
+                self.bare += 2
+                return [(Transport.RTU, asked), (Transport.RTU, raw)]
+        if Direction.REQUEST in form and data[0] <= _MAX_UNIT:
+            self._bare_request = raw
+        return []
+
     def _note_miss(self, data: bytes, *, is_miss: bool) -> None:
         if is_miss and self._last is not None and data in self._last[0].raw:
             return  # The program shows a part of the frame again.
@@ -234,7 +271,7 @@ class TextFrames:
         if part is None or row - part.row > MAX_LINES_APART:
             part = _OpenBytes()
         part.row = row
-        found = part.feed(data, labelled=voice.mark is not None)
+        found = part.feed(data)
         if part.data:
             self._parts[voice.text] = part
             if len(self._parts) > MAX_VOICES:
@@ -242,14 +279,22 @@ class TextFrames:
         return found
 
     def _frame(
-        self, transport: Transport, raw: bytes, voice: Voice, ts_ns: int | None, row: int
+        self,
+        transport: Transport,
+        raw: bytes,
+        voice: Voice,
+        ts_ns: int | None,
+        row: int,
+        way: Direction | None = None,
     ) -> TextFrame | None:
-        """Decide the direction of a frame; None if it is one that was shown before."""
+        """Decide the direction of a frame, unless `way` names it; None if it was shown before."""
         if self._is_network and transport is not Transport.TCP:
             self.left_out += 1
             return None
         form = forms(transport, raw)
-        direction, is_sure = self._direction(transport, raw, form, voice)
+        direction, is_sure = way, False
+        if direction is None:
+            direction, is_sure = self._direction(transport, raw, form, voice)
         frame = TextFrame(ts_ns, raw, transport, direction, row)
         if is_sure:
             self._learn(voice, direction)
@@ -384,8 +429,8 @@ def forms(transport: Transport, raw: bytes) -> tuple[Direction, ...]:
 def whole_frames(data: bytes, *, labelled: bool = False) -> list[tuple[Transport, bytes]]:
     """Return the frames of which bytes consist, without a rest; an empty list if they do not.
 
-    `labelled` is True if a word says that the bytes were sent or received. Then a function that no
-    table knows is accepted, too.
+    `labelled` is True if a word says that the bytes were sent or received. Then one RTU frame
+    counts that has not the length of its function, or a function that no table knows.
     """
     if data[:1] == b":":
         return _ascii_frames(data)
@@ -403,10 +448,8 @@ def _rtu_frames(data: bytes, *, labelled: bool) -> list[tuple[Transport, bytes]]
         at += size
     if at == len(data):
         return found
-    is_known = len(data) > 1 and (data[1] & ~EXCEPTION_BIT) in FUNCTIONS
-    if _MIN_RTU <= len(data) <= MAX_RTU_ADU and (labelled or is_known) and crc(data) == 0:
-        return [(Transport.RTU, data)] if data[1] > 0 else []
-    return []
+    is_frame = labelled and _MIN_RTU <= len(data) <= MAX_RTU_ADU and crc(data) == 0
+    return [(Transport.RTU, data)] if is_frame and data[1] > 0 else []
 
 
 def _rtu_size(data: bytes, at: int) -> int:

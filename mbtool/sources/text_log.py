@@ -53,7 +53,7 @@ MASTER = "master"
 
 _MAY_BE_BYTES = re.compile(
     rb"00[ ,:|;\t_-]{1,2}00(?![0-9A-Za-z])|0[xX]0|0{8}|[\[<]00[\]>]|\\[x0]|00[hH][ ,]"
-    rb"|0{2,}0(?: 0000)|(?:[:=>\]]\s?|^\s*)00(?:\s{3,}\S{1,3})?\s*$|(?:0{1,3},\s?){3}"
+    rb"|0{2,}0(?: 0000)|\(0+, \"|(?:[:=>\]]\s?|^\s*)00(?:\s{3,}\S{1,3})?\s*$|(?:0{1,3},\s?){3}"
 )
 _UNIMPORTANT = re.compile(rb"[0\s]+")
 _COLOURS = re.compile(rb"\x1b\[[0-9;]*[A-Za-z]")
@@ -107,6 +107,11 @@ class TextLog:
     def shown_twice(self) -> int:
         """The number of frames that the log shows twice, and which count once."""
         return self._frames.left_out
+
+    @property
+    def bare(self) -> int:
+        """The number of frames that the log shows without their CRC, which was computed."""
+        return self._frames.bare
 
     def chunks(self) -> Iterator[Chunk]:
         """Yield the frames of the log, each as a chunk; none if it is not known to be Modbus."""

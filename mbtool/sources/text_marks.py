@@ -165,8 +165,8 @@ def _clock_ns(hours: bytes, minutes: bytes, seconds: bytes, fraction: bytes | No
 
 
 _STRONG = re.compile(
-    rb"(?i)(?<![a-z])(?:(sen(?:d|t|ding)|txd?|transmit\w*|req(?:uest)?|query|queries|>>+|-+>|=+>"
-    rb"|\xe2\x86\x92|\xe2\x9f\xb6)|(rec(?:v|eive|eived|eiving)|rcvd?|rxd?|resp(?:onse|ond|onded)?|rsp|answer|reply|replied"
+    rb"(?i)(?<![a-z])(?:(sen(?:d|t|ding)(?:to|msg)?|txd?|transmit\w*|req(?:uest)?|query|queries|>>+|-+>|=+>"
+    rb"|\xe2\x86\x92|\xe2\x9f\xb6)|(rec(?:v|eive|eived|eiving)(?:from|msg)?|rcvd?|rxd?|resp(?:onse|ond|onded)?|rsp|answer|reply|replied"
     rb"|<<+|<-+|<=+|\xe2\x86\x90|\xe2\x9f\xb5))(?![a-z])|^\s*(?:(>)|(<))\s"
 )
 _WEAK = re.compile(

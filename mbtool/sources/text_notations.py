@@ -151,6 +151,8 @@ with its character behind it."""
 _QUOTED = re.compile(rb"\"((?:[^\"\\]|\\.)*)\"|'((?:[^'\\]|\\.)*)'")
 _CODED = re.compile(rb"\\[xu0-7]|^:[0-9A-Fa-f]{8,}\\r")
 """A text in quotes may be bytes if it has an escape with digits, or is a frame of Modbus ASCII."""
+_CALL = re.compile(rb"\b\w+\(\d+, $")
+"""What strace writes in front of the bytes that a call reads or writes."""
 _ESCAPE = re.compile(rb"\\(?:x([0-9A-Fa-f]{2})|u00([0-9A-Fa-f]{2})|([0-7]{1,3})|(.))", re.DOTALL)
 
 
@@ -177,7 +179,7 @@ def find_bytes(line: bytes, shape: bytes, skip_to: int = 0) -> list[FoundBytes]:
         single = _SINGLE.search(shape, skip_to)
         if single is not None:
             chosen.append(FoundBytes(*single.span(1), _digits))
-    if b"\\" in line:
+    if b"\\" in line or b'(0, "' in shape:
         chosen += _quoted(line, skip_to)
     chosen += _found(_DECIMALS, shape, skip_to)
     return sorted(chosen, key=lambda one: one.start)
@@ -207,7 +209,7 @@ def _row(shape: bytes, start: int) -> FoundBytes | None:
 def _quoted(line: bytes, skip_to: int) -> Iterator[FoundBytes]:
     for match in _QUOTED.finditer(line, skip_to):
         which = 1 if match[1] is not None else 2
-        if _CODED.search(match[which]):
+        if _CODED.search(match[which]) or _CALL.search(line, 0, match.start()):
             yield FoundBytes(*match.span(which), unescaped)
 
 

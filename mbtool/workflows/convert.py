@@ -20,10 +20,13 @@ from contextlib import suppress
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple, TypeVar
 
+import msgspec
+
 from mbtool.core import (
     Chunk,
     Direction,
     EventKind,
+    InputError,
     OutputError,
     Packet,
     UsageError,
@@ -34,6 +37,7 @@ from mbtool.core.replacing import replacing
 from mbtool.devices import profile_to_json
 from mbtool.logs.creating import check_path, demand_unlocked
 from mbtool.logs.links import ACROSS, ANY_PORT, PORTS, RTU_PORTS, SPEC
+from mbtool.logs.reader import LogReader
 from mbtool.logs.writer import LogWriter
 from mbtool.packets import CaptureHead
 from mbtool.packets.capture_writer import (
@@ -45,6 +49,7 @@ from mbtool.packets.line_packets import (
 from mbtool.workflows.shared.conversion_inputs import grouped
 from mbtool.workflows.shared.pcapng_output import Converted, NumberedPacket, PcapngOutput, Shown
 from mbtool.workflows.shared.read_all import unwatched
+from mbtool.workflows.shared.undecoded_logs import heard
 from mbtool.workflows.shared.wire_streams import SkippedBytes, StreamKey, WirePiece, WireStream
 
 if TYPE_CHECKING:
@@ -76,17 +81,21 @@ class Conversion:
         window: TimeWindow,
         where: Callable[[NamedTransaction], bool] | None = None,
         watch: Watch = unwatched,
+        *,
+        anonymous: bool = False,
     ) -> None:
         """Open the files and group them by capture.
 
         `where` returns True for the transactions to write; None to write all. `watch` passes on the
-        items as they are read, and may show the progress. Raises InputError for a file that cannot
-        be read, UsageError for a file of a kind that cannot be converted.
+        items as they are read, and may show the progress. With `anonymous`, the output does not
+        name the files, this machine and the command. Raises InputError for a file that cannot be
+        read, UsageError for a file of a kind that cannot be converted.
         """
         self._options = options
         self._window = window
         self._where = where
         self._watch = watch
+        self._anonymous = anonymous
         self._groups = grouped(paths, options)
 
     @property
@@ -109,7 +118,7 @@ class Conversion:
                 if record in self._window:
                     yield record
             elif self._is_wanted(record):
-                yield record
+                yield msgspec.structs.replace(record, file=None) if self._anonymous else record
 
     def write(
         self, out: str, *, overwrite: bool = False, topic_per_point: bool = False
@@ -131,6 +140,33 @@ class Conversion:
             if not (done.packets or done.reads or done.transactions):
                 self.demand_whole()
         return done
+
+    def evidence(self) -> Iterator[Shown]:
+        """Decode the files, and yield the chosen packets, frames and bytes between frames."""
+        self._read_marks()
+        return self._shown()
+
+    def events(self) -> Iterator[WireEvent]:
+        """Yield the events of logs that tell what their ports, taps and interfaces have noticed."""
+        for path in (one for group in self._groups if group.is_raw for one in group.paths):
+            with LogReader.open(path) as log, suppress(InputError):
+                for item in heard(log):
+                    if isinstance(item, WireEvent) and self._window.contains_ns(item.ts_ns):
+                        yield item
+
+    def head(self) -> CaptureHead:
+        """Return the description of the links and devices; call `evidence` before."""
+        return self._head()
+
+    @property
+    def modbus_ports(self) -> set[int]:
+        """The TCP ports of the slaves whose transactions were found; call `evidence` before."""
+        return {port for group in self._groups for port in group.marks.ports}
+
+    @staticmethod
+    def reads(shown: Iterable[Shown]) -> Iterator[Packet | Chunk]:
+        """Yield packets unchanged, and frames put together again to the reads they came in."""
+        return _reads(shown)
 
     def _write_new(self, out: str, place: Path, *, topic_per_point: bool) -> Converted:
         """Write to the path `place`, at which no file exists yet. Delete the new file if its format
@@ -251,13 +287,14 @@ class Conversion:
     def _write_log(self, place: Path, *, replace: bool, topic_per_point: bool) -> Converted:
         done = Converted()
         head = self._head()
-        capture = {
-            "host": platform.node(),
-            "system": platform.platform(),
-            "command": shlex.join(["mbtool", *sys.argv[1:]]),
-            "clock": "that of the captures that it was made from",
-            "made_from": shlex.join(path for group in self._groups for path in group.paths),
-        }
+        capture = {"clock": "that of the captures that it was made from"}
+        if not self._anonymous:
+            capture |= {
+                "host": platform.node(),
+                "system": platform.platform(),
+                "command": shlex.join(["mbtool", *sys.argv[1:]]),
+                "made_from": shlex.join(path for group in self._groups for path in group.paths),
+            }
         with LogWriter(place, capture=capture, replace=replace) as log:
             if topic_per_point:
                 log.give_points_topics()

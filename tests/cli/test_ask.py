@@ -128,7 +128,7 @@ def test_what_is_wrong_is_told_in_one_line(
 
 
 def test_each_write_is_one_request(mbtool: CommandLine, slave: str, script: Scripted) -> None:
-    told = mbtool("write", slave, "HR400001=4660,22136", "C4=1", *TOUCH)
+    told = mbtool("write", slave, "HR400001=4660,22136", "C4=1", "--yes", *TOUCH)
     assert told.code == exit_codes.DONE
     assert [pdu.hex() for _, pdu in script.asked] == ["10000000020412345678", "050003ff00"]
     assert told.lines[-2].endswith("10 write HR400001..400002 := 4660, 22136")
@@ -137,7 +137,9 @@ def test_each_write_is_one_request(mbtool: CommandLine, slave: str, script: Scri
 def test_nothing_is_written_if_one_of_the_values_is_wrong(
     mbtool: CommandLine, slave: str, script: Scripted
 ) -> None:
-    assert mbtool("write", slave, "holding 0=1", "holding 1=70000").code == exit_codes.USAGE
+    assert (
+        mbtool("write", slave, "holding 0=1", "holding 1=70000", "--yes").code == exit_codes.USAGE
+    )
     assert script.asked == []
 
 
@@ -180,3 +182,14 @@ def test_reads_what_the_slave_command_has(tmp_path: Path, mbtool: CommandLine) -
         "03 read HR400251..400300 -> 0 x50",
         "01 read C1..8 -> 0 0 0 0 0 0 0 1",
     ]
+
+
+def test_nothing_is_written_where_nobody_can_be_asked(
+    mbtool: CommandLine, slave: str, script: Scripted
+) -> None:
+    told = mbtool("write", slave, "holding 0=5")
+    assert told.code == exit_codes.USAGE
+    assert told.err == (
+        "mbtool: write: nobody can be asked here, as there is no terminal; give --yes\n"
+    )
+    assert script.asked == []

@@ -16,7 +16,13 @@ def test_reads_and_writes_what_a_pymodbus_server_has() -> None:
             json.loads(line) for line in run_mbtool("read", link, *everything, *unit).splitlines()
         ]
         run_mbtool(
-            "write", link, "holding 20=4660", "holding 21=1,22136,65535", "coil 8=1,0,1,1", *unit
+            "write",
+            link,
+            "holding 20=4660",
+            "holding 21=1,22136,65535",
+            "coil 8=1,0,1,1",
+            "--yes",
+            *unit,
         )
         written = run_mbtool("read", link, "holding 20..23", "coil 8..11", *unit).splitlines()
         with mbtool("read", link, "holding 60000", *unit) as program:

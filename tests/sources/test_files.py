@@ -511,3 +511,11 @@ def test_a_packed_log_may_unpack_to_less_as_it_holds_packed_chunks(tmp_path: Pat
         pytest.raises(InputError, match="unpacks to more than 100 times its size"),
     ):
         capture.stream.read(len(data))
+
+
+def test_the_parts_of_a_rotated_log_are_named(tmp_path: Path) -> None:
+    (tmp_path / "week-0001.mcap").touch()
+    with pytest.raises(
+        InputError, match=r"week\.mcap: there is no such file; its parts are .*0001"
+    ):
+        open_capture(tmp_path / "week.mcap")

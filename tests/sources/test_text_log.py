@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from mbtool.core import WireEvent
+from mbtool.core import InputError, WireEvent
+from mbtool.sources.text_frames import TextFrames, Voice, whole_frames
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
 from tests.sources.text_logs import BY_WORD, FORMS, TIMED, conversation, expected
 
@@ -45,6 +46,81 @@ def test_a_stream_of_rtu_needs_no_word(tmp_path: Path, form: str) -> None:
     path = tmp_path / "log.txt"
     path.write_text(FORMS[form](conversation()))
     assert _told(_read(path)) == expected()
+
+
+def test_a_frame_that_is_shown_as_rtu_and_with_an_mbap_header_counts_once(tmp_path: Path) -> None:
+    path = tmp_path / "log.txt"
+    both = zip(conversation("rtu"), conversation("tcp"), strict=True)
+    path.write_text(
+        "\n".join(
+            f"{'send' if rtu.is_request else 'parsed'} {{\n  data: <Buffer {rtu.data.hex(' ')}>,\n"
+            f"  buffer: <Buffer {tcp.data.hex(' ')}>\n}}"
+            for rtu, tcp in both
+        )
+    )
+    found = _read(path)
+    assert {str(one.transport) for one in found} == {"tcp"}
+    assert [(one.function, str(one.outcome).replace("not-captured", "no-answer"))
+            for one in sorted(found, key=lambda one: one.start_ns)] == expected()  # fmt: skip
+
+
+def test_responses_alone_count_if_their_transaction_ids_are_in_a_row(tmp_path: Path) -> None:
+    path = tmp_path / "log.txt"
+    lines = [one.data.hex(" ") for one in conversation("tcp") if not one.is_request]
+    path.write_text("\n".join(f"Processing: {line}" for line in lines))
+    assert _told(_read(path)) == [
+        (one[0], "not-captured") for one in expected() if one[1] != "no-answer"
+    ]
+
+
+@pytest.mark.parametrize("transport", ["rtu", "tcp"])
+def test_a_response_may_be_read_byte_by_byte_behind_other_files(
+    tmp_path: Path, transport: str
+) -> None:
+    path = tmp_path / "log.txt"
+    lines = ['read(3, "\\177ELF\\2\\1\\1\\3\\0\\0\\0"..., 832) = 832']
+    for one in conversation(transport):
+        if one.is_request:
+            lines.append(f'sendto(3, "{_escaped(one.data)}", {len(one.data)}, 0, NULL, 0) = 12')
+        else:
+            pieces = one.data[:6], *(one.data[at : at + 1] for at in range(6, len(one.data)))
+            lines += [f'recvfrom(3, "{_escaped(each)}", 9, 0, NULL, NULL) = 1' for each in pieces]
+    path.write_text("\n".join(lines))
+    told = [(one[0], one[1].replace("not-captured", "no-answer")) for one in _told(_read(path))]
+    assert told == expected()
+
+
+def _escaped(data: bytes) -> str:
+    return "".join(
+        chr(byte) if 32 <= byte < 127 and chr(byte) not in '"\\' else f"\\{byte:03o}"
+        for byte in data
+    )
+
+
+def test_digits_of_times_in_several_lines_are_no_frame_although_their_crc_fits() -> None:
+    digits = bytes.fromhex("179583439617958343981795834400")
+    assert whole_frames(digits) == []
+    frames = TextFrames()
+    said = conversation()
+    for one in said[:2]:
+        frames.feed([one.data], Voice(b"x", None), None, 1)
+    assert frames.is_modbus
+    for row, piece in enumerate((digits[:5], digits[5:10], digits[10:]), 2):
+        assert frames.feed([piece], Voice(b"end", None), None, row) == []
+
+
+def test_requests_and_responses_need_no_frame_if_they_fit_each_other(tmp_path: Path) -> None:
+    path = tmp_path / "log.txt"
+    lines = [
+        f"conn[10.0.0.9]: {'request' if one.is_request else 'response'}: "
+        + "".join(f"[{byte:02x}]" for byte in one.data[:-2])
+        for one in conversation()
+    ]
+    path.write_text("\n".join(lines))
+    assert _told(_read(path)) == [one for one in expected() if one[1] != "no-answer"]
+    path.write_text("\n".join(line for line in lines if "request" in line))
+    with pytest.raises(InputError):
+        _read(path)
 
 
 @pytest.mark.parametrize("form", sorted(TIMED))

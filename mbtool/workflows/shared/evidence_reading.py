@@ -68,6 +68,8 @@ class EvidenceMarks:
     """For each serial line, the times (UTC ns) of its first and its last read; the key is the link
     name."""
     transactions: int = 0
+    ports: set[int] = field(default_factory=set)
+    """The TCP ports of the slaves of all transactions."""
 
 
 class EvidenceReading(Reading):
@@ -146,6 +148,9 @@ class EvidenceReading(Reading):
         about = comments_of(one, self.profile_for(one) if one.findings else None)
         numbers = [each for each in (one.request_packet, one.response_packet) if each]
         marks.used.update(numbers)
+        port = (one.destination or "").rpartition(":")[2]
+        if port.isdecimal():
+            marks.ports.add(int(port))
         damaged_ns = self._damaged.frame_of(one)
         if is_kept:
             marks.kept.update(numbers)
