@@ -91,7 +91,7 @@ class Voice(NamedTuple):
     mark: Mark | None
 
 
-class _Shown(NamedTuple):
+class _FoundFrame(NamedTuple):
     """A frame in the text, before its direction is decided."""
 
     transport: Transport
@@ -194,7 +194,7 @@ class TextFrames:
         self._misses = 0
         self._missed = 0
         """The number of runs of bytes without a frame before the log was known."""
-        self._bare_request: _Shown | None = None
+        self._bare_request: _FoundFrame | None = None
         """The last request that was shown without a frame, with the CRC that it would have."""
         self.bare = 0
         """The number of frames that were shown without their CRC."""
@@ -220,7 +220,7 @@ class TextFrames:
                 break
         else:
             found = self._joined(choices[0], voice, row)
-        shown = [_Shown(transport, raw, ts_ns, row) for transport, raw in found] or self._bare(
+        shown = [_FoundFrame(transport, raw, ts_ns, row) for transport, raw in found] or self._bare(
             choices[0], voice, ts_ns, row
         )
         if not self.is_modbus:
@@ -247,7 +247,7 @@ class TextFrames:
         """Forget incomplete bytes, as at the beginning of another dump."""
         self._parts.clear()
 
-    def _bare(self, data: bytes, voice: Voice, ts_ns: int | None, row: int) -> list[_Shown]:
+    def _bare(self, data: bytes, voice: Voice, ts_ns: int | None, row: int) -> list[_FoundFrame]:
         """Return a request and its response that are shown without a frame, once both are there."""
         is_framed = self._last is not None and not self.bare
         if is_framed or voice.mark is None or not _MIN_BARE <= len(data) <= MAX_RTU_ADU - 2:
@@ -258,9 +258,9 @@ class TextFrames:
         is_answer = asked is not None and Direction.RESPONSE in form
         if asked is not None and is_answer and _answers(asked.raw, Transport.RTU, raw):
             self.bare += 2
-            return [asked, _Shown(Transport.RTU, raw, ts_ns, row, Direction.RESPONSE)]
+            return [asked, _FoundFrame(Transport.RTU, raw, ts_ns, row, Direction.RESPONSE)]
         if Direction.REQUEST in form and data[0] <= _MAX_UNIT:
-            self._bare_request = _Shown(Transport.RTU, raw, ts_ns, row, Direction.REQUEST)
+            self._bare_request = _FoundFrame(Transport.RTU, raw, ts_ns, row, Direction.REQUEST)
         return []
 
     def _note_miss(self, data: bytes, *, is_miss: bool) -> None:
@@ -284,7 +284,7 @@ class TextFrames:
                 self._parts.popitem(last=False)
         return found
 
-    def _frame(self, one: _Shown, voice: Voice) -> TextFrame | None:
+    def _frame(self, one: _FoundFrame, voice: Voice) -> TextFrame | None:
         """Decide the direction of a frame, if it is not known; None if it was shown before."""
         transport, raw, ts_ns, row, way = one
         if self._is_network and transport is not Transport.TCP:
