@@ -74,8 +74,8 @@ def decode(
             "--output",
             "-o",
             metavar="OUT",
-            help="Write to a file: .jsonl, .csv, .parquet or .txt; with --format parquet also into "
-            "a folder, here or in an object store (s3://...): a file for each capture.",
+            help="Write to a file: .jsonl, .csv, .parquet, .ipal or .txt; with --format parquet "
+            "also into a folder, here or in an object store (s3://...): a file for each capture.",
         ),
     ] = None,
     overwrite: OverwriteOption = False,

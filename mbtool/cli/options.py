@@ -30,6 +30,7 @@ class Format(StrEnum):
     JSONL = "jsonl"
     CSV = "csv"
     PARQUET = "parquet"
+    IPAL = "ipal"
 
 
 class SortKey(StrEnum):

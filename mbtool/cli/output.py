@@ -53,6 +53,7 @@ OUTPUT_FORMATS = {
     ".csv": Format.CSV,
     ".parquet": Format.PARQUET,
     ".txt": Format.TABLE,
+    ".ipal": Format.IPAL,
 }
 
 
@@ -256,7 +257,7 @@ def open_output(
     shown = events or (EventChoice.TROUBLE if chosen is Format.TABLE else EventChoice.NONE)
     if table not in (None, TableOptions()) and chosen is not Format.TABLE:
         raise UsageError("--time, --columns, --hex, --wide and --full go with --format table")
-    if chosen in (Format.CSV, Format.PARQUET) and shown is not EventChoice.NONE:
+    if chosen in (Format.CSV, Format.PARQUET, Format.IPAL) and shown is not EventChoice.NONE:
         raise UsageError(f"--events goes with table and jsonl; a row of {chosen} is a transaction")
     if chosen is Format.PARQUET:
         if path is None:

@@ -63,6 +63,8 @@ def printer_for(
             return _CsvPrinter(file)
         case Format.PARQUET:
             return ParquetPrinter(file)
+        case Format.IPAL:
+            return _IpalPrinter(file)
 
 
 class TablePrinter(Printer):
@@ -154,6 +156,24 @@ class _CsvPrinter(LinesPrinter):
     def print(self, record: Record, number: int) -> None:
         if not isinstance(record, WireEvent):
             self._writer.write(record)
+
+
+class _IpalPrinter(Printer):
+    """Prints messages for intrusion detection systems, in the form of IPAL."""
+
+    def __init__(self, file: TextIO) -> None:
+        from mbtool.logs.ipal import IpalLines
+
+        self._file = file
+        self._lines = IpalLines()
+
+    @property
+    def takes_many(self) -> bool:
+        return False
+
+    def print(self, record: Record, number: int) -> None:
+        if not isinstance(record, WireEvent):
+            self._file.write(self._lines.lines(record))
 
 
 class ParquetPrinter(Printer):

@@ -112,7 +112,7 @@ def report(
     for remark in run.remarks:
         say(remark)
     if path is not None:
-        done = counted(run.statistics.transactions, "transaction", ",")
+        done = counted(run.account.transactions, "transaction", ",")
         say(f"{done} -> {path} ({len(text) / 1e6:.1f} MB)")
     if run.error is not None:
         raise run.error

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
     from mbtool.cli.talk import Interrupt
     from mbtool.core import SerialFormat
-    from mbtool.ledger.statistics import Statistics
+    from mbtool.ledger.account import Account
     from mbtool.troubles.judge import Judgement
     from mbtool.workflows.shared.reading import ReadingOptions
     from mbtool.workflows.stats import LiveStatistics
@@ -118,7 +118,7 @@ class _Shown:
 
     def print(
         self,
-        statistics: Statistics,
+        account: Account,
         judgement: Judgement,
         remarks: Sequence[str] = (),
         *,
@@ -136,7 +136,7 @@ class _Shown:
         with told_as_lost("standard output"):
             if self.as_json:
                 text = statistics_document(
-                    statistics,
+                    account,
                     judgement,
                     sources=[*map(shown_name, self.sources)],
                     where=self.where,
@@ -144,7 +144,7 @@ class _Shown:
                     is_whole=is_whole,
                 )
                 sys.stdout.write(text)
-            elif statistics.transactions or any(one.connections for one in judgement.links):
+            elif account.transactions or any(one.connections for one in judgement.links):
                 console = PipeConsole(file=sys.stdout)
                 for line in self.lines(judgement, console):
                     console.print(line, soft_wrap=True)
@@ -245,8 +245,8 @@ def _listen(
             for record in sniffer.records(ends, lambda: interrupt.asked):
                 live.add(record)
     live.close()
-    shown.print(live.statistics, live.judgement())
-    if not live.statistics.transactions:
+    shown.print(live.account, live.judgement())
+    if not live.account.transactions:
         say(_none(shown))
     if interrupt.asked:
         raise Interrupted

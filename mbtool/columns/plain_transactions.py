@@ -42,6 +42,9 @@ MAX_KINDS = 65_536
 AT_ONCE = 4096
 
 
+_Parts = tuple[Any, ...]
+
+
 class PlainObjects:
     """Makes named transaction objects of the rows of a capture's blocks."""
 
@@ -70,6 +73,10 @@ class RowObjects:
         self._rows = rows
         self._usual = usual
         self._is_usual = usual.is_usual.copy()  # A caller may leave out more in its own.
+        self._octets = rows.data.data
+        self._window = -1
+        """The number of the AT_ONCE rows in `_parts`, as those before are needed no more."""
+        self._parts: list[_Parts] = []
 
     def have_profile(self) -> Bools:
         """Return for each row True if its slave has a profile."""
@@ -86,65 +93,88 @@ class RowObjects:
 
     def one(self, index: int) -> NamedTransaction:
         """Return the transaction of the row with this index."""
-        return next(self.some(index, index + 1))
+        return next(self.chosen(np.array([index])))
 
     def some(self, begin: int, end: int) -> Iterator[NamedTransaction]:
         """Yield the transactions of the rows with the indices `begin` to `end` (exclusive)."""
-        return self.chosen(np.arange(begin, end))
+        while begin < end:
+            window = begin // AT_ONCE
+            first = window * AT_ONCE
+            if window != self._window:
+                indices = np.arange(first, min(first + AT_ONCE, len(self._rows.unit)))
+                self._window, self._parts = window, self._parts_of(indices)
+            stop = min(end, first + AT_ONCE)
+            yield from map(self._made, self._parts[begin - first : stop - first])
+            begin = stop
 
     def chosen(self, indices: Int64s) -> Iterator[NamedTransaction]:
         """Yield the transactions of the rows with these indices."""
         for at in range(0, len(indices), AT_ONCE):
-            yield from self._chosen(indices[at : at + AT_ONCE])
+            yield from map(self._made, self._parts_of(indices[at : at + AT_ONCE]))
 
-    def _chosen(self, indices: Int64s) -> Iterator[NamedTransaction]:
-        rows, usual, namer = self._rows, self._usual, self._objects.namer
+    def _parts_of(self, indices: Int64s) -> list[_Parts]:
+        """Return what transactions of one kind differ in, for each of the rows with these indices:
+        at most AT_ONCE.
+        """
+        rows, usual, first = self._rows, self._usual, self._rows.block.first_number
         is_usual = self._is_usual[indices]
-        begins = zip(
-            rows.request_begin[indices].tolist(), rows.request_size[indices].tolist(),
-            rows.response_begin[indices].tolist(), rows.response_size[indices].tolist(),
-            strict=True,
-        )  # fmt: skip
-        written = _lists(usual.request_values(indices[is_usual]), is_usual)
-        read = _lists(usual.response_values(indices[is_usual]), is_usual)
-        octets, first, ends = rows.data.data, rows.block.first_number, self._ends
-        models, file = self._objects.models, rows.block.file
-        for index, kind, end, begin_ns, end_ns, id_, asking, answering, at, asked, answered in zip(
-            indices.tolist(), np.where(is_usual, usual.asked[indices], -1).tolist(),
-            rows.connection[indices].tolist(), rows.request_ns[indices].tolist(),
-            rows.response_ns[indices].tolist(), rows.transaction_id[indices].tolist(),
-            (first + rows.request[indices]).tolist(), (first + rows.response[indices]).tolist(),
-            begins, written, read, strict=True,
-        ):  # fmt: skip
-            if kind < 0:
-                yield namer.name(plain_transaction(rows, index))
-                continue
-            source, place = ends[end]
-            found = models.get((file, place, kind))
-            model = self._base(index, (file, place, kind >> 32)) if found is None else found[0]
-            request, request_size, response, response_size = at
-            one = structs.replace(
-                model,
-                source=source,
-                transaction_id=id_,
-                request_ns=begin_ns,
-                response_ns=end_ns,
-                latency_ns=end_ns - begin_ns,
-                request_values=asked,
-                response_values=answered,
-                request_raw=octets[request : request + request_size].tobytes(),
-                response_raw=octets[response : response + response_size].tobytes(),
-                request_packet=asking,
-                response_packet=answering,
+        begins, sizes = rows.request_begin[indices], rows.request_size[indices]
+        starts, lengths = rows.response_begin[indices], rows.response_size[indices]
+        return list(
+            zip(
+                indices.tolist(),
+                np.where(is_usual, usual.asked[indices], -1).tolist(),
+                rows.connection[indices].tolist(),
+                rows.request_ns[indices].tolist(),
+                rows.response_ns[indices].tolist(),
+                rows.transaction_id[indices].tolist(),
+                (first + rows.request[indices]).tolist(),
+                (first + rows.response[indices]).tolist(),
+                begins.tolist(),
+                (begins + sizes).tolist(),
+                starts.tolist(),
+                (starts + lengths).tolist(),
+                _lists(usual.request_values(indices[is_usual]), is_usual),
+                _lists(usual.response_values(indices[is_usual]), is_usual),
+                strict=True,
             )
-            if found is None:
-                address, quantity = kind >> 16 & 0xFFFF, kind & 0xFFFF
-                one = namer.as_kind(structs.replace(one, address=address, quantity=quantity))
-                depends = namer.depends_on_values(one)
-                self._objects.keep((file, place, kind), one, depends=depends)
-            else:
-                _, depends = found
-            yield namer.with_values(one) if depends else one
+        )
+
+    def _made(self, parts: _Parts) -> NamedTransaction:
+        index, kind, end, begin_ns, end_ns, id_, asking, answering, *places, asked, answered = parts
+        namer, rows = self._objects.namer, self._rows
+        if kind < 0:
+            return namer.name(plain_transaction(rows, index))
+        source, place = self._ends[end]
+        key = rows.block.file, place, kind
+        found = self._objects.models.get(key)
+        model = (
+            self._base(index, (rows.block.file, place, kind >> 32)) if found is None else found[0]
+        )
+        request, request_end, response, response_end = places
+        octets = self._octets
+        one = structs.replace(
+            model,
+            source=source,
+            transaction_id=id_,
+            request_ns=begin_ns,
+            response_ns=end_ns,
+            latency_ns=end_ns - begin_ns,
+            request_values=asked,
+            response_values=answered,
+            request_raw=octets[request:request_end].tobytes(),
+            response_raw=octets[response:response_end].tobytes(),
+            request_packet=asking,
+            response_packet=answering,
+        )
+        if found is None:
+            address, quantity = kind >> 16 & 0xFFFF, kind & 0xFFFF
+            one = namer.as_kind(structs.replace(one, address=address, quantity=quantity))
+            depends = namer.depends_on_values(one)
+            self._objects.keep(key, one, depends=depends)
+        else:
+            _, depends = found
+        return namer.with_values(one) if depends else one
 
     def _base(self, index: int, key: tuple[object, ...]) -> NamedTransaction:
         bases = self._objects.bases

@@ -127,9 +127,9 @@ class _QuietBlock:
 
     def run(self, begin: int, end: int) -> QuietRun:
         return QuietRun(
-            [self._quiet_poll(places) for places in _alike(self._poll, begin, end)],
             [self._quiet_connection(places) for places in _alike(self._connection, begin, end)],
-            self._quiet_writes(begin, end),
+            lambda: [self._quiet_poll(places) for places in _alike(self._poll, begin, end)],
+            lambda: self._quiet_writes(begin, end),
             self.transaction,
         )
 
@@ -203,10 +203,13 @@ class _QuietBlock:
         if not len(chosen):
             return []
         ends = [self._ends[one] for one in self._connection[chosen].tolist()]
+        number = rows.block.first_number
+        requests, responses = rows.request[chosen] + number, rows.response[chosen] + number
+        packets = zip(requests.tolist(), responses.tolist(), strict=True)
         return [
-            QuietWrite(source, destination, at_ns, place)
-            for (_, source, destination), at_ns, place in zip(
-                ends, rows.request_ns[chosen].tolist(), chosen.tolist(), strict=True
+            QuietWrite(source, destination, at_ns, place, both)
+            for (_, source, destination), at_ns, place, both in zip(
+                ends, rows.request_ns[chosen].tolist(), chosen.tolist(), packets, strict=True
             )
         ]
 

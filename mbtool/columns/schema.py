@@ -4,14 +4,27 @@ explains each.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import pyarrow as pa
+from msgspec import inspect
+
+from mbtool.devices import NamedTransaction
+from mbtool.devices.transaction_fields import (
+    TIME,
+    column_names,
+    transaction_fields,
+    without_none,
+)
+
+if TYPE_CHECKING:
+    import msgspec
 
 Table = pa.Table
 
 _WORD = pa.dictionary(pa.int32(), pa.string())
 """The type of a column of text with few different values: each different text is stored once, and
 each row has its index."""
-_NUMBERS = pa.list_(pa.uint16())
 _POINT = pa.struct(
     [
         ("name", pa.string()),
@@ -23,52 +36,42 @@ _POINT = pa.struct(
     ]
 )
 
-SCHEMA = pa.schema(
-    [
-        ("link", _WORD),
-        ("transport", _WORD),
-        ("source", _WORD),
-        ("destination", _WORD),
-        ("unit", pa.uint8()),
-        ("transaction_id", pa.uint16()),
-        ("function", pa.uint8()),
-        ("function_name", _WORD),
-        ("sub_function", pa.uint16()),
-        ("address", pa.uint16()),
-        ("quantity", pa.uint16()),
-        ("write_address", pa.uint16()),
-        ("write_quantity", pa.uint16()),
-        ("request_values", _NUMBERS),
-        ("response_values", _NUMBERS),
-        ("exception", pa.uint8()),
-        ("exception_name", _WORD),
-        ("outcome", _WORD),
-        ("request_ns", pa.int64()),
-        ("request_parts_ns", pa.int64()),
-        ("response_ns", pa.int64()),
-        ("latency_ns", pa.int64()),
-        ("retries", pa.uint32()),
-        ("request_raw", pa.binary()),
-        ("response_raw", pa.binary()),
-        ("verdicts", pa.list_(pa.string())),
-        ("direction_by", _WORD),
-        ("confidence", pa.float64()),
-        ("device", _WORD),
-        ("reference", _WORD),
-        ("points", pa.list_(_POINT)),
-        ("findings", pa.list_(pa.string())),
-        ("time", pa.timestamp("ns", "UTC")),
-        ("file", _WORD),
-        ("response_file", _WORD),
-        ("request_packet", pa.uint64()),
-        ("response_packet", pa.uint64()),
-        ("request_offset", pa.uint64()),
-        ("response_offset", pa.uint64()),
-        ("source_mac", _WORD),
-        ("destination_mac", _WORD),
-        ("vlan", pa.uint16()),
-        ("pair_confidence", pa.float64()),
-    ]
-)
+_SIZES = {0xFF: pa.uint8(), 0xFFFF: pa.uint16(), 2**63 - 1: pa.int64()}
+"""The type of a number by the greatest number that it can be."""
+_OTHERS = {32: pa.uint32(), 64: pa.uint64()}
+"""The type of a number that has no greatest value, by its size in bits."""
+
+
+def _type(type_: inspect.Type, bits: int = 64) -> pa.DataType:
+    """Return the type of the column for a field of a transaction."""
+    match without_none(type_):
+        case inspect.IntType(le=int(le)):
+            return _SIZES[le]
+        case inspect.IntType():
+            return _OTHERS[bits]
+        case inspect.FloatType():
+            return pa.float64()
+        case inspect.BytesType():
+            return pa.binary()
+        case inspect.ListType(item_type=inspect.StructType()):
+            return pa.list_(_POINT)
+        case inspect.ListType(item_type=inspect.StrType() | inspect.EnumType()):
+            return pa.list_(pa.string())
+        case inspect.ListType(item_type=item):
+            return pa.list_(_type(item))
+        case inspect.StrType() | inspect.EnumType():
+            return _WORD
+        case other:
+            raise TypeError(f"{other} has no type of a column")
+
+
+def schema_of(cls: type[msgspec.Struct] = NamedTransaction) -> pa.Schema:
+    """Return the columns of a table of transactions of a class."""
+    types = {one.name: _type(one.type, one.bits) for one in transaction_fields(cls)}
+    types[TIME] = pa.timestamp("ns", "UTC")
+    return pa.schema([(name, types[name]) for name in column_names("table", cls)])
+
+
+SCHEMA = schema_of()
 """The columns in order. Other programs rely on them: a column never changes its name, type or
 meaning, and new columns come last."""

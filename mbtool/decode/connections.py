@@ -44,6 +44,10 @@ STREAM_LINE = SerialFormat(115200, 8, "N", 1)
 bytes come in segments; the fastest usual rate makes the fewest silences vanish."""
 
 
+_FIN = 1
+"""A FIN counts as one byte of the stream (RFC 793, 3.3)."""
+
+
 class _LostBytes(NamedTuple):
     """Bytes of one direction of a connection that the capture lacks."""
 
@@ -345,8 +349,12 @@ class ConnectionDecoder:
             if direction is Direction.RESPONSE:
                 end_ns = _until_unread(events, end_ns)
             decoded += self._paired(events, direction)
-        losses = [_LostBytes(one, progress.end(), None) for one, progress in self._progress.items()]
-        decoded += self._lost(losses, self._last_ns)
+        lost = {direction: progress.end() for direction, progress in self._progress.items()}
+        if lost[Direction.REQUEST] > _FIN:
+            request = _LostBytes(Direction.REQUEST, lost[Direction.REQUEST], None)
+            decoded += self._lost([request], self._last_ns)
+        if lost[Direction.RESPONSE]:  # A FIN may be among these bytes: their number is unsure.
+            decoded += self._pairing.note_loss(Direction.RESPONSE, 0, self._last_ns)
         return [*decoded, *self._pairing.close(end_ns)]
 
     def _placed(

@@ -299,6 +299,8 @@ class Decoder:
         detector = self._detectors.pop(item.connection, None)
         is_cut_off = item.reason in _UNSEEN_ENDS
         end_ns = max(item.ts_ns, self._last_ns) if is_cut_off else None
+        if item.unseen_since_ns is not None:
+            end_ns = item.unseen_since_ns
         records = [] if detector is None else self._end(detector, end_ns)
         state = None if detector is None else detector.state
         if state is not ProtocolState.MODBUS and not self._is_expected(item.connection):

@@ -289,7 +289,8 @@ class Pairing:
     def _alone(self, response: Adu, outcome: Outcome = Outcome.UNSOLICITED) -> list[Transaction]:
         """Return the transaction of a response that belongs to no request."""
         self._earlier.note_heard(response.unit)
-        if not self._requests:  # Its request was sent before the capture began.
+        # Its request was sent before the capture began, or is the damaged bytes before it.
+        if self._is_damaged or not self._requests:
             outcome = Outcome.NOT_CAPTURED
         # Without silences that tell a retry, it may be a repeater's copy of the response before, or
         # the response to a retry.
@@ -395,7 +396,9 @@ class Pairing:
         else:
             self._earlier.note_heard(request.unit)
         retries = self._unanswered.take(request) if self._unanswered else 0
-        done = doubted(with_response(self._ends, request, response, retries, ()), confidence)
+        done = with_response(self._ends, request, response, retries, ())
+        if confidence < 1.0:
+            done = doubted(done, confidence)
         return late(done) if is_late else done
 
     def _unanswered_of(self, requests: list[OpenLineRequest]) -> list[Transaction]:

@@ -253,6 +253,11 @@ class PairReading:
         lost = tuple(self.waiting[start : start + count])
         self.cost += cost
         self.steps += (PairStep(at_ns, None, lost),)
+        if count:
+            self.before = 0
+        elif self.before:
+            self.used_before = self.used_before or bool(self.waiting)
+            return
         self.passed += [one for one in self.waiting[:start] if one.adu is not None]
         self.waiting = self.waiting[start + count :]
         if any(one.adu is None for one in lost):
@@ -428,10 +433,14 @@ def lost_runs(reading: PairReading, lost: int) -> Iterator[tuple[float, int, int
     """Find waiting requests in a row whose responses can have `lost` bytes in total.
 
     For each such row, yields the cost of the earlier requests that it passes over (in units of
-    LATE), the index in `waiting` of its first request, and the number of its requests.
+    LATE), the index in `waiting` of its first request, and the number of its requests. The first
+    lost bytes may answer requests before the capture; then the number may be 0.
     """
     cost = 0.0
     waiting = reading.waiting
+    if reading.before:
+        for count in _counts_below(waiting[:MAX_LOST_RESPONSES], lost):
+            yield AGAIN_BEFORE if reading.used_before else BEFORE, 0, count
     for start, first in enumerate(waiting):
         for count in _counts_in(waiting[start : start + MAX_LOST_RESPONSES], lost):
             yield cost, start, count
@@ -454,6 +463,20 @@ def _counts_in(waiting: list[OpenRequest], lost: int) -> Iterator[int]:
             sums = {total + size for total in sums for size in one.response_sizes()}
         if lost in sums or (any_size and any(total + any_size <= lost for total in sums)):
             yield count
+
+
+def _counts_below(waiting: list[OpenRequest], lost: int) -> Iterator[int]:
+    """Yield 0 and each n for which the responses to the first n requests can have less than `lost`
+    bytes, so that the other bytes are at least one response.
+    """
+    sums = {0}
+    for count in range(len(waiting) + 1):
+        if not any(total + SMALLEST_RESPONSE <= lost for total in sums):
+            return
+        yield count
+        if count < len(waiting):
+            sizes = waiting[count].response_sizes() or (SMALLEST_RESPONSE,)
+            sums = {total + size for total in sums for size in sizes}
 
 
 def without_costly(readings: list[PairReading]) -> list[PairReading]:

@@ -18,7 +18,8 @@
 #
 # A connection is foreign
 #   - if its beginning was captured and cannot begin an ADU. If Modbus is expected this must be true
-#     of both directions; expected RTU may also begin with noise;
+#     of both directions; expected RTU may also begin with noise. A first message that would be an
+#     ADU but for its protocol id speaks for Modbus there: its master sends others, too;
 #   - after MAX_MALFORMED malformed ADUs; if Modbus is expected, after one that begins like another
 #     protocol's message, as LDAP (with a BER length in long form) can look like an MBAP header;
 #   - if the first captured bytes of both directions are TLS records, also without the connection's
@@ -47,7 +48,7 @@ from mbtool.core import Direction, EventKind, WireEvent
 from mbtool.decode.connections import ConnectionDecoder, Decoded
 from mbtool.decode.foreign_protocols import TLS, begins_tls_record, foreign_protocol
 from mbtool.decode.stream_progress import OTHER
-from mbtool.framing.mbap import LONG_HEADER
+from mbtool.framing.mbap import LONG_HEADER, MAX_LENGTH, MIN_LENGTH
 from mbtool.framing.rtu_lengths import begins_with_frame
 from mbtool.modbus.adu import MAX_RTU_ADU, Adu, Verdict
 from mbtool.modbus.functions import FUNCTIONS
@@ -404,7 +405,9 @@ class _ProtocolCandidate:
     def _may_begin_adu(self, head: bytes, direction: Direction) -> bool:
         if self._is_rtu:  # One direction may carry a whole line, and so begin with either.
             return any(begins_with_frame(head, each) is not False for each in OTHER)
-        return (LONG_HEADER if len(head) >= _MBAP_SIZE else _MBAP_PREFIX).match(head) is not None
+        if (LONG_HEADER if len(head) >= _MBAP_SIZE else _MBAP_PREFIX).match(head) is not None:
+            return True
+        return self.is_expected and _is_adu_but_for_its_protocol_id(head, direction)
 
     def add(self, decoded: list[Decoded]) -> None:
         """Append to `self.decoded`, and count the evidence for or against this candidate."""
@@ -446,6 +449,19 @@ class _ProtocolCandidate:
         if not (self.is_confirmed or self.is_ruled_out):
             self.is_ruled_out = speaks_against
             self.is_confirmed = is_enough and not speaks_against
+
+
+def _is_adu_but_for_its_protocol_id(head: bytes, direction: Direction) -> bool:
+    """True if the first message in `head` has the length and form of an ADU; also if its header has
+    come and not yet all of it.
+    """
+    length = int.from_bytes(head[4:_MBAP_SIZE])
+    if len(head) < _MBAP_SIZE or not MIN_LENGTH <= length <= MAX_LENGTH:
+        return False
+    if len(head) < _MBAP_SIZE + length:
+        return True
+    pdu = head[_MBAP_SIZE + 1 : _MBAP_SIZE + length]
+    return pdu_length(pdu, direction) == len(pdu)
 
 
 def _head(head: bytes, data: bytes) -> bytes:

@@ -139,14 +139,14 @@ class StreamProgress:
     def end(self) -> int:
         """End this direction; return the number of bytes lost behind its last ADU."""
         if self.captured is None:
-            return 0
+            return self.without_places()  # Nothing of this direction was captured.
         end = max(self.captured, self._acknowledged)
         return self._tell(end, end) if self._missing or end > self.captured else 0
 
     def without_places(self) -> int:
         """Return the number of bytes that are missing in the gaps since the last call.
 
-        Used if the source gives its segments no stream positions.
+        Used if the source gives its segments no stream positions, and if it gives no segments.
         """
         missing, self._missing = self._missing, 0
         return missing

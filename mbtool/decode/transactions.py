@@ -58,6 +58,8 @@ def with_response(
     number of unanswered requests before `request` with the same unit and PDU.
     """
     noticed = [*request.verdicts, *response.verdicts, *verdicts]
+    if Verdict.SPLIT in request.verdicts and Verdict.SPLIT not in response.verdicts:
+        noticed.append(Verdict.ONLY_REQUEST_SPLIT)
     if request.missing or response.missing:
         return _cut(ends, request, response, noticed, confidence)
     facts, pdu = _request_facts(request.pdu), response.pdu

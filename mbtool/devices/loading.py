@@ -274,7 +274,7 @@ def _convert(cls: type[_T], value: Any, file: str, key: str) -> _T:
                 file, _join(key, name), f"this key is missing: {about[0].lower()}{about[1:]}"
             )
     fields = dict(value)
-    for name in ("texts", "bits"):
+    for name in ("texts", "bits", "units"):
         if name in value:
             fields[name] = _parse_texts(value[name], file, _join(key, name))
     if cls is FunctionRule and "answer" in value:

@@ -175,7 +175,10 @@ class FunctionRule(_Part, frozen=True, kw_only=True):
     data: Annotated[
         str | None, _about("Hexadecimal bytes that must follow the function code; more may follow.")
     ] = None
-    title: Annotated[str | None, _about("The vendor's name for the vendor's own function.")] = None
+    title: Annotated[
+        str | None,
+        _about("The vendor's name for the function; decode shows that of the vendor's own only."),
+    ] = None
     answer: Annotated[AnswerWord | None, _about("The response to the vendor's function.")] = None
     answers: Annotated[bool, _about("False if the device gives no response.")] = True
     echoes: Annotated[bool, _about("True if the response to it repeats the request.")] = False
@@ -268,6 +271,17 @@ class Point(_Part, frozen=True, kw_only=True):
         _about(
             "The point that holds a power of ten, -10 to 10, by which the number is multiplied."
         ),
+    ] = None
+    units_from: Annotated[
+        str | None,
+        _about(
+            "The beginning of the names of nibble fields whose number for this point's channel "
+            "chooses its unit."
+        ),
+    ] = None
+    units: Annotated[Texts, _about("The unit for each number of `units_from`.")] = {}
+    after: Annotated[
+        str | None, _about("Octets: the point with the octets before these, in one address.")
     ] = None
     no_value: Annotated[int | None, _about("The number in the register that means: no value.")] = (
         None

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import msgspec
 
 from mbtool.modbus.functions import FUNCTIONS
-from mbtool.modbus.transaction import Outcome, Transaction
+from mbtool.modbus.transaction import Outcome, Transaction, about
 
 
 # gc=False: values never form a reference cycle, so the garbage collector need not track them.
@@ -32,15 +34,20 @@ class PointValue(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, 
 class NamedTransaction(Transaction, frozen=True, kw_only=True, omit_defaults=True):
     """A transaction with the names and values that the device's manual gives to its addresses."""
 
-    device: str | None = None
+    device: Annotated[str | None, about("The name of the device's profile", 15, 27)] = None
     """The name of the slave's profile; None if the slave has none."""
-    reference: str | None = None
+    reference: Annotated[
+        str | None, about("What is addressed, in the vendor's notation", 16, 28)
+    ] = None
     """The addresses of the request, in the vendor's notation: `HR400001..400002`. None if the
     request has no addresses."""
-    points: list[PointValue] = []  # noqa: RUF012 - msgspec copies an empty list per record
+    points: Annotated[
+        list[PointValue],
+        about("The named values that the response brought or the request asks to write", 22, 29),
+    ] = []  # noqa: RUF012 - msgspec copies an empty list per record
     """The named values in the response, or in the request if it writes. A failed write has them,
     too."""
-    findings: list[str] = []  # noqa: RUF012 - msgspec copies an empty list per record
+    findings: Annotated[list[str], about("Codes of broken rules", 23, 30)] = []  # noqa: RUF012 - msgspec copies an empty list per record
     """The codes of the rules that the transaction breaks (docs/findings.md)."""
 
     @property

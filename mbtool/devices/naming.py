@@ -24,6 +24,7 @@ import msgspec
 
 from mbtool.devices.assignment import Assignments
 from mbtool.devices.identity import answer_word, identity_points
+from mbtool.devices.joined_words import JoinedWords
 from mbtool.devices.model import READ_AND_WRITE, AnswerWord, Point, Profile
 from mbtool.devices.named_transaction import NamedTransaction, PointValue
 from mbtool.devices.point_types import PointType
@@ -46,7 +47,7 @@ from mbtool.devices.scale_factors import ScaleFactors
 from mbtool.devices.standard_checks import LAST_UNIT, form_codes, request_codes
 from mbtool.devices.values import PointInstance, point_instances, point_values
 from mbtool.modbus.adu import Verdict
-from mbtool.modbus.functions import FUNCTIONS
+from mbtool.modbus.functions import FUNCTIONS, TABLE_FUNCTIONS
 from mbtool.modbus.identification import ENCAPSULATED, REPORT_SERVER_ID
 from mbtool.modbus.tables import Table
 from mbtool.modbus.transaction import Outcome
@@ -178,6 +179,7 @@ class _Vocabulary:
         self._scale_factors: ScaleFactors | None = None
         self._ranges: Ranges = {}
         self._fixed_data: dict[int, bytes] = {}
+        self._joined: JoinedWords | None = None
         self._silent = frozenset[int]()
         """The functions to whose requests the manual states no response."""
         if profile is not None:
@@ -197,9 +199,15 @@ class _Vocabulary:
     def with_values(self, named: NamedTransaction) -> NamedTransaction:
         """See Namer.with_values."""
         meaning = self._scaled_meaning(named)
-        points = _points(meaning, named)
+        points = self._points_of(meaning, named)
         findings = self._findings(meaning, named, points)
         return msgspec.structs.replace(named, points=points, findings=findings)
+
+    def _points_of(self, meaning: _Meaning, transaction: Transaction) -> list[PointValue]:
+        points = _points(meaning, transaction)
+        if self._joined is None or not points:
+            return points
+        return self._joined.words(transaction, points)
 
     def _scaled_meaning(self, transaction: Transaction) -> _Meaning:
         meaning = self._meaning(transaction)
@@ -209,7 +217,7 @@ class _Vocabulary:
 
     def name(self, transaction: Transaction) -> NamedTransaction:
         meaning = self._scaled_meaning(transaction)
-        points = _points(meaning, transaction)
+        points = self._points_of(meaning, transaction)
         findings = self._findings(meaning, transaction, points)
         return self._named(transaction, meaning, points, findings)
 
@@ -286,6 +294,7 @@ class _Vocabulary:
 
     def _compile(self, profile: Profile) -> None:
         self._ranges = value_ranges(profile)
+        self._joined = JoinedWords.of(profile)
         self._fixed_data = fixed_data(profile)
         self._silent = frozenset(
             int(code, 16) for code, rule in profile.functions.items() if not rule.answers
@@ -326,7 +335,8 @@ class _Vocabulary:
         if self.profile is not None:
             rule = self.profile.rule(function)
             if rule is not None:
-                title = rule.title
+                # A function of the standard keeps its name; the profile's is for readers.
+                title = None if function in TABLE_FUNCTIONS else rule.title
                 if rule.answer is not None:
                     answer, texts = _answer_point(rule.answer, function), rule.answer.texts
         known = FUNCTIONS.get(function)

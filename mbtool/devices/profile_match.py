@@ -169,7 +169,7 @@ def _match(slave: ObservedSlave, profile: Profile, known: dict[Table, bytearray]
     against: list[str] = []
     is_model, is_other = _compare_models(slave, profile, reasons, against)
     has_name = _compare_names(slave, profile, reasons)
-    explained, contradicted, refusals = _compare_requests(slave, profile, against)
+    explained, contradicted, refused, refusals = _compare_requests(slave, profile, against)
     if explained:
         count = explained + contradicted
         what = "the one request" if count == 1 else f"{explained} of {count} different requests"
@@ -190,7 +190,7 @@ def _match(slave: ObservedSlave, profile: Profile, known: dict[Table, bytearray]
         is_model=is_model,
         is_other_model=is_other,
         has_name=has_name,
-        refused=len(refusals),
+        refused=refused,
         reasons=tuple([*reasons, *refusals][:_MAX_REASONS]),
         against=tuple(against[:_MAX_REASONS]),
     )
@@ -198,22 +198,27 @@ def _match(slave: ObservedSlave, profile: Profile, known: dict[Table, bytearray]
 
 def _compare_requests(
     slave: ObservedSlave, profile: Profile, against: list[str]
-) -> tuple[int, int, list[str]]:
+) -> tuple[int, int, int, list[str]]:
     """Return the number of different requests that ended as the profile predicts, the number of
-    those that did not, and a sentence for each request that the slave refused as predicted.
+    those that did not, the number of those that the slave refused as predicted, and a sentence for
+    each of the first _MAX_REASONS of these.
 
-    Adds a sentence to `against` for each request that ended otherwise.
+    Adds a sentence to `against` for each request that ended otherwise, until it has _MAX_REASONS:
+    to write the references of thousands of requests would take long.
     """
-    explained, before = 0, len(against)
+    explained = contradicted = refused = 0
     refusals: list[str] = []
     for one in compare_with_profile(slave, profile):
-        explained += not one.is_against
         if one.is_against:
-            against.append(f"{one.reference} {one.end}, though {one.rule}")
-        elif not one.is_accepted:
+            contradicted += 1
+            if len(against) < _MAX_REASONS:
+                against.append(f"{one.reference} {one.end}, though {one.rule}")
+            continue
+        explained += 1
+        refused += not one.is_accepted
+        if not one.is_accepted and len(refusals) < _MAX_REASONS:
             refusals.append(f"{one.reference} refused, as {one.rule}")
-    contradicted = len(against) - before
-    return explained, contradicted, refusals
+    return explained, contradicted, refused, refusals
 
 
 def _compare_models(

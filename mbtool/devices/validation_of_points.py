@@ -58,6 +58,7 @@ def validate_point(point: Point, errors: PartErrors) -> None:
     if point.words == 1 and point.word_order is WordOrder.LOW_FIRST:
         errors.wrong("word_order", f"{point.type} has one register; 'byte_order' swaps its bytes")
     _validate_scale(point, errors)
+    _validate_joined(point, errors)
     _validate_no_value(point, errors)
     _validate_channels(point, errors)
     _validate_bits(point, errors)
@@ -113,6 +114,15 @@ def _validate_channels(point: Point, errors: PartErrors) -> None:
         errors.wrong(
             "channels", f"{point.channels} do not fit a register; {WORD_BITS // bits} at most do"
         )
+
+
+def _validate_joined(point: Point, errors: PartErrors) -> None:
+    if (point.units_from is None) == bool(point.units):
+        errors.wrong("units", "units_from says where the number is, units what it means: give both")
+    if point.units_from is not None and point.type is not PointType.UINT16:
+        errors.wrong("units_from", f"only uint16 has it, not {point.type}")
+    if point.after is not None and point.type is not PointType.OCTETS:
+        errors.wrong("after", f"only octets have it, not {point.type}")
 
 
 def _validate_bits(point: Point, errors: PartErrors) -> None:

@@ -1,75 +1,30 @@
-"""Measures the time during which a link was watched, and counts missing answers by hour."""
-
-# Memory: the counts of MAX_HOURS hours for each link; at the limit the oldest hour is dropped.
+"""The account of one link: the time during which it was watched, and its settings."""
 
 from __future__ import annotations
 
-from collections import Counter
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
 
     from mbtool.core import SerialFormat
     from mbtool.devices.named_transaction import NamedTransaction
+    from mbtool.ledger.time_bins import Row
     from mbtool.modbus import Transport
-
-MAX_HOURS = 24 * 31
-HOUR_NS = 3_600_000_000_000
-
-
-class HourCount(NamedTuple):
-    """The number of requests in the hour that begins at `begin_ns` (UTC ns)."""
-
-    begin_ns: int
-    requests: int
-    missing: int
-    """The number of requests in the hour that got no answer."""
-
-
-class Hours:
-    """Counts the requests of a link, and the missing answers to them, for each hour (UTC)."""
-
-    def __init__(self) -> None:
-        self._hours: dict[int, list[int]] = {}
-
-    def add(self, at_ns: int, *, is_missing: bool) -> None:
-        self._add(at_ns // HOUR_NS, 1, int(is_missing))
-
-    def add_answered(self, times_ns: Sequence[int]) -> None:
-        """Count requests that were answered; `times_ns` (UTC ns) has the time of each, and is not
-        empty.
-        """
-        first, last = min(times_ns) // HOUR_NS, max(times_ns) // HOUR_NS
-        if first == last:
-            self._add(first, len(times_ns), 0)
-            return
-        for hour, requests in sorted(Counter(time // HOUR_NS for time in times_ns).items()):
-            self._add(hour, requests, 0)
-
-    def _add(self, hour: int, requests: int, missing: int) -> None:
-        counts = self._hours.get(hour)
-        if counts is None:
-            if len(self._hours) >= MAX_HOURS:
-                del self._hours[min(self._hours)]
-            counts = self._hours[hour] = [0, 0]
-        counts[0] += requests
-        counts[1] += missing
-
-    def counts(self) -> list[HourCount]:
-        return [HourCount(hour * HOUR_NS, *counts) for hour, counts in sorted(self._hours.items())]
 
 
 class LinkStatistics:
-    """The times at which one link was watched, its requests by hour, and the settings of a serial
-    line.
+    """The times at which one link was watched, and the settings of a serial line.
 
     A link is a serial bus, or a slave's address on a network.
     """
 
-    def __init__(self, format_of: Callable[[str], SerialFormat | None]) -> None:
+    def __init__(self, format_of: Callable[[str], SerialFormat | None], bins: Row) -> None:
         self._format_of = format_of
+        self.bins = bins
+        """Its counts over time, by LinkSum."""
         self.transport: Transport | None = None
+        """The transport of its last capture; None if there was no transaction."""
         self.format: SerialFormat | None = None
         """The baud rate and character format of a serial line; None on a network, and if the bytes
         have no times."""
@@ -82,7 +37,8 @@ class LinkStatistics:
         self.other_bytes = 0
         """The number of bytes on the line that belong to no frame. This includes the second copy of
         frames that an adapter hears twice, because it hears its own bytes."""
-        self.hours = Hours()
+        self.bad_checks = 0
+        """The number of frames with a wrong CRC or LRC."""
         self.first_ns: int | None = None
         self.last_ns: int | None = None
         self._earlier_ns = 0
@@ -91,13 +47,6 @@ class LinkStatistics:
         times."""
         self._is_new = True
         """True until the first transaction of the current capture on this link is noted."""
-
-    def note(self, one: NamedTransaction) -> None:
-        """Extend the time during which the link was watched, so that it includes the transaction
-        `one`.
-        """
-        begin_ns = one.start_ns
-        self.note_span(one, begin_ns, max(one.response_ns or begin_ns, begin_ns))
 
     def note_span(self, one: NamedTransaction, begin_ns: int, end_ns: int) -> None:
         """Extend the time during which the link was watched, so that it includes `begin_ns` to
@@ -112,7 +61,7 @@ class LinkStatistics:
             return
         if self.span is None:
             self.span = begin_ns, end_ns
-        else:
+        elif begin_ns < self.span[0] or end_ns > self.span[1]:
             self.span = min(self.span[0], begin_ns), max(self.span[1], end_ns)
 
     def _begin_span(self, one: NamedTransaction) -> None:

@@ -5,117 +5,89 @@
 from __future__ import annotations
 
 from collections import deque
+from enum import IntEnum
 from itertools import repeat
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from mbtool.ledger.poll_cycle import Asked, PollLists, find_lists
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from mbtool.ledger.poll_statistics import PollStatistics
+
+    TapedRequest = tuple[int, PollStatistics, int, int, int]
+    """A request: its time (UTC ns, of its last byte), its poll, the time of the response's last
+    byte (without a response in time, of the request's), the time (ns) that the bytes of the request
+    took on a serial line (0 on a network), and an item of Lacks. A plain tuple, as there are
+    many."""
 
 MAX_ASKED = 2048
 """The number of requests kept for each master: enough for three cycles of a list of 680 polls."""
 
 
-class TapedRequest(NamedTuple):
-    """A request, and the poll that it belongs to. Requests compare by time, and at equal times by
-    number.
-    """
+class Lacks(IntEnum):
+    """What the response to a request lacks."""
 
-    at_ns: int
-    """The time (UTC ns) of the request's last byte."""
-    number: int
-    """The number of the transaction, in the order in which transactions were completed. It
-    is 0 if the request was added to the tape in a batch."""
-    poll: PollStatistics
-    end_ns: int
-    """The time (UTC ns) of the response's last byte; without a response, of the request's last
-    byte."""
-    is_missing: bool
-    """True if the slave had to respond and did not, or late, or only with a wrong CRC or LRC."""
-    wire_ns: int
-    """The time (ns) that the bytes of the request took on a serial line; 0 on a network."""
-    is_damaged: bool = False
-    """True if `is_missing` is True because the response had a wrong CRC or LRC."""
-    is_late: bool = False
-    """True if `is_missing` is True because the response was late; `end_ns` is the request's."""
+    NOTHING = 0
+    RESPONSE = 1
+    """The slave had to respond and did not, or late."""
+    CHECK = 2
+    """The response had a wrong CRC or LRC."""
 
 
 class MasterTape:
     """The last requests of one master on one link. The caller adds them in order of time."""
 
     def __init__(self) -> None:
-        self._asked: deque[TapedRequest] = deque(maxlen=MAX_ASKED)
-        self._last: TapedRequest | None = None
-        self._later: deque[tuple[list[int], list[PollStatistics], list[int]]] = deque()
-        """Batches of answered requests that came after the requests in `_asked`.
+        # The fields of TapedRequest: columns of integers cost the garbage collector nothing.
+        self._at_ns: deque[int] = deque(maxlen=MAX_ASKED)
+        self._polls: deque[PollStatistics] = deque(maxlen=MAX_ASKED)
+        self._ends_ns: deque[int] = deque(maxlen=MAX_ASKED)
+        self._wires_ns: deque[int] = deque(maxlen=MAX_ASKED)
+        self._lacks: deque[int] = deque(maxlen=MAX_ASKED)
+        self._columns = self._at_ns, self._polls, self._ends_ns, self._wires_ns, self._lacks
 
-        Each batch has three lists of equal length: the times of the requests (UTC ns), their polls,
-        and the times of the responses (UTC ns)."""
-
-    def add(self, asked: TapedRequest) -> bool:
-        """Add the next request. Returns True if it is a retry: the request before it is equal and
-        got no response.
-        """
-        self._join()
-        last, self._last = self._last, asked
-        self._asked.append(asked)
-        return last is not None and last.is_missing and last.poll is asked.poll
+    def add(self, asked: Sequence[TapedRequest]) -> None:
+        for one in asked[-MAX_ASKED:]:
+            self._at_ns.append(one[0])
+            self._polls.append(one[1])
+            self._ends_ns.append(one[2])
+            self._wires_ns.append(one[3])
+            self._lacks.append(one[4])
 
     def add_answered(
-        self, at_ns: list[int], polls: list[PollStatistics], ends_ns: list[int]
+        self, at_ns: Sequence[int], polls: Sequence[PollStatistics], ends_ns: Sequence[int]
     ) -> None:
-        """Add answered requests of a network, in order of time; call it only if `is_waiting` is
-        False.
-
-        The lists have one element for each request: its time, its poll, and the time of its
-        response (times in UTC ns).
-        """
-        self._later.append((at_ns, polls, ends_ns))
-        self._last = TapedRequest(at_ns[-1], 0, polls[-1], ends_ns[-1], False, 0)
-        while sum(len(one[0]) for one in self._later) - len(self._later[0][0]) >= MAX_ASKED:
-            self._later.popleft()
-
-    def _join(self) -> None:
-        for at_ns, polls, ends_ns in self._later:
-            some = slice(-MAX_ASKED, None)  # `_asked` would drop all earlier ones at once.
-            self._asked.extend(
-                map(
-                    TapedRequest,
-                    at_ns[some],
-                    repeat(0),
-                    polls[some],
-                    ends_ns[some],
-                    repeat(False),
-                    repeat(0),
-                )
-            )
-        self._later.clear()
+        """Add answered requests of a network: their times, polls, and times of the responses."""
+        self._at_ns.extend(at_ns)
+        self._polls.extend(polls)
+        self._ends_ns.extend(ends_ns)
+        for column in (self._wires_ns, self._lacks):
+            column.extend(repeat(0, len(at_ns)))
 
     @property
-    def is_waiting(self) -> bool:
-        """True if the last request got no response, so that the next one may be its retry."""
-        return self._last is not None and self._last.is_missing
+    def unanswered(self) -> PollStatistics | None:
+        """The poll of the last request if it got no response, so that the next one may be its
+        retry.
+        """
+        return self._polls[-1] if self._lacks and self._lacks[-1] else None
 
     def cut(self) -> None:
         """Forget all requests, because a new capture begins, which does not continue the poll
         cycles of the last one.
         """
-        self._asked.clear()
-        self._later.clear()
-        self._last = None
+        for column in self._columns:
+            column.clear()
 
     def __len__(self) -> int:
-        return min(len(self._asked) + sum(len(at_ns) for at_ns, _, _ in self._later), MAX_ASKED)
+        return len(self._at_ns)
 
     def lists(self) -> PollLists[PollStatistics]:
-        return find_lists(self._requests())
-
-    def _requests(self) -> list[Asked[PollStatistics]]:
-        asked = [
-            Asked(one.poll, one.at_ns - one.wire_ns, one.end_ns, one.is_missing, one.is_damaged)
-            for one in self._asked
-        ]
-        for at_ns, polls, ends_ns in self._later:
-            asked += map(Asked, polls, at_ns, ends_ns, repeat(False))
-        return asked[-MAX_ASKED:]
+        """Return the lists that the master polls in cycles."""
+        return find_lists(
+            [
+                Asked(poll, at_ns - wire_ns, end_ns, lacks > 0, lacks == Lacks.CHECK)
+                for at_ns, poll, end_ns, wire_ns, lacks in zip(*self._columns, strict=True)
+            ]
+        )

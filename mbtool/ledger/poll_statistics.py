@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from mbtool.devices.named_transaction import NamedTransaction
-    from mbtool.ledger.unit_times import UnitTimes
+    from mbtool.ledger.unit_account import UseAccount
 
 LONG_NS = 3_000_000_000
 """The longest periods of a poll are kept with their begins if they are at least this long (ns)."""
@@ -84,14 +84,12 @@ class PollStatistics:
         "reference",
         "repetitions",
         "tally",
-        "times",
+        "use",
     )
 
-    def __init__(
-        self, number: int, key: PollKey, first: NamedTransaction, times: UnitTimes
-    ) -> None:
-        self.times = times
-        """The times of all requests to the unit of the poll."""
+    def __init__(self, number: int, key: PollKey, first: NamedTransaction, use: UseAccount) -> None:
+        self.use = use
+        """The use of the poll's function; its unit and its master are there."""
         self.number = number
         """The number of the poll, from 0, in the order in which polls were first seen."""
         self.key = key
@@ -105,18 +103,18 @@ class PollStatistics:
         """The length (ns) and the begin (UTC ns) of the longest periods, the longest first."""
         self.repetitions = 0
         """The number of retries: requests that directly follow an equal request without a
-        response, and do not come at the usual period of the poll."""
+        response, and do not come at the usual period of the poll. The account counts them."""
         self._last_ns: int | None = None
         """The time (UTC ns) of the last request that is no retry."""
         self._asked_ns = 0
         """The time (UTC ns) of the last request, be it a retry or not; 0 if `_last_ns` is None."""
-        self._again_ns: list[int] = []
+        self._again_ns: tuple[int, ...] = ()
         """The times (UTC ns) of the last retries, if the poll has no usual period; at most
         _STEADY."""
 
     def begin(self, at_ns: int) -> None:
         """Note a request of the poll that is no retry. `at_ns` (UTC ns) is its time."""
-        self._again_ns.clear()
+        self._again_ns = ()
         if self._last_ns is not None:
             self.period.add(at_ns - self._last_ns)
             self._note_longest((at_ns - self._last_ns,), (self._last_ns,))
@@ -146,8 +144,8 @@ class PollStatistics:
         ns).
 
         It is no retry if it comes at the usual period of the poll after the last poll, or after the
-        last request of any kind: a poll can come late, and the polls after it keep that delay.
-        `repetitions` counts what the result says.
+        last request of any kind: a poll can come late, and the polls after it keep that delay. The
+        caller counts the retries that the result tells.
         """
         last_ns, asked_ns = self._last_ns, self._asked_ns
         self._asked_ns = at_ns
@@ -155,15 +153,13 @@ class PollStatistics:
             self.begin(at_ns)
             return RetryChange()
         if self.period.count < _ENOUGH_PERIODS:
-            self._again_ns.append(at_ns)
+            self._again_ns = (*self._again_ns, at_ns)
             times = (last_ns, *self._again_ns)[-_STEADY - 1 :]
             if len(times) > _STEADY and _are_steady(times):
-                again_ns = self._again_ns.copy()
-                self.repetitions -= len(again_ns) - 1
+                again_ns = self._again_ns
                 self.begin_all(again_ns)
                 return RetryChange(withdrawn=again_ns[:-1])
-            del self._again_ns[:-_STEADY]
-        self.repetitions += 1
+            self._again_ns = self._again_ns[-_STEADY:]
         return RetryChange(found=(at_ns,))
 
     def _is_usual(self, *distances_ns: int) -> bool:
@@ -178,7 +174,7 @@ class PollStatistics:
         period.
         """
         self._last_ns, self._asked_ns = None, 0
-        self._again_ns.clear()
+        self._again_ns = ()
 
     @property
     def has_regular_period(self) -> bool:

@@ -1,68 +1,50 @@
-"""Sorts requests by time, as needed for periods of polls, poll cycles and counts by hour."""
+"""Sorts requests by time, as needed for periods of polls, retries and poll cycles."""
 
 # A request without a response is reported only after its timeout, so after many requests that were
-# sent later. So each request waits in a heap until WINDOW further requests have been added. A
-# request that comes after a later one has left the heap is only counted, in `late`.
+# sent later. So requests wait until there are 2 * WINDOW of them; then the WINDOW earliest ones are
+# passed on. A request that comes after a later one was passed on is only counted, in `late`.
 #
-# Memory: WINDOW requests, and for each of at most MAX_TAPES masters its last requests.
+# Memory: 2 * WINDOW requests, and for each of at most MAX_TAPES masters its last requests.
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections import OrderedDict
-from heapq import heappop, heappush
 from itertools import count, repeat
-from operator import sub
-from typing import TYPE_CHECKING, NamedTuple
+from operator import itemgetter, sub
+from typing import TYPE_CHECKING
 
-from mbtool.ledger.master_tape import MasterTape, TapedRequest
+from mbtool.ledger.master_tape import MAX_ASKED, Lacks, MasterTape
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence, Set
+    from collections.abc import Callable, Sequence, Set
 
-    from mbtool.ledger.answered_run import AnsweredRun
-    from mbtool.ledger.link_statistics import LinkStatistics
+    from mbtool.ledger.master_tape import TapedRequest
     from mbtool.ledger.poll_statistics import PollStatistics
 
 MAX_TAPES = 256
 WINDOW = 2048
-
-
-class _AskedColumns(NamedTuple):
-    """Answered TCP requests in the order in which they were added, as three lists of equal length.
-
-    The lists have the time of each request (UTC ns), its poll, and the time of its response (UTC
-    ns).
-    """
-
-    at_ns: list[int]
-    polls: list[PollStatistics]
-    ends_ns: list[int]
+_AT_NS = itemgetter(0)
 
 
 class RequestOrder:
-    """Sorts requests by time and passes each on to three places: the counts per hour of its link,
-    the periods of its poll, and its master's tape (the list of the master's last requests).
+    """Sorts requests by time and passes each on to two places: the periods of its poll, and its
+    master's tape (the list of the master's last requests).
     """
 
-    def __init__(
-        self,
-        links: Mapping[str, LinkStatistics],
-        on_retry: Callable[[PollStatistics, int, int], None],
-    ) -> None:
+    def __init__(self, on_retry: Callable[[PollStatistics, int, int], None] | None) -> None:
         """`on_retry` is called with a poll, the time (UTC ns) of a retry, and 1; or with -1, if a
-        request that was told as a retry turns out to be none.
+        request that was told as a retry turns out to be none. None if nobody asks for retries.
         """
-        self._links = links
         self._on_retry = on_retry
         self.tapes: OrderedDict[tuple[str, str], MasterTape] = OrderedDict()
         """The tape (the last requests) of each master; the key is the link and the master's
         host."""
         self.late = 0
         """The number of requests left out because a later request had already been passed on."""
-        self._heap: list[TapedRequest] = []
+        self._waiting: list[TapedRequest] = []
         self._ordered_ns = 0
         """The time (UTC ns) of the last request that was passed on, in the order of time."""
-        self._taken = 0
 
     def begin_capture(self) -> None:
         """Note that the next request belongs to another capture, whose times may be earlier."""
@@ -75,147 +57,114 @@ class RequestOrder:
         """Pass on the waiting requests in order of time: those before `before_ns` (UTC ns), or all
         of them if it is None.
         """
-        while self._heap and (before_ns is None or self._heap[0].at_ns < before_ns):
-            self._order(heappop(self._heap))
-
-    def add(
-        self,
-        at_ns: int,
-        poll: PollStatistics,
-        end_ns: int,
-        wire_ns: int,
-        *,
-        is_missing: bool,
-        is_damaged: bool = False,
-        is_late: bool = False,
-    ) -> None:
-        """Add a request; the arguments are the fields of the same names in TapedRequest (times in
-        UTC ns).
-        """
-        self._taken += 1
-        if at_ns < self._ordered_ns:
-            self.late += 1
-            return
-        heappush(
-            self._heap,
-            TapedRequest(
-                at_ns, self._taken, poll, end_ns, is_missing, wire_ns, is_damaged, is_late
-            ),
-        )
-        if len(self._heap) > WINDOW:
-            self._order(heappop(self._heap))
-
-    def add_run(self, run: AnsweredRun, polls: Sequence[PollStatistics]) -> None:
-        """Add a batch of answered TCP requests; `polls[i]` is the poll of the group `run.kinds[i]`.
-
-        The result is the same as if `add` was called for each request, but it takes less time.
-        """
-        if len(run.kind) < WINDOW // 4:  # For few requests, sorting the heap takes longer.
-            self._add_each(run, polls)
-            return
-        held = sorted(self._heap)
-        asked = _AskedColumns(
-            [one.at_ns for one in held] + run.request_ns,
-            [one.poll for one in held] + [polls[kind] for kind in run.kind],
-            [one.end_ns for one in held] + run.response_ns,
-        )
-        order = sorted(range(len(asked.at_ns)), key=asked.at_ns.__getitem__)
-        # The greatest number of positions by which a request stands later in `asked` than in order
-        # of time.
-        behind = max(map(sub, order, count()))
-        is_simple = (
-            len(order) > WINDOW >= behind
-            and asked.at_ns[order[0]] >= self._ordered_ns
-            and not any(one.is_missing or one.wire_ns for one in held)
-            and self._can_tape_all({(poll.key.link, poll.key.master) for poll in {*asked.polls}})
-        )
-        if not is_simple:
-            self._add_each(run, polls)
-            return
-        last = order[-WINDOW:]
-        self._heap = list(
-            map(
-                TapedRequest,
-                map(asked.at_ns.__getitem__, last),
-                map(self._taken.__add__, last),
-                map(asked.polls.__getitem__, last),
-                map(asked.ends_ns.__getitem__, last),
-                repeat(False),
-                repeat(0),
-            )
-        )
-        self._taken += len(order)
-        self._order_all(asked, order[:-WINDOW])
-
-    def _add_each(self, run: AnsweredRun, polls: Sequence[PollStatistics]) -> None:
-        for at_ns, kind, end_ns in zip(run.request_ns, run.kind, run.response_ns, strict=True):
-            self.add(at_ns, polls[kind], end_ns, 0, is_missing=False)
-
-    def _order_all(self, asked: _AskedColumns, order: list[int]) -> None:
-        """Pass on answered requests, with the same result as if `_order` was called for each.
-
-        `order` has the indices in `asked` of the requests to pass on, in order of time.
-        """
-        by_poll: dict[PollStatistics, list[int]] = {poll: [] for poll in dict.fromkeys(asked.polls)}
-        by_tape: dict[tuple[str, str], list[int]] = {}
-        notes = {
-            poll: (
-                times.append,
-                by_tape.setdefault((poll.key.link, poll.key.master), []).append,
-            )
-            for poll, times in by_poll.items()
-        }
-        at_ns, polls = asked.at_ns, asked.polls
-        for one in order:
-            note_time, note_place = notes[polls[one]]
-            note_time(at_ns[one])
-            note_place(one)
-        self._ordered_ns = at_ns[order[-1]]
-        by_link: dict[str, list[int]] = {}
-        for poll, times in by_poll.items():
-            if times:
-                poll.begin_all(times)
-                by_link.setdefault(poll.key.link, []).extend(times)
-        for link, times in by_link.items():
-            self._links[link].hours.add_answered(times)
-        # Masters come in the order of their last requests, because `_tape` moves each to the end of
-        # `tapes`.
-        used = [(at_ns[last[-1]], last[-1], key) for key, last in by_tape.items() if last]
-        for _, _, key in sorted(used):
-            places = by_tape[key]
-            self._tape(*key).add_answered(
-                list(map(at_ns.__getitem__, places)),
-                list(map(polls.__getitem__, places)),
-                list(map(asked.ends_ns.__getitem__, places)),
-            )
-
-    def _can_tape_all(self, keys: Set[tuple[str, str]]) -> bool:
-        """True if the requests of several masters may be passed on as a batch.
-
-        That is so if the tapes stay below MAX_TAPES, and if no master's last request is unanswered,
-        so that no request of the batch can be a retry. A key is a pair of link and master's host.
-        """
-        known = [self.tapes[key] for key in keys if key in self.tapes]
-        if len(self.tapes) + len(keys) - len(known) > MAX_TAPES:
-            return False
-        return not any(tape.is_waiting for tape in known)
-
-    def _order(self, one: TapedRequest) -> None:
-        self._ordered_ns = one.at_ns
-        poll = one.poll
-        link, master = poll.key.link, poll.key.master
-        self._links[link].hours.add(one.at_ns, is_missing=one.is_missing and not one.is_late)
-        if self._tape(link, master).add(one):
-            change = poll.begin_again(one.at_ns)
-            for at_ns in change.found:
-                self._on_retry(poll, at_ns, 1)
-            for at_ns in change.withdrawn:
-                self._on_retry(poll, at_ns, -1)
+        self._waiting.sort(key=_AT_NS)
+        if before_ns is None:
+            self._pass_on(len(self._waiting))
         else:
-            poll.begin(one.at_ns)
+            self._pass_on(bisect_left(self._waiting, before_ns, key=_AT_NS))
 
-    def _tape(self, link: str, master: str) -> MasterTape:
-        key = link, master
+    def add(self, one: TapedRequest) -> None:
+        self._waiting.append(one)
+        if len(self._waiting) >= 2 * WINDOW:
+            self._pass_on(WINDOW)
+
+    def add_answered(
+        self, at_ns: list[int], polls: list[PollStatistics], ends_ns: list[int]
+    ) -> None:
+        """Add answered requests of a network: their times, polls, and the times of their responses
+        (UTC ns). The result is the same as if `add` was called for each.
+        """
+        held = self._waiting
+        at = [one[0] for one in held] + at_ns
+        of_poll = [one[1] for one in held] + polls
+        ends = [one[2] for one in held] + ends_ns
+        number = (len(at) // WINDOW - 1) * WINDOW
+        order = sorted(range(len(at)), key=at.__getitem__)
+        keys = {poll.use.tape_key for poll in {*of_poll}}
+        if number <= 0 or not self._is_simple(keys, order, at[order[0]]):
+            for one in zip(at_ns, polls, ends_ns, repeat(0), repeat(Lacks.NOTHING)):
+                self.add(one)
+            return
+
+        times: dict[PollStatistics, list[int]] = {poll: [] for poll in dict.fromkeys(of_poll)}
+        places: dict[tuple[str, str], list[int]] = {key: [] for key in keys}
+        notes = {
+            poll: (some.append, places[poll.use.tape_key].append) for poll, some in times.items()
+        }
+        for place in order[:number]:
+            note_time, note_place = notes[of_poll[place]]
+            note_time(at[place])
+            note_place(place)
+        for poll, some in times.items():
+            if some:
+                poll.begin_all(some)
+        used = [(at[some[-1]], some[-1], key) for key, some in places.items() if some]
+        for _, _, key in sorted(used):
+            last = places[key][-MAX_ASKED:]
+            self._tape(key).add_answered(
+                [at[place] for place in last],
+                [of_poll[place] for place in last],
+                [ends[place] for place in last],
+            )
+        self._ordered_ns = at[order[number - 1]]
+        self._waiting = [
+            (at[place], of_poll[place], ends[place], 0, Lacks.NOTHING) for place in order[number:]
+        ]
+
+    def _is_simple(self, keys: Set[tuple[str, str]], order: Sequence[int], first_ns: int) -> bool:
+        """True if answered requests can be passed on at once.
+
+        That is so if none of them comes after more than WINDOW later ones, or is late; if there is
+        room for the tapes of all their masters, `keys`; and if no request before them lacks its
+        response. `order` has their places in order of time, and `first_ns` is the first time.
+        """
+        return (
+            first_ns >= self._ordered_ns
+            and max(map(sub, order, count())) <= WINDOW
+            and len(keys | self.tapes.keys()) <= MAX_TAPES
+            and not any(one[-1] or one[-2] for one in self._waiting)
+            and not any(tape.unanswered for key, tape in self.tapes.items() if key in keys)
+        )
+
+    def _pass_on(self, number: int) -> None:
+        """Pass on the `number` earliest requests."""
+        self._waiting.sort(key=_AT_NS)
+        late = bisect_left(self._waiting, self._ordered_ns, 0, number, key=_AT_NS)
+        self.late += late
+        by_tape: dict[tuple[str, str], list[TapedRequest]] = {}
+        for one in self._waiting[late:number]:
+            by_tape.setdefault(one[1].use.tape_key, []).append(one)
+        if by_tape:
+            self._ordered_ns = self._waiting[number - 1][0]
+        del self._waiting[:number]
+        # Tapes come in the order of their last requests, as the oldest one goes at the limit.
+        for key, asked in sorted(by_tape.items(), key=_last_of_tape):
+            tape = self._tape(key)
+            unanswered = tape.unanswered
+            tape.add(asked)
+            if unanswered is not None or any(one[-1] for one in asked):
+                self._begin_each(unanswered, asked)
+            else:
+                _begin_all(asked)
+
+    def _begin_each(self, unanswered: PollStatistics | None, asked: Sequence[TapedRequest]) -> None:
+        """Note the requests of a master with their polls. A request may be a retry if it repeats
+        the one before it, which got no response; `unanswered` is the poll of the one before the
+        first.
+        """
+        for at_ns, poll, _, _, lacks in asked:
+            if poll is not unanswered:
+                poll.begin(at_ns)
+            else:
+                change = poll.begin_again(at_ns)
+                if self._on_retry is not None:
+                    for found_ns in change.found:
+                        self._on_retry(poll, found_ns, 1)
+                    for withdrawn_ns in change.withdrawn:
+                        self._on_retry(poll, withdrawn_ns, -1)
+            unanswered = poll if lacks else None
+
+    def _tape(self, key: tuple[str, str]) -> MasterTape:
         tape = self.tapes.get(key)
         if tape is None:
             if len(self.tapes) >= MAX_TAPES:
@@ -224,3 +173,17 @@ class RequestOrder:
         else:
             self.tapes.move_to_end(key)
         return tape
+
+
+def _last_of_tape(item: tuple[tuple[str, str], Sequence[TapedRequest]]) -> int:
+    """The time of the last request of a tape."""
+    return item[1][-1][0]
+
+
+def _begin_all(asked: Sequence[TapedRequest]) -> None:
+    """Note answered requests of a master with their polls."""
+    by_poll: dict[PollStatistics, list[int]] = {}
+    for one in asked:
+        by_poll.setdefault(one[1], []).append(one[0])
+    for poll, times_ns in by_poll.items():
+        poll.begin_all(times_ns)

@@ -16,6 +16,10 @@ MAX_EXCEPTIONS = 256
 byte."""
 _STANDARD_NAMES = {int(code): exception_name(code) for code in ExceptionCode}
 
+_NONE: dict[int, int] = {}
+_NO_NAMES: dict[int, str] = {}
+"""Shared by tallies without exceptions, as there are many; they stay empty."""
+
 
 class RequestTally:
     """The number of outcomes, and the latencies, of a group of transactions: those of a poll, a
@@ -44,10 +48,10 @@ class RequestTally:
         self.outcomes: dict[Outcome, int] = {}
         self.requests = 0
         """The number of transactions whose request is in the capture."""
-        self.exceptions: dict[int, int] = {}
+        self.exceptions: dict[int, int] = _NONE
         """The number of requests answered with an exception response; the key is the exception
         code."""
-        self.exception_names: dict[int, str] = {}
+        self.exception_names: dict[int, str] = _NO_NAMES
         """The name of each exception code: the standard's, as the manuals of several devices may
         call a code otherwise. A code that the standard lacks has the name of its first response."""
         self.unsolicited_exceptions = 0
@@ -100,6 +104,8 @@ class RequestTally:
             self.response_bytes += number * len(transaction.response_raw)
 
     def _count_exception(self, code: int, name: str, number: int) -> None:
+        if self.exceptions is _NONE:  # Most tallies have none.
+            self.exceptions, self.exception_names = {}, {}
         if code in self.exceptions or len(self.exceptions) < MAX_EXCEPTIONS:
             self.exceptions[code] = self.exceptions.get(code, 0) + number
             self.exception_names.setdefault(code, _STANDARD_NAMES.get(code, name))
@@ -109,8 +115,7 @@ class RequestTally:
         for outcome, count in other.outcomes.items():
             self.outcomes[outcome] = self.outcomes.get(outcome, 0) + count
         for code, count in other.exceptions.items():
-            self.exceptions[code] = self.exceptions.get(code, 0) + count
-            self.exception_names.setdefault(code, other.exception_names[code])
+            self._count_exception(code, other.exception_names[code], count)
         self.requests += other.requests
         self.unsolicited_exceptions += other.unsolicited_exceptions
         self.ambiguous += other.ambiguous

@@ -1,25 +1,26 @@
-"""Groups the counts of `Statistics` by link, for tables and JSON documents."""
+"""Groups the account by link, for tables and JSON documents."""
 
 from __future__ import annotations
 
-from collections import Counter
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
+from mbtool.ledger.account import OTHER_LINKS, OTHER_UNITS
 from mbtool.ledger.bus_load import BusLoad, LineTime, bus_load, line_time
-from mbtool.ledger.link_statistics import HourCount
 from mbtool.ledger.poll_cycle import PollLists
 from mbtool.ledger.poll_statistics import PollStatistics
 from mbtool.ledger.request_tally import RequestTally, merged
-from mbtool.ledger.statistics import OTHER_LINKS, OTHER_UNITS
 from mbtool.ledger.statistics_connections import ConnectionTally
-from mbtool.ledger.unit_times import UnitTimes
-from mbtool.modbus import Transport, function_name
+from mbtool.ledger.time_bins import HourCount
+from mbtool.ledger.unit_account import UnitAccount
+from mbtool.modbus import Transport
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from mbtool.ledger.statistics import Statistics
+    from mbtool.ledger.account import Account
+    from mbtool.ledger.master_tape import MasterTape
+    from mbtool.ledger.unit_account import UseAccount
 
 _SERIAL = frozenset(str(one) for one in Transport if one.is_serial)
 
@@ -35,7 +36,7 @@ class FunctionReport:
     function_name: str
     tally: RequestTally
     repetitions: int
-    """The number of retries of the polls that are still known."""
+    """The number of retries, by the rule of PollStatistics."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,14 +86,15 @@ class LinkReport:
     connections: list[tuple[str, ConnectionTally]]
     """For each master, its host and the counts of its connections to the link's slave."""
     hours: list[HourCount]
+    """The requests by hour; empty if the capture has no times."""
     is_whole: bool
     """False if a filter of the user left out transactions, so that events and periods tell nothing
     of those that are counted."""
     stray_frames: int
     """The number of frames with a wrong CRC or LRC that answer no request that is known; 0 if the
     statistics are not whole."""
-    units: dict[int, UnitTimes]
-    """The times of the requests to each unit; empty if the capture has no times."""
+    units: dict[int, UnitAccount]
+    """The units and the times of their requests; empty if the capture has no times."""
 
     @property
     def is_serial(self) -> bool:
@@ -103,32 +105,45 @@ class LinkReport:
         return count * 1e9 / self.watched_ns if self.watched_ns else None
 
 
-def report(statistics: Statistics, *, with_cycles: bool = True) -> list[LinkReport]:
-    """Return a report for each link, in the order in which the links first appeared.
+def report(account: Account, *, with_cycles: bool = True) -> list[LinkReport]:
+    """Return a report for each link that had a transaction, in the order in which the links first
+    appeared.
 
     Without `with_cycles` it takes less time, and lacks the poll cycles, and the load of a line,
     which needs the master's time-out from them.
     """
-    polls: dict[str, list[PollStatistics]] = {}
-    for poll in statistics.polls.values():
-        polls.setdefault(poll.key.link, []).append(poll)
-    groups: dict[str, list[tuple[int, int, RequestTally]]] = {}
-    for (name, unit, function), tally in statistics.groups.items():
-        groups.setdefault(name, []).append((unit, function, tally))
-    units: dict[str, dict[int, UnitTimes]] = {}
-    for (name, unit), times in statistics.units.items():
-        units.setdefault(name, {})[unit] = times
+    rows = {
+        name: _Rows([], [], {}, {}, [])
+        for name, link in account.links.items()
+        if link.transport is not None
+    }
+    for poll in sorted(account.polls.values(), key=lambda one: one.number):
+        rows[poll.key.link].polls.append(poll)
+    for use in account.uses.values():
+        rows[use.key.link].uses.append(use)
+    for (name, number), unit in account.units.items():
+        rows[name].units[number] = unit
+    for (name, master), tape in account.tapes.items():
+        if with_cycles:
+            rows[name].tapes[master] = tape
+    for (name, master), tally in account.connections.items():
+        if name in rows:
+            rows[name].connections.append((master, tally))
+    watched_ns = account.watched_ns
     return [
-        _link_report(
-            statistics,
-            name,
-            sorted(polls.get(name, ()), key=lambda one: one.number),
-            groups.get(name, []),
-            units.get(name, {}),
-            with_cycles=with_cycles,
-        )
-        for name in statistics.links
+        _link_report(account, name, some, watched_ns, with_cycles=with_cycles)
+        for name, some in rows.items()
     ]
+
+
+class _Rows(NamedTuple):
+    """What the account has of one link."""
+
+    polls: list[PollStatistics]
+    uses: list[UseAccount]
+    units: dict[int, UnitAccount]
+    tapes: dict[str, MasterTape]
+    connections: list[tuple[str, ConnectionTally]]
 
 
 def is_counted_together(links: Sequence[LinkReport]) -> bool:
@@ -165,42 +180,31 @@ def unit_polls(links: Sequence[LinkReport]) -> dict[tuple[str, int], list[PollSt
     return polls
 
 
-def unit_times(links: Sequence[LinkReport]) -> dict[tuple[str, int], UnitTimes]:
-    """Return the times of the requests to each unit; the key is link and unit."""
-    return {(link.name, unit): times for link in links for unit, times in link.units.items()}
+def unit_times(links: Sequence[LinkReport]) -> dict[tuple[str, int], UnitAccount]:
+    """Return the account of each unit that has times; the key is link and unit."""
+    return {(link.name, number): unit for link in links for number, unit in link.units.items()}
 
 
 def _link_report(
-    statistics: Statistics,
-    name: str,
-    polls: list[PollStatistics],
-    groups: list[tuple[int, int, RequestTally]],
-    units: dict[int, UnitTimes],
-    *,
-    with_cycles: bool,
+    account: Account, name: str, rows: _Rows, watched_ns: int, *, with_cycles: bool
 ) -> LinkReport:
-    link = statistics.links[name]
-    tapes = {
-        master: tape
-        for (of, master), tape in statistics.tapes.items()
-        if of == name and with_cycles
-    }
-    lists = {master: tape.lists() for master, tape in tapes.items()}
+    link = account.links[name]
+    lists = {master: tape.lists() for master, tape in rows.tapes.items()}
     timeouts = {master: found.timeout_ns or 0 for master, found in lists.items()}
-    functions = _functions(statistics, name, polls, groups)
+    functions = _functions(rows)
     tally = merged([one.tally for one in functions])
     timeout_ns = max(timeouts.values(), default=0)
     load = bus_load(tally, link, timeout_ns) if with_cycles else None
     begin_ns, end_ns = link.whole_span()
     return LinkReport(
         name=name,
-        transport="" if link.transport is None else str(link.transport),
+        transport=str(link.transport),
         settings=None if link.format is None or link.is_mixed else str(link.format),
         has_times=link.has_times,
         begin_ns=begin_ns,
         end_ns=end_ns,
         watched_ns=link.watched_ns,
-        all_watched_ns=statistics.watched_ns,
+        all_watched_ns=watched_ns,
         tally=tally,
         load=load,
         functions=functions,
@@ -211,45 +215,36 @@ def _link_report(
                 if load is None
                 else line_time(poll.tally, link, timeouts.get(poll.key.master, 0)),
             )
-            for poll in polls
+            for poll in rows.polls
         ],
         masters=[
             MasterReport(master=master, requests=len(tape), lists=lists[master])
-            for master, tape in tapes.items()
+            for master, tape in rows.tapes.items()
         ],
-        connections=[
-            (master, one) for (of, master), one in statistics.connections.items() if of == name
-        ],
-        hours=link.hours.counts(),
-        is_whole=not statistics.left_out,
-        stray_frames=0
-        if statistics.left_out
-        else statistics.bad_checks.get(name, 0) - tally.damaged,
-        units=units if link.has_times else {},
+        connections=rows.connections,
+        hours=link.bins.hours() if link.has_times else [],
+        is_whole=not account.left_out,
+        stray_frames=0 if account.left_out else link.bad_checks - tally.damaged,
+        units=rows.units if link.has_times else {},
     )
 
 
-def _functions(
-    statistics: Statistics,
-    name: str,
-    polls: list[PollStatistics],
-    groups: list[tuple[int, int, RequestTally]],
-) -> list[FunctionReport]:
-    tallies: dict[tuple[int, int], list[RequestTally]] = {}
-    repetitions: Counter[tuple[int, int]] = Counter()
-    for poll in polls:
-        tallies.setdefault((poll.key.unit, poll.key.function), []).append(poll.tally)
-        repetitions[poll.key.unit, poll.key.function] += poll.repetitions
-    for unit, function, tally in groups:
-        tallies.setdefault((unit, function), []).append(tally)
+def _functions(rows: _Rows) -> list[FunctionReport]:
+    uses: dict[tuple[int, int], list[UseAccount]] = {}
+    for use in rows.uses:
+        uses.setdefault((use.key.unit, use.key.function), []).append(use)
+    polls: dict[tuple[int, int], list[RequestTally]] = {}
+    for poll in rows.polls:
+        key = poll.use.key
+        polls.setdefault((key.unit, key.function), []).append(poll.tally)
     return [
         FunctionReport(
             unit=unit,
-            device=statistics.devices.get((name, unit)),
+            device=some[0].unit.device,
             function=function,
-            function_name=statistics.function_names.get(function) or function_name(function),
-            tally=merged(some),
-            repetitions=repetitions[unit, function],
+            function_name=some[0].name,
+            tally=merged([*polls.get((unit, function), ()), *(one.tally for one in some)]),
+            repetitions=sum(one.repetitions for one in some),
         )
-        for (unit, function), some in sorted(tallies.items(), key=lambda one: one[0])
+        for (unit, function), some in sorted(uses.items(), key=lambda one: one[0])
     ]

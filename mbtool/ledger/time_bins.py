@@ -1,166 +1,279 @@
-"""Adds up counts in spans of time (bins), which become wider as the capture becomes longer."""
+"""Adds up counts in spans of time (bins), which become wider as there are more of them."""
 
-# A row is one thing that is counted, such as a unit. All rows have bins with the same bounds, so
-# that charts of several rows have one time axis. A bin begins at a multiple of its width in UTC.
-# Each width of _WIDTHS_NS is a multiple of the one before it, so a wider bin consists of whole
-# narrower ones.
+# A row is one thing that is counted, a unit or a link. A bin begins at a multiple of its width in
+# UTC. Each width of _WIDTHS_NS is a multiple of the one before it, so a wider bin consists of whole
+# narrower ones, and rows of different widths can be shown in one chart. The width depends on what
+# was counted, and not on the order in which it came, as long as MAX_CELLS is not reached.
 #
-# Memory: `limit` bins for each row; the caller limits the number of rows.
+# Memory: for each row at most MAX_BINS bins, or MAX_HOURS if they are an hour wide or wider; empty
+# ones take none. At most MAX_CELLS in all rows together: beyond that, each row may have half as
+# many. With the greatest width, all times of 64 bits of ns are in 215 bins.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from bisect import bisect_left
+from enum import IntEnum
+from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
-    from collections.abc import Hashable, Sequence
+    from collections.abc import Iterator, Sequence
 
-MAX_BINS = 300
+MAX_BINS = 256
+MAX_HOURS = 768
+"""One month."""
+MAX_CELLS = 1 << 20
 _MS = 1_000_000
 _S = 1000 * _MS
-_HOUR = 3600 * _S
+HOUR_NS = 3600 * _S
+_DAY = 24 * HOUR_NS
 _WIDTHS_NS = (
     _MS, 2 * _MS, 10 * _MS, 20 * _MS, 100 * _MS, 200 * _MS, _S, 2 * _S, 10 * _S, 30 * _S, 60 * _S,
-    120 * _S, 600 * _S, 1800 * _S, _HOUR, 2 * _HOUR, 6 * _HOUR, 24 * _HOUR,
+    120 * _S, 600 * _S, 1800 * _S, HOUR_NS, 2 * HOUR_NS, 6 * HOUR_NS, _DAY, 10 * _DAY, 100 * _DAY,
+    1000 * _DAY,
 )  # fmt: skip
-
-Bin = list[int]
-"""The sums in one span of time, such as requests and bytes; their meaning is the caller's. The last
-two items are the least and the greatest value noted in the span by note_value; both 0 if none."""
-LEAST, GREATEST = -2, -1
+_JUDGED_BINS = 64
+"""At most so many bins of a unit are judged: with more, single late answers would decide."""
 
 
-REQUESTS_IN_BIN = 5
-"""A bin of a chart is at least so many requests wide in the mean. Narrower ones would show single
-requests, as a comb; much wider ones would leave a capture of 100 requests only a few."""
+class UnitSum(IntEnum):
+    """The numbers that are counted for a unit in each bin; the value is the index in its sums."""
+
+    REQUESTS = 0
+    OK = 1
+    EXCEPTION = 2
+    NO_ANSWER = 3
+    LATE = 4
+    RETRIES = 5
+    """Requests that repeat an unanswered one at once, not at the usual period of their poll."""
+    BAD_CHECK = 6
+    """Requests whose response came with a wrong CRC or LRC; they are in NO_ANSWER, too."""
+    LATENCIES = 7
+    """The number of requests whose latency is known."""
+    LATENCY_NS = 8
+    """The sum of all known latencies, in ns."""
+    GREATEST_NS = 9
+    """The greatest latency in ns; no sum."""
+
+
+class LinkSum(IntEnum):
+    """The numbers that are counted for a link in each bin; the value is the index in its sums."""
+
+    REQUESTS = 0
+    BYTES = 1
+    """All bytes, both those of ADUs and those that belong to no ADU."""
+    BAD_CHECK = 2
+    NO_ANSWER = 3
+    NO_FRAME = 4
+    """Events about bytes that belong to no ADU."""
+    LACKING = 5
+    """Events about bytes that the capture lacks."""
+
+
+_GREATEST = UnitSum.GREATEST_NS
+_EMPTY = [0] * len(UnitSum)
+
+Cell = list[int]
+"""The sums of one row in one bin, by UnitSum or LinkSum."""
+
+
+class HourCount(NamedTuple):
+    """The requests in one hour, or in a wider bin, that begins at `begin_ns` (UTC ns)."""
+
+    begin_ns: int
+    requests: int
+    missing: int
+    """The number of requests that got no answer."""
+
+
+class UnitBin(NamedTuple):
+    """The requests to a unit in one bin."""
+
+    begin_ns: int
+    end_ns: int
+    asked: int
+    answered: int
+    latency_ns: int
+    """The sum of the latencies of those that were answered."""
 
 
 class TimeBins:
-    """Sums for each row (such as a unit) and each span of time (bin)."""
+    """The bins of all rows."""
 
-    def __init__(self, sums: int, limit: int = MAX_BINS) -> None:
-        """`sums` is the number of sums in each bin, `limit` the greatest number of bins per row."""
-        self._empty = [0] * (sums + 2)
-        self._limit = limit
-        self._rows: dict[Hashable, dict[int, Bin]] = {}
-        self._first = self._last = 0
-        """The numbers of the first and the last bin. A bin's number is the ns from 1970 to its
-        begin, divided by `width_ns`."""
+    def __init__(self) -> None:
+        self.share = 1
+        """Each row may have the greatest number of bins, divided by this."""
+        self.cells = 0
+        """The number of bins of all rows."""
+        self._rows: list[Row] = []
+
+    def row(self) -> Row:
+        """Return a new row without bins."""
+        row = Row(self)
+        self._rows.append(row)
+        return row
+
+    def fit(self) -> None:
+        """Make the bins of all rows wider while there are too many."""
+        while self.cells > MAX_CELLS and self.share < MAX_BINS:
+            self.share *= 2
+            for row in self._rows:
+                row.fit()
+
+    def chart(self, most: int) -> Chart:
+        """Return bins for a chart of all rows: at most `most` (at least 1), where possible."""
+        rows = [row for row in self._rows if row.cells]
+        if not rows:
+            return Chart(_WIDTHS_NS[0], 0, 0)
+        begin_ns = min(row.width_ns * min(row.cells) for row in rows)
+        end_ns = max(row.width_ns * (max(row.cells) + 1) for row in rows)
+        widest_ns = max(row.width_ns for row in rows)
+        for width_ns in _WIDTHS_NS:
+            first, last = begin_ns // width_ns, (end_ns - 1) // width_ns
+            if width_ns >= widest_ns and last - first < max(most, 1):
+                break
+        return Chart(width_ns, first, last - first + 1)
+
+
+class Row:
+    """The bins of one unit or link."""
+
+    __slots__ = ("_every", "_step", "cells", "width_ns")
+
+    def __init__(self, every: TimeBins) -> None:
+        self._every = every
         self._step = 0
         self.width_ns = _WIDTHS_NS[0]
+        self.cells: dict[int, Cell] = {}
+        """The sums of the bins that are not empty. The key of a bin is the ns from 1970 to its
+        begin, divided by `width_ns`."""
 
-    def bin(self, row: Hashable, at_ns: int) -> Bin:
-        """Return the sums of a row for a time, so that the caller can add to them.
+    def cell(self, at_ns: int) -> Cell:
+        """Return the sums for a time, so that the caller can add to them.
 
-        The list is valid until the next call, which may merge bins into wider ones.
+        They are valid until the next call, which may make the bins wider.
         """
-        number = at_ns // self.width_ns
-        if not self._rows:
-            self._first = self._last = number
-        elif not self._first <= number <= self._last:
-            number = self._reach(number, at_ns)
-        bins = self._rows.get(row)
-        if bins is None:
-            bins = self._rows[row] = {}
-        found = bins.get(number)
-        if found is None:
-            found = bins[number] = self._empty.copy()
-        return found
+        found = self.cells.get(at_ns // self.width_ns)
+        return found if found is not None else self._new_cell(at_ns)
 
-    def __contains__(self, row: Hashable) -> bool:
-        return row in self._rows
+    def cells_of(self, times_ns: Sequence[int]) -> Iterator[tuple[Cell, int, int]]:
+        """Yield the sums for many times (UTC ns, sorted), each with the indices of the first time
+        that belongs to it, and of the first time that does not.
+        """
+        begin = 0
+        while begin < len(times_ns):
+            found = self.cell(times_ns[begin])
+            end_ns = (times_ns[begin] // self.width_ns + 1) * self.width_ns
+            end = bisect_left(times_ns, end_ns, begin)
+            yield found, begin, end
+            begin = end
 
-    def __len__(self) -> int:
-        """The number of rows (counted things, such as units)."""
-        return len(self._rows)
+    def hours(self) -> list[HourCount]:
+        """Return the requests of a link for each hour that has some; for wider bins if these are
+        wider than an hour.
+        """
+        width_ns = max(HOUR_NS, self.width_ns)
+        hours = self._joined(width_ns // self.width_ns, LinkSum.REQUESTS, LinkSum.NO_ANSWER)
+        return [HourCount(hour * width_ns, *both) for hour, both in hours.items() if both[0]]
+
+    def bins(self) -> list[UnitBin]:
+        """Return the requests to a unit in at most _JUDGED_BINS bins, without those that have none,
+        sorted by time.
+        """
+        ratio = 1
+        while len({number // ratio for number in self.cells}) > _JUDGED_BINS:
+            ratio *= 2
+        joined = self._joined(ratio, UnitSum.REQUESTS, UnitSum.LATENCIES, UnitSum.LATENCY_NS)
+        width_ns = ratio * self.width_ns
+        return [
+            UnitBin(number * width_ns, (number + 1) * width_ns, *sums)
+            for number, sums in joined.items()
+            if sums[0]
+        ]
+
+    def asked_before(self, at_ns: int) -> int:
+        """Return about how many requests to a unit were sent before `at_ns` (UTC ns).
+
+        In the bin of that time, requests are taken to come at equal distances.
+        """
+        wanted, behind_ns = divmod(at_ns, self.width_ns)
+        number = sum(cell[UnitSum.REQUESTS] for at, cell in self.cells.items() if at < wanted)
+        own = self.cells.get(wanted, _EMPTY)[UnitSum.REQUESTS]
+        return number + own * behind_ns // self.width_ns
+
+    def total(self, *places: int) -> int:
+        """Return the sum of some sums over all bins."""
+        return sum(cell[place] for cell in self.cells.values() for place in places)
+
+    def fit(self) -> None:
+        """Make the bins wider while there are too many."""
+        while len(self.cells) > self._most and self._step + 1 < len(_WIDTHS_NS):
+            before = len(self.cells)
+            self._step += 1
+            ratio = _WIDTHS_NS[self._step] // self.width_ns
+            self.width_ns = _WIDTHS_NS[self._step]
+            wider: dict[int, Cell] = {}
+            for number, cell in self.cells.items():
+                other = wider.get(number // ratio)
+                wider[number // ratio] = cell if other is None else _added(other, cell)
+            self.cells = wider
+            self._every.cells -= before - len(wider)
 
     @property
-    def rows(self) -> Sequence[Hashable]:
-        return list(self._rows)
+    def _most(self) -> int:
+        most = MAX_HOURS if self.width_ns >= HOUR_NS else MAX_BINS
+        return most // self._every.share
+
+    def _new_cell(self, at_ns: int) -> Cell:
+        every, cells = self._every, self.cells
+        cell = cells[at_ns // self.width_ns] = _EMPTY.copy()
+        every.cells += 1
+        if len(cells) * every.share <= MAX_BINS and every.cells <= MAX_CELLS:
+            return cell
+        self.fit()
+        every.fit()
+        return self.cells[at_ns // self.width_ns]
+
+    def _joined(self, ratio: int, *places: int) -> dict[int, list[int]]:
+        """Return some sums of bins that are `ratio` times as wide, sorted by time."""
+        joined: dict[int, list[int]] = {}
+        for number, cell in sorted(self.cells.items()):
+            sums = joined.setdefault(number // ratio, [0] * len(places))
+            for at, place in enumerate(places):
+                sums[at] += cell[place]
+        return joined
+
+
+class Chart(NamedTuple):
+    """Bins that all rows of a chart share."""
+
+    width_ns: int
+    first: int
+    """The number of the first bin: the ns from 1970 to its begin, divided by `width_ns`."""
+    bins: int
+    """The number of bins from the first to the last one, including empty ones."""
 
     @property
     def begin_ns(self) -> int:
         """The beginning of the first bin, in UTC ns."""
-        return self._first * self.width_ns
+        return self.first * self.width_ns
 
-    @property
-    def count(self) -> int:
-        """The number of bins from the first to the last one, including empty ones."""
-        return self._last - self._first + 1 if self._rows else 0
-
-    def column(self, row: Hashable, place: int) -> list[int]:
+    def column(self, row: Row, place: int) -> list[int]:
         """Return one sum of a row for each bin, from the first to the last; 0 in an empty bin.
 
-        `place` is the index of the sum in a bin, such as UnitSum.RETRIES.
+        `place` is the index of the sum in a cell, such as UnitSum.RETRIES.
         """
-        bins = self._rows.get(row, {})
-        numbers = range(self._first, self._last + 1)
-        return [bins[one][place] if one in bins else 0 for one in numbers]
-
-    def coarser(self, most: int) -> TimeBins:
-        """Return the same sums in at most `most` bins (at least 1), or this object if it has no
-        more.
-        """
-        made = TimeBins(len(self._empty) - 2, max(most, 1))
-        if self.count <= made._limit:
-            return self
-        made._step, made.width_ns = self._step, self.width_ns
-        made._first, made._last = self._first, self._last
-        made._rows = {
-            row: {number: one.copy() for number, one in bins.items()}
-            for row, bins in self._rows.items()
-        }
-        while made.count > made._limit and made._step + 1 < len(_WIDTHS_NS):
-            made._widen()
-        return made
-
-    def _reach(self, number: int, at_ns: int) -> int:
-        """Add bins up to the time `at_ns`, which is before the first bin or after the last.
-
-        `number` is the time's bin at the present width. If there would be too many bins, all become
-        wider; so the number of the time's bin is returned.
-        """
-        first, last = min(self._first, number), max(self._last, number)
-        while last - first >= self._limit and self._step + 1 < len(_WIDTHS_NS):
-            self._widen()
-            number = at_ns // self.width_ns
-            first, last = min(self._first, number), max(self._last, number)
-        # Bins of one day are the widest. A time that needs more of them is in no real capture; it
-        # is counted in the first or the last bin.
-        if last - first >= self._limit:
-            return min(max(number, self._first), self._last)
-        self._first, self._last = first, last
-        return number
-
-    def _widen(self) -> None:
-        self._step += 1
-        before, self.width_ns = self.width_ns, _WIDTHS_NS[self._step]
-        ratio = self.width_ns // before
-        self._first //= ratio
-        self._last //= ratio
-        for row, bins in self._rows.items():
-            wider: dict[int, Bin] = {}
-            for number, one in bins.items():
-                other = wider.get(number // ratio)
-                if other is None:
-                    wider[number // ratio] = one
-                else:
-                    _merge(other, one)
-            self._rows[row] = wider
+        column = [0] * self.bins
+        ratio = self.width_ns // row.width_ns
+        for number, cell in row.cells.items():
+            at = number // ratio - self.first
+            if place == _GREATEST:
+                column[at] = max(column[at], cell[place])
+            else:
+                column[at] += cell[place]
+        return column
 
 
-def note_value(one: Bin, value: int) -> None:
-    """Update the least and the greatest value of a bin with `value`, which is above 0; 0 in a bin
-    means that it has no value yet.
-    """
-    if value > one[GREATEST]:
-        one[GREATEST] = value
-    if value < one[LEAST] or not one[LEAST]:
-        one[LEAST] = value
-
-
-def _merge(into: Bin, other: Bin) -> None:
-    for place in range(len(into) - 2):
-        into[place] += other[place]
-    if other[GREATEST]:
-        note_value(into, other[GREATEST])
-        note_value(into, other[LEAST])
+def _added(cell: Cell, other: Cell) -> Cell:
+    sums = [a + b for a, b in zip(cell, other, strict=True)]
+    sums[_GREATEST] = max(cell[_GREATEST], other[_GREATEST])
+    return sums

@@ -1,8 +1,8 @@
 """Writes and reads logs, MCAP files of captured bytes and decoded data; exports jsonl and CSV."""
 
 from mbtool.logs.exports import (
-    CSV_COLUMNS,
     CsvWriter,
+    csv_columns,
     csv_line,
     event_to_jsonl,
     transaction_to_jsonl,
@@ -14,7 +14,6 @@ from mbtool.logs.schemas import json_schema
 from mbtool.logs.writer import FLUSH_AFTER_NS, LogWriter
 
 __all__ = [
-    "CSV_COLUMNS",
     "FLUSH_AFTER_NS",
     "CsvWriter",
     "LogItem",
@@ -22,6 +21,7 @@ __all__ = [
     "LogWriter",
     "RotatingLog",
     "Rotation",
+    "csv_columns",
     "csv_line",
     "event_to_jsonl",
     "follow",

@@ -19,15 +19,18 @@ import csv
 import io
 import json
 from datetime import datetime, timedelta
-from functools import lru_cache
+from functools import cache, lru_cache
 from operator import attrgetter
-from typing import TYPE_CHECKING, TextIO
+from typing import TYPE_CHECKING, Any, TextIO
 
 import msgspec
 
+from mbtool.devices.transaction_fields import TIME, column_names
 from mbtool.logs.messages import EventMessage
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from mbtool.core import WireEvent
     from mbtool.devices import NamedTransaction, PointValue
 
@@ -40,52 +43,13 @@ _FORMULA = ("=", "+", "-", "@")
 """Signs at the beginning of a text that make a spreadsheet take the text for a formula."""
 _ONE_LINE = str.maketrans("\r\n", "  ")
 
-CSV_COLUMNS = (
-    "request_ns",
-    "request_parts_ns",
-    "response_ns",
-    "latency_ns",
-    "link",
-    "transport",
-    "source",
-    "destination",
-    "unit",
-    "transaction_id",
-    "function",
-    "function_name",
-    "sub_function",
-    "address",
-    "quantity",
-    "write_address",
-    "device",
-    "reference",
-    "outcome",
-    "exception",
-    "exception_name",
-    "request_values",
-    "response_values",
-    "points",
-    "findings",
-    "retries",
-    "verdicts",
-    "direction_by",
-    "confidence",
-    "request_raw",
-    "response_raw",
-    "write_quantity",
-    "time",
-    "file",
-    "response_file",
-    "request_packet",
-    "response_packet",
-    "request_offset",
-    "response_offset",
-    "source_mac",
-    "destination_mac",
-    "vlan",
-    "pair_confidence",
-)
-"""The CSV columns in order. A column never changes its name or meaning; new ones come last."""
+
+@cache
+def csv_columns() -> tuple[str, ...]:
+    """Return the CSV columns in order. A column never changes its name or meaning; new ones come
+    last.
+    """
+    return column_names("csv")
 
 
 def transaction_to_jsonl(transaction: NamedTransaction) -> bytes:
@@ -107,8 +71,11 @@ def event_to_jsonl(event: WireEvent) -> bytes:
     return _line(_replace(message, raw=message.raw and message.raw.hex()), event.ts_ns)
 
 
-_TIME_AT = CSV_COLUMNS.index("time")
-_fields = attrgetter(*(column for column in CSV_COLUMNS if column != "time"))
+@cache
+def _fields() -> tuple[Callable[[object], tuple[Any, ...]], int]:
+    """Return what gets the fields of all columns but the time, and the place of the time."""
+    columns = csv_columns()
+    return attrgetter(*(one for one in columns if one != TIME)), columns.index(TIME)
 
 
 class CsvWriter:
@@ -117,7 +84,7 @@ class CsvWriter:
     def __init__(self, stream: TextIO) -> None:
         """Write the column names. `stream` must be opened with newline=""."""
         self._writer = csv.writer(stream, lineterminator="\n")
-        self._writer.writerow(CSV_COLUMNS)
+        self._writer.writerow(csv_columns())
 
     def write(self, transaction: NamedTransaction) -> None:
         self._writer.writerow(csv_row(transaction))
@@ -131,7 +98,7 @@ def csv_line(transaction: NamedTransaction) -> str:
 
 
 def csv_row(transaction: NamedTransaction) -> list[str | int | float | None]:
-    """Return the cells of CSV_COLUMNS; a cell is None or empty if its field does not apply."""
+    """Return the cells of the columns; a cell is None or empty if its field does not apply."""
     texts = _replace(
         transaction,
         request_raw=(transaction.request_raw or b"").hex(),
@@ -142,8 +109,9 @@ def csv_row(transaction: NamedTransaction) -> list[str | int | float | None]:
         findings=" ".join(transaction.findings),
         points="; ".join(map(_point_text, transaction.points)),
     )
-    cells = [*_fields(texts)]
-    cells.insert(_TIME_AT, iso_time(transaction.start_ns))
+    fields, time_at = _fields()
+    cells = [*fields(texts)]
+    cells.insert(time_at, iso_time(transaction.start_ns))
     for place, cell in enumerate(cells):
         if isinstance(cell, str) and (not cell.isprintable() or cell.startswith(_FORMULA)):
             cells[place] = _harmless(cell)

@@ -18,6 +18,7 @@ from msgspec import inspect
 
 from mbtool.core import Connection, Endpoint
 from mbtool.devices import NamedTransaction, PointValue
+from mbtool.devices.transaction_fields import transaction_fields
 from mbtool.logs.evidence_blocks import descriptor
 from mbtool.logs.messages import (
     ChunkMessage,
@@ -84,51 +85,6 @@ _DESCRIPTIONS: dict[type, dict[str, str]] = {
         "number": "A number that differs between connections of the same ends",
     },
     Endpoint: {"host": "The address", "port": "The TCP port"},
-    NamedTransaction: {
-        "link": "The bus or the slave's address",
-        "transport": "How the PDU travels",
-        "source": "The master's endpoint, on a network",
-        "destination": "The slave's endpoint, on a network",
-        "unit": "The unit id: the slave's number",
-        "transaction_id": "The transaction id of Modbus/TCP",
-        "function": "The function code, without the bit that marks an exception response",
-        "function_name": "The function in words",
-        "sub_function": "The sub-function of diagnostics (08), or the MEI type of 2B",
-        "address": "The first address on the wire, counted from 0; function 17H reads there",
-        "quantity": "How many registers or bits",
-        "write_address": "The first address that function 17H writes, counted from 0",
-        "write_quantity": "How many registers function 17H writes, as its request says",
-        "request_values": "What the request writes: registers as 0..65535, bits as 0 or 1",
-        "response_values": "What the response brings: registers as 0..65535, bits as 0 or 1",
-        "exception": "The exception code of the response",
-        "exception_name": "The exception in words",
-        "outcome": "How the transaction ended",
-        "request_ns": "When the request was complete on the wire, UTC nanoseconds",
-        "request_parts_ns": "From the first to the last byte of a Modbus/TCP request, nanoseconds, "
-        "if more than 1 s",
-        "response_ns": "When the response was complete on the wire, UTC nanoseconds",
-        "latency_ns": "Nanoseconds from the end of the request to the start of the response",
-        "retries": "How many equal requests before this one went unanswered",
-        "request_raw": "The whole ADU of the request",
-        "response_raw": "The whole ADU of the response",
-        "verdicts": "What was noticed about its frames",
-        "direction_by": "What decided the direction of its frames",
-        "confidence": "The probability that directions and pairing are right, 0 to 1",
-        "file": "The capture file of the request, or of the response if there is no request",
-        "response_file": "The capture file of the response, if it is another one",
-        "request_packet": "The packet in the file that completed the request, counted from 1",
-        "response_packet": "The packet in the file that completed the response, counted from 1",
-        "request_offset": "How many bytes of the line precede the request in a file of bytes",
-        "response_offset": "How many bytes of the line precede the response in a file of bytes",
-        "source_mac": "The MAC address of the master's packets",
-        "destination_mac": "The MAC address of the slave's packets",
-        "vlan": "The VLAN of the packets: the id of the innermost tag",
-        "pair_confidence": "The probability that the response is to this request, 0 to 1",
-        "device": "The name of the device's profile",
-        "reference": "What is addressed, in the vendor's notation",
-        "points": "The named values that the response brought or the request asks to write",
-        "findings": "Codes of broken rules",
-    },
     PointValue: {
         **_POINT,
         "written": "True for what function 17H writes, beside what it reads; absent otherwise",
@@ -196,7 +152,10 @@ def _object(cls: type) -> dict[str, Any]:
     info = inspect.type_info(cls)
     if not isinstance(info, inspect.StructType | inspect.DataclassType):
         raise TypeError(f"{cls} has no fields")
-    descriptions = _DESCRIPTIONS[cls]
+    if issubclass(cls, NamedTransaction):
+        descriptions = {one.name: one.text for one in transaction_fields(cls)}
+    else:
+        descriptions = _DESCRIPTIONS[cls]
     properties = {}
     for field in info.fields:
         schema, values = _schema(field.type)
@@ -214,6 +173,8 @@ def _schema(type_: inspect.Type) -> tuple[dict[str, Any], Iterable[str]]:
     The values are empty unless the type is an enumeration of strings.
     """
     match type_:
+        case inspect.Metadata(type=inner):
+            return _schema(inner)
         case inspect.UnionType(types=(inspect.IntType(), inspect.FloatType(), *_)):
             return {"type": "number"}, ()
         case inspect.UnionType(types=types):

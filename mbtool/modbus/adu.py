@@ -55,6 +55,8 @@ class Verdict(StrEnum):
     """In the capture, no silence separates the frame from the frame before or after it."""
     SPLIT = "split"
     """The frame contains a silence of t3.5 or longer."""
+    ONLY_REQUEST_SPLIT = "only-request-split"
+    """The request contains a silence of t3.5 or longer, and its response none."""
     RESYNCHRONISED = "resynchronised"
     """Before this ADU, bytes were skipped because the boundaries of ADUs were lost; from this ADU
     on they are known again."""

@@ -42,6 +42,8 @@ def mismatch(request: Pdu, response: Pdu) -> str | None:
         if name in _REPEATED:
             asked, answered = request.number(name), response.number(name)
             if asked is not None and answered not in (None, asked):
+                if name == "value":  # As manuals write it: 0000H for FF00H.
+                    return f"value {answered:04X}H for {asked:04X}H"
                 return f"{name.replace('_', ' ')} {answered} for {asked}"
     if request.code == 0x08 and request.number("sub_function") == 0:
         asked_for, echo = request.numbers("values"), response.numbers("values")

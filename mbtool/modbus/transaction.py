@@ -17,6 +17,18 @@ Count = Annotated[int, msgspec.Meta(ge=0)]
 Nanoseconds = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]
 
 
+def about(
+    text: str, csv: int | None = None, table: int | None = None, bits: int = 64
+) -> msgspec.Meta:
+    """Describe a field of a transaction.
+
+    `text` says in JSON schemas what it is. `csv` and `table` are its places among the columns of
+    CSV and Parquet, counted from 0. They never change, so a new field has none: it comes last.
+    `bits` is the size in Parquet of a number that has no greatest value.
+    """
+    return msgspec.Meta(description=text, extra={"csv": csv, "table": table, "bits": bits})
+
+
 class Outcome(StrEnum):
     """The result of a transaction, such as a normal response or none."""
 
@@ -45,75 +57,139 @@ RESPONDED = frozenset((Outcome.OK, Outcome.EXCEPTION, Outcome.LATE, Outcome.MALF
 class Transaction(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True, gc=False):
     """A request and its response. A field that does not apply is None, and absent in JSON.
 
-    Times are UTC nanoseconds. Registers are integers 0..65535, bits 0 or 1.
+    Times are UTC nanoseconds. Registers are integers 0..65535, bits 0 or 1. The class, with
+    NamedTransaction, is the only list of the fields: JSON schemas, CSV columns, Parquet columns
+    and the kinds of names in --where are made from it (devices/transaction_fields.py).
     """
 
-    link: str
-    transport: Transport
-    source: str | None = None
+    link: Annotated[str, about("The bus or the slave's address", 3, 0)]
+    transport: Annotated[Transport, about("How the PDU travels", 4, 1)]
+    source: Annotated[str | None, about("The master's endpoint, on a network", 5, 2)] = None
     """The master's address and port on a network; None on a serial line."""
-    destination: str | None = None
+    destination: Annotated[str | None, about("The slave's endpoint, on a network", 6, 3)] = None
     """The slave's address and port on a network; None on a serial line."""
-    unit: Byte
-    transaction_id: Word | None = None
-    function: Byte
+    unit: Annotated[Byte, about("The unit id: the slave's number", 7, 4)]
+    transaction_id: Annotated[Word | None, about("The transaction id of Modbus/TCP", 8, 5)] = None
+    function: Annotated[
+        Byte, about("The function code, without the bit that marks an exception response", 9, 6)
+    ]
     """The function code, without the bit that marks an exception response."""
-    function_name: str
-    sub_function: Word | None = None
+    function_name: Annotated[str, about("The function in words", 10, 7)]
+    sub_function: Annotated[
+        Word | None, about("The sub-function of diagnostics (08), or the MEI type of 2B", 11, 8)
+    ] = None
     """The sub-function of diagnostics (08), or the MEI type of 2B."""
-    address: Word | None = None
+    address: Annotated[
+        Word | None,
+        about("The first address on the wire, counted from 0; function 17H reads there", 12, 9),
+    ] = None
     """The first address on the wire, 0-based; for function 17H the first that it reads."""
-    quantity: Word | None = None
-    write_address: Word | None = None
+    quantity: Annotated[Word | None, about("How many registers or bits", 13, 10)] = None
+    write_address: Annotated[
+        Word | None, about("The first address that function 17H writes, counted from 0", 14, 11)
+    ] = None
     """The first address that function 17H writes."""
-    write_quantity: Word | None = None
+    write_quantity: Annotated[
+        Word | None, about("How many registers function 17H writes, as its request says", 30, 12)
+    ] = None
     """The number of registers that function 17H writes, from the request's quantity field; a
     malformed request may have another number of values."""
-    request_values: list[Word] | None = None
-    response_values: list[Word] | None = None
-    exception: Byte | None = None
-    exception_name: str | None = None
-    outcome: Outcome
-    request_ns: Nanoseconds | None = None
+    request_values: Annotated[
+        list[Word] | None,
+        about("What the request writes: registers as 0..65535, bits as 0 or 1", 20, 13),
+    ] = None
+    response_values: Annotated[
+        list[Word] | None,
+        about("What the response brings: registers as 0..65535, bits as 0 or 1", 21, 14),
+    ] = None
+    exception: Annotated[Byte | None, about("The exception code of the response", 18, 15)] = None
+    exception_name: Annotated[str | None, about("The exception in words", 19, 16)] = None
+    outcome: Annotated[Outcome, about("How the transaction ended", 17, 17)]
+    request_ns: Annotated[
+        Nanoseconds | None,
+        about("When the request was complete on the wire, UTC nanoseconds", 0, 18),
+    ] = None
     """The time at which the last byte of the request was on the wire, in UTC ns."""
-    request_parts_ns: Nanoseconds | None = None
+    request_parts_ns: Annotated[
+        Nanoseconds | None,
+        about(
+            "Nanoseconds from the first to the last byte of a Modbus/TCP request, if over 1 s",
+            42,
+            42,
+        ),
+    ] = None
     """The time from the first to the last byte of a Modbus/TCP request, in ns, if it is more than 1
     s (verdict late-parts); otherwise None."""
-    response_ns: Nanoseconds | None = None
+    response_ns: Annotated[
+        Nanoseconds | None,
+        about("When the response was complete on the wire, UTC nanoseconds", 1, 19),
+    ] = None
     """The time at which the last byte of the response was on the wire, in UTC ns."""
-    latency_ns: Nanoseconds | None = None
+    latency_ns: Annotated[
+        Nanoseconds | None,
+        about("Nanoseconds from the end of the request to the start of the response", 2, 20),
+    ] = None
     """The time from the end of the request to the start of the response, in ns."""
-    retries: Count
+    retries: Annotated[
+        Count, about("How many equal requests before this one went unanswered", 24, 21, bits=32)
+    ]
     """The number of earlier requests with the same unit and PDU that got no response, since such a
     request last got one."""
-    request_raw: bytes | None = None
-    response_raw: bytes | None = None
-    verdicts: list[Verdict] = []
-    direction_by: DirectionBy
-    confidence: float
+    request_raw: Annotated[bytes | None, about("The whole ADU of the request", 28, 22)] = None
+    response_raw: Annotated[bytes | None, about("The whole ADU of the response", 29, 23)] = None
+    verdicts: Annotated[list[Verdict], about("What was noticed about its frames", 25, 24)] = []
+    direction_by: Annotated[DirectionBy, about("What decided the direction of its frames", 26, 25)]
+    confidence: Annotated[
+        float, about("The probability that directions and pairing are right, 0 to 1", 27, 26)
+    ]
     """The probability, 0 to 1, that the directions of the frames and their pairing are right: the
     lowest of these."""
-    file: str | None = None
+    file: Annotated[
+        str | None,
+        about("The capture file of the request, or of the response if there is no request", 32, 32),
+    ] = None
     """The capture file of the request, or of the response if there is no request, as the user named
     it; None in a live capture."""
-    response_file: str | None = None
+    response_file: Annotated[
+        str | None, about("The capture file of the response, if it is another one", 33, 33)
+    ] = None
     """The capture file of the response, if it is another one than `file`."""
-    request_packet: Count | None = None
+    request_packet: Annotated[
+        Count | None,
+        about("The packet in the file that completed the request, counted from 1", 34, 34),
+    ] = None
     """The number, in the file, of the packet with the last byte of the request. Packets are counted
     from 1, as in Wireshark."""
-    response_packet: Count | None = None
+    response_packet: Annotated[
+        Count | None,
+        about("The packet in the file that completed the response, counted from 1", 35, 35),
+    ] = None
     """The number, in its file, of the packet with the last byte of the response."""
-    request_offset: Count | None = None
+    request_offset: Annotated[
+        Count | None,
+        about("How many bytes of the line precede the request in a file of bytes", 36, 36),
+    ] = None
     """In a file of the bytes of a serial line, the number of bytes before the request."""
-    response_offset: Count | None = None
+    response_offset: Annotated[
+        Count | None,
+        about("How many bytes of the line precede the response in a file of bytes", 37, 37),
+    ] = None
     """In a file of the bytes of a serial line, the number of bytes before the response."""
-    source_mac: str | None = None
+    source_mac: Annotated[str | None, about("The MAC address of the master's packets", 38, 38)] = (
+        None
+    )
     """The MAC address that the master's packets have, as `00:0a:e4:01:02:03`."""
-    destination_mac: str | None = None
+    destination_mac: Annotated[
+        str | None, about("The MAC address of the slave's packets", 39, 39)
+    ] = None
     """The MAC address that the slave's packets have."""
-    vlan: Word | None = None
+    vlan: Annotated[
+        Word | None, about("The VLAN of the packets: the id of the innermost tag", 40, 40)
+    ] = None
     """The VLAN of the packets: the id of the innermost tag. None if they have no tag."""
-    pair_confidence: float | None = None
+    pair_confidence: Annotated[
+        float | None, about("The probability that the response is to this request, 0 to 1", 41, 41)
+    ] = None
     """The probability, 0 to 1, that the response is to this request; without a response, or without
     a request, that there is none. None if nothing speaks against it. `confidence` is not higher."""
 

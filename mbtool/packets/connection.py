@@ -217,6 +217,9 @@ class TcpConnection:
             self.close(ts_ns, self._reset_reason(sender))
             return
         if flags & SYN:
+            if flags & ACK and other.origin is None:
+                # The capture lacks the SYN that this one answers, and which it acknowledges.
+                other.begin(segment.acknowledgement)
             sequence = sender.take_syn(sequence)
             if len(segment.payload) > 1:
                 sender.syn_end = sender.position_of(sequence) + len(segment.payload)
@@ -224,8 +227,11 @@ class TcpConnection:
             sender.decide_syn(sequence)
         if segment.payload or segment.missing:
             self._take_payload(segment, sequence, acknowledged, sender, other, origin)
-        elif flags == ACK and sender.is_before_next(sequence):
-            self.keep_alives += 1
+        elif flags == ACK:
+            if sender.is_before_next(sequence):
+                self.keep_alives += 1
+            elif sender.origin is not None:
+                sender.note_sent(sequence, WINDOW)
         if self.keep_alives > probes:
             self._prober = sender
             self.unanswered_probes += 1
@@ -254,6 +260,7 @@ class TcpConnection:
             for stream, _ in self._directions:
                 self._report_missing_end(stream)
             self.closed = True
+            last, last_ns = max(stream.latest for stream, _ in self._directions)
             self._out.append(
                 StreamClosed(
                     ts_ns,
@@ -262,6 +269,7 @@ class TcpConnection:
                     self._ended_by(reason),
                     self.keep_alives,
                     self.unanswered_probes,
+                    last_ns if last == self._arrivals else None,
                 )
             )
 
@@ -280,7 +288,11 @@ class TcpConnection:
 
     def _report_missing_end(self, stream: Stream) -> None:
         """Report a gap if a FIN or an acknowledgement shows that the last bytes are missing."""
-        end = stream.acknowledged if stream.finish is None else stream.finish
+        if stream.joining and not stream.held:
+            # No byte of this direction was captured. Its first one is known from the first
+            # acknowledgement by the other end.
+            stream.pass_over(LEAD)
+        end = max(stream.acknowledged, stream.sent) if stream.finish is None else stream.finish
         missing = end - stream.position
         if 0 < missing <= WINDOW and not stream.joining:
             gap = StreamGap(self._now_ns, self.identity, stream.direction, missing=missing)

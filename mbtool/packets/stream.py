@@ -93,6 +93,7 @@ class Stream:
         "latest",
         "origin",
         "position",
+        "sent",
         "syn_end",
     )
 
@@ -117,6 +118,9 @@ class Stream:
         these bytes, calculated as if the SYN counts."""
         self.acknowledged = 0
         """The highest byte offset that the receiver acknowledged before all bytes up to it came."""
+        self.sent = 0
+        """The highest byte offset up to which the sender had sent its bytes, as the sequence number
+        of a segment without bytes shows."""
         self.held: list[HeldBytes] = []
         self.held_bytes = 0
         self.latest = (0, 0)
@@ -256,6 +260,15 @@ class Stream:
             if abs(finish - self.position) <= window:
                 self.finish = finish
 
+    def note_sent(self, sequence: int, window: int) -> None:
+        """Note that the sender has sent all bytes before a sequence number.
+
+        A number more than `window` bytes from the next byte to deliver is ignored.
+        """
+        position = self.position_of(sequence)
+        if abs(position - self.position) <= window:
+            self.sent = max(position, self.sent)
+
     def rebase(self, sequence: int) -> None:
         """Give the next byte to deliver this sequence number, because the sequence numbers have
         jumped.
@@ -266,7 +279,7 @@ class Stream:
         self.joining = False
         self._gaps.clear()
         self.finish = None
-        self.acknowledged = self.position
+        self.acknowledged = self.sent = self.position
         self._acknowledgements.clear()
         self._recent = b""
 

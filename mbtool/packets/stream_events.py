@@ -78,6 +78,10 @@ class StreamClosed:
     unanswered_probes: int = 0
     """The number of keep-alive probes of one end to which the other end never replied, at the end
     of the connection."""
+    unseen_since_ns: int | None = None
+    """The time, in UTC ns, of the last bytes, if no segment followed them; else None. Each segment
+    with bytes is acknowledged or sent again, so the capture then lacks the rest of the
+    connection."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,11 +12,14 @@ import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from enum import StrEnum
+from operator import attrgetter
 from typing import Any
 
+from msgspec import inspect
+
 from mbtool.devices.named_transaction import NamedTransaction
-from mbtool.modbus import FUNCTIONS, Outcome
-from mbtool.modbus.adu import Transport, Verdict
+from mbtool.devices.transaction_fields import transaction_fields
+from mbtool.modbus import FUNCTIONS
 
 _WITH_UNIT = re.compile(r"(?P<host>.+)/(?P<unit>[0-9]{1,3})")
 _WITH_PORT = re.compile(r"[^:]+:[0-9]+|\[.*\]:[0-9]+")
@@ -202,6 +205,23 @@ def _list(
     return Term(text=name, value=value, kind=ValueKind.LIST, items=(item,))
 
 
+def _field(name: str) -> Term:
+    """Return the term of a field of a transaction, by its type."""
+    (found,) = (one for one in transaction_fields() if one.name == name)
+    match found.type:
+        case inspect.IntType(le=le):
+            allowed = range(le + 1) if le is not None and le <= _WORD[-1] else None
+            return _number(name, attrgetter(name), allowed)
+        case inspect.EnumType(cls=choices):
+            return _text(name, attrgetter(name), choices)
+        case inspect.ListType(item_type=inspect.EnumType(cls=choices)):
+            return _list(name, attrgetter(name), ValueKind.TEXT, choices)
+        case inspect.ListType():
+            return _list(name, attrgetter(name), ValueKind.TEXT)
+        case _:
+            return _text(name, attrgetter(name))
+
+
 def _written(one: NamedTransaction, *, bits: bool) -> list[int] | None:
     """The addresses of registers (or bits) that a request writes, also if the slave refuses it.
 
@@ -220,23 +240,23 @@ def _written(one: NamedTransaction, *, bits: bool) -> list[int] | None:
     return list(range(first, first + (1 if quantity is None else quantity)))
 
 
-_BYTE, _WORD = range(0x100), range(0x10000)
+_WORD = range(0x10000)
 _ADDRESS = ValueKind.NUMBER
 
 _TERMS = (
-    _text("link", lambda one: one.link),
-    _text("transport", lambda one: one.transport, Transport),
+    _field("link"),
+    _field("transport"),
     _endpoint("source", lambda one: one.source),
     _endpoint("destination", lambda one: one.destination),
     _host("master", lambda one: host_of(one.source)),
     _host("slave", lambda one: host_of(one.destination)),
-    _text("file", lambda one: one.file),
+    _field("file"),
     Term(text="time", value=lambda one: one.start_ns, kind=ValueKind.MOMENT),
-    _number("unit", lambda one: one.unit, _BYTE),
-    _number("transaction_id", lambda one: one.transaction_id, _WORD),
-    _number("function", lambda one: one.function, _BYTE),
-    _number("address", lambda one: one.address, _WORD),
-    _number("quantity", lambda one: one.quantity, _WORD),
+    _field("unit"),
+    _field("transaction_id"),
+    _field("function"),
+    _field("address"),
+    _field("quantity"),
     _list(
         "values",
         lambda one: (one.request_values or []) + (one.response_values or []),
@@ -245,15 +265,15 @@ _TERMS = (
     ),
     _list("written_registers", lambda one: _written(one, bits=False), _ADDRESS, allowed=_WORD),
     _list("written_bits", lambda one: _written(one, bits=True), _ADDRESS, allowed=_WORD),
-    _text("outcome", lambda one: one.outcome, Outcome),
-    _number("exception", lambda one: one.exception, _BYTE),
+    _field("outcome"),
+    _field("exception"),
     _number("latency_ms", lambda one: None if one.latency_ns is None else one.latency_ns / 1e6),
-    _number("retries", lambda one: one.retries),
-    _text("device", lambda one: one.device),
-    _text("reference", lambda one: one.reference),
+    _field("retries"),
+    _field("device"),
+    _field("reference"),
     _list("points", lambda one: [point.name for point in one.points], ValueKind.TEXT),
-    _list("findings", lambda one: one.findings, ValueKind.TEXT),
-    _list("verdicts", lambda one: one.verdicts, ValueKind.TEXT, Verdict),
+    _field("findings"),
+    _field("verdicts"),
 )
 
 NAMES = {term.text: term for term in _TERMS}

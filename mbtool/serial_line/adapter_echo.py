@@ -158,7 +158,9 @@ class AdapterEcho:
         """
         self.copied = b""
         if self.last_response:
-            self._end_single_response()
+            self.last_response = b""
+            if self._repeated or self.repeats:
+                self._end_single_response()
         if self.last == raw and is_certain and not self.echoes:
             self._is_copied, self._is_surely_copied, self.last = True, is_soon, b""
             return
@@ -177,7 +179,7 @@ class AdapterEcho:
             self._repeated += 1
             self.last_response, self.repeats = b"", self._repeated >= ENOUGH_COPIES
             return
-        if self.last_response:
+        if self.last_response and (self._repeated or self.repeats):
             self._end_single_response()
         self.last_response = raw if is_certain or self.repeats else b""
         if self._is_copied:
@@ -188,7 +190,7 @@ class AdapterEcho:
 
     def _end_single_response(self) -> None:
         """Count the last response as one without a copy."""
-        self.last_response, self._repeated = b"", 0
+        self._repeated = 0
         self._single_responses += 1
         if self.repeats and self._single_responses >= ENOUGH_SINGLE:
             self.repeats, self._repeat_reason = False, REPEATS

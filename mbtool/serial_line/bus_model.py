@@ -186,7 +186,9 @@ class BusModel:
         """
         if not state.unexplained_silence_ns:
             return 0.0
-        doublings = self.history.unexplained_silences.doublings_late(state.unexplained_silence_ns)
+        doublings = self.history.unexplained_silences.doublings_late(
+            state.unexplained_silence_ns, self.history.least_silence_ns
+        )
         if doublings <= LatencyStatistics.MARGIN_DOUBLINGS:
             return 0.0
         cost = min(costs.LATE + costs.LATE_PER_DOUBLING * doublings, costs.MAX_LATENESS)
@@ -210,11 +212,11 @@ class BusModel:
         """
         role, state, history = classification.direction, self.states[0][1], self.history
         is_sure = classification.confidence >= SURE
-        if history.unasked or state.pending is None:
-            self._learn_side(classification, unit, pdu)
-        if self._repeated_write is not None or pdu[0] in WRITE_SEVERAL:
-            self._learn_whole_echo(role, unit, pdu)
         if role is Direction.REQUEST:
+            if pdu[0] in WRITE_SEVERAL or self._repeated_write is not None:
+                self._learn_whole_echo(unit, pdu)
+            if history.unasked and classification.by is DirectionBy.FORM:
+                history.unasked = 0
             if is_sure:
                 # Ordinary polling teaches nothing here; this test makes decoding it 3 % faster.
                 if state.pending or state.answered_after_ns > _SLOW_NS or len(self.states) > 1:
@@ -225,7 +227,9 @@ class BusModel:
             classification is FITTING_RESPONSE or state.pending.fits(unit, pdu)
         ):
             self._learn_response(state.pending, pdu, start_ns, is_sure)
-        elif state.pending and state.pending.has_address_of(unit, pdu):
+        elif state.pending is None:
+            self._learn_unasked(classification)
+        elif state.pending.has_address_of(unit, pdu):
             history.learn_wrong_echo(unit, pdu[0])
         if state.unexplained_silence_ns and state.settles_silence(role, start_ns, inside_ns):
             history.unexplained_silences.learn_capped(state.unexplained_silence_ns)
@@ -243,24 +247,19 @@ class BusModel:
             states += [(bits + extra, rival) for bits, rival in rivals]
         self.states = most_likely(states)
 
-    def _learn_side(self, classification: Classification, unit: int, pdu: bytes) -> None:
-        """Learn if only one side of the line is heard, from a frame that is certain by its form."""
+    def _learn_unasked(self, classification: Classification) -> None:
+        """Count a response that nobody requested, if it is one by its form."""
         state, history = self.state, self.history
-        if classification.by is not DirectionBy.FORM and classification is not FITTING_RESPONSE:
-            return
-        if classification.direction is Direction.REQUEST:
-            history.unasked = 0
-        elif state.pending is None and state.answered is None and not state.follows_damage:
+        is_certain = classification.by is DirectionBy.FORM
+        if is_certain and state.answered is None and not state.follows_damage:
             history.unasked = min(history.unasked + 1, ONE_SIDE)
 
-    def _learn_whole_echo(self, role: Direction, unit: int, pdu: bytes) -> None:
-        """Learn that a write of several values came exactly twice, with no response of its form.
+    def _learn_whole_echo(self, unit: int, pdu: bytes) -> None:
+        """Learn from a request that a write before it came exactly twice, with no other response.
 
         The second one may have been the response, as some slaves repeat the whole request.
         """
         repeated, self._repeated_write = self._repeated_write, None
-        if role is Direction.RESPONSE:
-            return
         if repeated is not None and repeated != (unit, pdu):
             self.history.learn_wrong_echo(repeated[0], repeated[1][0])
         pending = self.state.pending
@@ -276,7 +275,8 @@ class BusModel:
         """
         history = self.history
         latency_ns = start_ns - pending.awaited_from_ns
-        if pdu[0] in WRITE_SEVERAL and history.wrong_echoes:
+        if pdu[0] in WRITE_SEVERAL:
+            self._repeated_write = None
             history.wrong_echoes.pop((pending.unit, pdu[0]), None)
         if is_sure and pdu != pending.pdu:
             if history.unanswered or pending.unit not in history.answering:

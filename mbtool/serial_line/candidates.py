@@ -432,8 +432,11 @@ class Candidates:
         size, rest = frame_size(head, role), len(head)
         if size is None or rest < size <= MAX_RTU_ADU:
             expected, cost = self._expectation(head, size or 0, role, state)
-            if role is Direction.REQUEST and is_counted(head[1:]):
-                cost = costs.EXPECTED_CONTENT
+            if role is Direction.REQUEST:
+                if is_counted(head[1:]):
+                    cost = costs.EXPECTED_CONTENT
+                elif self._model.history.begins_request(head):
+                    expected, cost = True, costs.EXPECTED_CONTENT
         elif size == 0 or head[1:4] == _QUERY_DATA[: rest - 1]:
             expected = self._model.expects(state, head[0], head[1], 0, role)
             cost = costs.UNKNOWN_FORM_BURST

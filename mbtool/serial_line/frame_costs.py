@@ -305,8 +305,10 @@ def _is_only_a_response(
     That is so if the frame fits the pending request as its response, and its contents are
     implausible in a request or were never heard in one.
     """
-    if pending is None or pdu == pending.pdu or not pending.fits(unit, pdu):
+    if pending is None or pdu == pending.pdu:
         return False
+    if not pending.fits(unit, pdu):
+        return _is_malformed_response(pending, unit, pdu)
     if pdu[0] not in FUNCTIONS or pdu_length(pdu, Direction.REQUEST) != len(pdu):
         return False
     if is_odd_request(pdu) or not keeps_limits(parse_pdu(pdu, Direction.REQUEST)):
@@ -317,3 +319,14 @@ def _is_only_a_response(
     # is probably the next request of the master's list.
     is_alike = (pdu[1], pdu[3:5]) == (pending.pdu[1], pending.pdu[3:5])
     return not is_alike and (pdu[0] not in READ_BITS or is_padded(pending.pdu, pdu))
+
+
+def _is_malformed_response(pending: PendingRequest, unit: int, pdu: bytes) -> bool:
+    """True if a frame answers the pending request with a wrong byte count, and is out of the
+    standard's limits as a request: 03 03 123400 to a read of one register.
+    """
+    is_of_request = unit == pending.unit and pdu[0] == pending.pdu[0] and pdu[0] in FUNCTIONS
+    if not is_of_request or pdu_length(pdu, Direction.RESPONSE) != len(pdu):
+        return False
+    request = parse_pdu(pdu, Direction.REQUEST)
+    return request.problem is None and not keeps_limits(request)

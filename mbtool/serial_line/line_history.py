@@ -20,6 +20,8 @@ MAX_REQUESTS = 1024
 """At most this many requests of a line are remembered; beyond that, the one heard least recently is
 forgotten."""
 
+KNOWN_HEAD = 4
+"""So many bytes tell a request that was heard before: unit, function and address."""
 PAUSE_GROWTH = 1.01
 """Each pause (the silence from a response to the next request) makes the shortest pause on record
 1 % longer, so that one unusually short pause is forgotten."""
@@ -39,6 +41,8 @@ class LineHistory:
         self.trusts_silences = timed
         """True if silences tell who speaks. False if the bytes have no known times, or if the
         adapter merges frames."""
+        self.least_silence_ns = 0
+        """A silence up to this length, in ns, is usual on any line of this baud rate."""
         self.hears_silences = False
         """True once a silence of t3.5 was heard between two frames that is shorter than those of an
         adapter that merges a request and its retry."""
@@ -96,6 +100,13 @@ class LineHistory:
             return head[0] in self.units
         return len(head) == 2 and (head[0], head[1] & ~EXCEPTION_BIT) in self.functions
 
+    def begins_request(self, head: bytes) -> bool:
+        """True if a request that was heard before begins with `head`, up to its address."""
+        if len(head) < KNOWN_HEAD or not self.has_function(head[:2]):
+            return False
+        unit, begin = head[0], head[1:]
+        return any(pdu.startswith(begin[: len(pdu)]) for one, pdu in self.requests if one == unit)
+
     def master_still_waits(self, waited_ns: int) -> bool | None:
         """True if a master surely still waits for a response `waited_ns` after its request.
 
@@ -139,8 +150,7 @@ class LineHistory:
         requests[request] = None
         if len(requests) > MAX_REQUESTS:
             del requests[next(iter(requests))]
-        before = state.answered or state.pending
-        if pdu[0] in ECHOING and before is not None:
+        if pdu[0] in ECHOING and (before := state.answered or state.pending) is not None:
             self.rewrite.learn(before.has_address_of(unit, pdu) and before.pdu != pdu)
         if state.answered is not None:
             is_repeat = state.answered.is_same(unit, pdu)

@@ -17,10 +17,9 @@ _RATE_DECAY = 31 / 32
 event is learned. The weight begins at _LEARNING_RATE and ends at _SLOW_LEARNING_RATE, so that the
 first frames are learned faster."""
 
-_AT_REST = 2**-64
+_AT_REST = 2**-24
 """A frequency (0 to 1) below this has the same effect as 0: the cost is at its upper limit, and
-after the next event the frequency is exactly the learning rate, because a float cannot hold the
-small difference."""
+after the next event it differs by less than a ten thousandth of a bit."""
 
 
 class LearnedCost:
@@ -50,7 +49,7 @@ class LearnedCost:
         """The cached value of the property `bits`; None if `frequency` has changed since."""
         self.is_at_rest = False
         """True if `frequency` is so low that another frame without the event changes no cost, so
-        that `learn` need not be called for such a frame. This needs some thousand frames without
+        that `learn` need not be called for such a frame. This needs some hundred frames without
         the event. By then the learning rate has become the final one."""
 
     def learn(self, seen: bool) -> None:

@@ -92,6 +92,7 @@ class RtuSplitter:
         self._speaker = speaker
         self._roles = ROLES if speaker is None else (speaker,)
         self._model = bus_model or BusModel(timed=timed)
+        self._model.history.least_silence_ns = 2 * line.t3_5_ns
         self._fast_path = FastPath(self._model, speaker, WINDOW)
         self._statistics = LineStatistics(timed=timed)
         self._bursts = BurstStatistics()
@@ -225,7 +226,8 @@ class RtuSplitter:
             last = self._echo.last
             if last and self._data.startswith(last) and self._take_copy(events):
                 continue
-            if self._take_repeated(events):
+            last = self._echo.last_response
+            if last and self._data.startswith(last) and self._take_repeated(events):
                 continue
             if self._echo.repeats and (size := doubled_size(self._data, self._roles)):
                 self._emit_frame(size, self._classified_alone(size), events)
@@ -391,9 +393,9 @@ class RtuSplitter:
             self._model.hear(classification, unit, pdu, start_ns, end_ns, longest_ns)
             if classification.direction is Direction.REQUEST:
                 is_certain = classification.by is DirectionBy.FORM or pdu[0] in NEVER_ECHOED
-                is_heard = self._model.history.trusts_silences and before_ns is not None
-                is_soon = is_heard and 0 < (before_ns or 0) < LatencyStatistics.MIN_RETRY_NS
-                self._echo.hear_request(raw, is_certain=is_certain, is_soon=is_soon)
+                echo = self._echo
+                is_soon = echo.last == raw and self._is_soon(before_ns)
+                echo.hear_request(raw, is_certain=is_certain, is_soon=is_soon)
             else:
                 self._echo.hear_response(raw, is_certain=pdu[0] not in ECHOING)
         self._remove(size, Verdict.GLUED)
@@ -416,6 +418,11 @@ class RtuSplitter:
             )
         )
 
+    def _is_soon(self, before_ns: int | None) -> bool:
+        """True if a frame comes sooner (ns) after the one before than any master repeats it."""
+        is_heard = self._model.history.trusts_silences and before_ns is not None
+        return is_heard and 0 < (before_ns or 0) < LatencyStatistics.MIN_RETRY_NS
+
     def _learn(self, size: int, before_ns: int | None, longest_ns: int) -> None:
         """Learn from the silences (ns) before and in the next frame, and from noise before it."""
         last, statistics = self._last_end, self._statistics
@@ -429,14 +436,16 @@ class RtuSplitter:
                 is_glued, glue = before_ns < self._t3_5_ns, statistics.glue
                 if not is_glued and before_ns < MERGING_NS:
                     self._model.history.hears_silences = True
-                glue.learn(is_glued)
+                if is_glued or not glue.is_at_rest:
+                    glue.learn(is_glued)
                 bursts = self._bursts
                 if before_ns == 0 or bursts.has_merged:
                     cut = last_silence(self._times, size, self._silent_ns) if is_split else size
                     bursts.hear_frame(before_ns, size, cut, is_glued=is_glued)
                 is_trusted = glue.frequency <= MAX_GLUED and not bursts.may_merge_retry
                 self._model.history.trusts_silences = is_trusted
-            statistics.split.learn(is_split)
+            if is_split or not statistics.split.is_at_rest:
+                statistics.split.learn(is_split)
 
     def _verdicts(
         self, size: int, before_ns: int | None, longest_ns: int, confidence: float

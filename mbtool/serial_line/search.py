@@ -290,6 +290,8 @@ class PathSearch:
         expected, cost = found
         size = self._end - offset
         is_likely = path.ends_frame or self._window.silences[offset] or cost < 0.0
+        if path.is_noise and path.skipped < LONG_SKIP:  # As receivers hear it behind each frame.
+            is_likely |= self._data[offset] in self._model.history.units
         cost += before
         if is_frame:
             cost += costs.INCOMPLETE_DUE_OVER_FRAME if expected else costs.INCOMPLETE_OVER_FRAME

@@ -1,7 +1,7 @@
 """Tells which share of the requests to a unit failed, and from when to when."""
 
 # The share is of the requests in the time of the failures. Their number is taken from bins of time
-# (ledger/unit_bins.py), so it can be wrong by a part of a bin.
+# (ledger/time_bins.py), so it can be wrong by a part of a bin.
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from mbtool.troubles.failure_limits import ENOUGH, is_grave, time_of_failures
 
 if TYPE_CHECKING:
     from mbtool.ledger.request_tally import RequestTally
-    from mbtool.ledger.unit_times import FailureSpan, UnitTimes
+    from mbtool.ledger.unit_account import FailureSpan, UnitAccount
 
 _SHORTEST_NS = 2_000_000_000
 """No time of failures is told of a unit that was heard for less than this (ns), as times have
@@ -42,7 +42,7 @@ class FailedShare(NamedTuple):
         return is_grave(self.failed, max(self.asked, self.failed))
 
 
-def missing_share(tally: RequestTally, times: UnitTimes | None) -> FailedShare | None:
+def missing_share(tally: RequestTally, times: UnitAccount | None) -> FailedShare | None:
     """Return which share of a unit's requests got no answer; None if all got one. Ambiguous ones
     are left out.
 
@@ -66,14 +66,14 @@ def missing_share(tally: RequestTally, times: UnitTimes | None) -> FailedShare |
     return share
 
 
-def refused_share(tally: RequestTally, times: UnitTimes | None) -> FailedShare | None:
+def refused_share(tally: RequestTally, times: UnitAccount | None) -> FailedShare | None:
     """Return which share of a unit's requests was refused; None if none was. As missing_share."""
     number = tally.count(Outcome.EXCEPTION)
     return _share(number, tally, times, None if times is None else times.refused)
 
 
 def _share(
-    failed: int, tally: RequestTally, times: UnitTimes | None, span: FailureSpan | None
+    failed: int, tally: RequestTally, times: UnitAccount | None, span: FailureSpan | None
 ) -> FailedShare | None:
     if not failed:
         return None
@@ -93,5 +93,5 @@ def _share(
     )
 
 
-def _is_long(times: UnitTimes) -> bool:
+def _is_long(times: UnitAccount) -> bool:
     return times.last_ns - times.first_ns >= _DAY_NS

@@ -18,8 +18,8 @@ from mbtool.core.wording import counted, duration, in_ms
 from mbtool.devices.checking.capture_context import CaptureContext
 from mbtool.devices.checking.checker import Checker
 from mbtool.devices.checking.rules import Severity
+from mbtool.ledger.account import OTHER_UNITS
 from mbtool.ledger.request_tally import merged
-from mbtool.ledger.statistics import OTHER_UNITS
 from mbtool.ledger.statistics_report import LinkReport, report, unit_tallies
 from mbtool.modbus import Outcome
 from mbtool.troubles.broken_rules import Summaries, rule_troubles
@@ -38,10 +38,10 @@ if TYPE_CHECKING:
     from mbtool.devices.checking.finding import Finding
     from mbtool.devices.checking.quiet_run import QuietRows
     from mbtool.devices.named_transaction import NamedTransaction
+    from mbtool.ledger.account import Account
     from mbtool.ledger.answered_run import AnsweredRun
     from mbtool.ledger.poll_statistics import PollStatistics
     from mbtool.ledger.request_tally import RequestTally
-    from mbtool.ledger.statistics import Statistics
 
 Q = TypeVar("Q", bound="QuietRows")
 
@@ -120,7 +120,7 @@ class Judge:
     Each record goes to `count` (or to `hear`, and by the caller to the account) and to `check`.
     """
 
-    def __init__(self, ledger: Statistics, context: CaptureContext | None = None) -> None:
+    def __init__(self, ledger: Account, context: CaptureContext | None = None) -> None:
         """`ledger` is the account of all captures. `context` has the facts that rules need beside
         the records; its functions are asked about the present capture.
         """

@@ -27,9 +27,8 @@ from typing import TYPE_CHECKING
 from mbtool.core import EventKind
 from mbtool.devices.named_transaction import NamedTransaction
 from mbtool.ledger.request_tally import RequestTally, merged
-from mbtool.ledger.statistics import MAX_LINKS
 from mbtool.modbus import Outcome
-from mbtool.troubles.sense import SortedSense
+from mbtool.troubles.sense import MAX_LINKS, SortedSense
 from mbtool.troubles.trouble import MAX_EVIDENCE, Evidence, Sureness, Trouble
 
 if TYPE_CHECKING:

@@ -23,9 +23,8 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind
 from mbtool.devices.named_transaction import NamedTransaction
-from mbtool.ledger.statistics import MAX_LINKS
 from mbtool.modbus import RESPONDED, Outcome
-from mbtool.troubles.sense import Sense
+from mbtool.troubles.sense import MAX_LINKS, Sense
 from mbtool.troubles.trouble import MAX_EVIDENCE, Evidence, Sureness, Trouble
 
 if TYPE_CHECKING:

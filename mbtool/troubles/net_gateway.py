@@ -6,8 +6,8 @@
 #              waited, and was slow or unanswered as well. The unit that others wait for much more
 #              often than it waits for them is the cause.
 # NET-LATE     An answer comes after the master has sent its next request on the same connection,
-#              SLOW_NS or more after the first one: it had given up. Masters that pipeline send
-#              their requests sooner after each other, and are left out.
+#              SLOW_NS or more after the first one: it had given up. Nearly always it then waited
+#              equally long. Masters that pipeline send requests at any time, and are left out.
 #
 # False alarms: two units of a gateway that are both slow by themselves wait for each other equally
 # often, and none is blamed. A slow network makes all units slow alike.
@@ -24,9 +24,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.core.wording import duration
 from mbtool.devices.named_transaction import NamedTransaction
-from mbtool.ledger.statistics import MAX_LINKS
 from mbtool.modbus import Outcome
-from mbtool.troubles.sense import Sense
+from mbtool.troubles.sense import MAX_LINKS, Sense
 from mbtool.troubles.trouble import MAX_EVIDENCE, Evidence, Sureness, Trouble
 
 if TYPE_CHECKING:
@@ -47,8 +46,9 @@ EVEN = 0.15
 """A master's waits for late answers differ by at most this share (0 to 1)."""
 KEPT = 5000
 RECENT = 8
-FEW_OVERLAPS = 0.2
-"""A master that has two requests open more often than this (0 to 1) pipelines."""
+OF_TIMEOUT = 0.8
+"""At least this share (0 to 1) of the times at which a master has two requests open come from its
+time-out; a master that pipelines has others."""
 _GATEWAY_CODES = frozenset((0x0A, 0x0B))
 
 
@@ -63,10 +63,13 @@ class _Slow(NamedTuple):
 
 @dataclass(slots=True)
 class _MasterTalk:
-    recent: deque[NamedTransaction] = field(default_factory=lambda: deque(maxlen=RECENT))
+    recent: deque[tuple[int, NamedTransaction]] = field(
+        default_factory=lambda: deque(maxlen=RECENT)
+    )
+    """The last transactions, and when each began."""
     number: int = 0
     overlaps: int = 0
-    """How often a request came soon after one that was not answered yet."""
+    """How often a request came while another one was not answered yet, until `late` is full."""
     late: list[tuple[NamedTransaction, int]] = field(default_factory=list)
     """Transactions whose answer came after the next request, and how long the master waited."""
 
@@ -119,16 +122,21 @@ class Gateways(Sense):
                 self._connections.popitem(last=False)
             connection = self._connections[key] = _MasterTalk()
         connection.number += 1
-        for other in connection.recent:
+        begin_ns = one.start_ns
+        for other_ns, other in connection.recent:
+            if (begin_ns >= other_ns and (other.response_ns or 0) <= begin_ns) or (
+                begin_ns < other_ns and (one.response_ns or 0) <= other_ns
+            ):
+                continue  # The usual case: no two requests were open at once.
             first, second = sorted((one, other), key=lambda each: each.start_ns)
             end_ns = first.response_ns
             if end_ns is not None and first.start_ns < second.start_ns < end_ns:
                 waited_ns = second.start_ns - first.start_ns
-                if waited_ns < SLOW_NS:
+                if len(connection.late) < MAX_EVIDENCE:
                     connection.overlaps += 1
-                elif len(connection.late) < MAX_EVIDENCE:
-                    connection.late.append((first, waited_ns))
-        connection.recent.append(one)
+                    if waited_ns >= SLOW_NS:
+                        connection.late.append((first, waited_ns))
+        connection.recent.append((begin_ns, one))
 
     def troubles(self, links: Sequence[LinkReport]) -> Iterator[Trouble]:
         asked = {
@@ -140,8 +148,9 @@ class Gateways(Sense):
                 yield from _blocked(link, slow)
         late: dict[tuple[str, int], list[tuple[NamedTransaction, int]]] = {}
         for connection in self._connections.values():
-            if connection.overlaps <= FEW_OVERLAPS * connection.number:
-                for case in connection.late:
+            cases = _of_one_timeout(connection.late)
+            if len(cases) >= OF_TIMEOUT * connection.overlaps:
+                for case in cases:
                     late.setdefault((case[0].link, case[0].unit), []).append(case)
         for (link, unit), cases in late.items():
             distinct = _of_one_timeout([*{case[0].start_ns: case for case in cases}.values()])
@@ -153,6 +162,8 @@ def _of_one_timeout(
     cases: list[tuple[NamedTransaction, int]],
 ) -> list[tuple[NamedTransaction, int]]:
     """Return the cases in which the master waited about equally long, as for a time-out."""
+    if not cases:
+        return []
     usual_ns = median(waited_ns for _, waited_ns in cases)
     return [case for case in cases if abs(case[1] - usual_ns) <= EVEN * usual_ns]
 

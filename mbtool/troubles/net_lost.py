@@ -21,9 +21,8 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind
 from mbtool.core.wording import counted, duration, host_of
-from mbtool.ledger.statistics import MAX_LINKS
 from mbtool.modbus import Outcome
-from mbtool.troubles.sense import Sense
+from mbtool.troubles.sense import MAX_LINKS, Sense
 from mbtool.troubles.trouble import MAX_EVIDENCE, Evidence, Trouble
 
 if TYPE_CHECKING:

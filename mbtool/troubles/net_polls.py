@@ -17,9 +17,8 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind
 from mbtool.core.wording import counted, in_ms
-from mbtool.ledger.statistics import MAX_LINKS
 from mbtool.modbus import RESPONDED, Outcome
-from mbtool.troubles.sense import Sense
+from mbtool.troubles.sense import MAX_LINKS, Sense
 from mbtool.troubles.trouble import Sureness, Trouble
 
 if TYPE_CHECKING:

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 HOLD_NS = 6_000_000_000
 """Longer than a decoder waits for the response to a request of a serial line (ns)."""
 MAX_HELD = 2000
+MAX_LINKS = 1024
+"""A sense knows at most so many links."""
 
 
 class Sense:

@@ -10,8 +10,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from mbtool.ledger.distribution import Distribution
-    from mbtool.ledger.unit_bins import UnitBin
-    from mbtool.ledger.unit_times import UnitTimes
+    from mbtool.ledger.time_bins import UnitBin
+    from mbtool.ledger.unit_account import UnitAccount
 
 K = TypeVar("K")
 
@@ -43,7 +43,7 @@ class Slower(NamedTuple):
 
 
 def slow_and_slower_units(
-    latencies: Mapping[K, Distribution], times: Mapping[K, UnitTimes]
+    latencies: Mapping[K, Distribution], times: Mapping[K, UnitAccount]
 ) -> tuple[dict[K, float], dict[K, Slower]]:
     """Return the units that always were slow, as slow_units does, and those that became slower.
 

@@ -15,7 +15,7 @@ from mbtool.core.wording import counted, in_ms, percent
 from mbtool.ledger.poll_statistics import PollStatistics
 from mbtool.ledger.request_tally import RequestTally
 from mbtool.ledger.statistics_report import unit_polls, unit_tallies, unit_times
-from mbtool.ledger.unit_times import UnitTimes
+from mbtool.ledger.unit_account import UnitAccount
 from mbtool.modbus import Outcome, short_name
 from mbtool.troubles.failed_shares import FailedShare, missing_share, refused_share
 from mbtool.troubles.failure_limits import FEW, are_damaged, never_answers
@@ -69,7 +69,7 @@ class _JudgedUnit:
     number: int
     tally: RequestTally
     polls: Sequence[PollStatistics]
-    times: UnitTimes | None
+    times: UnitAccount | None
     """None if the recording has no times, or if the unit never answers."""
     is_serial: bool
 

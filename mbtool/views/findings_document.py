@@ -238,6 +238,7 @@ def _fields(finding: Finding) -> dict[str, Any]:
         "count": finding.count,
         "packets": [*finding.packets] or None,
         "offsets": [*finding.offsets] or None,
+        "cases": [[*packets] for packets in finding.cases] or None,
     }
     return {key: value for key, value in fields.items() if value is not None}
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
     from rich.table import Table
 
-    from mbtool.devices import FunctionRule, Point, Profile
+    from mbtool.devices import Area, FunctionRule, Point, Profile
 
 _ACCESS = {Access.READ: "read", Access.READ_WRITE: "read, write", Access.WRITE: "write"}
 
@@ -81,16 +81,24 @@ def profile_page(profile: Profile) -> RenderableType:
 
 
 def _areas(profile: Profile) -> Table:
+    """Areas with the same references stand together, under the name of the first one: they are ways
+    to the same registers or bits.
+    """
     table = plain_table("area", "references", "addresses", "table", "access")
+    groups: dict[tuple[str, str], list[Area]] = {}
     for area in profile.areas:
-        cells = (
-            area.name,
-            area.span(area.first, area.last),
-            f"{area.first:04X}..{area.last:04X}",
-            area.table.value.replace("_", " "),
-            _ACCESS[area.access],
-        )
-        table.add_row(*map(plain, cells))
+        name, span = area.name.partition(",")[0], area.span(area.first, area.last)
+        groups.setdefault((name, span), []).append(area)
+    for (name, span), areas in groups.items():
+        for number, area in enumerate(areas):
+            cells = (
+                "" if number else name,
+                "" if number else span,
+                f"{area.first:04X}..{area.last:04X}",
+                area.table.value.replace("_", " "),
+                _ACCESS[area.access],
+            )
+            table.add_row(*map(plain, cells))
     return table
 
 
@@ -110,7 +118,8 @@ def _limit(code: int, rule: FunctionRule) -> str:
     if rule.limit is not None:
         in_ascii = "" if rule.ascii_limit is None else f", in ASCII {rule.ascii_limit}"
         to_write = "" if rule.write_limit is None else f" to read, {rule.write_limit} to write"
-        return f"{rule.limit}{to_write}{in_ascii}"
+        doubtful = ", which is doubtful" if rule.doubtful else ""
+        return f"{rule.limit}{to_write}{in_ascii}{doubtful}"
     if known is None or known.table is None:
         return ""
     return "1" if known.limit == 1 else f"{known.limit}, by the standard"
@@ -122,10 +131,16 @@ def _exceptions(profile: Profile) -> str:
         f"{code:02X} {rules.texts[code]}" if code in rules.texts else f"{code:02X}"
         for code in rules.documented
     )
+    others = [
+        (key, rule.value)
+        for key, rule in sorted(profile.functions.items())
+        if rule.value not in (None, rules.value)
+    ]
+    named = ", ".join(f"{code:02X} of function {key}" for key, code in others)
     return (
         f"exceptions: {rules.function:02X} for a function that it lacks, {rules.address:02X} for "
         f"an address outside its areas, {rules.value:02X} for a value or quantity that it does "
-        f"not allow; the manual lists {documented}"
+        f"not allow{f' ({named})' if named else ''}; the manual lists {documented}"
     )
 
 

@@ -9,7 +9,7 @@ import json
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any
 
-from mbtool.ledger.statistics import OTHER_UNITS
+from mbtool.ledger.account import OTHER_UNITS
 from mbtool.ledger.statistics_report import is_counted_together
 from mbtool.modbus import Outcome
 from mbtool.views.trouble_lines import trouble_documents
@@ -17,12 +17,12 @@ from mbtool.views.trouble_lines import trouble_documents
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from mbtool.ledger.account import Account
     from mbtool.ledger.bus_load import BusLoad
     from mbtool.ledger.distribution import Distribution
     from mbtool.ledger.poll_cycle import PollList, PollLists
     from mbtool.ledger.poll_statistics import PollStatistics
     from mbtool.ledger.request_tally import RequestTally
-    from mbtool.ledger.statistics import Statistics
     from mbtool.ledger.statistics_connections import ConnectionTally
     from mbtool.ledger.statistics_report import LinkReport, MasterReport, PollReport
     from mbtool.troubles.judge import Judgement
@@ -42,7 +42,7 @@ _COUNTED = (
 
 
 def statistics_document(
-    statistics: Statistics,
+    account: Account,
     judgement: Judgement,
     *,
     sources: Sequence[str],
@@ -62,11 +62,11 @@ def statistics_document(
         "where": where,
         "is_whole": is_whole,
         "remarks": list(remarks),
-        "transactions": statistics.transactions,
-        "polls_seen": statistics.polls_seen,
-        "polls_listed": len(statistics.polls),
-        "out_of_order": statistics.late,
-        "watched_s": statistics.watched_ns / 1e9,
+        "transactions": account.transactions,
+        "polls_seen": account.polls_seen,
+        "polls_listed": len(account.polls),
+        "out_of_order": account.late,
+        "watched_s": account.watched_ns / 1e9,
         "is_counted_together": is_counted_together(links),
         **trouble_documents(judgement),
         "links": [_link(link) for link in links],
@@ -87,7 +87,7 @@ def _link(link: LinkReport) -> dict[str, Any]:
         "end": _iso(link.end_ns) if link.has_times else None,
         "watched_s": link.watched_ns / 1e9,
         **_tally(link.tally, link),
-        "repetitions": sum(one.poll.repetitions for one in link.polls),
+        "repetitions": sum(one.repetitions for one in link.functions),
         "load": None if link.load is None else _load(link.load),
         "functions": [
             {

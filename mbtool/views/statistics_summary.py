@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from mbtool.core.wording import counted, duration, percent
+from mbtool.ledger.account import MAX_LINKS, MAX_USES
 from mbtool.ledger.request_tally import RequestTally, merged
-from mbtool.ledger.statistics import MAX_GROUPS, MAX_LINKS
 from mbtool.ledger.statistics_report import is_counted_together
 from mbtool.modbus import Outcome
 from mbtool.troubles.judge import units_text
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from mbtool.troubles.judge import Judgement
 
 TOGETHER_TEXT = (
-    f"there are more than {MAX_GROUPS:,} pairs of unit and function, or {MAX_LINKS:,} links: "
+    f"there are more than {MAX_LINKS:,} links or units, or {MAX_USES:,} functions of units: "
     "others are counted together, and figures of single units may be too small"
 )
 _DOUBT = "yellow"

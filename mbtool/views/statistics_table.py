@@ -10,9 +10,9 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from mbtool.core.wording import clock_time, day, duration, in_ms, in_s, percent, plural
+from mbtool.ledger.account import OTHER_UNITS
 from mbtool.ledger.distribution import Bucket
 from mbtool.ledger.request_tally import RequestTally, merged
-from mbtool.ledger.statistics import OTHER_UNITS
 from mbtool.modbus import Outcome, short_name
 from mbtool.views.statistics_columns import (
     StatisticsColumn,

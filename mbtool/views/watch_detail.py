@@ -32,6 +32,7 @@ WHY = {
 VERDICTS = {
     Verdict.GLUED: "no silence separates it from the frame beside it",
     Verdict.SPLIT: "a silence of t3.5 or longer inside",
+    Verdict.ONLY_REQUEST_SPLIT: "only inside the request",
     Verdict.RESYNCHRONISED: "bytes were skipped before it",
     Verdict.NOISE_BEFORE: "unreadable bytes right before it",
     Verdict.T1_5_BROKEN: "a silence longer than t1.5 inside",

@@ -1,13 +1,13 @@
-"""Keeps what live views show: polls, points, transactions, slaves, events and findings."""
+"""Keeps what live views show beside the account: last transactions, values, events and findings."""
 
 # Each record costs little (a test counts the calls): if a poll (repeated request) reads the same
 # values as last time, no point (named value) is touched, because the age of a point is the age of
 # its poll. Rows are made only when a view is drawn (board_rows.py).
 #
-# Memory: MAX_KEPT records and as many events of connections, MAX_POINTS points, MAX_SLAVES slaves,
-# MAX_TROUBLES kinds of events and findings, and MAX_POLLS polls (ledger/statistics.py). A new
-# record replaces the oldest one, and a new poll the one that was not sent for longest; further
-# points, slaves and kinds are only counted in `left_out`.
+# Memory: MAX_KEPT records and as many events of connections, MAX_POINTS points, MAX_TROUBLES kinds
+# of events and findings, MAX_POLLS polls, and the account (ledger/account.py). A new record
+# replaces the oldest one, and a new poll the one that was not sent for longest; further points and
+# kinds are only counted in `left_out`.
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind, WireEvent
 from mbtool.devices.references import write_reference
-from mbtool.ledger.statistics import MAX_POLLS, Statistics
+from mbtool.ledger.account import MAX_POLLS, Account
 from mbtool.modbus import FUNCTIONS, Outcome, Verdict
 from mbtool.modbus.damaged_answers import MAX_FRAMES
 from mbtool.watching.watched_rows import (
@@ -24,7 +24,6 @@ from mbtool.watching.watched_rows import (
     KeptRecord,
     WatchedPoint,
     WatchedPoll,
-    WatchedSlave,
     WatchedTrouble,
 )
 
@@ -40,7 +39,6 @@ if TYPE_CHECKING:
 
 MAX_KEPT = 10_000
 MAX_POINTS = 20_000
-MAX_SLAVES = 4096
 MAX_TROUBLES = 1024
 _MAX_BLAMED = 2 * MAX_KEPT
 _MAX_RETRIES = 2 * MAX_KEPT
@@ -75,13 +73,12 @@ class Board:
         may let only failures pass."""
         self.part: Board | None = None
         """The board of the records that pass a filter, which is told of retries."""
-        self.statistics = Statistics(format_of, self._note_retry)
+        self.account = Account(format_of, self._note_retry, is_part=whole is not None)
         self.retries: OrderedDict[RetryKey, None] = OrderedDict()
-        """The last requests that are retries by the rule of the statistics; on a board for a filter
-        none, as they are those of the board `whole`."""
-        self._asked_again: OrderedDict[RetryKey, int] = OrderedDict()
-        """On a board for a filter, the last requests that may be retries, and the numbers of their
-        polls."""
+        """The last requests that are retries; on a board for a filter none, as they are those of
+        the board `whole`."""
+        self._asked_again: OrderedDict[RetryKey, PollStatistics] = OrderedDict()
+        """On a board for a filter, the last requests that may be retries, and their polls."""
         self._bad_checks: dict[str, deque[tuple[int, KeptRecord]]] = {}
         """By link, times (UTC ns) and events of the last frames with a wrong CRC or LRC that
         belong to no unit so far. They are one more than can still be matched with a request, so
@@ -103,9 +100,8 @@ class Board:
         """The polls (repeated requests) by their number, which counts them from 0 in the order in
         which they were first sent. The one that was sent last is at the end."""
         self.points: dict[tuple[str, int, object, object], WatchedPoint] = {}
-        self.slaves: dict[tuple[str, int], WatchedSlave] = {}
         self.troubles: dict[tuple[str, str, int | None], WatchedTrouble] = {}
-        self.transactions = self.events = self.left_out = 0
+        self.left_out = 0
         self.judgement: Judgement | None = None
         """What is wrong, as it was last judged; None before that, and on a board for a filter."""
         self.last_ns = 0
@@ -123,29 +119,25 @@ class Board:
         if listed:
             self.records.append(kept)
             self.listed += 1
-        self.transactions += 1
         at_ns = kept.at_ns
         if at_ns > self.last_ns:
             self.last_ns = at_ns
-        self._note_slave(record)
-        statistics = self.statistics.add(record)
-        frame_ns = self.statistics.damaged_ns
+        counted = self.account.add(record)
+        frame_ns = self.account.damaged_ns
         is_damaged = frame_ns is not None
         if frame_ns is not None:
             self._blame(record, kept, frame_ns)
-        if statistics is not None:
-            poll = self.polls.get(statistics.number)
+        if counted is not None:
+            poll = self.polls.get(counted.number)
             if poll is None:
-                poll = self.polls[statistics.number] = WatchedPoll(statistics, kept)
+                poll = self.polls[counted.number] = WatchedPoll(counted, kept)
                 if len(self.polls) > MAX_POLLS:
                     self.polls.popitem(last=False)
             else:
-                self.polls.move_to_end(statistics.number)
+                self.polls.move_to_end(counted.number)
             self._note_poll(poll, kept, record, at_ns, is_damaged=is_damaged)
             if record.retries and self.whole is not self and record.request_ns is not None:
-                self._note_asked_again(
-                    (record.link, record.unit, record.request_ns), statistics.number
-                )
+                self._note_asked_again((record.link, record.unit, record.request_ns), counted)
         for code in record.findings:
             self._note_trouble(code, kept, record.link, record.unit, at_ns)
 
@@ -155,8 +147,7 @@ class Board:
         elif listed:
             self.records.append(kept)
             self.listed += 1
-        self.events += 1
-        self.statistics.add(event)
+        self.account.add(event)
         self.last_ns = max(self.last_ns, event.ts_ns)
         if event.kind is EventKind.BAD_CHECK:
             events = self._bad_checks.setdefault(event.link, deque(maxlen=MAX_FRAMES + 1))
@@ -164,28 +155,28 @@ class Board:
         self._note_trouble(event.kind.value, kept, event.link, None, event.ts_ns)
 
     def advance(self, before_ns: int | None) -> None:
-        """Let the statistics count the requests from before `before_ns` (ns since 1970).
+        """Let the account count the periods and retries of requests from before `before_ns` (ns
+        since 1970).
 
-        The statistics hold requests back to count them in order of time, as records do not come in
-        that order. The caller says that no earlier request will come; None counts all that wait.
+        It holds requests back to take them in order of time, as records do not come in that order.
+        The caller says that no earlier request will come; None takes all that wait.
         """
-        self.statistics.settle(before_ns)
+        self.account.settle(before_ns)
         if before_ns is None:
             for poll in self.polls.values():
                 poll.forget_period()
 
     def _note_retry(self, poll: PollStatistics, at_ns: int, by: int) -> None:
-        """Count a request of `poll` as a retry (`by` 1), or as none after all (-1).
+        """Note that a request of `poll` is a retry (`by` 1), or none after all (-1).
 
-        `at_ns` (UTC ns) is its time. A board for a filter may lack the requests between, so that
-        its statistics tell nothing of retries.
+        `at_ns` (UTC ns) is its time. The account of a filter's board lacks the requests between, so
+        it is told of retries.
         """
         if self.whole is not self:
             return
         key = poll.key.link, poll.key.unit, at_ns
-        self._count_retry(key, poll.number, by)
         if self.part is not None and key in self.part._asked_again:
-            self.part._count_retry(key, self.part._asked_again[key], by)
+            self.part.account.count_retry(self.part._asked_again[key], at_ns, by)
         if by < 0:
             self.retries.pop(key, None)
             return
@@ -193,30 +184,13 @@ class Board:
         if len(self.retries) > _MAX_RETRIES:
             self.retries.popitem(last=False)
 
-    def _note_asked_again(self, key: RetryKey, number: int) -> None:
-        """Note a request, of the poll with this number, that may be a retry, or turn out to be."""
-        self._asked_again[key] = number
+    def _note_asked_again(self, key: RetryKey, poll: PollStatistics) -> None:
+        """Note a request of the poll that may be a retry, or turn out to be."""
+        self._asked_again[key] = poll
         if len(self._asked_again) > _MAX_RETRIES:
             self._asked_again.popitem(last=False)
         if key in self.whole.retries:
-            self._count_retry(key, number, 1)
-
-    def _count_retry(self, key: RetryKey, number: int, by: int) -> None:
-        slave, poll = self.slaves.get(key[:2]), self.polls.get(number)
-        if slave is not None:
-            slave.retries += by
-        if poll is not None:
-            poll.retries += by
-
-    def _note_slave(self, one: NamedTransaction) -> None:
-        key = one.link, one.unit
-        slave = self.slaves.get(key)
-        if slave is None:
-            if len(self.slaves) >= MAX_SLAVES:
-                self.left_out += 1
-                return
-            slave = self.slaves[key] = WatchedSlave(one.link, one.unit)
-        slave.add(one)
+            self.account.count_retry(poll, key[-1], 1)
 
     def _note_poll(
         self,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from operator import attrgetter
 from typing import TYPE_CHECKING, NamedTuple, overload
@@ -10,19 +11,19 @@ from mbtool.core import WireEvent
 from mbtool.ledger.request_tally import RequestTally
 from mbtool.ledger.statistics_report import report, unit_tallies
 from mbtool.modbus import Outcome
-from mbtool.watching.watched_rows import KeptRecord, errors_of
+from mbtool.watching.watched_rows import NEVER_NS, KeptRecord, errors_of
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Hashable, Mapping
 
     from mbtool.ledger.poll_statistics import PollKey
+    from mbtool.ledger.unit_account import UnitAccount
     from mbtool.modbus import Table
     from mbtool.troubles.trouble import Trouble
     from mbtool.watching.board import Board, RetryKey
     from mbtool.watching.watched_rows import (
         WatchedPoint,
         WatchedPoll,
-        WatchedSlave,
     )
 
 _ANSWERS = (Outcome.OK, Outcome.EXCEPTION, Outcome.MALFORMED)
@@ -95,7 +96,7 @@ class RecordRow(NamedTuple):
     is_damaged: bool
     """True if the response to the request came with a wrong CRC or LRC."""
     is_retry: bool
-    """True if the request is a retry by the rule of the statistics."""
+    """True if the request is a retry, by the rule of the account."""
 
 
 class WatchedSlaveRow(NamedTuple):
@@ -212,12 +213,26 @@ def slave_rows(board: Board) -> list[WatchedSlaveRow]:
         for one in trouble.all:
             if one.unit is not None:
                 troubles.setdefault((one.link, one.unit), []).append(one)
-    tallies = unit_tallies(report(board.statistics, with_cycles=False), broadcasts=True)
+    findings: Counter[tuple[str, int | None]] = Counter()
+    for kind in board.troubles.values():
+        if kind.is_finding:
+            findings[kind.link, kind.unit] += kind.count
+    links = report(board.account, with_cycles=False)
+    retries: Counter[tuple[str, int]] = Counter()
+    for link in links:
+        for each in link.functions:
+            retries[link.name, each.unit] += each.repetitions
+    tallies = unit_tallies(links, broadcasts=True)
     return [
         _slave_row(
-            slave, tallies.get(key, RequestTally()), every.get(key), tuple(troubles.get(key, ()))
+            unit,
+            tallies.get(key, RequestTally()),
+            retries[key],
+            findings[key],
+            every.get(key),
+            tuple(troubles.get(key, ())),
         )
-        for key, slave in sorted(board.slaves.items())
+        for key, unit in sorted(board.account.units.items())
     ]
 
 
@@ -235,20 +250,20 @@ def trouble_rows(board: Board) -> list[TroubleRow]:
 
 def _poll_row(number: int, poll: WatchedPoll) -> PollRow:
     poll.refresh_period()
-    statistics = poll.statistics
-    tally = statistics.tally
+    account = poll.account
+    tally = account.tally
     return PollRow(
         key=number,
         kept=poll.last,
         is_damaged=poll.is_damaged,
-        poll=statistics.key,
-        function_name=statistics.function_name,
-        reference=statistics.reference,
-        device=statistics.device,
+        poll=account.key,
+        function_name=account.function_name,
+        reference=account.reference,
+        device=account.device,
         asked=tally.requests,
         errors=errors_of(tally),
         missing=tally.not_in_time,
-        retries=poll.retries,
+        retries=account.repetitions,
         last_ns=poll.last_ns,
         period_ns=poll.period_ns,
         has_regular_period=poll.has_regular_period,
@@ -284,7 +299,7 @@ def _point_row(key: Hashable, point: WatchedPoint) -> WatchedPointRow:
 
 
 def _pair(point: WatchedPoint) -> tuple[int, int] | None:
-    first, values = point.poll.statistics.key.address, point.poll.values
+    first, values = point.poll.account.key.address, point.poll.values
     if point.address is None or first is None or values is None:
         return None
     at = point.address - first
@@ -292,31 +307,33 @@ def _pair(point: WatchedPoint) -> tuple[int, int] | None:
 
 
 def _slave_row(
-    slave: WatchedSlave,
+    unit: UnitAccount,
     tally: RequestTally,
+    retries: int,
+    findings: int,
     whole: WatchedSlaveRow | None,
     troubles: tuple[Trouble, ...],
 ) -> WatchedSlaveRow:
     return WatchedSlaveRow(
-        key=(slave.link, slave.unit),
+        key=unit.key,
         kept=None,
-        link=slave.link,
-        unit=slave.unit,
-        device=slave.device,
+        link=unit.key.link,
+        unit=unit.key.unit,
+        device=unit.device,
         asked=tally.requests,
         answered=sum(map(tally.count, _ANSWERS)),
         exceptions=tally.count(Outcome.EXCEPTION),
         missing=tally.not_in_time,
         damaged=tally.damaged,
         malformed=tally.count(Outcome.MALFORMED),
-        retries=slave.retries,
+        retries=retries,
         median_ns=tally.latency.percentile(50),
         slowest_ns=tally.latency.greatest,
-        first_ns=slave.first_ns,
-        last_ns=slave.last_ns,
-        answered_ns=slave.answered_ns,
-        silent_since_ns=slave.silent_since_ns,
-        findings=slave.findings,
+        first_ns=unit.first_ns,
+        last_ns=unit.last_ns,
+        answered_ns=unit.answered_ns if unit.answered_ns > NEVER_NS else None,
+        silent_since_ns=unit.silent_since_ns if unit.is_silent else None,
+        findings=findings,
         whole=whole,
         troubles=troubles,
     )

@@ -55,7 +55,7 @@ class Watched:
         self._order = self._numbers = 0
         self._settled_ns: int | None = 0
         self.whole = self._board()
-        self._judge = Judge(self.whole.statistics, self._context)
+        self._judge = Judge(self.whole.account, self._context)
         self.filtered: Board | None = None
         """The board of the records that pass the filter; None without a filter."""
         self.unfiltered = 0
@@ -80,14 +80,14 @@ class Watched:
 
     def judge(self) -> Judgement:
         """Judge all records so far; the judgement stands on the board, too."""
-        links = report(self.whole.statistics, with_cycles=False)
+        links = report(self.whole.account, with_cycles=False)
         self.whole.judgement = self._judge.judgement(links)
         return self.whole.judgement
 
     def advance(self, before_ns: int | None) -> None:
-        """Let the statistics count the requests from before `before_ns` (ns since 1970).
+        """Let the account count the requests from before `before_ns` (ns since 1970).
 
-        The statistics hold requests back to count them in order of time, as records do not come in
+        The account holds requests back to count them in order of time, as records do not come in
         that order. The caller says that no earlier request will come; None counts all that wait.
         """
         self._settled_ns = before_ns
@@ -102,7 +102,7 @@ class Watched:
         """
         self._order = self._numbers = self.unfiltered = 0
         self.whole = self._board()
-        self._judge = Judge(self.whole.statistics, self._context)
+        self._judge = Judge(self.whole.account, self._context)
         if self.filtered is not None:
             self.filtered = self.whole.part = self._board(self.whole)
 
@@ -155,7 +155,7 @@ class Watched:
         elif self.wanted is not None and self.wanted(kept.record):
             board.add(kept)
         else:
-            board.statistics.left_out += 1
+            board.account.left_out += 1
 
 
 def _numbered(records: Iterable[Record]) -> Iterator[KeptRecord]:

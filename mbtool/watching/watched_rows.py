@@ -1,4 +1,4 @@
-"""The figures that live views keep for each poll, point, slave and kind of event or finding."""
+"""What live views keep for each poll, point, and kind of event or finding."""
 
 # Memory: a poll (repeated request) keeps its last transaction, the time of the last change of each
 # of its values (at most 2000, as many as a request can read) and HISTORY latencies; a point (named
@@ -51,7 +51,7 @@ def kept_record(order: int, number: int | None, record: Record) -> KeptRecord:
 class WatchedPoll:
     """A request that a master repeats: its last transaction, and which of its values changed."""
 
-    statistics: PollStatistics
+    account: PollStatistics
     last: KeptRecord
     """The last transaction; not one whose response the capture's end cut off, if there is another.
     """
@@ -72,9 +72,7 @@ class WatchedPoll:
     period_ns: int = 0
     """The median time between two requests, in ns; 0 if only one was sent."""
     has_regular_period: bool = False
-    """False if the times between two requests differ widely, by the rule of the statistics."""
-    retries: int = 0
-    """The number of retries, by the rule of the statistics."""
+    """False if the times between two requests differ widely, by the rule of the account."""
     shares_points: bool = False
     """True if another poll gives or gave values of the same points, so that a value may have
     changed though this poll reads the same as before."""
@@ -85,11 +83,11 @@ class WatchedPoll:
 
         Doing it for each request would take too long.
         """
-        count = self.statistics.period.count
+        count = self.account.period.count
         if count > self._period_at + self._period_at // 8:
             self._period_at = count
-            self.period_ns = self.statistics.period.percentile(50)
-            self.has_regular_period = self.statistics.has_regular_period
+            self.period_ns = self.account.period.percentile(50)
+            self.has_regular_period = self.account.has_regular_period
 
     def forget_period(self) -> None:
         """Let the next `refresh_period` compute the period in any case."""
@@ -141,44 +139,6 @@ class WatchedPoint:
         self.value, self.text = value, text
         if value is not None:
             self.history.append(value)
-
-
-@dataclass(slots=True)
-class WatchedSlave:
-    """The device, the first and last times, and the findings of one unit of a link.
-
-    Its requests and responses are counted by the statistics.
-    """
-
-    link: str
-    unit: int
-    device: str | None = None
-    first_ns: int = 0
-    last_ns: int = 0
-    answered_ns: int | None = None
-    """The time of the last response, in ns since 1970; None if the slave never answered."""
-    silent_since_ns: int | None = None
-    """The time (ns since 1970) of the first unanswered request since the last response; None if
-    there is none."""
-    findings: int = 0
-    retries: int = 0
-    """The number of retries, by the rule of the statistics: requests that repeat an unanswered one
-    at once, not at the usual period of their poll."""
-
-    def add(self, one: NamedTransaction) -> None:
-        at_ns = one.start_ns
-        self.first_ns = self.first_ns or at_ns
-        self.last_ns = max(at_ns, self.last_ns)
-        self.device = one.device or self.device
-        self.findings += len(one.findings)
-        if one.outcome is Outcome.NO_ANSWER:
-            # A missing response becomes known late: the slave may have answered later requests
-            # since.
-            is_newest = self.answered_ns is None or at_ns >= self.answered_ns
-            if self.silent_since_ns is None and is_newest:
-                self.silent_since_ns = at_ns
-        elif one.response_ns is not None:
-            self.answered_ns, self.silent_since_ns = one.response_ns, None
 
 
 @dataclass(slots=True)

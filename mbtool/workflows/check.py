@@ -22,8 +22,8 @@ from mbtool.devices.checking.finding import Finding, event_finding
 from mbtool.devices.checking.rules import RULES, Severity
 from mbtool.devices.checking.security_limits import SecurityLimits
 from mbtool.devices.profile_checks import finding_prefix
+from mbtool.ledger.account import Account
 from mbtool.ledger.request_tally import merged
-from mbtool.ledger.statistics import Statistics
 from mbtool.modbus import Outcome
 from mbtool.sources.files import STANDARD_INPUT
 from mbtool.troubles.judge import Judge
@@ -142,9 +142,8 @@ class CheckedRecord(NamedTuple):
     """The same reads grouped by poll; None if there is no `rows`."""
     poll: PollStatistics | None = None
     """The poll that the transaction belongs to, in the account; None if it has none."""
-
-    is_left_out: bool = False
-    """True for a transaction that the user's filter leaves out of the account."""
+    damaged_ns: int | None = None
+    """The time (UTC ns) of the damaged response to the transaction; None if it had none."""
 
     @property
     def row_count(self) -> int:
@@ -167,15 +166,16 @@ class CheckRun:
         window: TimeWindow | None = None,
         *,
         wanted: Where | None = None,
-        on_retry: Callable[[PollStatistics, int, int], None] = lambda *_: None,
+        on_retry: Callable[[PollStatistics, int, int], None] | None = None,
+        observes: bool = False,
         reads_only: bool = False,
     ) -> None:
         """Prepare to read. `codes` chooses the findings, `limits` are those of attacks and scans,
         `window` the time that is checked.
 
         `wanted` returns True for the transactions to count, and to report findings of; None for
-        all. `on_retry` is that of Statistics. With `reads_only`, only reads come together in
-        CheckedRecord.rows, and no writes.
+        all. `on_retry` and `observes` are those of Account. With `reads_only`, only reads come
+        together in CheckedRecord.rows, and no writes.
         """
         self._reads_only = reads_only
         self._wanted = wanted
@@ -190,7 +190,7 @@ class CheckRun:
         self._ports: frozenset[int] | None = None
         if options.any_port:
             self._ports = frozenset((*options.ports, *options.rtu_ports, MODBUS_PORT))
-        self.ledger = Statistics(self._format_of, on_retry)
+        self.ledger = Account(self._format_of, on_retry, observes=observes)
         """The account of all files."""
         self._judge = Judge(
             self.ledger,
@@ -220,7 +220,6 @@ class CheckRun:
         self.problem: str | None = None
         """The error that ended the reading before the end of the files; None if there was none."""
         self._hints = ModelHints(self.reading.profile_for)
-        self.transactions = 0
         self.counts: Counter[str] = Counter()
         """By code, the number of findings that the filter has chosen."""
 
@@ -235,6 +234,11 @@ class CheckRun:
             self._codes.demand_known(known)
         except UsageError:
             self._codes.demand_known([*known, *profiles_of_logs(self._paths, self._line)])
+
+    @property
+    def transactions(self) -> int:
+        """The number of transactions that were checked."""
+        return self.ledger.transactions + self.ledger.left_out
 
     @property
     def remarks(self) -> list[str]:
@@ -333,7 +337,6 @@ class CheckRun:
         yield from self._chosen(self._judge.end_capture())
 
     def _check_rows(self, rows: BlockRows) -> Iterator[CheckedRecord]:
-        self.transactions += len(rows)
         for some, found in self._judge.check_rows(rows):
             findings = list(self._chosen(found))
             if isinstance(some, NamedTransaction):
@@ -357,14 +360,14 @@ class CheckRun:
         is_wanted = True
         if not isinstance(record, WireEvent):
             is_wanted = self._wanted is None or self._wanted(record)
-            self.transactions += 1
             self._hints.note(record)
             if self._namer is not None:
                 named = self._namer.name(record)
         poll = self._judge.count(named, is_wanted=is_wanted)
         found = list(self._judge.check(named))
         chosen = list(self._chosen(found if is_wanted else ()))
-        return CheckedRecord(record, named, chosen, poll=poll, is_left_out=not is_wanted)
+        damaged_ns = None if poll is None else self.ledger.damaged_ns
+        return CheckedRecord(record, named, chosen, poll=poll, damaged_ns=damaged_ns)
 
     def _format_of(self, link: str) -> SerialFormat | None:
         """Return the baud rate and character format of a line in the current capture; None if they
@@ -384,7 +387,7 @@ class CheckRun:
         names that the JSON of `stats` has for them.
         """
         polls = (poll.tally for poll in self.ledger.polls.values())
-        tally = merged([*polls, *self.ledger.groups.values()])
+        tally = merged([*polls, *(one.tally for one in self.ledger.uses.values())])
         return {
             "late": tally.count(Outcome.LATE),
             "no_answer": tally.unanswered,

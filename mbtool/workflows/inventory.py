@@ -14,7 +14,7 @@ from mbtool.core import InputError
 from mbtool.devices import NamedTransaction, builtin_profiles, load_profile
 from mbtool.ledger.baseline import changes
 from mbtool.ledger.identification import identify
-from mbtool.ledger.inventory import Inventory
+from mbtool.ledger.inventory import inventory
 from mbtool.ledger.inventory_rows import INVENTORY_FORMAT, InventoryDocument
 from mbtool.sources.files import shown_name
 from mbtool.sources.makers import maker
@@ -50,7 +50,7 @@ class InventoryRun:
     def __init__(self, files: Sequence[str], options: InventoryOptions) -> None:
         self._files = files
         self._options = options
-        self._check = CheckRun(files, options.reading, wanted=options.wanted)
+        self._check = CheckRun(files, options.reading, wanted=options.wanted, observes=True)
         self.reading = self._check.reading
         self.error: InputError | None = None
         """The error of a file that could be read only in part; None if all files were read to their
@@ -69,22 +69,19 @@ class InventoryRun:
         read, and may show the progress. Raises InputError if an error comes before the first
         transaction.
         """
-        inventory = Inventory()
         try:
-            for one in watch(self.reading, self._check.checked()):
-                if one.answered is not None:
-                    inventory.add_run(one.answered)
-                elif isinstance(one.record, NamedTransaction) and not one.is_left_out:
-                    inventory.add(one.record)
+            for _ in watch(self.reading, self._check.checked()):
+                pass
         except InputError as error:
-            if not inventory.transactions:
+            if not self._check.ledger.transactions:
                 raise
             self.error = error
         for remark in self.reading.remarks:
             on_remark(remark)
         profiles = {one.name: one for one in map(load_profile, builtin_profiles())}
         profiles |= {one.name: one for one in self.reading.assignments.profiles}
-        return inventory.document(
+        return inventory(
+            self._check.ledger,
             [*map(shown_name, self._files)],
             partial(identify, profiles=list(profiles.values())),
             maker,

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind, InputError, WireEvent
 from mbtool.devices import builtin_profiles, load_profile
-from mbtool.ledger.history import History, UnitRow
 from mbtool.ledger.identification import identify
-from mbtool.ledger.inventory import Inventory
+from mbtool.ledger.inventory import inventory
 from mbtool.ledger.statistics_report import is_counted_together
+from mbtool.ledger.unit_account import UnitKey
 from mbtool.ports.clock import now_ns
 from mbtool.sources.files import shown_name
 from mbtool.sources.makers import maker
@@ -77,12 +77,16 @@ class ReportRun:
         self._files = files
         self._options = options
         self._check = CheckRun(
-            files, options, codes, window=window, on_retry=self._add_retry, reads_only=True
+            files,
+            options,
+            codes,
+            window=window,
+            on_retry=self._mark_retry,
+            observes=True,
+            reads_only=True,
         )
         self.reading = self._check.reading
-        self.statistics = self._check.ledger
-        self._inventory = Inventory()
-        self._history = History()
+        self.account = self._check.ledger
         self._values = Values()
         self._rows = TransactionRows(everything=everything)
         self._findings = Summaries()
@@ -108,7 +112,7 @@ class ReportRun:
             for one in watch(self.reading, self._check.checked()):
                 self._add(one)
         except InputError as error:
-            if not self.statistics.transactions:
+            if not self.account.transactions:
                 raise
             self.error = error
 
@@ -143,13 +147,10 @@ class ReportRun:
             if isinstance(record, WireEvent) or isinstance(named, WireEvent):
                 self._note_event(record)
             else:
-                self._inventory.add(record)
                 self._values.add(named)
-                # Before the statistics, which may tell at once that its request is a retry.
-                self._rows.add(named, _codes_of(named, findings))
+                self._rows.add(named, _codes_of(named, findings), one.damaged_ns)
             if one.poll is not None and not isinstance(named, WireEvent):
                 self._rows.pauses.note(one.poll.key, self._rows.transactions, named)
-            self._history.add(named)
         if one.rows is not None and one.answered is not None:
             self._note_capture()
             self._add_rows(one.rows, one.answered)
@@ -157,12 +158,10 @@ class ReportRun:
             self._rows.mark(finding)
 
     def _add_rows(self, rows: BlockRows, answered: AnsweredRun) -> None:
-        """Count answered reads without findings together; only the first ones of the capture need a
+        """Take answered reads without findings together; only the first ones of the capture need a
         row of the table.
         """
         reads = rows.reads()
-        self._inventory.add_run(answered)
-        self._history.add_reads(reads)
         if not self._values.add_reads(reads):
             for named in rows.transactions(len(rows)):
                 self._values.add(named)
@@ -185,7 +184,6 @@ class ReportRun:
     def _note_event(self, record: object) -> None:
         if not isinstance(record, WireEvent):
             return
-        self._rows.note_event(record)
         if record.kind in _LACKING:
             self._number_lacking += 1
             if len(self._lacking) < MAX_LACKING:
@@ -202,15 +200,18 @@ class ReportRun:
             version=__version__,
             made_ns=now_ns(),
             sources=names,
-            statistics=self.statistics,
+            account=self.account,
             judgement=judgement,
-            late_ns={UnitRow(*one.unit): one.late_ns for one in late},
-            inventory=self._inventory.document(
-                names, partial(identify, profiles=list(profiles.values())), maker, profiles
+            late_ns={UnitKey(*one.unit): one.late_ns for one in late},
+            inventory=inventory(
+                self.account,
+                names,
+                partial(identify, profiles=list(profiles.values())),
+                maker,
+                profiles,
             ),
             findings=self._findings,
             number_of_findings=self._number_of_findings,
-            history=self._history,
             values=self._values,
             rows=self._rows,
             origins=[self._origin(file) for file in names],
@@ -237,10 +238,8 @@ class ReportRun:
             other, found.b_transactions, found.a_transactions, found.is_whole, found.differences
         )
 
-    def _add_retry(self, poll: PollStatistics, at_ns: int, number: int) -> None:
-        unit = UnitRow(poll.key.link, poll.key.unit)
-        self._history.add_retry(unit, at_ns, number)
-        self._rows.mark_retry(unit, at_ns, number)
+    def _mark_retry(self, poll: PollStatistics, at_ns: int, number: int) -> None:
+        self._rows.mark_retry(poll.use.unit.key, at_ns, number)
 
 
 def _codes_of(one: NamedTransaction, findings: list[Finding]) -> list[str]:

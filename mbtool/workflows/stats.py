@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import WireEvent
 from mbtool.devices.checking.capture_context import CaptureContext
-from mbtool.ledger.statistics import Statistics
+from mbtool.ledger.account import Account
 from mbtool.troubles.judge import Judge
 
 if TYPE_CHECKING:
@@ -39,11 +39,11 @@ class LiveStatistics:
         devices: Assignments | None = None,
     ) -> None:
         self._wanted = wanted
-        self.statistics = Statistics(format_of)
+        self.account = Account(format_of)
         context = CaptureContext(line_of=format_of)
         if devices is not None:
             context = CaptureContext(devices, format_of)
-        self._judge = Judge(self.statistics, context)
+        self._judge = Judge(self.account, context)
 
     def add(self, record: Record) -> None:
         is_wanted = isinstance(record, WireEvent) or self._wanted is None or self._wanted(record)
@@ -54,15 +54,15 @@ class LiveStatistics:
 
     def advance(self, now_ns: int) -> None:
         """Take the transactions whose requests are more than ORDERED_AFTER_NS before `now_ns` (UTC
-        ns), in order of time, and count them in the periods, poll cycles and hours.
+        ns), in order of time, and count them in the periods, retries and poll cycles.
         """
-        self.statistics.settle(now_ns - ORDERED_AFTER_NS)
+        self.account.settle(now_ns - ORDERED_AFTER_NS)
 
     def close(self) -> None:
         """Take all transactions that wait, and the findings that come at the end."""
         for finding in self._judge.end_capture():
             self._judge.note(finding)
-        self.statistics.settle()
+        self.account.settle()
 
     def judgement(self) -> Judgement:
         return self._judge.judgement()

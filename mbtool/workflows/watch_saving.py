@@ -11,10 +11,9 @@ import tempfile
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Protocol
 
-from mbtool.core import Chunk, Direction, EventKind, UsageError, WireEvent
+from mbtool.core import Chunk, Direction, UsageError, WireEvent
 from mbtool.core.evidence import Connection, Endpoint, Stamp
 from mbtool.core.wording import counted
-from mbtool.modbus.damaged_answers import DamagedAnswers
 from mbtool.workflows.convert import CAPTURE_SUFFIXES, Conversion
 from mbtool.workflows.shared.reading_options import ReadingOptions
 from mbtool.workflows.shared.time_window import TimeWindow
@@ -97,10 +96,15 @@ class FrameSaver:
 
     def job(self, watched: Watched, *, is_filtered: bool, out: str) -> Job:
         board = watched.filtered if is_filtered and watched.filtered else watched.whole
-        listed = [one.record for one in board.records]
-        chosen = _marked(watched) or [one for one in listed if not isinstance(one, WireEvent)]
+        kept = watched.marked.values() if _marked(watched) else board.records
+        listed = {one.order: one.record for one in kept if not isinstance(one.record, WireEvent)}
+        chosen = [*listed.values()]
         chosen.sort(key=lambda one: one.start_ns)
-        damaged = _damaged_answers([one.record for one in watched.whole.records])
+        damaged = {
+            _identity(listed[order]): event
+            for order, event in watched.whole.damaged.items()
+            if order in listed and not event.source
+        }
 
         def save() -> str:
             _demand_new(out)
@@ -171,25 +175,6 @@ def _identity(one: NamedTransaction) -> tuple[object, ...]:
     capture is decoded again.
     """
     return one.request_ns, one.response_ns, one.unit, one.function, one.request_raw
-
-
-def _damaged_answers(
-    records: Sequence[NamedTransaction | WireEvent],
-) -> dict[tuple[object, ...], WireEvent]:
-    """Return the frames with a wrong CRC or LRC on serial lines by the requests (_identity) whose
-    responses they were. `records` are in the order of a decoder's results.
-    """
-    damaged = DamagedAnswers()
-    events: dict[tuple[str, int], WireEvent] = {}
-    found: dict[tuple[object, ...], WireEvent] = {}
-    for one in records:
-        if isinstance(one, WireEvent):
-            if one.kind is EventKind.BAD_CHECK and not one.source:
-                damaged.note(one)
-                events[one.link, one.ts_ns] = one
-        elif (frame_ns := damaged.frame_of(one)) is not None:
-            found[_identity(one)] = events[one.link, frame_ns]
-    return found
 
 
 def _chunks(one: NamedTransaction) -> Iterator[Chunk]:

@@ -136,7 +136,7 @@ def run_screen(rate: int, seconds: float, view: int, out: str) -> None:
     if feed.error is not None:
         raise feed.error
     decoding_s = (before_s + _decoding_s(chunks, rate)) / 2
-    cost = WatchCost(decoding_s, feed.took_s, feed.watched.whole.transactions, app.drawings)
+    cost = WatchCost(decoding_s, feed.took_s, feed.watched.whole.account.transactions, app.drawings)
     Path(out).write_text(json.dumps(cost))
 
 

@@ -45,6 +45,8 @@ COMMANDS: dict[str, list[str | Path]] = {
     "read": ["read", "tcp:127.0.0.1:1", "holding 0..9"],
     "write": ["write", "tcp:127.0.0.1:1", "holding 0=1", "--yes"],
     "poll": ["poll", "tcp:127.0.0.1:1", "holding 0..9", "--count", "1"],
+    "scan": ["scan", "tcp:127.0.0.1:1"],
+    "test": ["test", "fa3-at1m8x", "tcp:127.0.0.1:1"],
     "devices": ["devices"],
     "devices NAME": ["devices", "fa3-at1m8x"],
     "devices --match": ["devices", "--match", CAPTURE],

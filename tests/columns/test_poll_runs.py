@@ -1,4 +1,4 @@
-"""Statistics and inventory are the same from arrays as packet by packet."""
+"""Account and inventory are the same from arrays as packet by packet."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from mbtool.columns import packet_block, poll_runs, quiet_rows
 from mbtool.columns.column_decoder import ColumnDecoder
 from mbtool.columns.packet_block import read_blocks
 from mbtool.columns.quiet_rows import BlockRows, QuietParts
-from mbtool.core import Direction, InputError, WireEvent
+from mbtool.core import Direction, InputError
 from mbtool.decode.decoder import Decoder
 from mbtool.devices import Namer
-from mbtool.ledger import distribution, inventory, poll_statistics, request_order, statistics
+from mbtool.ledger import account, distribution, observation, poll_statistics, request_order
+from mbtool.ledger.account import Account
 from mbtool.ledger.answered_run import AnsweredRun
-from mbtool.ledger.inventory import Inventory
-from mbtool.ledger.statistics import Statistics
-from mbtool.ledger.unit_times import UnitTimes
+from mbtool.ledger.inventory import inventory
+from mbtool.ledger.unit_account import UnitAccount, UnitKey
 from mbtool.modbus import encode_pdu, exception_pdu
 from mbtool.packets import read_capture
 from mbtool.views.inventory_documents import inventory_json
@@ -63,30 +63,27 @@ def quiet_parts(capture: bytes) -> Iterator[Record | BlockRows]:
     yield from runs.parts(decoder.close())
 
 
-TIMES = [name for name in UnitTimes.__slots__ if name != "bins"]
+UNIT = [name for name in UnitAccount.__slots__ if name not in ("bins", "observed")]
 
 
 def overview(
     parts: Iterator[Record | AnsweredRun],
-) -> tuple[str, str, dict[tuple[str, int], list[object]], int]:
+) -> tuple[str, str, dict[UnitKey, list[object]], int]:
     """Both documents, the times of each unit, and how many requests came in runs."""
-    counted, hosts, in_runs_ = Statistics(), Inventory(), 0
+    counted, in_runs_ = Account(observes=True), 0
     for part in parts:
         if isinstance(part, AnsweredRun):
             counted.add_run(part)
-            hosts.add_run(part)
             in_runs_ += len(part)
         else:
             counted.add(part)
-            if not isinstance(part, WireEvent):
-                hosts.add(part)
     counted.settle()
     document = statistics_document(counted, judged(counted), sources=[], where=None)
-    times = {
-        unit: [one.bins.bins(), *(getattr(one, name) for name in TIMES)]
+    units = {
+        unit: [one.bins.cells, *(getattr(one, name) for name in UNIT)]
         for unit, one in counted.units.items()
     }
-    return document, inventory_json(hosts.document(), "1"), times, in_runs_
+    return document, inventory_json(inventory(counted), "1"), units, in_runs_
 
 
 def assert_equal(capture: bytes, block_packets: int = 65_536) -> int:
@@ -148,9 +145,9 @@ def test_polls_that_end_in_different_ways_give_equal_documents(
 @pytest.mark.parametrize(
     "limit",
     [
-        (statistics, "MAX_POLLS"), (statistics, "MAX_LINKS"), (statistics, "MAX_GROUPS"),
-        (request_order, "MAX_TAPES"), (inventory, "MAX_POLLS"), (inventory, "MAX_SLAVES"),
-        (inventory, "MAX_MASTERS"), (inventory, "MAX_REQUESTS"),
+        (account, "MAX_POLLS"), (account, "MAX_LINKS"), (account, "MAX_UNITS"),
+        (account, "MAX_USES"), (account, "MAX_MASTERS"), (request_order, "MAX_TAPES"),
+        (observation, "MAX_REQUESTS"),
         (poll_statistics, "_PERIOD_BUCKETS"), (poll_runs, "MAX_KINDS"),
     ],
     ids=str,

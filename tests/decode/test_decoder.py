@@ -810,3 +810,19 @@ def test_an_answer_of_another_unit_belongs_to_the_only_request_with_its_id(
     assert sorted(_outcomes(records)[4:-1]) == outcomes
     paired = [one for one in records if not isinstance(one, WireEvent) and one.response_raw]
     assert (Verdict.OTHER_UNIT in paired[-1].verdicts) == (outcomes == ["ok"])
+
+
+@pytest.mark.parametrize("is_answered", [True, False])
+def test_a_first_message_with_another_protocol_id_does_not_discard_the_connection(
+    is_answered: bool,
+) -> None:
+    """FA3 modules send no response to it (their manual, 10.4); other slaves may."""
+    talk = Talk()
+    ask, answer = mbap_adu(1, 0, READ), mbap_adu(1, 0, VALUES)
+    other = [one[:2] + b"\0\1" + one[4:] for one in (ask, answer)]
+    packets = [*talk.handshake(), talk.request(other[0])]
+    if is_answered:
+        packets.append(talk.response(other[1]))
+    packets += [talk.request(ask), talk.response(answer), *talk.goodbye()]
+    told = ["opened", *["foreign"] * (1 + is_answered), "ok", "closed"]
+    assert _outcomes(_decoded(packets)) == told

@@ -404,3 +404,11 @@ def test_a_decoder_that_is_closed_keeps_nothing() -> None:
     assert decoder.close() != []
     assert decoder.close() == []
     assert (decoder._detectors, decoder._buses) == ({}, {})
+
+
+def test_an_answer_with_an_odd_number_of_bytes_is_the_slaves() -> None:
+    """It is as long as a request, but reads more registers than the standard allows."""
+    chunks = [one for at in range(0, 500, 100) for one in exchange(at)]
+    odd = heard(500, READ), heard(520, bytes.fromhex("03 03 123400"))
+    records = decoded(plain(), *chunks, *odd, *exchange(600))
+    assert told(records)[:6] == [*["ok"] * 5, "malformed"]

@@ -409,6 +409,8 @@ points = [
     { name = "c", table = "holding_registers", address = 7, type = "bit-field", first_channel = 1, channels = 4, channel = "DO" },
     { name = "s", table = "holding_registers", address = 8, type = "string", length = 1 },
     { name = "e", table = "holding_registers", address = 9, type = "int16" },
+    { name = "u", table = "holding_registers", address = 0, units_from = "f", units = { 1 = "ms" } },
+    { name = "o", table = "holding_registers", address = 1, type = "octets", after = "p" },
 ]
 """  # noqa: E501 - a line for each key that a profile has
 

@@ -18,7 +18,8 @@ from collections import defaultdict
 from typing import TYPE_CHECKING
 
 from mbtool.core import CutError, WireEvent
-from mbtool.ledger.inventory import Inventory
+from mbtool.ledger.account import Account
+from mbtool.ledger.inventory import inventory
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
 from tests.captures import FOLDER, public_folder
 from tests.differential.truth import PORTS
@@ -80,17 +81,17 @@ def differences(path: Path, document: InventoryDocument) -> list[str]:
     return lines
 
 
-def taken(path: Path) -> Inventory:
-    """The inventory of a capture, as far as it can be read."""
-    inventory = Inventory()
+def taken(path: Path) -> Account:
+    """The account of a capture, as far as it can be read."""
+    account = Account(observes=True)
     reading = Reading([str(path)], ReadingOptions(ports=PORTS.get(path.name, (502,))))
     try:
         for record in reading.records():
             if not isinstance(record, WireEvent):
-                inventory.add(record)
+                account.add(record)
     except CutError:
         pass
-    return inventory
+    return account
 
 
 def inventory_facts(document: InventoryDocument) -> Facts:
@@ -138,7 +139,7 @@ def main(folder: Path) -> int:
         return 3
     unexplained = 0
     for path in paths:
-        lines = differences(path, taken(path).document())
+        lines = differences(path, inventory(taken(path)))
         count, reason = EXPLAINED.get(path.name, (0, ""))
         note = "" if not lines else reason if len(lines) == count else "DIFFERS"
         unexplained += note == "DIFFERS"

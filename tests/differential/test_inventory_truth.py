@@ -8,6 +8,7 @@ import pytest
 
 from mbtool.devices import builtin_profiles, load_profile
 from mbtool.ledger.identification import FITS, identify
+from mbtool.ledger.inventory import inventory
 from tests.captures import FOLDER, public_folder
 from tests.differential.inventory_truth import (
     EXPLAINED,
@@ -33,7 +34,7 @@ def test_hosts_units_functions_and_ranges_are_those_of_the_truth_and_no_profile_
     small = [one for one in captures_with_adus(public_captures) if one.stat().st_size < MOST_BYTES]
     assert len(small) > 20
     for path in small:
-        document = taken(path).document(identify=lambda one: identify(one, profiles))
+        document = inventory(taken(path), identify=lambda one: identify(one, profiles))
         count = EXPLAINED.get(path.name, (0, ""))[0]
         found = differences(path, document)
         assert len(found) == count, (path.name, found[:3])

@@ -28,9 +28,13 @@ REQUEST = 8
 
 
 class RawSlave:
-    """Answers reads of its units after their delay (s), in order, whatever else comes."""
+    """Answers reads of its units after their delay (s), in order, whatever else comes.
 
-    def __init__(self, port: str, delays: dict[int, float]) -> None:
+    Each register has its `value`, from 0 to 255.
+    """
+
+    def __init__(self, port: str, delays: dict[int, float], value: int = 0) -> None:
+        self._value = value
         self._serial = serial.Serial(port, BAUD, timeout=0.02)
         self._delays = delays
         self.asked_units: set[int] = set()
@@ -57,7 +61,7 @@ class RawSlave:
                 if unit in self._delays:
                     self._ends.wait(self._delays[unit])
                     self._serial.write(
-                        rtu_adu(unit, bytes([3, 2 * quantity]) + bytes(2 * quantity))
+                        rtu_adu(unit, bytes([3, 2 * quantity]) + bytes([0, self._value]) * quantity)
                     )
 
 
@@ -149,3 +153,15 @@ def test_two_masters_that_disturb_each_other_are_told(tmp_path: Path) -> None:
         other.join()
     assert failed
     assert "LINE-TWO-MASTERS" in [one["code"] for one in troubles_of(log)]
+
+
+def test_two_slaves_with_one_address_are_told(tmp_path: Path) -> None:
+    log = tmp_path / "same.mcap"
+    with ExitStack() as stack:
+        line = stack.enter_context(api.line(ends=4))
+        stack.enter_context(RawSlave(line.ports[1], {1: 0.01, 2: 0.01}, value=7))
+        stack.enter_context(RawSlave(line.ports[3], {2: 0.05}, value=9))
+        stack.enter_context(heard(line.link(2), log))
+        poll(line.ports[0], [2, 1], 15, timeout=0.5, pause=0.15)
+    trouble = troubles_of(log)[0]
+    assert (trouble["code"], trouble["unit"]) == ("LINE-SAME-UNIT", 2)

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from mbtool.devices import NamedTransaction
-from mbtool.ledger.inventory import Inventory
+from mbtool.ledger.account import Account
+from mbtool.ledger.inventory import inventory
 from mbtool.modbus import Outcome, Transport, function_name, mbap_adu
 from mbtool.modbus.adu import DirectionBy
 
@@ -38,7 +39,7 @@ def asked(
     outcome = fields.get("outcome", Outcome.EXCEPTION if "exception" in fields else Outcome.OK)
     has_answer = outcome in (Outcome.OK, Outcome.EXCEPTION)
     defaults: dict[str, Any] = {
-        "link": slave or "/dev/ttyUSB0",
+        "link": "/dev/ttyUSB0" if slave is None else slave if port == 502 else f"{slave}:{port}",
         "transport": Transport.TCP if slave is not None else Transport.RTU,
         "source": f"{master}:50000" if slave is not None else None,
         "destination": f"{slave}:{port}" if slave is not None else None,
@@ -88,7 +89,7 @@ def inventory_of(
     identify: Callable[..., ProfileFit] | None = None,
     maker: Callable[[str], str | None] = lambda _: None,
 ) -> InventoryDocument:
-    inventory = Inventory()
+    account = Account(observes=True)
     for one in transactions:
-        inventory.add(one)
-    return inventory.document(["plant.pcap"], identify, maker)
+        account.add(one)
+    return inventory(account, ["plant.pcap"], identify, maker)

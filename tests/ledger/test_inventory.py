@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from mbtool.ledger import inventory
+from mbtool.ledger import account, observation
 from mbtool.ledger.inventory_rows import Role, SlaveRow
 from mbtool.modbus import Outcome, mbap_adu
 from tests.ledger.plant import (
@@ -145,17 +145,17 @@ def test_a_function_that_it_does_not_have_is_counted() -> None:
 
 
 def test_more_slaves_than_there_is_room_for_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(inventory, "MAX_SLAVES", 10)
+    monkeypatch.setattr(account, "MAX_UNITS", 10)
     document = inventory_of(asked(3, 0, 1, slave=f"10.0.1.{last}") for last in range(25))
     assert len(document.slaves) == 10
-    assert document.left_out == {"transactions are of slaves without a row": 15}
+    assert document.left_out == {"transactions are of slaves or functions without a row": 15}
 
 
 def test_more_requests_than_there_is_room_for_are_not_compared(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(inventory, "MAX_REQUESTS", 10)
-    monkeypatch.setattr(inventory, "MAX_POLLS", 5)
+    monkeypatch.setattr(observation, "MAX_REQUESTS", 10)
+    monkeypatch.setattr(account, "MAX_POLLS", 5)
     document = inventory_of(asked(3, address, 1) for address in range(25))
     assert document.slaves[0].uses[0].ranges == [(0, 24)]
     assert document.left_out == {"requests were not compared with profiles": 15}
@@ -164,14 +164,15 @@ def test_more_requests_than_there_is_room_for_are_not_compared(
 def test_more_masters_and_functions_than_there_is_room_for_are_counted(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(inventory, "MAX_MASTERS", 2)
-    monkeypatch.setattr(inventory, "MAX_USES", 2)
-    document = inventory_of(asked(3, 0, 1, master=f"10.0.2.{last}") for last in range(5))
+    transactions = [asked(3, 0, 1, master=f"10.0.2.{last}") for last in range(5)]
+    monkeypatch.setattr(account, "MAX_MASTERS", 2)
+    document = inventory_of(transactions)
+    assert (len(document.masters), len(document.slaves[0].uses)) == (2, 5)
+    assert document.left_out == {"transactions are of masters without a row": 3}
+    monkeypatch.setattr(account, "MAX_USES", 2)
+    document = inventory_of(transactions)
     assert len(document.masters) == len(document.slaves[0].uses) == 2
-    assert document.left_out == {
-        "transactions are of masters without a row": 3,
-        "transactions are of functions without a row": 3,
-    }
+    assert document.left_out == {"transactions are of slaves or functions without a row": 3}
 
 
 def test_macs_are_those_of_master_and_slave_with_their_makers() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from mbtool.ledger.statistics import Statistics
+from mbtool.ledger.account import Account
 from mbtool.troubles.judge import Judge, Judgement
 from tests.ledger.requests import LINE
 
@@ -18,14 +18,14 @@ if TYPE_CHECKING:
 NOTHING = Judgement((), ())
 
 
-def judged(statistics: Statistics, links: Sequence[LinkReport] | None = None) -> Judgement:
+def judged(statistics: Account, links: Sequence[LinkReport] | None = None) -> Judgement:
     """The judgement over an account alone: without what senses and rules find."""
     return Judge(statistics).judgement(links)
 
 
-def counted_of(records: Iterable[NamedTransaction | WireEvent]) -> Statistics:
+def counted_of(records: Iterable[NamedTransaction | WireEvent]) -> Account:
     """The account of records of a serial line, or of a network, as a decoder returns them."""
-    statistics = Statistics(lambda _: LINE)
+    statistics = Account(lambda _: LINE)
     for record in records:
         statistics.add(record)
     statistics.settle()

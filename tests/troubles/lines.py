@@ -14,7 +14,7 @@ from mbtool.core import SerialFormat, WireEvent
 from mbtool.decode.connections import Bus
 from mbtool.devices import Namer
 from mbtool.devices.checking.capture_context import CaptureContext
-from mbtool.ledger.statistics import Statistics
+from mbtool.ledger.account import Account
 from mbtool.modbus import Transaction, rtu_adu
 from mbtool.troubles.judge import Judge
 
@@ -180,7 +180,7 @@ def _named(items: Sequence[object], namer: Namer) -> Iterator[NamedTransaction |
 def judged(frames: Sequence[Sent], timing: str = EXACT, line: SerialFormat = LINE) -> Judgement:
     """Decode what is heard of the frames, and judge it as `check` does."""
     context = CaptureContext(line_of=lambda _: line, has_exact_times=lambda _: timing == EXACT)
-    judge = Judge(Statistics(lambda _: line), context)
+    judge = Judge(Account(lambda _: line), context)
     judge.begin_capture()
     for record in records_of(frames, timing, line):
         judge.count(record)

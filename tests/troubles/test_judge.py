@@ -10,10 +10,10 @@ import pytest
 from mbtool.core import EventKind
 from mbtool.devices.checking.finding import Finding
 from mbtool.devices.checking.rules import Severity
-from mbtool.ledger import statistics
+from mbtool.ledger import account
 from mbtool.modbus import Outcome
 from mbtool.troubles.judge import ENOUGH, Judge
-from tests.ledger.test_history import asked, event
+from tests.ledger.test_account_over_time import asked, event
 from tests.troubles.judging import counted_of
 
 if TYPE_CHECKING:
@@ -200,7 +200,7 @@ def test_requests_that_are_refused_each_time_are_named() -> None:
 
 
 def test_requests_that_are_no_longer_known_are_not_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(statistics, "MAX_POLLS", 2)
+    monkeypatch.setattr(account, "MAX_POLLS", 2)
     fine = [read(at, 1, at % 3, Outcome.OK) for at in range(30)]
     assert causes([*fine, *(read(40 + at, 1, 9) for at in range(3))]) == [
         "unit 1 refuses all its requests (3), with 02 illegal data address since 22:14:00"

@@ -8,7 +8,7 @@ import pytest
 
 from mbtool.core import EventKind, WireEvent
 from mbtool.devices.checking.rules import Severity
-from mbtool.ledger.statistics import Statistics
+from mbtool.ledger.account import Account
 from mbtool.modbus import Outcome, Transport
 from mbtool.troubles.judge import Judge
 from mbtool.workflows.check import CheckRun
@@ -47,7 +47,7 @@ def missing(at_ms: float, **fields: Any) -> Any:
 
 
 def judged(records: Iterable[NamedTransaction | WireEvent]) -> Judgement:
-    judge = Judge(Statistics())
+    judge = Judge(Account())
     for record in records:
         judge.count(record)
     judge.ledger.settle()

@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from mbtool.ledger.unit_bins import UnitBins
+from mbtool.ledger.time_bins import TimeBins
 from mbtool.troubles.slower_units import Slower, became_slower
 from tests.ledger.masters import MS, START_NS
+from tests.ledger.test_time_bins import add
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -17,10 +18,8 @@ S = 1000 * MS
 
 
 def slower(latencies_ms: Sequence[float], every_ns: int = S) -> Slower | None:
-    bins = UnitBins()
-    for at, latency_ms in enumerate(latencies_ms):
-        bins.add(START_NS + at * every_ns, round(latency_ms * MS))
-    return became_slower(bins.bins())
+    times = ((START_NS + at * every_ns, round(ms * MS)) for at, ms in enumerate(latencies_ms))
+    return became_slower(add(TimeBins().row(), times).bins())
 
 
 @pytest.mark.parametrize("every_ns", [S // 5, S, 3600 * S])

@@ -10,7 +10,8 @@ from msgspec.structs import replace
 from rich.console import Console
 
 from mbtool.devices import load_profile
-from mbtool.ledger.inventory import Inventory
+from mbtool.ledger.account import Account
+from mbtool.ledger.inventory import inventory
 from mbtool.ledger.inventory_rows import InventoryDocument, MasterRow, ProfileFit, SlaveRow
 from mbtool.modbus import Outcome
 from mbtool.views.inventory_table import print_inventory, seen_text, slave_lines
@@ -125,7 +126,7 @@ def test_profiles_are_named_with_how_sure_that_is_or_are_unknown() -> None:
 
 def test_addresses_stand_beside_what_the_profile_of_a_named_unit_calls_them() -> None:
     profile = load_profile("fa3-at1m8x")
-    inventory = Inventory()
+    account = Account(observes=True)
     for one in (
         asked(2, 16, 8),
         asked(3, 16, 2, exception=2, outcome=Outcome.EXCEPTION),
@@ -133,14 +134,14 @@ def test_addresses_stand_beside_what_the_profile_of_a_named_unit_calls_them() ->
         asked(4, 5000, 1),
         asked(0x42),
     ):
-        inventory.add(replace(one, device=profile.name))
-    named_unit = inventory.document(profiles={profile.name: profile})
+        account.add(replace(one, device=profile.name))
+    named_unit = inventory(account, profiles={profile.name: profile})
     lines = [line.partition(";")[0].strip() for line in printed(named_unit)]
     assert "02 read discrete 16..23 (X10..X17)" in lines
     assert "04 read input 2..9, 5000 (RWr2..RWr9, RWr1388)" in lines
     assert "      03 read holding; refused 16..17; once by 10.0.0.1" not in printed(named_unit)
     assert any("refused 16..17 (RWw10..RWw11)" in line for line in printed(named_unit))
-    assert not any("(" in line for line in printed(inventory.document())[2:])
+    assert not any("(" in line for line in printed(inventory(account))[2:])
 
 
 def test_macs_stand_with_their_makers() -> None:

@@ -10,7 +10,7 @@ import pytest
 
 import mbtool
 from mbtool.core import EventKind, SerialFormat, WireEvent
-from mbtool.ledger.statistics import Statistics
+from mbtool.ledger.account import Account
 from mbtool.modbus import Outcome
 from mbtool.troubles.judge import Judge, Judgement
 from mbtool.views.statistics_table import statistics_lines
@@ -132,7 +132,7 @@ def test_the_commands_tell_the_same_troubles_of_captures_of_others(name: str) ->
 
 
 def judged(records: Iterable[Record]) -> Judgement:
-    judge = Judge(Statistics(lambda _: SerialFormat()))
+    judge = Judge(Account(lambda _: SerialFormat()))
     for record in records:
         judge.count(record)
     judge.ledger.settle()
@@ -194,7 +194,7 @@ def test_what_a_filter_left_out_is_not_taken_for_a_trouble() -> None:
     ]
     records += [request(10_000 + 100 * at) for at in range(100)]
     for is_wanted, told in ((True, ["LINE-NOISE", "POLL-PAUSED"]), (False, [])):
-        judge = Judge(Statistics(lambda _: SerialFormat()))
+        judge = Judge(Account(lambda _: SerialFormat()))
         for at, record in enumerate(records):
             judge.count(record, is_wanted=is_wanted or at != len(records) - 1)
         judge.ledger.settle()

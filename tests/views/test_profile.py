@@ -66,13 +66,13 @@ def test_a_page_says_what_the_manual_says() -> None:
         "holding register  HR400001..404096  0000..0FFF  holding registers  read, write",
         "",
         "function  name                      at most",
-        "01        read coils                2000",
-        "02        read discrete inputs      2000",
-        "03        read holding registers    125",
-        "04        read input registers      125",
-        "05        write single coil         1",
-        "06        write single register     1",
-        "10        write multiple registers  100",
+        "01        Read coils                2000",
+        "02        Read discrete inputs      2000",
+        "03        Read multiple registers   125",
+        "04        Read input registers      125",
+        "05        Write coil                1",
+        "06        Write single register     1",
+        "10        Write multiple registers  100",
         "",
         "exceptions: 01 for a function that it lacks, 02 for an address outside its areas, 02 for a"
         " value or",
@@ -161,15 +161,23 @@ def test_a_page_says_which_units_and_data_there_are() -> None:
 
 def test_a_page_tells_what_is_read_from_what_is_written() -> None:
     lines = _lines(profile_page(load_profile("wago-750")), 200)
-    for references, addresses, access in (
-        ("%IW0..255", "0000..00FF", "read"),
-        ("%QW0..255", "0000..00FF", "write"),
-        ("%QW0..255", "0200..02FF", "read, write"),
-    ):
-        assert any(
-            references in line and addresses in line and line.endswith(f"  {access}")
-            for line in lines
-        )
+    begin = next(at for at, line in enumerate(lines) if line.startswith("physical outputs (1)"))
+    assert [line.split()[-4:] for line in lines[begin : begin + 5]] == [
+        ["holding", "registers", "read,", "write"],
+        ["0000..00FF", "holding", "registers", "write"],
+        ["0200..02FF", "input", "registers", "read"],
+        ["0000..00FF", "holding", "registers", "read"],
+        ["0000..00FF", "input", "registers", "read"],
+    ]
+    assert "  %QW0..255 " in lines[begin]
+    assert lines[begin + 3].split()[:4] == ["physical", "inputs", "(1)", "%IW0..255"]
+
+
+def test_a_page_says_what_is_doubtful_and_which_functions_differ() -> None:
+    controller = "\n".join(_lines(profile_page(load_profile("chino-lt830")), 200))
+    assert "01        Read digital parameter    1, which is doubtful" in controller
+    coupler = " ".join(" ".join(_lines(profile_page(load_profile("wago-750")), 200)).split())
+    assert "it does not allow (02 of function 01, 02 of function 02); the manual lists" in coupler
 
 
 def test_a_page_says_how_each_value_stands_in_its_registers() -> None:

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from mbtool.core import CONNECTION_OPENED, EventKind, WireEvent
+from mbtool.ledger import account as limits
 from mbtool.ledger import master_tape
-from mbtool.ledger import statistics as limits
-from mbtool.ledger.statistics import Statistics
+from mbtool.ledger.account import Account
 from mbtool.ledger.statistics_report import report
 from mbtool.modbus import Outcome, Transport
 from mbtool.views.statistics_document import statistics_document
@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from mbtool.troubles.judge import Judgement
 
 
-def counting(*records: NamedTransaction | WireEvent) -> Statistics:
-    made = Statistics(lambda _: LINE)
+def counting(*records: NamedTransaction | WireEvent) -> Account:
+    made = Account(lambda _: LINE)
     for one in records:
         made.add(one)
     made.settle()
@@ -40,10 +40,10 @@ def lines_of(*records: NamedTransaction | WireEvent, top: int | None = None) -> 
 
 def test_units_beyond_the_limit_are_named_as_others(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(limits, "MAX_POLLS", 2)
-    monkeypatch.setattr(limits, "MAX_GROUPS", 4)
+    monkeypatch.setattr(limits, "MAX_USES", 4)
     asked = [request(at, unit=at % 20, function=3 + at % 2) for at in range(400)]
     lines = lines_of(*asked)
-    assert "at least 6 units: 400 requests" in lines[0]
+    assert "at least 4 units: 400 requests" in lines[0]
     assert any(line.startswith("there are more than") for line in lines)
     text = statistics_document(counting(*asked), counted(*asked), sources=["x"], where=None)
     (link,) = json.loads(text)["links"]
@@ -201,7 +201,7 @@ def test_nothing_heard_is_said() -> None:
 
 
 def test_a_document_is_one_of_plain_ascii_whatever_a_log_says() -> None:
-    statistics = Statistics(lambda _: LINE)
+    statistics = Account(lambda _: LINE)
     statistics.add(request(0, reference="\x1b[2J=cmd|'/C calc'!A0 \u202e"))
     statistics.settle()
     text = statistics_document(statistics, judged(statistics), sources=["x"], where=None)
@@ -211,7 +211,7 @@ def test_a_document_is_one_of_plain_ascii_whatever_a_log_says() -> None:
 
 
 def test_polls_that_failed_most_come_first_and_the_title_says_so() -> None:
-    statistics = Statistics(lambda _: LINE)
+    statistics = Account(lambda _: LINE)
     for at in range(0, 5000, 1000):
         statistics.add(request(at, 1, reference="A", latency_ns=3_000_000))
         statistics.add(request(at + 100, 2, reference="B", latency_ns=40_000_000))
@@ -237,7 +237,7 @@ def test_damaged_answers_are_told_and_cost_no_waiting() -> None:
             unanswered(at_ms + 610, unit=3),
             request(at_ms + 630),
         ]
-    statistics = Statistics(lambda _: LINE)
+    statistics = Account(lambda _: LINE)
     for one in records:
         statistics.add(one)
     statistics.settle()

@@ -58,7 +58,7 @@ def board_of(*records: Record) -> Board:
     board = Board(lambda _: LINE)
     for order, record in enumerate(records, 1):
         board.add(kept_record(order, order, record))
-    board.judgement = judged(board.statistics)
+    board.judgement = judged(board.account)
     return board
 
 
@@ -246,7 +246,7 @@ def test_under_a_filter_a_slave_is_judged_by_all_records() -> None:
         whole.add(kept_record(at, at, one))
         if is_missing:
             failures.add(kept_record(at, at, one))
-    whole.judgement = judged(whole.statistics)
+    whole.judgement = judged(whole.account)
     (row,) = slave_rows(failures)
     assert text_of(slave_state(row, DrawContext())) == "33 % unanswered"
     assert cell(SLAVE_COLUMNS, "asked", row, DrawContext()) == "10"
@@ -263,7 +263,7 @@ def test_the_state_of_a_slave_is_in_words() -> None:
     fails = request(5, outcome=Outcome.EXCEPTION, exception=2)
     assert state(read(0, 1)) == "answers"
     assert state(unanswered(0)) == "never answers"
-    assert state(read(0, 1), unanswered(5)) == "no answer since 00:00:00"
+    assert state(read(0, 1), unanswered(6)) == "no answer since 00:00:00"
     assert state(unanswered(0), read(5, 1)) == "50 % unanswered"
     assert state(read(0, 1), fails) == "50 % refused"
     assert state(read(0, 1), damaged(7), unanswered(5)) == "50 % wrong CRC"
@@ -408,10 +408,10 @@ def test_no_line_of_a_detail_is_wider_than_the_screen() -> None:
 
 
 def test_the_detail_of_a_slave_has_its_counts() -> None:
-    (row,) = slave_rows(board_of(read(0, 1), unanswered(5)))
+    (row,) = slave_rows(board_of(read(0, 1), unanswered(6)))
     text = lines_of(slave_detail(row, 100))
     assert "asked 2, answered 1, missing 1, retries 0" in text
-    assert "no answer since 00:00:00.005 UTC" in text
+    assert "no answer since 00:00:00.006 UTC" in text
     assert "finding" not in text
 
 

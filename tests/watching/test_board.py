@@ -64,7 +64,7 @@ def test_a_request_that_is_told_late_as_unanswered_replaces_nothing_newer() -> N
     assert row.kept is board.records[1]
     (slave,) = slave_rows(board)
     assert slave.silent_since_ns is None
-    assert slave.last_ns == START_NS + 200 * MS
+    assert slave.last_ns == START_NS + 205 * MS
 
 
 def test_a_request_at_the_end_of_a_capture_hides_no_outcome() -> None:
@@ -131,7 +131,7 @@ def test_the_period_is_known_once_requests_are_in_order() -> None:
 def test_at_the_end_of_a_file_the_period_is_that_of_all_requests() -> None:
     times = [*range(0, 2000, 100), 60_000, 120_000]
     board = board_of(*(read(at, 1) for at in times))
-    board.statistics.settle(START_NS + 50_000 * MS)
+    board.account.settle(START_NS + 50_000 * MS)
     assert poll_rows(board)[0].has_regular_period
     board.advance(None)
     assert not poll_rows(board)[0].has_regular_period
@@ -283,19 +283,19 @@ def test_the_oldest_record_gives_way() -> None:
     for order in range(1, 6):
         board.add(kept_record(order, order, read(order, 1)))
     assert [row.key for row in record_rows(board)] == [3, 4, 5]
-    assert board.transactions == 5
+    assert board.account.transactions == 5
 
 
-def test_points_slaves_and_troubles_beyond_their_limits_are_counted(
+def test_points_and_troubles_beyond_their_limits_are_counted(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    for name in ("MAX_POINTS", "MAX_SLAVES", "MAX_TROUBLES"):
+    for name in ("MAX_POINTS", "MAX_TROUBLES"):
         monkeypatch.setattr(limits, name, 1)
     board = board_of(
         read(0, 1, findings=["MB-101"]), read(1, 1, unit=2, address=7, findings=["MB-102"])
     )
-    assert (len(board.points), len(board.slaves), len(board.troubles)) == (1, 1, 1)
-    assert board.left_out == 3
+    assert (len(board.points), len(board.troubles)) == (1, 1)
+    assert board.left_out == 2
 
 
 def test_a_poll_that_was_not_asked_for_longest_gives_way(monkeypatch: pytest.MonkeyPatch) -> None:

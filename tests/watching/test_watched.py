@@ -29,8 +29,8 @@ def test_a_filter_takes_the_kept_records_and_those_that_come() -> None:
     watched.add(request(3, unit=1))
     assert watched.filtered is not None
     assert [kept.number for kept in watched.filtered.records] == [2, 3]
-    assert (watched.filtered.statistics.left_out, watched.whole.statistics.left_out) == (2, 0)
-    assert watched.whole.transactions == 4
+    assert (watched.filtered.account.left_out, watched.whole.account.left_out) == (2, 0)
+    assert watched.whole.account.transactions == 4
     watched.set_filter(None)
     assert watched.filtered is None
 
@@ -40,7 +40,7 @@ def test_an_event_is_counted_under_a_filter_but_not_listed() -> None:
     watched.add(EVENT)
     watched.set_filter(lambda one: one.unit == 1)
     assert watched.filtered is not None
-    assert (len(watched.filtered.records), watched.filtered.events) == (0, 1)
+    assert (len(watched.filtered.records), watched.filtered.account.events.total()) == (0, 1)
     assert list(watched.filtered.troubles) == [("skipped", "line", None)]
 
 
@@ -50,9 +50,9 @@ def test_a_filter_counts_from_the_oldest_record_that_is_kept() -> None:
         watched.add(request(at))
     watched.set_filter(lambda _: True)
     assert watched.filtered is not None
-    assert (watched.filtered.transactions, watched.unfiltered) == (2, 3)
+    assert (watched.filtered.account.transactions, watched.unfiltered) == (2, 3)
     watched.add(request(5))
-    assert (watched.filtered.transactions, watched.unfiltered) == (3, 3)
+    assert (watched.filtered.account.transactions, watched.unfiltered) == (3, 3)
 
 
 def test_a_filter_sees_all_records_where_they_are_given_again() -> None:
@@ -62,7 +62,11 @@ def test_a_filter_sees_all_records_where_they_are_given_again() -> None:
         watched.add(record)
     watched.set_filter(lambda one: one.unit == 1, past)
     assert watched.filtered is not None
-    assert (watched.filtered.transactions, watched.filtered.events, watched.unfiltered) == (2, 1, 0)
+    assert (
+        watched.filtered.account.transactions,
+        watched.filtered.account.events.total(),
+        watched.unfiltered,
+    ) == (2, 1, 0)
     assert [(kept.order, kept.number) for kept in watched.filtered.records] == [(1, 1), (3, 2)]
 
 
@@ -103,7 +107,7 @@ def test_a_filter_that_comes_late_knows_the_periods() -> None:
     watched.advance(None)
     watched.set_filter(lambda _: True)
     assert watched.filtered is not None
-    (poll,) = watched.filtered.statistics.polls.values()
+    (poll,) = watched.filtered.account.polls.values()
     assert poll.period.percentile(50) == 100 * MS
 
 
@@ -138,10 +142,10 @@ def test_a_restart_keeps_the_filter_and_the_marks() -> None:
     watched.mark(watched.whole.records[0])
     watched.set_filter(lambda one: one.unit == 1)
     watched.restart()
-    assert watched.whole.transactions == 0
+    assert watched.whole.account.transactions == 0
     watched.add(request(0))
     assert watched.filtered is not None
-    assert (watched.filtered.transactions, list(watched.marked)) == (1, [1])
+    assert (watched.filtered.account.transactions, list(watched.marked)) == (1, [1])
 
 
 def test_connections_that_open_and_close_push_out_no_transaction() -> None:
@@ -157,5 +161,8 @@ def test_connections_that_open_and_close_push_out_no_transaction() -> None:
     assert record_rows(watched.whole).heard == 4
     watched.set_filter(lambda one: True)
     assert watched.filtered is not None
-    assert (watched.filtered.transactions, watched.filtered.events) == (2, 4)
+    assert (watched.filtered.account.transactions, watched.filtered.account.events.total()) == (
+        2,
+        4,
+    )
     assert {code for code, _, _ in watched.filtered.troubles} == {"opened", "closed", "skipped"}

@@ -12,7 +12,7 @@ from mbtool.columns import packet_block, quiet_rows
 from mbtool.columns.quiet_rows import BlockRows
 from mbtool.core import Direction
 from mbtool.devices.checking import checker
-from mbtool.ledger import history
+from mbtool.ledger import account
 from mbtool.modbus import encode_pdu, exception_pdu, mbap_adu
 from mbtool.values import values
 from mbtool.views.report import late_answers, transaction_rows
@@ -191,7 +191,7 @@ def test_transactions_beside_the_longest_pauses_are_rows_both_ways(tmp_path: Pat
 @pytest.mark.parametrize(
     "limit",
     [
-        (values, "MAX_POLLS", 5), (values, "MAX_OF_POLL", 2), (history, "MAX_ROWS", 3),
+        (values, "MAX_POLLS", 5), (values, "MAX_OF_POLL", 2), (account, "MAX_UNITS", 3),
     ],
     ids=str,
 )  # fmt: skip

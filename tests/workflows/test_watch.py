@@ -67,7 +67,7 @@ def feed() -> Iterator[FileFeed]:
 
 
 def shown(feed: FileFeed) -> int:
-    return feed.watched.whole.transactions
+    return feed.watched.whole.account.transactions
 
 
 def test_a_file_is_shown_to_its_end_at_first(feed: FileFeed) -> None:
@@ -110,7 +110,7 @@ def test_steps_show_one_transaction_each(feed: FileFeed) -> None:
     until(lambda: shown(feed) == 1)
     feed.step()
     until(lambda: shown(feed) == 2)
-    assert feed.watched.whole.events == 1
+    assert feed.watched.whole.account.events.total() == 1
     assert feed.position_ns == SECOND
     feed.step()
     until(lambda: shown(feed) == 3)
@@ -165,10 +165,10 @@ def test_a_filter_is_applied_to_the_whole_file_unless_it_is_long(
     until(lambda: feed.is_read)
     feed.set_filter(lambda _: True)
     assert feed.watched.filtered is not None
-    assert feed.watched.filtered.transactions == passing
+    assert feed.watched.filtered.account.transactions == passing
     feed.seek_to(0.5)
     until(lambda: shown(feed) == 6)
-    assert feed.watched.filtered.transactions == 6
+    assert feed.watched.filtered.account.transactions == 6
     feed.stop()
 
 
@@ -236,7 +236,7 @@ def test_a_live_feed_takes_records_and_completes_the_log_in_its_thread() -> None
     sniffer = GivenSniffer(recorded())
     feed = live(sniffer, notes=[lambda record: record.link if record.link == "x" else None])
     feed.start()
-    until(lambda: feed.watched.whole.transactions == 11)
+    until(lambda: feed.watched.whole.account.transactions == 11)
     assert not feed.is_over
     feed.stop()
     assert sniffer.closed_by == "watch feed"
@@ -247,7 +247,7 @@ def test_periods_are_known_while_it_goes_on() -> None:
     sniffer = GivenSniffer([request(at * 100, transport=Transport.TCP) for at in range(10)])
     feed = live(sniffer)
     feed.start()
-    until(lambda: any(one.period.count for one in feed.watched.whole.statistics.polls.values()))
+    until(lambda: any(one.period.count for one in feed.watched.whole.account.polls.values()))
     feed.stop()
 
 

@@ -242,10 +242,10 @@ class DrawnApp(App[int]):
 
         A column is left out if there is only one link or one master.
         """
-        statistics = self.board.statistics
+        account = self.board.account
         with self.feed.lock:
-            links = tuple(statistics.links)
-            masters = {master for _, master in statistics.tapes if master}
+            links = tuple(account.links)
+            masters = {master for _, master in account.tapes if master}
         return place_columns(links, masters, width)
 
     def _look_for_troubles(self, width: int) -> None:

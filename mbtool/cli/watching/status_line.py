@@ -121,9 +121,9 @@ def _status_spans(state: ScreenState, brevity: Brevity) -> Spans:
 def _count_spans(state: ScreenState, brevity: Brevity) -> Spans:
     """Return how much was heard and how much is marked, then the filter and how much passes it."""
     watched = state.feed.watched
-    heard = counted(watched.whole.transactions, "transaction", ",")
+    heard = counted(watched.whole.account.transactions, "transaction", ",")
     if brevity is Brevity.NONE:
-        heard = f"{heard}, {counted(watched.whole.events, 'event', ',')}"
+        heard = f"{heard}, {counted(watched.whole.account.events.total(), 'event', ',')}"
     counts: Spans = [(heard, "")]
     if watched.marked:
         counts.append((f", {len(watched.marked)} marked", "green"))
@@ -142,13 +142,13 @@ def _passing(watched: Watched, brevity: Brevity) -> str:
 
     With the greatest brevity also of how many if it has, as their number stands nowhere else then.
     """
-    passed = 0 if watched.filtered is None else watched.filtered.transactions
+    passed = 0 if watched.filtered is None else watched.filtered.account.transactions
     word = "passes" if passed == 1 else "pass"
     if watched.unfiltered:
-        seen = watched.whole.transactions - watched.unfiltered
+        seen = watched.whole.account.transactions - watched.unfiltered
         return f"{passed:,} of {'the ' * (brevity is Brevity.NONE)}last {seen:,} {word}"
     if brevity is Brevity.MOST:
-        return f"{passed:,} of {watched.whole.transactions:,} {word}"
+        return f"{passed:,} of {watched.whole.account.transactions:,} {word}"
     return f"{passed:,} {word}"
 
 

@@ -66,7 +66,7 @@ _MORE_POLLS, _ALL_POLLS = (" more poll", " more polls"), ": key 1 lists all"
 
 
 def _line_rows(board: Board, width: int) -> list[LineRow]:
-    links = report(board.statistics)
+    links = report(board.account)
     troubles = () if board.whole.judgement is None else board.whole.judgement.troubles
     lines = statistics_lines(Judgement(troubles, links), width=width, top=_MOST_ROWS, option="")
     rows = [
@@ -74,7 +74,7 @@ def _line_rows(board: Board, width: int) -> list[LineRow]:
         for at, line in enumerate(lines)
     ]
     latencies = sum(link.tally.latency.count for link in links)
-    if board.transactions and latencies < LEAST_OF_HISTOGRAM:
+    if board.account.transactions and latencies < LEAST_OF_HISTOGRAM:
         text = f"latency of all: shown from {LEAST_OF_HISTOGRAM} answers on; here {latencies}"
         rows.append(LineRow(len(rows), text, "dim"))
     return rows

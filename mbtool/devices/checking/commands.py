@@ -20,7 +20,7 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
-from mbtool.devices.checking.finding import transaction_finding
+from mbtool.devices.checking.finding import packets_of, transaction_finding
 from mbtool.devices.checking.lru_dict import LruDict
 from mbtool.devices.checking.masters import Write
 from mbtool.devices.checking.security_cases import host_of, master_text, place_text
@@ -84,7 +84,10 @@ class CommandRules:
         if known is not None and known.writes:
             windows = self._on_line if transaction.transport.is_serial else self._on_network
             self._note_write(
-                windows, source, slave, Write(transaction.start_ns, lambda: transaction)
+                windows,
+                source,
+                slave,
+                Write(transaction.start_ns, packets_of(transaction), lambda: transaction),
             )
         command = stop_command(transaction)
         if command is not None:
@@ -93,7 +96,7 @@ class CommandRules:
     def run(self, run: QuietRun) -> None:
         """Count many reads and writes together, with the same result as `transaction` for each."""
         for one in run.writes:
-            write = Write(one.at_ns, partial(run.transaction, one.row))
+            write = Write(one.at_ns, one.packets, partial(run.transaction, one.row))
             self._note_write(self._on_network, host_of(one.source), one.destination, write)
 
     def _note_write(
@@ -104,7 +107,7 @@ class CommandRules:
         write: Write,
     ) -> None:
         window = windows[source, slave]
-        counted = window.add(write.start_ns)
+        counted = window.add(write.start_ns, write.packets)
         if counted:
             transaction = write.transaction()
             text = (
@@ -112,16 +115,18 @@ class CommandRules:
                 f"for example {request_text(transaction)}"
             )
             finding = transaction_finding("SEC-102", transaction, text, ts_ns=window.first_ns)
-            self._cases.add(source, replace(finding, function=None, reference=None), counted)
+            finding = replace(finding, function=None, reference=None)
+            self._cases.add(source, finding, counted, packets=window.last_packets(counted))
 
     def _note_command(self, transaction: NamedTransaction, source: str, command: str) -> None:
         window = self._commands[source, ""]
-        counted = window.add(transaction.start_ns)
+        counted = window.add(transaction.start_ns, packets_of(transaction))
         if counted:
             text = f"{master_text(transaction)} tells {{examples}}"
             finding = transaction_finding("SEC-103", transaction, text, ts_ns=window.first_ns)
             example = f"unit {transaction.unit} of {place_text(transaction)} to {command}"
-            self._cases.add(source, finding, counted, [example])
+            packets = window.last_packets(counted)
+            self._cases.add(source, finding, counted, [example], packets)
 
 
 def stop_command(transaction: NamedTransaction) -> str | None:

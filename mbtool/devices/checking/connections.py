@@ -48,6 +48,8 @@ class _Connection:
     recent: deque[tuple[int, int, int]] = field(default_factory=lambda: deque(maxlen=MAX_RECENT))
     """The last transactions: transaction id, time of the request (ns), time of the response
     (ns)."""
+    latest_ns: int = 0
+    """The latest of the times of responses."""
     is_cut: bool = False
     """True if the capture misses bytes of the connection since the last request with a response."""
 
@@ -81,7 +83,7 @@ class ConnectionRules:
         id_ = transaction.transaction_id
         if id_ is None or request_ns is None or response_ns is None:
             return
-        if any(
+        if request_ns < connection.latest_ns and any(
             id_ == other_id and other_request_ns < response_ns and request_ns < other_response_ns
             for other_id, other_request_ns, other_response_ns in connection.recent
         ):
@@ -92,6 +94,7 @@ class ConnectionRules:
                 "request's",
             )
         connection.recent.append((id_, request_ns, response_ns))
+        connection.latest_ns = max(connection.latest_ns, response_ns)
 
     @property
     def has_pending(self) -> bool:
@@ -123,6 +126,7 @@ class ConnectionRules:
             connection = self._connections[one.link, one.source]
             connection.is_cut = False
             connection.recent.extend(one.recent)
+            connection.latest_ns = max(connection.latest_ns, one.last_response_ns)
 
     def event(self, event: WireEvent) -> Iterator[Finding]:
         """Check the next event of a TCP connection. Yields each finding as soon as it is

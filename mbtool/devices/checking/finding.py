@@ -41,6 +41,8 @@ class Finding:
     offsets: tuple[int, ...] = ()
     """In a file of the bytes of a serial line, the numbers of bytes before the first case's request
     and response."""
+    cases: tuple[tuple[int, ...], ...] = ()
+    """Of a finding about an attack or a scan, the packets of request and response of each case."""
     level: Severity | None = None
     """The severity of a trouble that is no broken rule; None for that of the code's rule."""
 
@@ -68,9 +70,14 @@ def transaction_finding(
         reference=transaction.reference,
         device=transaction.device,
         file=transaction.file,
-        packets=_known(transaction.request_packet, transaction.response_packet),
+        packets=packets_of(transaction),
         offsets=_known(transaction.request_offset, transaction.response_offset),
     )
+
+
+def packets_of(transaction: NamedTransaction) -> tuple[int, ...]:
+    """Return the numbers of the packets of request and response, as far as they are known."""
+    return _known(transaction.request_packet, transaction.response_packet)
 
 
 def _known(*numbers: int | None) -> tuple[int, ...]:

@@ -152,6 +152,8 @@ class LineRules:
             silences = line.silences
             if line.format is not None and self._has_exact_times(link):
                 yield from silences.exact_findings(line.format)
+            elif silences.are_in_blocks and silences.masters_tear:
+                yield silences.torn_finding()
             elif silences.are_in_blocks:
                 yield silences.block_finding()
                 continue
@@ -175,9 +177,10 @@ class LineRules:
         required = profile.timing.request_interval if profile is not None else None
         if required is not None:
             required_ns = Silence.parse(required).ns(format_.baud, format_.character_bits)
-            # The time of a frame is exact to about one character, so allow an error of one
+            # Where the bytes have no times of their own, the time of a frame is exact to about one
             # character.
-            if silence_ns < required_ns - format_.character_ns:
+            is_exact = self._has_exact_times(transaction.link)
+            if silence_ns < required_ns - (0 if is_exact else format_.character_ns):
                 _add_pace(line, "RTU-301", transaction, silence_ns, required)
 
 

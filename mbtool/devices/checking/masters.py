@@ -25,9 +25,9 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
-from mbtool.devices.checking.finding import transaction_finding
+from mbtool.devices.checking.finding import packets_of, transaction_finding
 from mbtool.devices.checking.lru_dict import LruDict
-from mbtool.devices.checking.security_cases import host_of
+from mbtool.devices.checking.security_cases import Packets, host_of
 from mbtool.devices.checking.security_limits import SecurityLimit
 from mbtool.devices.checking.sliding_window import SlidingWindow
 from mbtool.devices.checking.transactions import request_text
@@ -54,6 +54,7 @@ class Write(NamedTuple):
     """A request that writes."""
 
     start_ns: int
+    packets: Packets
     transaction: Callable[[], NamedTransaction]
     """Makes its transaction."""
 
@@ -72,9 +73,9 @@ class _Master:
     None if there was no such host."""
     window: SlidingWindow
     """Counts this host's writes as the second master of the slave (SEC-101)."""
-    uncounted_ns: deque[int]
-    """The times (ns) of this host's last writes that were not added to `window`, because no other
-    host was known to be the first master."""
+    uncounted: deque[tuple[int, Packets]]
+    """The times (ns) and the packets of this host's last writes that were not added to `window`,
+    because no other host was known to be the first master."""
     last_write: Write | None = None
 
 
@@ -119,7 +120,9 @@ class MasterRules:
             master.last_ns = at_ns
         known = FUNCTIONS.get(transaction.function)
         if known is not None and known.writes:
-            self._note_write(masters, master, Write(at_ns, lambda: transaction))
+            self._note_write(
+                masters, master, Write(at_ns, packets_of(transaction), lambda: transaction)
+            )
         elif _is_identification(transaction):
             self._note_identification(transaction, host, slave)
 
@@ -149,7 +152,9 @@ class MasterRules:
         for write in run.writes:
             masters = self._slaves[write.destination]
             make = partial(run.transaction, write.row)
-            self._note_write(masters, masters[host_of(write.source)], Write(write.at_ns, make))
+            self._note_write(
+                masters, masters[host_of(write.source)], Write(write.at_ns, write.packets, make)
+            )
 
     def joined(self, host: str, slave: str, at_ns: int) -> None:
         """Note that the capture begins within a connection of `host` to `slave` (HOST:PORT).
@@ -181,7 +186,7 @@ class MasterRules:
 
     def _note_write(self, masters: dict[str, _Master], master: _Master, write: Write) -> None:
         master.last_write = write
-        master.uncounted_ns.append(write.start_ns)
+        master.uncounted.append((write.start_ns, write.packets))
         if master.predecessor is not None:
             self._count(master, master.predecessor)
         if len(masters) == 1:
@@ -203,8 +208,8 @@ class MasterRules:
         `first` is the IP address of the first master, for the message.
         """
         counted = 0
-        while second.uncounted_ns:
-            counted += second.window.add(second.uncounted_ns.popleft())
+        while second.uncounted:
+            counted += second.window.add(*second.uncounted.popleft())
         if counted and second.last_write is not None:
             write = second.last_write.transaction()
             text = (
@@ -212,13 +217,14 @@ class MasterRules:
                 f"{request_text(write)}"
             )
             finding = transaction_finding("SEC-101", write, text, ts_ns=second.window.first_ns)
-            self._cases.add(second.host, finding, counted)
+            packets = second.window.last_packets(counted)
+            self._cases.add(second.host, finding, counted, packets=packets)
 
     def _note_identification(self, transaction: NamedTransaction, host: str, slave: str) -> None:
         if host in self._known or len(self._known) >= MAX_HOSTS:
             return
         window = self._identifications[host]
-        counted = window.add(transaction.start_ns)
+        counted = window.add(transaction.start_ns, packets_of(transaction))
         if counted:
             text = (
                 f"{host}, which was not heard in the first {self._first_time_ns / 1e9:g} s, reads "
@@ -226,7 +232,8 @@ class MasterRules:
             )
             finding = transaction_finding("SEC-205", transaction, text, ts_ns=window.first_ns)
             example = f"{_function(transaction)} of {slave}"
-            self._cases.add(host, replace(finding, reference=None), counted, [example])
+            finding, packets = replace(finding, reference=None), window.last_packets(counted)
+            self._cases.add(host, finding, counted, [example], packets)
 
 
 def _is_identification(transaction: NamedTransaction) -> bool:

@@ -9,14 +9,13 @@ rules of `mbtool check`.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple, Protocol, Self
 
-from mbtool.devices.named_transaction import NamedTransaction
-
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
+
+    from mbtool.devices.named_transaction import NamedTransaction
 
 
 class QuietPoll(NamedTuple):
@@ -64,23 +63,39 @@ class QuietWrite(NamedTuple):
     """The time of its request, in ns."""
     row: int
     """Its row number, for `QuietRun.transaction`."""
+    packets: tuple[int, int]
+    """The numbers of the packets of its request and its response."""
 
 
-@dataclass(slots=True)
 class QuietRun:
     """Figures about consecutive Modbus/TCP reads and writes with the outcome OK.
 
     None of them has a finding, a retry, or a verdict of the decoder such as `malformed`.
     """
 
-    polls: list[QuietPoll]
-    """The transactions grouped by equal requests, in the order of their last requests."""
-    connections: list[QuietConnection]
-    """The transactions grouped by connection, in the order of their last requests."""
-    writes: list[QuietWrite]
-    """The writes among them, in their order."""
-    transaction: Callable[[int], NamedTransaction]
-    """Makes the transaction with a row number, which `QuietPoll.first` gives."""
+    def __init__(
+        self,
+        connections: list[QuietConnection],
+        polls: Callable[[], list[QuietPoll]],
+        writes: Callable[[], list[QuietWrite]],
+        transaction: Callable[[int], NamedTransaction],
+    ) -> None:
+        self.connections = connections
+        """The transactions grouped by connection, in the order of their last requests."""
+        self._polls = polls
+        self._writes = writes
+        self.transaction = transaction
+        """Makes the transaction with a row number, which `QuietPoll.first` gives."""
+
+    @cached_property
+    def polls(self) -> list[QuietPoll]:
+        """The transactions grouped by equal requests, in the order of their last requests."""
+        return self._polls()
+
+    @cached_property
+    def writes(self) -> list[QuietWrite]:
+        """The writes among them, in their order."""
+        return self._writes()
 
     @property
     def last_request_ns(self) -> int:

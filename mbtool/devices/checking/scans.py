@@ -24,7 +24,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from mbtool.core import CONNECTION_JOINED
-from mbtool.devices.checking.finding import event_finding, transaction_finding
+from mbtool.devices.checking.finding import event_finding, packets_of, transaction_finding
 from mbtool.devices.checking.security_cases import (
     host_of,
     master_text,
@@ -162,6 +162,7 @@ class ScanRules:
             first_unit,
             is_answered=is_answered,
             is_answered_as_asked=as_asked,
+            packets=packets_of(transaction),
         )
         if is_polled and self._polled_ns is None:
             self._polled_ns = transaction.start_ns
@@ -178,6 +179,7 @@ class ScanRules:
             lambda: (host, _finding("SEC-201", transaction, _hosts(source))),
             is_answered=is_answered,
             is_answered_as_asked=as_asked,
+            packets=packets_of(transaction),
         )
 
     def _note_function(self, transaction: NamedTransaction, source: str, slave: str) -> None:
@@ -196,6 +198,7 @@ class ScanRules:
             _request(transaction),
             first_function,
             is_answered=transaction.response_raw is not None,
+            packets=packets_of(transaction),
         )
 
     def _note_register(self, transaction: NamedTransaction, source: str, slave: str) -> None:
@@ -213,6 +216,7 @@ class ScanRules:
             _request(transaction),
             first_register,
             is_answered=True,
+            packets=packets_of(transaction),
         )
 
 

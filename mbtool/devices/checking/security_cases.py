@@ -3,8 +3,9 @@
 A source is a host, or a serial line.
 """
 
-# Memory: for each combination of source and rule, the number of cases, MAX_EXAMPLES examples and
-# one finding. There are at most MAX_SOURCES combinations; later ones get no finding.
+# Memory: for each combination of source and rule, the number of cases, MAX_EXAMPLES examples, the
+# packets of MAX_CASES cases, and one finding. There are at most MAX_SOURCES combinations; later
+# ones get no finding.
 
 from __future__ import annotations
 
@@ -20,6 +21,10 @@ if TYPE_CHECKING:
 
 MAX_EXAMPLES = 3
 MAX_SOURCES = 4096
+MAX_CASES = 20_000
+
+Packets = tuple[int, ...]
+"""The numbers of the packets of a request and its response."""
 
 
 @dataclass(slots=True)
@@ -30,9 +35,14 @@ class _SourceCases:
     count: int = 0
     examples: list[str] = field(default_factory=list)
     has_more_examples: bool = False
+    packets: dict[Packets, None] = field(default_factory=dict)
+    """The packets of the cases, in the order in which they were told."""
 
-    def add(self, count: int, examples: Iterable[str]) -> None:
+    def add(self, count: int, examples: Iterable[str], packets: Iterable[Packets]) -> None:
         self.count += count
+        for one in packets:
+            if one and len(self.packets) < MAX_CASES:
+                self.packets[one] = None
         for example in examples:
             if example in self.examples:
                 continue
@@ -47,7 +57,8 @@ class _SourceCases:
         examples = ", ".join(self.examples) + (", ..." if self.has_more_examples else "")
         message = self.finding.message.replace("{count}", str(self.count))
         message = message.replace("{examples}", examples)
-        return replace(self.finding, message=message, count=self.count)
+        cases = tuple(sorted(self.packets))
+        return replace(self.finding, message=message, count=self.count, cases=cases)
 
 
 class SecurityCases:
@@ -57,11 +68,19 @@ class SecurityCases:
         self._cases: dict[tuple[str, str], _SourceCases] = {}
         """The cases; the key is the code of the rule and the source (a host or serial line)."""
 
-    def add(self, source: str, finding: Finding, count: int, examples: Iterable[str] = ()) -> None:
+    def add(
+        self,
+        source: str,
+        finding: Finding,
+        count: int,
+        examples: Iterable[str] = (),
+        packets: Iterable[Packets] = (),
+    ) -> None:
         """Add `count` cases of one source (a host or serial line) to those of the same rule.
 
         The first call for a rule and source decides which `finding` the summary uses; later ones
         are ignored. `examples` are short texts, such as addresses, of which the message shows some.
+        `packets` are those of the cases.
         """
         key = (finding.code, source)
         cases = self._cases.get(key)
@@ -69,7 +88,7 @@ class SecurityCases:
             if len(self._cases) >= MAX_SOURCES:
                 return
             cases = self._cases[key] = _SourceCases(finding)
-        cases.add(count, examples)
+        cases.add(count, examples, packets)
 
     def close(self) -> Iterator[Finding]:
         """Give one finding for each rule and source, sorted by the rule's code and by time."""

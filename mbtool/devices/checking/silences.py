@@ -12,6 +12,10 @@
 # least the share MIN_SILENCES_SHARE of them, have a wrong silence. Otherwise a remark says how many
 # there are.
 #
+# An adapter tears requests and responses alike. So if at least TORN_SHARE of the requests are torn,
+# no frames are glued, and at most WHOLE_SHARE of the responses are torn, the master is to blame and
+# not the adapter: that is RTU-102 and not RTU-104.
+#
 # Exact times of every byte, as from a logic analyser: each wrong silence was really on the line, so
 # a single one is reported, and there is no RTU-104. RTU-103 says who sent too soon: the slave its
 # response, or the master its request.
@@ -41,6 +45,10 @@ MIN_SILENCES = 3
 MIN_SILENCES_SHARE = 0.2
 """A finding needs a wrong silence in at least this share of a unit's transactions, 0 to 1. On
 healthy lines, a busy computer that read late caused a share of up to 0.16 (measured)."""
+
+TORN_SHARE, WHOLE_SHARE = 0.8, 0.05
+"""Requests are torn by their master if at least TORN_SHARE of them are, and at most WHOLE_SHARE of
+the responses."""
 
 _SILENCES = {
     Verdict.T1_5_BROKEN: ("RTU-101", "a silence longer than t1.5 inside a frame"),
@@ -78,6 +86,10 @@ class LineSilences:
     in_blocks: int = 0
     """Number of transactions that are glued (no silence between frames) or split (a silence inside
     a frame), as if an adapter delivered bytes in blocks."""
+    answered: int = 0
+    """Number of transactions with a request and a response."""
+    only_request_split: int = 0
+    """Number of transactions with a silence inside the request, and none inside the response."""
     of_unit: Counter[int] = field(default_factory=Counter)
     """Number of transactions of each unit."""
     wrong: dict[tuple[Verdict, int], _Silences] = field(default_factory=dict)
@@ -97,6 +109,8 @@ class LineSilences:
         """
         self.transactions += 1
         self.of_unit[transaction.unit] += 1
+        self.answered += None not in (transaction.request_raw, transaction.response_raw)
+        self.only_request_split += Verdict.ONLY_REQUEST_SPLIT in transaction.verdicts
         if not transaction.verdicts:
             return
         for sign in _SILENCES:
@@ -137,6 +151,25 @@ class LineSilences:
         """
         share = self.in_blocks / max(self.transactions, 1)
         return share >= ADAPTER_SHARE and self.transactions >= MIN_TRANSACTIONS
+
+    @property
+    def masters_tear(self) -> bool:
+        """True if the master tears its requests, while responses are whole and frames apart."""
+        is_glued = any(sign is Verdict.GLUED for sign, _ in self.wrong)
+        split = sum(one.number for (sign, _), one in self.wrong.items() if sign is Verdict.SPLIT)
+        others = split - self.only_request_split
+        is_mostly = self.only_request_split >= TORN_SHARE * self.answered
+        return is_mostly and not is_glued and others <= WHOLE_SHARE * self.answered
+
+    def torn_finding(self) -> Finding:
+        """Make the finding RTU-102 about a master that tears its requests. Call it only if
+        `masters_tear` and `are_in_blocks`.
+        """
+        first = next(one for (sign, _), one in self.wrong.items() if sign is Verdict.SPLIT)
+        cases = _Silences(first.first, self.only_request_split)
+        text = f"in {self.only_request_split} of {self.answered} requests, and in no more than "
+        text += f"{WHOLE_SHARE:.0%} of the responses: the master tears them"
+        return _summary("RTU-102", cases, f"a silence of t3.5 or longer {text}")
 
     def block_finding(self) -> Finding:
         """Make the finding RTU-104: the silences say nothing, because bytes come in blocks.

@@ -4,7 +4,7 @@
 # most that length, its ends included. It is full if it contains at least that number of cases. The
 # times of cases may be slightly out of order, because a request without a response is decoded late.
 #
-# Memory: the times of the last cases, fewer than KEPT x the limit's number.
+# Memory: the times and packets of the last cases, fewer than KEPT x the limit's number.
 
 from __future__ import annotations
 
@@ -24,26 +24,33 @@ class SlidingWindow:
     limit's number of cases.
     """
 
-    __slots__ = ("_counted_to_ns", "_limit", "_times", "first_ns")
+    __slots__ = ("_counted_to_ns", "_limit", "_packets", "_times", "first_ns")
 
     def __init__(self, limit: SecurityLimit) -> None:
         self._limit = limit
         self._times: list[int] = []
         """The times of the last cases, in ns, sorted."""
+        self._packets: list[tuple[int, ...]] = []
+        """The packets of the last cases, in the order in which they came."""
         self._counted_to_ns: int | None = None
         """The time of the last case that was counted, in ns; None if none was."""
         self.first_ns: int | None = None
         """The time (ns) of the first case in the first full window; None if no window was full
         yet."""
 
-    def add(self, at_ns: int) -> int:
+    def last_packets(self, count: int) -> list[tuple[int, ...]]:
+        """Return the packets of the last `count` cases, as far as they are kept."""
+        return self._packets[-count:]
+
+    def add(self, at_ns: int, packets: tuple[int, ...] = ()) -> int:
         """Add a case at the time `at_ns`, and return the number of cases that are counted for the
-        first time now.
+        first time now. `packets` are those of the request and its response.
 
         A case is counted if it is in a full window: one of at least the limit's number of cases
         within the limit's time.
         """
         times, number = self._times, self._limit.number
+        self._packets.append(packets)
         place = bisect_right(times, at_ns)
         times.insert(place, at_ns)
         begin = self._full_window(place)
@@ -55,6 +62,8 @@ class SlidingWindow:
                 self.first_ns = times[begin]
         if len(times) >= KEPT * number:
             del times[: -(KEPT // 2) * number]
+        if len(self._packets) >= KEPT * number:
+            del self._packets[: -(KEPT // 2) * number]
         return counted
 
     def _full_window(self, place: int) -> int | None:

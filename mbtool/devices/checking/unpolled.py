@@ -18,7 +18,7 @@
 # Memory: MAX_THINGS things that are not known to be polled, and as many that are. If there are
 # more, the oldest thing not known to be polled is counted as never polled. For each of at most
 # MAX_ENTRIES scopes (lru_dict.py): the times of recent cases (sliding_window.py), and as many
-# things as the rule's limit says.
+# things as the rule's limit says. Of each thing, the packets of MAX_PACKETS requests.
 
 from __future__ import annotations
 
@@ -29,6 +29,7 @@ from typing import TYPE_CHECKING
 
 from mbtool.devices.checking.finding import Finding
 from mbtool.devices.checking.lru_dict import LruDict
+from mbtool.devices.checking.security_cases import Packets
 from mbtool.devices.checking.sliding_window import SlidingWindow
 
 if TYPE_CHECKING:
@@ -39,6 +40,8 @@ MAX_THINGS = 8192
 MAX_ATTEMPTS = 4
 """A master polls if it repeats a request without a response so many times. Most masters stop after
 three retries."""
+
+MAX_PACKETS = 16
 
 OPENED = 0
 """Stands for the opening of a connection in the place of a request's hash."""
@@ -72,6 +75,8 @@ class _Attempts:
     was_opened: bool = False
     """True if the capture has the opening of a connection to the thing, an IP address, before the
     first request."""
+    more: tuple[Packets, ...] = ()
+    """The packets of the requests after the first one, at most MAX_PACKETS."""
 
     def is_poll(self, request: int, *, is_answered: bool) -> bool:
         """Take the master's next request to the thing into account.
@@ -153,6 +158,7 @@ class Unpolled:
         *,
         is_answered: bool = False,
         is_answered_as_asked: bool = False,
+        packets: Packets = (),
     ) -> bool:
         """Take a request to a thing (an IP address, unit, function or register) into account.
 
@@ -160,7 +166,7 @@ class Unpolled:
         `is_answered` is True if it has a response, `is_answered_as_asked` if that response brings
         what was requested, and is no exception. `describe` is called for the first request to a
         thing. It returns the thing as text, for an example in a message, and the finding to use if
-        this is the first case of a scan.
+        this is the first case of a scan. `packets` are those of the request and its response.
         """
         thing = (scope, item)
         if thing in self._polled:
@@ -181,6 +187,8 @@ class Unpolled:
             return True
         else:
             attempts.is_answered_as_asked |= is_answered_as_asked
+            if len(attempts.more) < MAX_PACKETS:
+                attempts.more += (packets,)
         return False
 
     def close(
@@ -212,6 +220,7 @@ class Unpolled:
         scan.recent.append(attempts)
         counted = scan.window.add(attempts.finding.ts_ns)
         if counted:
-            first = scan.recent[-min(counted, len(scan.recent))]
+            new = [*scan.recent][-counted:]
             texts = [one.text for one in scan.recent]
-            self._cases.add(str(scope[0]), first.finding, counted, texts)
+            packets = [each for one in new for each in (one.finding.packets, *one.more)]
+            self._cases.add(str(scope[0]), new[0].finding, counted, texts, packets)

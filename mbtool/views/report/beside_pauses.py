@@ -13,8 +13,8 @@ from heapq import heappush, heappushpop
 from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.core.wording import host_of
+from mbtool.ledger.account import MAX_POLLS
 from mbtool.ledger.poll_statistics import LONGEST, PollKey, poll_key
-from mbtool.ledger.statistics import MAX_POLLS
 from mbtool.troubles.polling import PAUSE_NS
 
 if TYPE_CHECKING:

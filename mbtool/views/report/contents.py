@@ -20,10 +20,10 @@ import msgspec
 from mbtool.core import WireEvent
 from mbtool.devices import Difference
 from mbtool.devices.checking.rules import Severity, rule_of
-from mbtool.ledger.history import History, LinkSum, UnitRow, UnitSum
+from mbtool.ledger.account import OTHER_UNITS, Account
 from mbtool.ledger.inventory_rows import InventoryDocument, Role, iso_time
-from mbtool.ledger.statistics import OTHER_UNITS, Statistics
-from mbtool.ledger.time_bins import GREATEST, REQUESTS_IN_BIN, TimeBins
+from mbtool.ledger.time_bins import Chart, LinkSum, UnitSum
+from mbtool.ledger.unit_account import UnitAccount, UnitKey
 from mbtool.troubles.broken_rules import Summaries, where
 from mbtool.troubles.judge import Judgement
 from mbtool.troubles.words import WORDS
@@ -49,6 +49,10 @@ MOST_SAMPLES = 800
 MAX_POLLS = 300
 MAX_ROWS = 1000
 MAX_CASES = 5
+MAX_BINS = 300
+REQUESTS_IN_BIN = 5
+"""A bin of a chart is at least so many requests wide in the mean. Narrower ones would show single
+requests, as a comb; much wider ones would leave a capture of 100 requests only a few."""
 MAX_BARS = 200
 """Histograms beyond this have the coarse steps of `stats --json`."""
 _FAILURES = {
@@ -92,14 +96,13 @@ class ReportContents:
     version: str
     made_ns: int
     sources: Sequence[str]
-    statistics: Statistics
+    account: Account
     judgement: Judgement
-    late_ns: Mapping[UnitRow, int]
+    late_ns: Mapping[UnitKey, int]
     """The latency (ns) from which an answer of a unit is late, for units with late answers."""
     inventory: InventoryDocument
     findings: Summaries
     number_of_findings: int
-    history: History
     values: Values
     rows: TransactionRows
     origins: Sequence[FileOrigin]
@@ -115,7 +118,9 @@ def report_document(contents: ReportContents) -> dict[str, Any]:
 
     Texts from the wire are not escaped here: the page shows them as text nodes only.
     """
-    bins = contents.history.bins.coarser(contents.statistics.transactions // REQUESTS_IN_BIN)
+    bins = contents.account.bins.chart(
+        min(contents.account.transactions // REQUESTS_IN_BIN, MAX_BINS)
+    )
     return {
         "version": contents.version,
         "made": iso_time(contents.made_ns),
@@ -180,7 +185,7 @@ def _trouble(one: Trouble, *, is_told: bool = False) -> dict[str, Any]:
 
 def _statistics(contents: ReportContents) -> dict[str, Any]:
     text = statistics_document(
-        contents.statistics, contents.judgement, sources=contents.sources, where=None
+        contents.account, contents.judgement, sources=contents.sources, where=None
     )
     document: dict[str, Any] = json.loads(text)
     # The keys `capture` and `verdict` have these.
@@ -225,7 +230,7 @@ def _bars(links: Sequence[LinkReport]) -> list[dict[str, Any]]:
     return found
 
 
-def _bins(contents: ReportContents, bins: TimeBins) -> dict[str, Any]:
+def _bins(contents: ReportContents, bins: Chart) -> dict[str, Any]:
     """Return counts over time: for each unit and link, lists with a number for each bin of time.
 
     `begin`, the beginning of the first bin, is in seconds since 1970; `width`, the width of each
@@ -233,18 +238,18 @@ def _bins(contents: ReportContents, bins: TimeBins) -> dict[str, Any]:
     were counted, `counted` the number of these units.
     """
     timed = {link.name for link in contents.judgement.links if link.has_times}
-    known = [row for row in bins.rows if isinstance(row, UnitRow) and row.link in timed]
+    known = [unit for unit in contents.account.units.values() if unit.key.link in timed]
     sick = {
-        UnitRow(each.link, each.unit): -place
+        UnitKey(each.link, each.unit): -place
         for place, one in reversed([*enumerate(contents.judgement.troubles, 1)])
         for each in one.all
         if each.unit is not None
     }
-    known.sort(key=lambda row: (sick.get(row, -MAX_ROWS), *_rank(bins, row)), reverse=True)
+    known.sort(key=lambda row: (sick.get(row.key, -MAX_ROWS), *_rank(row)), reverse=True)
     return {
         "begin": bins.begin_ns / 1e9,
         "width": bins.width_ns / 1e9,
-        "count": bins.count,
+        "count": bins.bins,
         "units_left_out": max(len(known) - MAX_UNITS, 0),
         "counted": len(known),
         "all": {name: _added(bins, known, place) for name, place in _FAILURES.items()},
@@ -257,29 +262,31 @@ def _bins(contents: ReportContents, bins: TimeBins) -> dict[str, Any]:
     }
 
 
-def _rank(bins: TimeBins, row: UnitRow) -> tuple[int, int]:
+def _rank(unit: UnitAccount) -> tuple[int, int]:
     """Return the requests of a unit and its failures. Charts have the sick units first, then those
     with the most requests.
     """
-    failures = (sum(bins.column(row, place)) for place in _FAILURES.values())
-    return sum(bins.column(row, UnitSum.TRANSACTIONS)), sum(failures)
+    return unit.bins.total(UnitSum.REQUESTS), unit.bins.total(*_FAILURES.values())
 
 
-def _added(bins: TimeBins, rows: Sequence[UnitRow], place: int) -> list[int]:
+def _added(bins: Chart, units: Sequence[UnitAccount], place: int) -> list[int]:
     """Return one sum of all these units for each bin."""
-    columns = [bins.column(row, place) for row in rows]
-    return [sum(numbers) for numbers in zip(*columns, strict=True)]
+    added = [0] * bins.bins
+    for unit in units:
+        for at, number in enumerate(bins.column(unit.bins, place)):
+            added[at] += number
+    return added
 
 
-def _unit_columns(bins: TimeBins, row: UnitRow) -> dict[str, Any]:
+def _unit_columns(bins: Chart, unit: UnitAccount) -> dict[str, Any]:
     def column(place: int) -> list[int]:
-        return bins.column(row, place)
+        return bins.column(unit.bins, place)
 
     sums, numbers = column(UnitSum.LATENCY_NS), column(UnitSum.LATENCIES)
     return {
-        "link": row.link,
-        "unit": row.unit,
-        "requests": column(UnitSum.TRANSACTIONS),
+        "link": unit.key.link,
+        "unit": unit.key.unit,
+        "requests": column(UnitSum.REQUESTS),
         **{name: column(place) for name, place in _FAILURES.items()},
         "mean_ms": [
             _in_ms(total / number) if number else None
@@ -287,7 +294,7 @@ def _unit_columns(bins: TimeBins, row: UnitRow) -> dict[str, Any]:
         ],
         "most_ms": [
             _in_ms(most) if number else None
-            for most, number in zip(column(GREATEST), numbers, strict=True)
+            for most, number in zip(column(UnitSum.GREATEST_NS), numbers, strict=True)
         ],
     }
 
@@ -297,20 +304,24 @@ def _in_ms(ns: float) -> float:
     return round(ns / 1e6, 3)
 
 
-def _link_columns(contents: ReportContents, bins: TimeBins, link: LinkReport) -> dict[str, Any]:
-    settings = contents.statistics.links[link.name]
-    sizes = bins.column(link.name, LinkSum.BYTES)
+def _link_columns(contents: ReportContents, bins: Chart, link: LinkReport) -> dict[str, Any]:
+    settings = contents.account.links[link.name]
+
+    def column(place: int) -> list[int]:
+        return bins.column(settings.bins, place)
+
+    sizes = column(LinkSum.BYTES)
     load = None
     if link.load is not None:
         load = [round(min(settings.wire_ns(size) / bins.width_ns, 1.0), 4) for size in sizes]
     return {
         "link": link.name,
-        "requests": bins.column(link.name, LinkSum.TRANSACTIONS),
+        "requests": column(LinkSum.REQUESTS),
         "bytes": sizes,
         "load": load,
-        "bad_check": bins.column(link.name, LinkSum.BAD_CHECK),
-        "no_frame": bins.column(link.name, LinkSum.NO_FRAME),
-        "lacking": bins.column(link.name, LinkSum.LACKING),
+        "bad_check": column(LinkSum.BAD_CHECK),
+        "no_frame": column(LinkSum.NO_FRAME),
+        "lacking": column(LinkSum.LACKING),
     }
 
 

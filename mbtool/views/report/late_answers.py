@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
     from mbtool.devices import NamedTransaction
-    from mbtool.ledger.history import UnitRow
+    from mbtool.ledger.unit_account import UnitKey
 
 OF_UNIT = 100
 MAX_UNITS = 50
@@ -26,11 +26,11 @@ class LateAnswers:
     """Collects answered transactions that may turn out to be late."""
 
     def __init__(self) -> None:
-        self._units: dict[UnitRow, list[tuple[int, int, NamedTransaction]]] = {}
+        self._units: dict[UnitKey, list[tuple[int, int, NamedTransaction]]] = {}
         """For each unit a heap of latency (ns), number * -1 and transaction: the least first."""
 
     def offer(
-        self, row: UnitRow, latency_ns: int, number: int, make: Callable[[], NamedTransaction]
+        self, row: UnitKey, latency_ns: int, number: int, make: Callable[[], NamedTransaction]
     ) -> None:
         """Keep a transaction of the unit `row` if it is one of the slowest of its unit.
 
@@ -49,7 +49,7 @@ class LateAnswers:
         elif latency_ns > heap[0][0]:
             heapreplace(heap, (latency_ns, -number, make()))
 
-    def late(self, limits: Mapping[UnitRow, int]) -> list[tuple[int, NamedTransaction]]:
+    def late(self, limits: Mapping[UnitKey, int]) -> list[tuple[int, NamedTransaction]]:
         """Return the late ones with their numbers, sorted by number. `limits` has the latency (ns)
         from which an answer of a unit is late; a unit that it lacks has no late answers.
         """

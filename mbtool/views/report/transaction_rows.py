@@ -21,9 +21,8 @@ from typing import TYPE_CHECKING, Any
 
 from msgspec.structs import replace
 
-from mbtool.ledger.history import UnitRow
+from mbtool.ledger.unit_account import UnitKey
 from mbtool.modbus import Outcome
-from mbtool.modbus.damaged_answers import DamagedAnswers
 from mbtool.views.cells import result_text, transaction_text
 from mbtool.views.report.beside_pauses import BesidePauses
 from mbtool.views.report.late_answers import LateAnswers
@@ -32,7 +31,6 @@ from mbtool.views.tables import printable
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping
 
-    from mbtool.core import WireEvent
     from mbtool.devices import NamedTransaction
     from mbtool.devices.checking.finding import Finding
     from mbtool.ledger.answered_reads import SlowRead
@@ -69,7 +67,6 @@ class TransactionRows:
         """Each kept row and the codes of its findings, by the transaction's link, unit and start
         in ns since 1970; `mark` looks up the row of a finding here. A transaction whose response
         was damaged also stands under the time of the damaged frame, which its finding has."""
-        self._damaged = DamagedAnswers()
         self._retries: set[int] = set()
         """The numbers of the kept rows whose requests are retries."""
         self.begin_ns: int | None = None
@@ -79,30 +76,28 @@ class TransactionRows:
         """The number of transactions with a finding, or with another outcome than ok."""
         self.kept_with_trouble = 0
 
-    def note_event(self, event: WireEvent) -> None:
-        """Take an event in its order among the transactions: it may be a damaged response."""
-        self._damaged.note(event)
-
-    def add(self, one: NamedTransaction, codes: Iterable[str]) -> None:
-        """Count a transaction, and keep a row for it if it is among the first ones or failed.
+    def add(
+        self, one: NamedTransaction, codes: Iterable[str], damaged_ns: int | None = None
+    ) -> None:
+        """Take the next transaction, and keep a row for it if it is among the first ones or failed.
 
         `codes` are the codes of findings (broken rules) about it that the rules of `check` gave,
-        beside the decoder's own in `one.findings`.
+        beside the decoder's own in `one.findings`. `damaged_ns` is the time (UTC ns) of its damaged
+        response; None if it had none.
         """
         self.transactions += 1
         codes = dict.fromkeys((*one.findings, *codes))
         has_trouble = bool(codes) or one.outcome not in _WELL
         self.with_trouble += has_trouble
-        frame_ns = self._damaged.frame_of(one)
         if self._everything or self.transactions <= FIRST or self._is_wanted(one, codes):
             self.kept_with_trouble += has_trouble
-            row = self._row(self.transactions, one, codes, is_damaged=frame_ns is not None)
+            row = self._row(self.transactions, one, codes, is_damaged=damaged_ns is not None)
             self.rows.append(row)
             self._by_time[one.link, one.unit, one.start_ns] = row, codes
-            if frame_ns is not None:
-                self._by_time[one.link, one.unit, frame_ns] = row, codes
+            if damaged_ns is not None:
+                self._by_time[one.link, one.unit, damaged_ns] = row, codes
         elif one.latency_ns is not None:
-            unit = UnitRow(one.link, one.unit)
+            unit = UnitKey(one.link, one.unit)
             self._late.offer(unit, one.latency_ns, self.transactions, lambda: one)
 
     def first_of(self, count: int) -> int:
@@ -117,7 +112,7 @@ class TransactionRows:
         """
         for one in slow:
             number = self.transactions + 1 + one.place
-            self._late.offer(UnitRow(one.link, one.unit), one.latency_ns, number, one.transaction)
+            self._late.offer(UnitKey(one.link, one.unit), one.latency_ns, number, one.transaction)
         self.transactions += count
 
     def mark(self, finding: Finding) -> None:
@@ -132,7 +127,7 @@ class TransactionRows:
         codes[finding.code] = None
         row[_CODES] = self._place(" ".join(codes))
 
-    def mark_retry(self, row: UnitRow, at_ns: int, number: int) -> None:
+    def mark_retry(self, row: UnitKey, at_ns: int, number: int) -> None:
         """Mark the row of a request as that of a retry, or as that of none if `number` is -1.
 
         `at_ns` is the time of the request in ns since 1970.
@@ -143,7 +138,7 @@ class TransactionRows:
             change(found[0][_NUMBER])
 
     def document(
-        self, late_ns: Mapping[UnitRow, int], pauses_ns: Collection[int] = ()
+        self, late_ns: Mapping[UnitKey, int], pauses_ns: Collection[int] = ()
     ) -> dict[str, Any]:
         """Return rows, texts and counts as JSON data for the page.
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Protocol
 from mbtool.core import WireEvent
 from mbtool.devices import NamedTransaction
 from mbtool.devices.checking.capture_context import CaptureContext
-from mbtool.ledger.statistics import Statistics
+from mbtool.ledger.account import Account
 from mbtool.troubles.judge import Judge
 from mbtool.troubles.words import WORDS
 from mbtool.workflows.shared.recorder import Log
@@ -54,7 +54,7 @@ class CheckedLog:
 
     def __init__(self, log: FindingsLog, context: CaptureContext) -> None:
         self._log = log
-        self._judge = Judge(Statistics(context.line_of), context)
+        self._judge = Judge(Account(context.line_of), context)
         self._last_ns = 0
 
     def write(self, item: LogItem | DecodingMark) -> None:

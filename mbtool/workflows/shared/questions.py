@@ -194,10 +194,15 @@ class Wording:
 
     def _write_code(self, text: str, table: Table, count: int) -> int:
         one, several = _WRITES[table]
-        if count > 1:
-            return self._code(text, table, (several,))
         lacks_one = self.profile is not None and self.profile.rule(one) is None
         has_several = self.profile is not None and self.profile.rule(several) is not None
+        if count > 1:
+            if self.profile is not None and self.function is None and not has_several:
+                raise UsageError(
+                    f"{text!r}: {self.profile.name} has no function {several:02X} to write several "
+                    f"at once; give each value its own name, or choose it with --function {several}"
+                )
+            return self._code(text, table, (several,))
         return self._code(
             text, table, (several, one) if lacks_one and has_several else (one, several)
         )

@@ -223,7 +223,7 @@ async def test_a_file_is_played_stepped_and_searched(keys: KeyLog) -> None:
     feed = FileFeed(half_a_minute, Watched())
 
     def shows(number: int) -> Callable[[], bool]:
-        return lambda: feed.watched.whole.transactions == number
+        return lambda: feed.watched.whole.account.transactions == number
 
     async with screen(feed, (120, 24)) as seen:
         await seen.until(lambda: feed.is_read)
@@ -239,6 +239,6 @@ async def test_a_file_is_played_stepped_and_searched(keys: KeyLog) -> None:
         await keys.press(seen, "equals_sign", has(seen, "x4"))
         await keys.press(seen, "minus", has(seen, "x2"))
         await keys.press(seen, "p", has(seen, "playing"))
-        await seen.until(lambda: feed.watched.whole.transactions > 2)
+        await seen.until(lambda: feed.watched.whole.account.transactions > 2)
         await keys.press(seen, "p", has(seen, "paused"))
         await keys.press(seen, "greater_than_sign", shows(31))

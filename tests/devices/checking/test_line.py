@@ -31,8 +31,9 @@ def findings(
     *records: NamedTransaction | WireEvent,
     format_: SerialFormat | None = FORMAT,
     profile: str | None = None,
+    exact: bool = False,
 ) -> list[Finding]:
-    rules, found = LineRules(), list[Finding]()
+    rules, found = LineRules(lambda _: exact), list[Finding]()
     for record in records:
         if isinstance(record, WireEvent):
             found += rules.event(record)
@@ -154,6 +155,37 @@ def test_a_master_faster_than_the_manual_allows_is_found() -> None:
     assert codes(first, soon[0]) == []
     assert codes(first, soon[0], profile="idec-ft1a-smartaxis") == []  # No rule of the slave's.
     assert codes(first, soon[0], profile=PATIENT, format_=None) == []
+
+
+@pytest.mark.parametrize(
+    ("torn", "whole", "glued", "codes_of_line"),
+    [(8, 0, 0, ["RTU-102"]), (8, 4, 0, ["RTU-104"]), (8, 0, 1, ["RTU-104"]), (7, 0, 0, [])],
+)
+def test_a_master_that_tears_its_requests_is_told_from_an_adapter(
+    torn: int, whole: int, glued: int, codes_of_line: list[str]
+) -> None:
+    only = (Verdict.SPLIT, Verdict.ONLY_REQUEST_SPLIT)
+    cases = [only] * torn + [(Verdict.SPLIT,)] * whole + [(Verdict.GLUED,)] * glued
+    records = [on_line(at_ms=1000 * at, verdicts=one) for at, one in enumerate(cases)]
+    found = findings(*records)
+    if torn < 8:  # Too few transactions for a word about adapters: RTU-102 as for any frame.
+        assert [one.message for one in found] == [
+            "a silence of t3.5 or longer inside a frame in 7 of 7 transactions"
+        ]
+        return
+    assert [one.code for one in found] == codes_of_line
+    if codes_of_line == ["RTU-102"]:
+        assert found[0].message == (
+            "a silence of t3.5 or longer in 8 of 8 requests, and in no more than 5% of the "
+            "responses: the master tears them"
+        )
+
+
+def test_one_character_is_forgiven_only_where_bytes_have_no_exact_times() -> None:
+    first = on_line(unit=8, latency_ms=10)
+    nearly = on_line(unit=8, at_ms=10 + 4.8 + EIGHT_BYTES_MS)  # A character takes 0.57 ms.
+    assert codes(first, nearly, profile=PATIENT) == []
+    assert codes(first, nearly, profile=PATIENT, exact=True) == ["RTU-301"]
 
 
 def test_a_clock_that_was_set_back_gives_no_finding() -> None:

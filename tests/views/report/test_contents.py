@@ -6,18 +6,18 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
+from mbtool.ledger.account import Account
 from mbtool.ledger.distribution import Bucket, Distribution
-from mbtool.ledger.statistics import Statistics
 from mbtool.ledger.statistics_report import report
 from mbtool.views.report import contents
-from tests.ledger.test_history import asked
+from tests.ledger.test_account_over_time import asked
 
 if TYPE_CHECKING:
     import pytest
 
 
 def test_no_more_histograms_are_computed_than_shown(monkeypatch: pytest.MonkeyPatch) -> None:
-    statistics = Statistics()
+    statistics = Account()
     for link in ("a", "b", "c"):
         for unit in range(3):
             statistics.add(msgspec.structs.replace(asked(0, unit), link=link))

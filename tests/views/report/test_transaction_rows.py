@@ -5,13 +5,13 @@ from functools import partial
 from msgspec.structs import replace
 
 from mbtool.devices.checking.finding import Finding
-from mbtool.ledger.history import UnitRow
+from mbtool.ledger.unit_account import UnitKey
 from mbtool.modbus import Outcome
 from mbtool.troubles.polling import LATE_NS
 from mbtool.views.report import transaction_rows
 from mbtool.views.report.late_answers import MAX_UNITS, OF_UNIT, LateAnswers
 from mbtool.views.report.transaction_rows import FIRST, MORE, OF_KIND, TransactionRows
-from tests.ledger.test_history import asked
+from tests.ledger.test_account_over_time import asked
 
 FAILED = asked(1, outcome=Outcome.NO_ANSWER, latency_ms=None)
 
@@ -36,7 +36,7 @@ def test_late_answers_behind_the_first_rows_are_kept_with_their_numbers() -> Non
         if number == FIRST + 500:
             rows.add(asked(number, unit=2, latency_ms=400), ())
             rows.add(FAILED, ())
-    told = rows.document({UnitRow("rs485", 1): 300_000_000})
+    told = rows.document({UnitKey("rs485", 1): 300_000_000})
     assert [row[0] for row in told["rows"][FIRST:]] == [FIRST + 20, FIRST + 502, FIRST + 902]
     assert told["late"] == 2
     assert len(rows.document({})["rows"]) == FIRST + 1
@@ -44,14 +44,14 @@ def test_late_answers_behind_the_first_rows_are_kept_with_their_numbers() -> Non
 
 def test_of_many_slow_answers_the_slowest_are_kept_and_the_first_of_equal_ones() -> None:
     late = LateAnswers()
-    unit = UnitRow("rs485", 1)
+    unit = UnitKey("rs485", 1)
     for number, latency_ms in enumerate([150] * 150 + [200] * 30, 1):
         late.offer(unit, latency_ms * 1_000_000, number, partial(asked, number))
     kept = [number for number, _ in late.late({unit: LATE_NS})]
     assert kept == [*range(1, OF_UNIT - 29), *range(151, 181)]
     for number in range(2, 1000):
-        late.offer(UnitRow("rs485", number), LATE_NS, number, partial(asked, number))
-    limits = {UnitRow("rs485", number): LATE_NS for number in range(2, 1000)}
+        late.offer(UnitKey("rs485", number), LATE_NS, number, partial(asked, number))
+    limits = {UnitKey("rs485", number): LATE_NS for number in range(2, 1000)}
     assert len(late.late(limits)) == MAX_UNITS - 1
 
 
@@ -71,7 +71,7 @@ def test_a_retry_is_marked_until_it_turns_out_to_be_none() -> None:
     rows = TransactionRows()
     for at in (1, 2, 3):
         rows.add(replace(asked(at), retries=at), ())
-    unit = UnitRow("rs485", 1)
+    unit = UnitKey("rs485", 1)
     for at, number in ((2, 1), (3, 1), (3, -1), (9, 1)):
         rows.mark_retry(unit, asked(at).start_ns, number)
     told = rows.document({})

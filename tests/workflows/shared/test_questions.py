@@ -150,6 +150,7 @@ def test_a_reference_that_names_nothing_is_refused(text: str, message: str) -> N
         (Wording(function=3), "holding 0=1", "--function 3 does not fit"),
         (Wording(function=6), "holding 0=1,2", "--function 6 does not fit 'holding 0=1,2'"),
         (Wording(FT1A), f"HR400001={','.join('1' * 124)}", "a write is not divided"),
+        (Wording(FT1A), "C1=1,0,1", "idec-ft1a-touch has no function 0F to write several at once"),
         (Wording(FA3), "A/D conversion enable/disable setting=1,2", "a name is one value"),
         (Wording(FA3), "A/D conversion enable setting=1", "did you mean"),
     ],

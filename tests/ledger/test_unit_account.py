@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from mbtool.ledger.account import Account
 from mbtool.ledger.request_tally import RequestTally
-from mbtool.ledger.statistics import Statistics
-from mbtool.ledger.unit_times import UnitTimes
+from mbtool.ledger.unit_account import UnitKey
 from mbtool.modbus import Outcome
 from mbtool.troubles.failed_shares import FailedShare, missing_share, refused_share
 from tests.ledger.masters import MS, START_NS
@@ -23,11 +23,11 @@ S = 1000
 
 
 def shares(records: Iterable[NamedTransaction]) -> tuple[FailedShare | None, FailedShare | None]:
-    statistics, tally = Statistics(lambda _: LINE), RequestTally()
+    account, tally = Account(lambda _: LINE), RequestTally()
     for one in records:
-        statistics.add(one)
+        account.add(one)
         tally.add(one)
-    times = statistics.units["line", 1]
+    times = account.units[UnitKey("line", 1)]
     return missing_share(tally, times), refused_share(tally, times)
 
 
@@ -138,4 +138,3 @@ def test_without_times_the_share_is_of_all_requests() -> None:
     for one in polled(range(60, 100)):
         tally.add(one)
     assert missing_share(tally, None) == FailedShare(40, 100)
-    assert missing_share(tally, UnitTimes(START_NS)) == FailedShare(40, 100)

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import pytest
 
 from mbtool.core import CONNECTION_OPENED, EventKind, SerialFormat, WireEvent
+from mbtool.ledger import account as module
 from mbtool.ledger import request_order
-from mbtool.ledger import statistics as module
-from mbtool.ledger.statistics import Statistics
+from mbtool.ledger.account import Account
 from mbtool.ledger.statistics_report import LinkReport, is_counted_together, report
 from mbtool.modbus import Outcome, Transport
 from tests.ledger.masters import MS, START_NS, Master, Task
@@ -21,16 +21,16 @@ if TYPE_CHECKING:
 CHARACTER_S = 11 / 9600
 
 
-def counted(*records: NamedTransaction | WireEvent, with_line: bool = True) -> Statistics:
-    statistics = Statistics(lambda _: LINE if with_line else None)
+def counted(*records: NamedTransaction | WireEvent, with_line: bool = True) -> Account:
+    account = Account(lambda _: LINE if with_line else None)
     for one in records:
-        statistics.add(one)
-    statistics.settle()
-    return statistics
+        account.add(one)
+    account.settle()
+    return account
 
 
-def only_link(statistics: Statistics) -> LinkReport:
-    (link,) = report(statistics)
+def only_link(account: Account) -> LinkReport:
+    (link,) = report(account)
     return link
 
 
@@ -92,22 +92,22 @@ def test_a_missing_answer_that_is_told_late_does_not_spoil_periods() -> None:
 
 
 def test_what_comes_later_than_the_window_is_counted_but_has_no_period() -> None:
-    many = [request(at * 10, at % 7) for at in range(request_order.WINDOW + 50)]
-    statistics = counted(*many, request(1, 99), request(2, 99))
-    assert statistics.late == 2
-    assert statistics.transactions == request_order.WINDOW + 52
-    poll = next(one for one in report(statistics)[0].polls if one.poll.key.address == 99)
+    many = [request(at * 10, at % 7) for at in range(2 * request_order.WINDOW + 50)]
+    account = counted(*many, request(1, 99), request(2, 99))
+    assert account.late == 2
+    assert account.transactions == 2 * request_order.WINDOW + 52
+    poll = next(one for one in report(account)[0].polls if one.poll.key.address == 99)
     assert (poll.poll.tally.transactions, poll.poll.period.count) == (2, 0)
 
 
 def test_no_period_reaches_from_one_capture_into_the_next() -> None:
-    statistics = Statistics(lambda _: LINE)
+    account = Account(lambda _: LINE)
     for begin_ms in (0, 86_400_000):
-        statistics.begin_capture()
+        account.begin_capture()
         for at in range(3):
-            statistics.add(request(begin_ms + at * 100))
-    statistics.settle()
-    link = only_link(statistics)
+            account.add(request(begin_ms + at * 100))
+    account.settle()
+    link = only_link(account)
     (poll,) = link.polls
     assert (poll.poll.period.count, poll.poll.period.greatest) == (4, 100 * MS)
     assert link.watched_ns == 2 * 205 * MS
@@ -115,14 +115,14 @@ def test_no_period_reaches_from_one_capture_into_the_next() -> None:
 
 
 def test_a_capture_of_an_earlier_day_may_come_second() -> None:
-    statistics = Statistics(lambda _: LINE)
+    account = Account(lambda _: LINE)
     for begin_ms in (86_400_000, 0):
-        statistics.begin_capture()
+        account.begin_capture()
         for at in range(3):
-            statistics.add(request(begin_ms + at * 100))
-    statistics.settle()
-    assert statistics.late == 0
-    assert only_link(statistics).polls[0].poll.period.count == 4
+            account.add(request(begin_ms + at * 100))
+    account.settle()
+    assert account.late == 0
+    assert only_link(account).polls[0].poll.period.count == 4
 
 
 def test_a_response_without_request_belongs_to_no_poll() -> None:
@@ -204,12 +204,12 @@ def test_memory_is_bounded_however_many_polls_links_and_masters_there_are(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     for name, limit in {
-        "MAX_POLLS": 20, "MAX_GROUPS": 30, "MAX_LINKS": 10, "MAX_PAIRS": 7,
+        "MAX_POLLS": 20, "MAX_UNITS": 15, "MAX_USES": 30, "MAX_LINKS": 10, "MAX_PAIRS": 7,
     }.items():  # fmt: skip
         monkeypatch.setattr(module, name, limit)
     for name, limit in {"MAX_TAPES": 5, "WINDOW": 16}.items():
         monkeypatch.setattr(request_order, name, limit)
-    statistics = Statistics()
+    account = Account()
     random = Random(1)
     for at in range(2000):
         name = f"10.0.0.{random.randrange(50)}"
@@ -218,28 +218,29 @@ def test_memory_is_bounded_however_many_polls_links_and_masters_there_are(
             transport=Transport.TCP, source=f"10.0.1.{random.randrange(40)}:{at}",
             destination=f"{name}:502",
         )  # fmt: skip
-        statistics.add(one)
-        statistics.add(
+        account.add(one)
+        account.add(
             WireEvent(
                 ts_ns=one.start_ns, link=name, kind=EventKind.OPENED, message=CONNECTION_OPENED,
                 source=one.source or "", destination=one.destination or "",
             )
         )  # fmt: skip
-    assert len(statistics.polls) == 20
-    assert len(statistics.groups) <= 30 + len(statistics.links)
-    assert len(statistics.links) <= 11
-    assert len(statistics.tapes) == 5
-    assert len(statistics.connections) == 7
-    assert len(statistics._order._heap) <= 16
-    total = sum(link.tally.transactions for link in report(statistics))
-    assert total == statistics.transactions == 2000
+    assert len(account.polls) == 20
+    assert len(account.units) <= 15
+    assert len(account.uses) <= 30 + len(account.links)
+    assert len(account.links) <= 11
+    assert len(account.tapes) == 5
+    assert len(account.connections) == 7
+    assert len(account._order._waiting) <= 32
+    total = sum(link.tally.transactions for link in report(account))
+    assert total == account.transactions == 2000
 
 
 def test_what_cannot_be_told_apart_by_unit_still_counts_for_its_link(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(module, "MAX_POLLS", 2)
-    monkeypatch.setattr(module, "MAX_GROUPS", 4)
+    monkeypatch.setattr(module, "MAX_USES", 4)
     asked = [request(at, unit=at // 2 % 20, link=f"line {at % 2}") for at in range(400)]
     links = report(counted(*asked))
     assert {link.name: link.tally.requests for link in links} == {"line 0": 200, "line 1": 200}
@@ -249,25 +250,25 @@ def test_what_cannot_be_told_apart_by_unit_still_counts_for_its_link(
 
 
 def test_the_time_watched_is_from_the_first_to_the_last_link_of_each_capture() -> None:
-    statistics = Statistics(lambda _: LINE)
+    account = Account(lambda _: LINE)
     for at_ms, link in ((0, "a"), (1000, "a"), (5000, "b"), (9000, "b")):
-        statistics.add(request(at_ms, link=link))
-    latency_ns = statistics.watched_ns - 9000 * MS
+        account.add(request(at_ms, link=link))
+    latency_ns = account.watched_ns - 9000 * MS
     assert 0 < latency_ns < 1000 * MS
-    statistics.begin_capture()
+    account.begin_capture()
     for at_ms, link in ((86_400_000, "a"), (86_401_000, "b")):
-        statistics.add(request(at_ms, link=link))
-    assert statistics.watched_ns == 10_000 * MS + 2 * latency_ns
-    assert {link.all_watched_ns for link in report(statistics)} == {statistics.watched_ns}
+        account.add(request(at_ms, link=link))
+    assert account.watched_ns == 10_000 * MS + 2 * latency_ns
+    assert {link.all_watched_ns for link in report(account)} == {account.watched_ns}
 
 
 def test_captures_of_the_same_time_are_watched_once() -> None:
-    statistics = Statistics(lambda _: LINE)
+    account = Account(lambda _: LINE)
     for link in ("a", "b", "c"):
-        statistics.add(request(0, link=link))
-        statistics.add(request(9000 if link == "b" else 5000, link=link))
-        statistics.begin_capture()
-    assert 9000 * MS < statistics.watched_ns < 9100 * MS
+        account.add(request(0, link=link))
+        account.add(request(9000 if link == "b" else 5000, link=link))
+        account.begin_capture()
+    assert 9000 * MS < account.watched_ns < 9100 * MS
 
 
 def test_a_poll_that_is_given_up_still_counts_for_its_function(
@@ -280,15 +281,15 @@ def test_a_poll_that_is_given_up_still_counts_for_its_function(
 
 
 def test_the_figures_can_be_read_while_more_comes() -> None:
-    statistics = Statistics(lambda _: LINE)
+    account = Account(lambda _: LINE)
     for at in range(100):
-        statistics.add(request(at * 100))
+        account.add(request(at * 100))
         if at % 10 == 0:
-            statistics.settle(START_NS + (at - 5) * 100 * MS)
-            report(statistics)
-    statistics.settle()
-    assert statistics.late == 0
-    assert only_link(statistics).polls[0].poll.period.count == 99
+            account.settle(START_NS + (at - 5) * 100 * MS)
+            report(account)
+    account.settle()
+    assert account.late == 0
+    assert only_link(account).polls[0].poll.period.count == 99
 
 
 def test_bytes_without_times_have_counts_but_no_rate_period_or_cycle() -> None:
@@ -301,11 +302,11 @@ def test_bytes_without_times_have_counts_but_no_rate_period_or_cycle() -> None:
 
 def test_a_line_whose_settings_change_from_capture_to_capture_has_no_load() -> None:
     formats = iter((LINE, SerialFormat(19200)))
-    statistics = Statistics(lambda _: next(formats))
+    account = Account(lambda _: next(formats))
     for begin_ms in (0, 1000):
-        statistics.begin_capture()
-        statistics.add(request(begin_ms))
-    link = only_link(statistics)
+        account.begin_capture()
+        account.add(request(begin_ms))
+    link = only_link(account)
     assert (link.load, link.settings) == (None, None)
 
 
@@ -330,13 +331,13 @@ def test_of_a_dead_unit_only_what_is_repeated_at_once_is_a_repetition() -> None:
 def told_retries(*records: NamedTransaction) -> tuple[int, list[int]]:
     """Return how many retries are counted, and the times (ms) of those that were told."""
     told: Counter[int] = Counter()
-    statistics = Statistics(
+    account = Account(
         lambda _: LINE, lambda _, at_ns, number: told.update({(at_ns - START_NS) // MS: number})
     )
     for one in records:
-        statistics.add(one)
-    statistics.settle()
-    (poll,) = statistics.polls.values()
+        account.add(one)
+    account.settle()
+    (poll,) = account.polls.values()
     return poll.repetitions, sorted(told.elements())
 
 

@@ -1,0 +1,473 @@
+"""The account of a capture or of live links: counts requests per link, unit, master and poll."""
+
+# This is the only place where requests are counted by poll and by unit (docs/stats.md says what
+# each count means). A poll is all equal requests of one master to one unit. Each transaction is
+# counted with its poll at once; the counts of a unit, a function, a master or a link are the sums
+# of their polls, and of what has no poll (UseAccount). Counts over time are in bins
+# (time_bins.py). Periods, retries and poll cycles need the requests sorted by time, which
+# request_order.py does.
+#
+# Memory. At most MAX_POLLS polls: at the limit, the poll whose last request is oldest is removed,
+# and its counts are added to those of its function. At most MAX_UNITS units, MAX_USES functions of
+# units, MAX_MASTERS masters, MAX_LINKS links and MAX_PAIRS pairs of link and master; and what
+# time_bins.py and request_order.py keep, and observation.py if it is asked for. Links, and units
+# and functions, beyond their limits are counted together. A poll takes 2 to 10 KB in practice, and
+# 130 KB if all its latencies and periods differ.
+
+from __future__ import annotations
+
+from collections import Counter, OrderedDict
+from typing import TYPE_CHECKING
+
+from mbtool.core import EventKind, WireEvent
+from mbtool.devices.model import READ_AND_WRITE
+from mbtool.ledger.link_statistics import LinkStatistics
+from mbtool.ledger.master_tape import Lacks
+from mbtool.ledger.observation import Observation
+from mbtool.ledger.poll_statistics import PollKey, PollStatistics, poll_key
+from mbtool.ledger.request_order import RequestOrder
+from mbtool.ledger.statistics_connections import ConnectionTally
+from mbtool.ledger.time_bins import LinkSum, TimeBins, UnitSum
+from mbtool.ledger.unit_account import MasterAccount, UnitAccount, UnitKey, UseAccount, UseKey
+from mbtool.modbus import Outcome
+from mbtool.modbus.damaged_answers import DamagedAnswers
+from mbtool.modbus.functions import FUNCTIONS
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from mbtool.core import SerialFormat
+    from mbtool.devices.named_transaction import NamedTransaction
+    from mbtool.ledger.answered_run import AlikeRequests, AnsweredRun
+    from mbtool.ledger.master_tape import MasterTape
+    from mbtool.ledger.request_tally import RequestTally
+
+MAX_POLLS = 2048
+MAX_UNITS = 65_536
+MAX_USES = 131_072
+MAX_MASTERS = 65_536
+MAX_LINKS = 65_536
+MAX_PAIRS = 4096
+_MAX_HOSTS = 65_536
+
+_CONNECTIONS = frozenset((EventKind.OPENED, EventKind.CLOSED, EventKind.REFUSED))
+_SUMS_OF_EVENTS = {
+    EventKind.BAD_CHECK: LinkSum.BAD_CHECK,
+    EventKind.SKIPPED: LinkSum.NO_FRAME,
+    EventKind.FOREIGN: LinkSum.NO_FRAME,
+    EventKind.ECHO: LinkSum.NO_FRAME,
+    EventKind.REPEATED: LinkSum.NO_FRAME,
+    EventKind.GAP: LinkSum.LACKING,
+    EventKind.DISCARDED: LinkSum.LACKING,
+    EventKind.CUT: LinkSum.LACKING,
+}
+_SUMS_OF_OUTCOMES = {
+    Outcome.OK: UnitSum.OK,
+    Outcome.EXCEPTION: UnitSum.EXCEPTION,
+    Outcome.NO_ANSWER: UnitSum.NO_ANSWER,
+    Outcome.LATE: UnitSum.LATE,
+}
+
+OTHER_UNITS = -1
+"""The unit under which all units and functions of a link that are beyond MAX_UNITS or MAX_USES are
+counted together."""
+OTHER_LINKS = ""
+"""The link name under which all links beyond MAX_LINKS are counted together."""
+
+
+class Account:
+    """Counts transactions and events. Its attributes hold the results, and can be read at any
+    time.
+    """
+
+    def __init__(
+        self,
+        format_of: Callable[[str], SerialFormat | None] = lambda _: None,
+        on_retry: Callable[[PollStatistics, int, int], None] | None = None,
+        *,
+        is_part: bool = False,
+        observes: bool = False,
+    ) -> None:
+        """Make an empty account.
+
+        `format_of` is called with the name of a link. It returns the baud rate and character format
+        of a serial line, None if they are unknown. `on_retry` is told of retries, after they are
+        counted, as `count_retry` is. `is_part` says that the account gets only some of the requests
+        of an account of all: retries are then not looked for, and the caller tells them with
+        `count_retry`. With `observes`, the account has what tells one device from another.
+        """
+        self._format_of = format_of
+        self._on_retry = on_retry
+        self.bins = TimeBins()
+        self.links: dict[str, LinkStatistics] = {}
+        """The links that had a transaction or an event."""
+        self.polls: OrderedDict[PollKey, PollStatistics] = OrderedDict()
+        """The polls in the order of their last requests."""
+        self.polls_seen = 0
+        """The number of polls seen so far, including those removed because there were more than
+        MAX_POLLS."""
+        self.uses: dict[UseKey, UseAccount] = {}
+        self.units: dict[UnitKey, UnitAccount] = {}
+        self.masters: dict[str, MasterAccount] = {}
+        """The masters by their hosts."""
+        self.connections: dict[tuple[str, str], ConnectionTally] = {}
+        """The counts of TCP connections; the key is the link and the master's host."""
+        self.events: Counter[EventKind] = Counter()
+        self.left_out = 0
+        """The number of transactions that the caller did not add because of the user's filter. It
+        adds all events, so these cannot be compared with the transactions then."""
+        self.transactions = 0
+        self.observation = Observation() if observes else None
+        self._order = RequestOrder(None if is_part else self.count_retry)
+        self._damaged = DamagedAnswers()
+        self.damaged_ns: int | None = None
+        """The time (UTC ns) of the damaged response to the last request that was added; None if it
+        had none."""
+        self._hosts: dict[str, str] = {}
+        self._spans: list[tuple[int, int]] = []
+        """The first request and the last response (UTC ns) of each capture before the present one;
+        captures that overlap are joined."""
+
+    @property
+    def watched_ns(self) -> int:
+        """The time in ns from the first request to the last response of each capture, on whatever
+        link, summed over all captures. Where captures overlap, it counts once.
+        """
+        return sum(end_ns - begin_ns for begin_ns, end_ns in self._joined_spans())
+
+    def _joined_spans(self) -> list[tuple[int, int]]:
+        """Return the spans of all captures, sorted; those that overlap are joined."""
+        present = [link.span for link in self.links.values() if link.span is not None]
+        spans = list(self._spans)
+        if present:
+            spans.append((min(begin for begin, _ in present), max(end for _, end in present)))
+        joined: list[tuple[int, int]] = []
+        for begin_ns, end_ns in sorted(spans):
+            if joined and begin_ns <= joined[-1][1]:
+                joined[-1] = joined[-1][0], max(end_ns, joined[-1][1])
+            else:
+                joined.append((begin_ns, end_ns))
+        return joined
+
+    @property
+    def tapes(self) -> Mapping[tuple[str, str], MasterTape]:
+        """The last requests of each master; the key is the link and the master's host."""
+        return self._order.tapes
+
+    @property
+    def late(self) -> int:
+        """The number of requests that were added too late to be sorted by time, so that periods
+        and poll cycles lack them.
+        """
+        return self._order.late
+
+    def add(self, record: NamedTransaction | WireEvent) -> PollStatistics | None:
+        """Count a transaction or an event.
+
+        Returns the poll of the transaction; None for an event, and for a transaction without a
+        poll.
+        """
+        if isinstance(record, WireEvent):
+            self._add_event(record)
+            return None
+        return self._add_transaction(record)
+
+    def add_run(self, run: AnsweredRun) -> None:
+        """Add a batch of answered requests at once. The counts are the same as if `add` was called
+        for each.
+        """
+        if not self._has_room(run):
+            for one in run.transactions():
+                self._add_transaction(one)
+            return
+        self.transactions += len(run)
+        polls = [self._count_alike(kind) for kind in run.kinds]
+        for poll, latencies in run.latencies_of(polls).items():
+            poll.tally.latency.add_all(latencies)
+        self._count_links(run)
+        self._touch(run, polls)
+        of_kind = [polls[kind] for kind in run.kind]
+        self._order.add_answered(run.request_ns, of_kind, run.response_ns)
+
+    def begin_capture(self) -> None:
+        """Note that the next transaction or event belongs to another capture, perhaps of another
+        day.
+
+        The time between two captures is no period of a poll, and no time during which a link was
+        watched.
+        """
+        self._order.begin_capture()
+        self._spans = self._joined_spans()
+        for link in self.links.values():
+            link.end_span()
+        for poll in self.polls.values():
+            poll.cut()
+
+    def settle(self, before_ns: int | None = None) -> None:
+        """Take the requests that still wait, in order of time, and count them in the periods,
+        retries and poll cycles: those before `before_ns` (UTC ns), or all if it is None.
+        """
+        self._order.settle(before_ns)
+
+    def count_retry(self, poll: PollStatistics, at_ns: int, number: int) -> None:
+        """Count a request of the poll, sent at `at_ns` (UTC ns), as a retry, too; with `number` -1,
+        as none after all.
+        """
+        poll.repetitions += number
+        poll.use.repetitions += number
+        poll.use.unit.bins.cell(at_ns)[UnitSum.RETRIES] += number
+        if self._on_retry is not None:
+            self._on_retry(poll, at_ns, number)
+
+    def _add_transaction(self, one: NamedTransaction) -> PollStatistics | None:
+        self.transactions += 1
+        is_missing = one.outcome is Outcome.NO_ANSWER
+        self.damaged_ns = self._damaged.frame_of(one) if is_missing else None
+        is_damaged = self.damaged_ns is not None
+        link = self.links.get(one.link) or self._link(one.link)
+        at_ns, end_ns = one.request_ns, one.response_ns
+        is_lone = at_ns is None
+        if at_ns is None:
+            at_ns = end_ns or 0
+        if end_ns is None or end_ns < at_ns:
+            end_ns = at_ns
+        link.note_span(one, at_ns, end_ns)
+        poll = None
+        if is_lone or one.link not in self.links:
+            use = self._use(one, self._host(one.source))
+            tally = use.tally
+        else:
+            poll = self._poll(one)
+            use, tally = poll.use, poll.tally
+        if self.observation is not None and (poll is None or _is_new_kind(tally, one)):
+            self._note_kind(use, one)
+        tally.add(one)
+        tally.damaged += is_damaged
+        use.unit.note(one, at_ns, end_ns)
+        cell = link.bins.cell(at_ns)
+        cell[LinkSum.BYTES] += _size(one)
+        if is_lone:
+            return None
+        cell[LinkSum.REQUESTS] += 1
+        cell[LinkSum.NO_ANSWER] += is_missing
+        self._count_request(use, one, at_ns, end_ns)
+        if poll is not None and link.has_times:
+            lacks = Lacks.RESPONSE if is_missing else Lacks.NOTHING
+            if is_damaged:
+                lacks = Lacks.CHECK
+            elif one.outcome is Outcome.LATE:
+                lacks, end_ns = Lacks.RESPONSE, at_ns
+            wire_ns = link.wire_ns(len(one.request_raw or b""))
+            self._order.add((at_ns, poll, end_ns, wire_ns, lacks))
+        return poll
+
+    def _count_request(
+        self, use: UseAccount, one: NamedTransaction, at_ns: int, end_ns: int
+    ) -> None:
+        """Count a request in the bins of its unit; note with its unit and its master that it was
+        sent at `at_ns`, and ended at `end_ns` (UTC ns).
+        """
+        outcome, latency_ns, unit = one.outcome, one.latency_ns, use.unit
+        cell = unit.bins.cell(at_ns)
+        cell[UnitSum.REQUESTS] += 1
+        if latency_ns is not None:
+            cell[UnitSum.LATENCIES] += 1
+            cell[UnitSum.LATENCY_NS] += latency_ns
+            if latency_ns > cell[UnitSum.GREATEST_NS]:
+                cell[UnitSum.GREATEST_NS] = latency_ns
+        elif self.damaged_ns is not None:
+            cell[UnitSum.BAD_CHECK] += 1
+        if one.response_ns is not None and end_ns > unit.answered_ns:
+            unit.answered_ns = end_ns
+        if outcome is Outcome.OK:
+            cell[UnitSum.OK] += 1
+        else:
+            place = _SUMS_OF_OUTCOMES.get(outcome)
+            if place is not None:
+                cell[place] += 1
+            unit.note_failure(outcome, at_ns)
+        if use.master is not None:
+            use.master.note(one, at_ns, end_ns)
+
+    def _has_room(self, run: AnsweredRun) -> bool:
+        """True if all links and polls of the batch `run` fit below MAX_LINKS and MAX_POLLS, and
+        none of its links is a serial line whose bytes have no times.
+        """
+        likes = [kind.like for kind in run.kinds]
+        links = {like.link for like in likes}
+        known = [self.links[link] for link in links if link in self.links]
+        if len(self.links) + len(links) - len(known) > MAX_LINKS:
+            return False
+        polls = {poll_key(like, self._host(like.source)) for like in likes}
+        if len(self.polls) + len(polls - self.polls.keys()) > MAX_POLLS:
+            return False
+        return all(link.has_times for link in known)
+
+    def _count_alike(self, kind: AlikeRequests) -> PollStatistics:
+        """Count a group of equal requests, but not the latencies of their poll, and return the poll
+        that they belong to.
+        """
+        like, number = kind.like, kind.count
+        link = self._link(like.link)
+        link.note_span(like, kind.begin_ns, kind.end_ns)
+        poll = self._poll(like)
+        use, unit = poll.use, poll.use.unit
+        if self.observation is not None and _is_new_kind(poll.tally, like):
+            self._note_kind(use, like)
+        poll.tally.count_alike(like, number)
+        unit.note(like, kind.begin_ns, kind.end_ns)
+        unit.answered_ns = max(unit.answered_ns, kind.end_ns)
+        if use.master is not None:
+            use.master.note(like, kind.begin_ns, kind.end_ns)
+        times_ns, latencies_ns = kind.request_ns, kind.latencies
+        if times_ns != sorted(times_ns):
+            pairs = sorted(zip(times_ns, latencies_ns, strict=True))
+            times_ns, latencies_ns = [at for at, _ in pairs], [ns for _, ns in pairs]
+        if like.outcome is not Outcome.OK:
+            unit.note_failure(like.outcome, times_ns[0])
+            unit.note_failure(like.outcome, times_ns[-1])
+        place = _SUMS_OF_OUTCOMES[like.outcome]
+        for cell, begin, end in unit.bins.cells_of(times_ns):
+            some = latencies_ns[begin:end]
+            for sum_ in (UnitSum.REQUESTS, place, UnitSum.LATENCIES):
+                cell[sum_] += end - begin
+            cell[UnitSum.LATENCY_NS] += sum(some)
+            cell[UnitSum.GREATEST_NS] = max(cell[UnitSum.GREATEST_NS], max(some))
+        return poll
+
+    def _count_links(self, run: AnsweredRun) -> None:
+        """Count the requests of a batch over time with their links."""
+        times_of: dict[tuple[str, int], list[int]] = {}
+        for kind in run.kinds:
+            times_of.setdefault((kind.like.link, _size(kind.like)), []).extend(kind.request_ns)
+        for (name, size), times_ns in times_of.items():
+            for cell, begin, end in self.links[name].bins.cells_of(sorted(times_ns)):
+                cell[LinkSum.REQUESTS] += end - begin
+                cell[LinkSum.BYTES] += size * (end - begin)
+
+    def _touch(self, run: AnsweredRun, polls: list[PollStatistics]) -> None:
+        """Move the polls of a batch to the end of `self.polls`, in the order of their last
+        requests.
+
+        `self.polls` is kept in this order, because the first poll is removed at the limit.
+        `polls[i]` is the poll of the group `run.kinds[i]`.
+        """
+        for kind in reversed(dict.fromkeys(reversed(run.kind))):
+            self.polls.move_to_end(polls[kind].key)
+
+    def _add_event(self, event: WireEvent) -> None:
+        self.events[event.kind] += 1
+        self._damaged.note(event)
+        if event.kind in _CONNECTIONS:
+            key = event.link, self._host(event.source)
+            tally = self.connections.get(key)
+            if tally is None and len(self.connections) < MAX_PAIRS:
+                tally = self.connections[key] = ConnectionTally()
+            if tally is not None:
+                tally.add(event)
+        place = _SUMS_OF_EVENTS.get(event.kind)
+        if place is None:
+            return
+        link = self._link(event.link)
+        cell = link.bins.cell(event.ts_ns)
+        cell[place] += 1
+        if place is not LinkSum.LACKING:
+            cell[LinkSum.BYTES] += len(event.raw)
+            if link.transport is not None:  # The time before its first request is not watched.
+                link.other_bytes += len(event.raw)
+        link.bad_checks += place is LinkSum.BAD_CHECK
+
+    def _link(self, name: str) -> LinkStatistics:
+        link = self.links.get(name)
+        if link is None:
+            if len(self.links) >= MAX_LINKS:
+                name = OTHER_LINKS
+            link = self.links.get(name)
+            if link is None:
+                link = self.links[name] = LinkStatistics(self._format_of, self.bins.row())
+        return link
+
+    def _poll(self, one: NamedTransaction) -> PollStatistics:
+        key = poll_key(one, self._host(one.source))
+        poll = self.polls.get(key)
+        if poll is not None:
+            self.polls.move_to_end(key)
+            return poll
+        use = self._use(one, key.master)
+        if len(self.polls) >= MAX_POLLS:
+            _, given_up = self.polls.popitem(last=False)
+            given_up.use.tally.merge(given_up.tally)
+        poll = self.polls[key] = PollStatistics(self.polls_seen, key, one, use)
+        self.polls_seen += 1
+        return poll
+
+    def _use(self, one: NamedTransaction, host: str) -> UseAccount:
+        """Return the use of a transaction's function by its master, at `host`."""
+        name = one.link if one.link in self.links else OTHER_LINKS
+        key = UseKey(name, one.unit, one.function, host)
+        use = self.uses.get(key)
+        return self._new_use(key, one) if use is None else use
+
+    def _new_use(self, key: UseKey, one: NamedTransaction) -> UseAccount:
+        name = key.link
+        unit = self.units.get(UnitKey(name, one.unit))
+        if unit is None and len(self.units) < MAX_UNITS:
+            unit = UnitAccount(UnitKey(name, one.unit), one, self.bins.row())
+            self.units[unit.key] = unit
+        if unit is None or len(self.uses) >= MAX_USES:
+            key = UseKey(name, OTHER_UNITS, 0, "")
+            use = self.uses.get(key)
+            if use is not None:
+                return use
+            unit = UnitAccount(UnitKey(name, OTHER_UNITS), one, self.bins.row())
+        use = UseAccount(key, one.function_name, unit, self._master(one, key.master))
+        self.uses[key] = use
+        return use
+
+    def _master(self, one: NamedTransaction, host: str) -> MasterAccount | None:
+        master = self.masters.get(host)
+        if master is None and host:
+            if len(self.masters) >= MAX_MASTERS:
+                return None
+            master = self.masters[host] = MasterAccount(one.start_ns)
+        return master
+
+    def _note_kind(self, use: UseAccount, one: NamedTransaction) -> None:
+        """Note what a request asks for. Of equal requests that end alike one is enough, unless they
+        have no address: the response may then hold other texts each time.
+        """
+        use.unit.transports.add(one.transport.value)
+        is_refused = one.exception is not None
+        if one.function == READ_AND_WRITE:
+            use.widen(one.address, one.quantity, writes=False, is_refused=is_refused)
+            use.widen(one.write_address, one.written_quantity, writes=True, is_refused=is_refused)
+        else:
+            known = FUNCTIONS.get(one.function)
+            writes = known is not None and known.writes
+            use.widen(one.address, one.quantity, writes=writes, is_refused=is_refused)
+        if self.observation is not None:
+            self.observation.note(use.unit, one)
+
+    def _host(self, address: str | None) -> str:
+        """The host in an address with a port (`10.0.0.1` in `10.0.0.1:50211`); empty for None."""
+        if address is None:
+            return ""
+        host = self._hosts.get(address)
+        if host is None:
+            if len(self._hosts) >= _MAX_HOSTS:
+                self._hosts.clear()
+            host = self._hosts[address] = address.rpartition(":")[0].strip("[]")
+        return host
+
+
+def _size(one: NamedTransaction) -> int:
+    return len(one.request_raw or b"") + len(one.response_raw or b"")
+
+
+def _is_new_kind(tally: RequestTally, one: NamedTransaction) -> bool:
+    """True if no request of a poll, whose counts are `tally`, ended as this one so far, or if it
+    has no address.
+    """
+    if one.outcome not in tally.outcomes or one.address is None:
+        return True
+    return one.exception is not None and one.exception not in tally.exceptions
