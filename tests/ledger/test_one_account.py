@@ -76,8 +76,8 @@ STRETCHES = frozenset(
         "workflows/shared/unreadable_lines.py",
     )
 )
-"""These modules count signs of an illness in a stretch of time, or of a line or host as one of its sides
-hears it. They show none of these counts as a figure of requests."""
+"""These modules count signs of an illness in a stretch of time, or of a line or host as one of its
+sides hears it. They show none of these counts as a figure of requests."""
 
 
 def counting_places() -> Iterator[tuple[str, str]]:
