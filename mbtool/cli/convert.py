@@ -100,9 +100,9 @@ def convert(
         _convert(conversion, out, events, overwrite, topic_per_point)
         return
     from mbtool.workflows.anonymise import anonymous_conversion, read_key
-    from mbtool.workflows.shared.anonymous_packets import Choice
+    from mbtool.workflows.shared.anonymous_packets import AnonymousChoice
 
-    with anonymous_conversion(conversion, read_key(key), Choice(units)) as copy:
+    with anonymous_conversion(conversion, read_key(key), AnonymousChoice(units)) as copy:
         _convert(copy, out, events, overwrite, topic_per_point)
     conversion.demand_whole()
 

@@ -164,16 +164,13 @@ class _QuietBlock:
 
     def _answered_reads(self, places: Int64s) -> AnsweredReads:
         rows, usual, first = self._rows, self._usual, int(places[0])
-        request_ns = rows.request_ns[places]
         return AnsweredReads(
             rows.connections[rows.connection[first]].link,
             int(rows.unit[first]),
             int(rows.code[first]),
             int(usual.address[first]),
             int(usual.quantity[first]),
-            int(rows.request_size[first] + rows.response_size[first]),
-            request_ns.tolist(),
-            (rows.response_ns[places] - request_ns).tolist(),
+            rows.request_ns[places].tolist(),
             BlockValues(rows, usual, places),
         )
 

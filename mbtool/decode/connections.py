@@ -350,10 +350,9 @@ class ConnectionDecoder:
                 end_ns = _until_unread(events, end_ns)
             decoded += self._paired(events, direction)
         lost = {direction: progress.end() for direction, progress in self._progress.items()}
-        if lost[Direction.REQUEST] > _FIN:
-            request = _LostBytes(Direction.REQUEST, lost[Direction.REQUEST], None)
-            decoded += self._lost([request], self._last_ns)
-        if lost[Direction.RESPONSE]:  # A FIN may be among these bytes: their number is unsure.
+        losses = [_LostBytes(one, size, None) for one, size in lost.items() if size > _FIN]
+        decoded += self._lost(losses, self._last_ns)
+        if lost[Direction.RESPONSE] > _FIN:  # A FIN may be among these: their number is unsure.
             decoded += self._pairing.note_loss(Direction.RESPONSE, 0, self._last_ns)
         return [*decoded, *self._pairing.close(end_ns)]
 

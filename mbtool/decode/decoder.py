@@ -348,7 +348,7 @@ class Decoder:
             line = self.line_of(link)
             format_, is_ascii = self._timing.format_of(line), line.ascii
             timed = chunk.stamp is not Stamp.UNKNOWN
-            if not timed or chunk.stamp is Stamp.AT_ONCE:
+            if not timed:
                 self._untimed.add(link)
             if chunk.direction is not Direction.UNKNOWN and chunk.stamp is not Stamp.LAST_BYTE:
                 bus = FramedLine(link, timed=timed)

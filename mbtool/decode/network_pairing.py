@@ -97,8 +97,10 @@ MAX_HELD = 32
 HOLD_NS = 3_000_000_000
 """The longest time, in ns, that a response is held back because it may answer one of several
 requests. A user who watches a live capture sees its transaction later by up to this time."""
-MANY_LOSSES = 4
-NEAR_REQUESTS = 16
+MAX_LOST_REQUESTS = 32
+"""The most requests that are supposed to be in one run of lost bytes."""
+MANY_LOSSES = 8
+NEAR_REQUESTS = 32
 """If the capture lacked bytes MANY_LOSSES times within NEAR_REQUESTS requests, whose ids repeat and
 which are pipelined, more losses were hidden among them than can be counted. In simulated plants of
 which every fifth packet is lost, 2 % of these pairs are wrong, and 0.06 % if every twentieth is."""
@@ -161,7 +163,7 @@ class NetworkPairing:
         False also if `now_ns` is before the last response.
         """
         reading = self._readings[0]
-        is_open = len(self._readings) > 1 or reading.waiting or reading.steps or reading.before
+        is_open = len(self._readings) > 1 or reading.waiting or reading.steps or reading.before > 0
         remembers = not self._dropped.is_empty or self._is_shifted or self._is_lossy
         return not (is_open or remembers) and self._habits.last_response_ns <= now_ns
 
@@ -212,7 +214,7 @@ class NetworkPairing:
                     for reading in self._readings:
                         reading.pass_all(self._habits)
             place = None if end is None else AduPlace(end, None)
-            for number in range(min(max(lost // _USUAL_REQUEST, 1), MAX_OPEN_REQUESTS)):
+            for number in range(min(max(lost // _USUAL_REQUEST, 1), MAX_LOST_REQUESTS)):
                 self._open(None, place, at_ns, done)
                 is_one = place is not None and not (number and lost % _USUAL_REQUEST)
                 self._readings[0].waiting[-1].exists = is_one

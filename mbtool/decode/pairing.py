@@ -289,8 +289,7 @@ class Pairing:
     def _alone(self, response: Adu, outcome: Outcome = Outcome.UNSOLICITED) -> list[Transaction]:
         """Return the transaction of a response that belongs to no request."""
         self._earlier.note_heard(response.unit)
-        # Its request was sent before the capture began, or is the damaged bytes before it.
-        if self._is_damaged or not self._requests:
+        if not self._requests:  # Its request was sent before the capture began.
             outcome = Outcome.NOT_CAPTURED
         # Without silences that tell a retry, it may be a repeater's copy of the response before, or
         # the response to a retry.

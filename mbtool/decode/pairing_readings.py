@@ -84,6 +84,9 @@ MAX_LATE = 4
 """A response may go to one of at most this many given-up requests, the newest ones. With the
 request that waits this gives fewer than MAX_READINGS ways to pair, so that no reading of equal cost
 is dropped."""
+MAX_LOST_RUNS = 16
+"""Of the runs of requests whose responses lost bytes may be, about so many are tried: the first
+ones, as a slave answers in order. More would cost time in a connection that is not Modbus."""
 MAX_READINGS = 20
 MAX_PASSED = 64
 MAX_LOST_RESPONSES = 8
@@ -441,11 +444,13 @@ def lost_runs(reading: PairReading, lost: int) -> Iterator[tuple[float, int, int
     if reading.before:
         for count in _counts_below(waiting[:MAX_LOST_RESPONSES], lost):
             yield AGAIN_BEFORE if reading.used_before else BEFORE, 0, count
+    found = 0
     for start, first in enumerate(waiting):
         for count in _counts_in(waiting[start : start + MAX_LOST_RESPONSES], lost):
+            found += 1
             yield cost, start, count
         cost += _cost_of_passing(first, reading)
-        if cost > UNASKED:
+        if cost > UNASKED or found >= MAX_LOST_RUNS:
             return
 
 

@@ -65,8 +65,5 @@ class AnsweredReads:
     function: int
     address: int
     quantity: int
-    size: int
-    """The number of bytes of one request and its response."""
     request_ns: list[int]
-    latencies_ns: list[int]
     values: ReadValues

@@ -6,8 +6,9 @@
 # 1. The fast path (fast_path.py) tells if the next frame is certain, or certainly incomplete.
 # 2. At a silence of t3.5, the search (search.py) explains the buffered bytes. All are returned
 #    except an incomplete frame, which an adapter may have split. It stays buffered until HOLD_NS
-#    after its last byte. The bytes before the incomplete frame stay too if only its end can make
-#    their meaning certain, but for at most MAX_SILENCES silences.
+#    after its last byte, or HOLD_DUE_NS if it is the frame that is due. The bytes before the
+#    incomplete frame stay too if only its end can make their meaning certain, but for at most
+#    MAX_SILENCES silences.
 # 3. Without a silence, the search runs when the buffer (the window) is full. All but its last 256
 #    bytes are returned.
 #
@@ -52,6 +53,9 @@ WINDOW = 512
 HOLD_NS = 1_000_000_000
 """An incomplete frame waits this long, in ns, for more bytes. FTDI adapters wait at most 255 ms,
 and radio modems pause up to 0.5 s within a frame."""
+HOLD_DUE_NS = 30_000_000_000
+"""The beginning of the frame that is due, with its unit and function, waits this long, in ns. A
+program that reads 8 KB at once tears a frame for so long, and meanwhile nothing else is heard."""
 MAX_SILENCES = 16
 """After this many silences of t3.5, the search must decide what the buffered bytes are, even if
 they may end with an incomplete frame. A frame of 256 bytes that comes in pieces of 32 bytes has 8
@@ -151,7 +155,7 @@ class RtuSplitter:
         elif times:
             silence_ns = first_ns - step_ns - times[-1]
             if silence_ns >= self._t3_5_ns:
-                self._hear_silence(events, silence_ns >= HOLD_NS)
+                self._hear_silence(events, silence_ns)
                 self._silences_at.append(len(self._data))
         while data:
             room = WINDOW - len(self._data)
@@ -173,14 +177,14 @@ class RtuSplitter:
         """
         events: list[Adu | Skipped] = []
         if self._data and (silence_ns := now_ns - self._times[-1]) >= self._t3_5_ns:
-            self._hear_silence(events, silence_ns >= HOLD_NS)
+            self._hear_silence(events, silence_ns)
         return events
 
     def close(self) -> list[Adu | Skipped]:
         """End the capture: return all buffered bytes, as frames and skipped bytes."""
         events: list[Adu | Skipped] = []
         if self._data:
-            self._hear_silence(events, is_long=True)
+            self._hear_silence(events, HOLD_DUE_NS)
         return events
 
     def _restart(self) -> list[Adu | Skipped]:
@@ -191,8 +195,8 @@ class RtuSplitter:
         self._model.reset_state()
         return events
 
-    def _hear_silence(self, events: list[Adu | Skipped], is_long: bool) -> None:
-        """Decide what the buffered bytes are; an incomplete frame waits, unless `is_long`."""
+    def _hear_silence(self, events: list[Adu | Skipped], silence_ns: int) -> None:
+        """Decide what the buffered bytes are; an incomplete frame waits if the silence is short."""
         if len(self._data) > self._decided_size:
             self._silence_count += 1
             self._end_burst(events, may_continue=True)
@@ -202,8 +206,14 @@ class RtuSplitter:
                 if self._data and not any(isinstance(one, Adu) for one in told):
                     self._end_burst(told, may_continue=False)
                 events += told
-        if is_long and self._data:
+        is_long = silence_ns >= HOLD_NS and self._data
+        if is_long and (silence_ns >= HOLD_DUE_NS or not self._begins_due_frame()):
             self._end_burst(events, may_continue=False)
+
+    def _begins_due_frame(self) -> bool:
+        """True if the buffered bytes are certainly the beginning of the frame that is due."""
+        has_function = len(self._data) > 1
+        return has_function and self._fast_path.is_incomplete(self._data, self._silences_at)
 
     def _end_burst(
         self, events: list[Adu | Skipped], *, may_continue: bool, must_decide: bool = False

@@ -177,7 +177,7 @@ class _Channel(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class _Heard:
+class _HeardUart:
     """The characters of a channel, and the number of them in frames with a correct checksum."""
 
     channel: _Channel
@@ -377,7 +377,7 @@ def _choose(heads: dict[int, _Head], line: LineSettings, rate: int) -> list[_Cha
         if (one := _hear(number, head, line, rate)) is not None
     ]
     heard.sort(key=lambda one: (-one.framed, -len(one.characters)))
-    chosen: list[_Heard] = []
+    chosen: list[_HeardUart] = []
     framed = 0
     tolerance = rate / line.format.baud
     for one in heard:
@@ -393,20 +393,20 @@ def _choose(heads: dict[int, _Head], line: LineSettings, rate: int) -> list[_Cha
     return sorted(one.channel for one in chosen)
 
 
-def _hear(number: int, head: _Head, line: LineSettings, rate: int) -> _Heard | None:
+def _hear(number: int, head: _Head, line: LineSettings, rate: int) -> _HeardUart | None:
     """Return the characters of a channel at the likelier level; None if it carries none."""
-    best: _Heard | None = None
+    best: _HeardUart | None = None
     for level in head.levels:
         characters = head.characters(line.format, rate, level)
         if not _are_sent(characters):
             continue
         framed, _ = _framed(characters, line, rate)
         if best is None or framed > best.framed:
-            best = _Heard(_Channel(number, level), characters, framed)
+            best = _HeardUart(_Channel(number, level), characters, framed)
     return best
 
 
-def _in_order(heard: Sequence[_Heard]) -> list[Character]:
+def _in_order(heard: Sequence[_HeardUart]) -> list[Character]:
     return sorted(character for one in heard for character in one.characters)
 
 

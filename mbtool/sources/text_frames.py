@@ -11,7 +11,8 @@
 # frames of that word have shown; else the frame is a response if it answers the last request; else
 # the word decides, and a frame without one is a request. Many programs show a frame twice, and an
 # adapter may hear what it sends. So a frame is left out if the frame before is equal, in the same
-# direction, and of another voice; a request of the same voice is a retry.
+# direction, and of another voice; a request of the same voice is a retry. If a log shows an ADU of
+# Modbus/TCP as an RTU frame, too, all its RTU frames are left out.
 #
 # Some programs show unit and PDU without a frame. Such bytes count, as RTU frames with the CRC that
 # they would have, in a log without frames: a request of the form of its function, and behind it the
@@ -88,6 +89,17 @@ class Voice(NamedTuple):
 
     text: bytes
     mark: Mark | None
+
+
+class _FoundFrame(NamedTuple):
+    """A frame in the text, before its direction is decided."""
+
+    transport: Transport
+    raw: bytes
+    ts_ns: int | None
+    row: int
+    direction: Direction | None = None
+    """The direction if it is known beforehand."""
 
 
 class _OpenBytes:
@@ -182,7 +194,7 @@ class TextFrames:
         self._misses = 0
         self._missed = 0
         """The number of runs of bytes without a frame before the log was known."""
-        self._bare_request: bytes | None = None
+        self._bare_request: _FoundFrame | None = None
         """The last request that was shown without a frame, with the CRC that it would have."""
         self.bare = 0
         """The number of frames that were shown without their CRC."""
@@ -208,17 +220,12 @@ class TextFrames:
                 break
         else:
             found = self._joined(choices[0], voice, row)
-        ways: list[Direction | None] = [None] * len(found)
-        if not found:
-            found = self._bare(choices[0], voice)
-            ways = [*_SENDERS]
+        shown = [_FoundFrame(transport, raw, ts_ns, row) for transport, raw in found] or self._bare(
+            choices[0], voice, ts_ns, row
+        )
         if not self.is_modbus:
-            self._note_miss(choices[0], is_miss=not found)
-        frames = [
-            frame
-            for (transport, raw), way in zip(found, ways, strict=False)
-            if (frame := self._frame(transport, raw, voice, ts_ns, row, way)) is not None
-        ]
+            self._note_miss(choices[0], is_miss=not shown)
+        frames = [frame for one in shown if (frame := self._frame(one, voice)) is not None]
         if self.is_modbus:
             if self._held:
                 frames = [*self._held, *frames]
@@ -240,7 +247,7 @@ class TextFrames:
         """Forget incomplete bytes, as at the beginning of another dump."""
         self._parts.clear()
 
-    def _bare(self, data: bytes, voice: Voice) -> list[tuple[Transport, bytes]]:
+    def _bare(self, data: bytes, voice: Voice, ts_ns: int | None, row: int) -> list[_FoundFrame]:
         """Return a request and its response that are shown without a frame, once both are there."""
         is_framed = self._last is not None and not self.bare
         if is_framed or voice.mark is None or not _MIN_BARE <= len(data) <= MAX_RTU_ADU - 2:
@@ -248,13 +255,12 @@ class TextFrames:
         raw = data + crc(data).to_bytes(2, "little")
         form = forms(Transport.RTU, raw) if data[1] & ~EXCEPTION_BIT in FUNCTIONS else ()
         asked, self._bare_request = self._bare_request, None
-        if asked is not None and Direction.RESPONSE in form:
-            request = TextFrame(None, asked, Transport.RTU, Direction.REQUEST, 0)
-            if _answers(request, Transport.RTU, raw):
-                self.bare += 2
-                return [(Transport.RTU, asked), (Transport.RTU, raw)]
+        is_answer = asked is not None and Direction.RESPONSE in form
+        if asked is not None and is_answer and _answers(asked.raw, Transport.RTU, raw):
+            self.bare += 2
+            return [asked, _FoundFrame(Transport.RTU, raw, ts_ns, row, Direction.RESPONSE)]
         if Direction.REQUEST in form and data[0] <= _MAX_UNIT:
-            self._bare_request = raw
+            self._bare_request = _FoundFrame(Transport.RTU, raw, ts_ns, row, Direction.REQUEST)
         return []
 
     def _note_miss(self, data: bytes, *, is_miss: bool) -> None:
@@ -278,16 +284,9 @@ class TextFrames:
                 self._parts.popitem(last=False)
         return found
 
-    def _frame(
-        self,
-        transport: Transport,
-        raw: bytes,
-        voice: Voice,
-        ts_ns: int | None,
-        row: int,
-        way: Direction | None = None,
-    ) -> TextFrame | None:
-        """Decide the direction of a frame, unless `way` names it; None if it was shown before."""
+    def _frame(self, one: _FoundFrame, voice: Voice) -> TextFrame | None:
+        """Decide the direction of a frame, if it is not known; None if it was shown before."""
+        transport, raw, ts_ns, row, way = one
         if self._is_network and transport is not Transport.TCP:
             self.left_out += 1
             return None
@@ -311,7 +310,8 @@ class TextFrames:
         if direction is Direction.REQUEST:
             self._pending = frame
         elif self._pending is not None:
-            is_pair = _answers(self._pending, transport, raw)
+            is_same = self._pending.transport is transport
+            is_pair = is_same and _answers(self._pending.raw, transport, raw)
             self._pending = None
         if not self.is_modbus:
             is_labelled = voice.mark is not None and voice.mark.is_strong
@@ -336,7 +336,9 @@ class TextFrames:
         of_word = _decided(self._words[voice.mark.word]) if voice.mark is not None else None
         if of_word is not None:
             return of_word, False
-        if self._pending is not None and _answers(self._pending, transport, raw):
+        asked = self._pending
+        is_same = asked is not None and asked.transport is transport
+        if asked is not None and is_same and _answers(asked.raw, transport, raw):
             return Direction.RESPONSE, False
         if voice.mark is None:
             return Direction.REQUEST, False
@@ -348,6 +350,8 @@ class TextFrames:
             self._voices.clear()
         self._voices.setdefault(voice.text, [0, 0])[which] += 1
         if voice.mark is not None:
+            if len(self._words) >= MAX_VOICES and voice.mark.word not in self._words:
+                self._words.clear()
             self._words[voice.mark.word][which] += 1
 
     def _is_other_form(self, frame: TextFrame) -> bool:
@@ -401,13 +405,11 @@ def _decided(votes: list[int] | None) -> Direction | None:
     return _SENDERS[votes[1] > votes[0]]
 
 
-def _answers(request: TextFrame, transport: Transport, raw: bytes) -> bool:
-    """True if a frame can be the response to a request."""
-    if request.transport is not transport:
+def _answers(request: bytes, transport: Transport, raw: bytes) -> bool:
+    """True if the frame `raw` can be the response to a request of the same transport."""
+    if transport is Transport.TCP and request[:2] != raw[:2]:
         return False
-    if transport is Transport.TCP and request.raw[:2] != raw[:2]:
-        return False
-    unit, asked = pdu_of(transport, request.raw)
+    unit, asked = pdu_of(transport, request)
     other, pdu = pdu_of(transport, raw)
     expected = ExpectedResponse.of(asked)
     return unit == other and expected is not None and expected.fits(pdu)

@@ -11,9 +11,10 @@ Damaged frames are events: a wrong CRC, or bytes that are no frame.
 # LINE-TWO-MASTERS  Two requests in one: the bytes begin with those of one known request and end
 #                   with those of another one, at a length that no single one has. Or a master sends
 #                   a request sooner after another one than the unit asked usually answers, with
-#                   nothing on the line in between, which no master does that waits. Or the decoder
-#                   says so (EventKind.TWO_MASTERS). Two exact cycles alone prove nothing: one
-#                   master can keep two lists.
+#                   nothing on the line in between, and sooner than by the time-out that requests
+#                   without an answer usually wait for: no master does that. Or the decoder says
+#                   so (EventKind.TWO_MASTERS). Two exact cycles alone prove nothing: one master can
+#                   keep two lists.
 # LINE-SAME-UNIT    Two slaves answer one request. The unit's answers are damaged and most have
 #                   another length than asked for, longer ones among them, while other units answer
 #                   well; or nearly all of its answers are damaged, from their first bytes on or
@@ -35,6 +36,7 @@ from __future__ import annotations
 
 from collections import Counter, OrderedDict, deque
 from dataclasses import dataclass, field
+from statistics import median
 from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind, WireEvent
@@ -57,6 +59,9 @@ FEW = 0.01
 MOSTLY = 0.8
 """Damage sits where at least this share (0 to 1) of it is."""
 SHORTER = 0.6
+WAITS = 1000
+SOON = 0.85
+"""A request that comes sooner than this share (0 to 1) of the master's time-out is no give-up."""
 OTHER_LENGTH = 0.5
 LENGTHS = 4
 """Damaged answers of one unit that collide with others have at least so many lengths."""
@@ -114,13 +119,29 @@ class _DamagedLine:
     elsewhere: int = 0
     merged: int = 0
     """The number of times that two requests were on the line at once."""
-    interrupted: int = 0
-    """The number of requests that came while another one surely waited for its answer."""
+    interrupted: deque[int] = field(default_factory=lambda: deque(maxlen=WAITS))
+    """How long (ns) requests waited that others came after sooner than the answer usually does."""
+    responses: deque[int] = field(default_factory=lambda: deque(maxlen=HELD))
+    """When the last responses came (ns)."""
+    late: int = 0
+    """The number of late answers, which make a master go on sooner, too."""
+    waits: deque[int] = field(default_factory=lambda: deque(maxlen=WAITS))
+    """How long (ns) requests without an answer in time waited for the next request."""
     is_told: bool = False
     """True if the decoder says that there are two masters."""
     transactions: int = 0
     cases: list[Evidence] = field(default_factory=list)
     masters_cases: list[Evidence] = field(default_factory=list)
+
+    @property
+    def interruptions(self) -> int:
+        """How many requests were interrupted sooner than by the master's time-out, which most
+        requests without an answer wait for.
+        """
+        if not self.waits:
+            return len(self.interrupted)
+        soon_ns = SOON * median(self.waits)
+        return sum(waited_ns < soon_ns for waited_ns in self.interrupted)
 
     def unit(self, number: int) -> _DamagedUnit:
         return self.units.setdefault(number, _DamagedUnit())
@@ -165,6 +186,9 @@ class LineDamage(SortedSense):
             self._note_interrupted(line, one)
             self._note_request(line, one)
             unit.asked += 1
+        line.late += one.outcome is Outcome.LATE
+        if one.response_ns is not None:
+            line.responses.append(one.response_ns)
         if one.outcome is Outcome.UNSOLICITED:
             self._note_alone(line, unit, one)
         elif one.latency_ns is not None and one.outcome is not Outcome.LATE:
@@ -201,15 +225,19 @@ class LineDamage(SortedSense):
     def _note_interrupted(self, line: _DamagedLine, one: NamedTransaction) -> None:
         """Note if `one` was sent while the request before it surely waited for its answer."""
         last = line.last
-        if last is None or last.outcome is not Outcome.NO_ANSWER or last.unit == one.unit:
+        if last is None or last.request_ns is None or one.request_ns is None:
             return
-        if last.request_ns is None or one.request_ns is None:
+        waited_ns = one.request_ns - last.request_ns
+        if last.outcome in (Outcome.NO_ANSWER, Outcome.LATE):
+            line.waits.append(waited_ns)
+        if last.outcome is not Outcome.NO_ANSWER or last.unit == one.unit:
             return
+        if any(last.request_ns < at_ns < one.request_ns for at_ns in line.responses):
+            return  # A late answer, which the master took for the one that it waited for.
         unit = line.unit(last.unit)
         usual_ns = unit.latency_ns // (unit.answered or 1)
-        waited_ns = one.request_ns - last.request_ns
         if 0 < waited_ns < usual_ns and not line.held:
-            line.interrupted += 1
+            line.interrupted.append(waited_ns)
             _keep(line.masters_cases, Evidence.of(one, "sent while another request waited"))
 
     def _give(self, line: _DamagedLine) -> None:
@@ -267,9 +295,9 @@ class LineDamage(SortedSense):
 
 
 def _of_line(link: str, line: _DamagedLine) -> Iterator[Trouble]:
-    collisions = line.merged + line.interrupted
+    collisions = line.merged + line.interruptions
     is_proved = line.is_told or line.merged >= ENOUGH_MERGED
-    if is_proved or collisions >= ENOUGH:
+    if is_proved or collisions >= max(ENOUGH, line.late):
         yield Trouble(
             code="LINE-TWO-MASTERS", link=link, count=max(collisions, 1), of=line.transactions,
             sureness=Sureness.CERTAIN if is_proved else Sureness.LIKELY,

@@ -34,7 +34,7 @@ from mbtool.logs.links import ACROSS, PORTS, RTU_PORTS, SPEC
 from mbtool.logs.writer import LogWriter
 from mbtool.modbus import Transport
 from mbtool.workflows.convert import Conversion
-from mbtool.workflows.shared.anonymous_packets import AnonymousPackets, Choice
+from mbtool.workflows.shared.anonymous_packets import AnonymousChoice, AnonymousPackets
 from mbtool.workflows.shared.pcapng_output import NumberedPacket
 from mbtool.workflows.shared.read_all import unwatched
 from mbtool.workflows.shared.reading_options import ReadingOptions
@@ -67,7 +67,7 @@ def read_key(path: str | None) -> bytes:
 
 @contextmanager
 def anonymous_conversion(
-    conversion: Conversion, key: bytes, choice: Choice, watch: Watch = unwatched
+    conversion: Conversion, key: bytes, choice: AnonymousChoice, watch: Watch = unwatched
 ) -> Iterator[Conversion]:
     """Yield the conversion of an anonymous copy of what `conversion` reads.
 
@@ -85,7 +85,7 @@ def anonymous_conversion(
 class _Copy:
     """Writes the evidence of a conversion to a log, with everything replaced."""
 
-    def __init__(self, conversion: Conversion, key: bytes, choice: Choice) -> None:
+    def __init__(self, conversion: Conversion, key: bytes, choice: AnonymousChoice) -> None:
         self._conversion = conversion
         self._pseudonyms = Pseudonyms(key)
         self._choice = choice

@@ -11,7 +11,6 @@ WRONG: dict[str, set[str]] = {
 """Cells in which a response is joined with a request that it does not answer."""
 
 BLAMED: dict[str, set[str]] = {
-    "constant 3": {"several lost + late"},
     "pipelined constant": {"several lost + retransmitted"},
     "pipelined counting": {
         "request lost + silent",

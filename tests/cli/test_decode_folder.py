@@ -30,7 +30,7 @@ def test_broken_files_stop_no_other_and_are_told_again_without_being_read(
     said = mbtool(*arguments, f"{tmp_path}/out/")
     assert said.code == 3
     first, second, summary, error = said.err.splitlines()
-    assert first.startswith(f"{paths[2]}: not read: a text file, no capture")
+    assert first.startswith(f"{paths[2]}: not read: a text file")
     assert second.startswith(f"{paths[5]}: read in part: ends in the middle of a record")
     assert summary.startswith("10 files, 10 decoded: ")
     assert error == "mbtool: 2 of 10 files could not be read to their ends"

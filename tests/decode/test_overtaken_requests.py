@@ -209,7 +209,7 @@ def test_a_response_right_behind_damaged_bytes_goes_to_no_earlier_request() -> N
     done = said(pairing, asked(READ, 0), asked(WRITE, 500, unit=2))
     done += pairing.note_skipped(Skipped(600 * MS, EventKind.BAD_CHECK, "a wrong CRC", bytes(8)))
     done += said(pairing, told(ANSWER, 610))
-    assert latencies(done) == [(Outcome.NOT_CAPTURED, None)]
+    assert latencies(done) == [(UNSOLICITED, None)]
 
 
 def test_a_unit_that_is_off_is_told_at_once_after_a_few_requests() -> None:

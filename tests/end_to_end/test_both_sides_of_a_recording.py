@@ -79,7 +79,13 @@ def _played(
         slave = FaultySlave(slave, faults)
     run = MasterRun(
         str(path),
-        MasterOptions(reading=options, wanted=wanted, rate=rate, timeout_ns=timeout_ns),
+        MasterOptions(
+            reading=options,
+            wanted=wanted,
+            rate=rate,
+            timeout_ns=timeout_ns,
+            answers_only=True,
+        ),
     )
     with open_shell(link, slave) as shell:
         return run.play(parse_link(shell.place) if to is None else to), count

@@ -245,3 +245,14 @@ def test_a_unit_that_is_off_for_minutes_leaves_its_set_points_unanswered(timed: 
     found = wire.heard(timed=timed)
     assert {one for one in odd(found) if one[0] == 1} == {(1, Outcome.NO_ANSWER)}
     assert 18 <= len([one for one in odd(found) if one[0] == 1]) <= 20
+
+
+@pytest.mark.parametrize("gap_ms", [2000, 20000])
+def test_a_full_buffer_does_not_tear_the_response_that_is_due(gap_ms: int) -> None:
+    wire = Wire().poll()
+    for gap_at in range(2, 9):
+        wire.say(rtu_adu(1, READ), 50)
+        wire.say(rtu_adu(1, bytes.fromhex("03 04 00010002")), 10, gap_at=gap_at, gap_ms=gap_ms)
+    found = wire.heard()
+    assert odd(found) == []
+    assert len(transactions(found)) == 27

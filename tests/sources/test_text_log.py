@@ -112,12 +112,15 @@ def test_digits_of_times_in_several_lines_are_no_frame_although_their_crc_fits()
 def test_requests_and_responses_need_no_frame_if_they_fit_each_other(tmp_path: Path) -> None:
     path = tmp_path / "log.txt"
     lines = [
-        f"conn[10.0.0.9]: {'request' if one.is_request else 'response'}: "
+        f"{one.time:%H:%M:%S}.{one.time.microsecond // 1000:03d} conn: "
+        f"{'request' if one.is_request else 'response'}: "
         + "".join(f"[{byte:02x}]" for byte in one.data[:-2])
         for one in conversation()
     ]
     path.write_text("\n".join(lines))
-    assert _told(_read(path)) == [one for one in expected() if one[1] != "no-answer"]
+    found = _read(path)
+    assert _told(found) == [one for one in expected() if one[1] != "no-answer"]
+    assert {one.latency_ns for one in found} == {57_000_000}
     path.write_text("\n".join(line for line in lines if "request" in line))
     with pytest.raises(InputError):
         _read(path)

@@ -49,7 +49,7 @@ _NOP = 1
 _MBAP = 7
 
 
-class Choice(NamedTuple):
+class AnonymousChoice(NamedTuple):
     """What is replaced beside addresses, names and texts."""
 
     units: bool = False
@@ -64,7 +64,7 @@ class AnonymousPackets:
         pseudonyms: Pseudonyms,
         ports: Container[int],
         rtu_ports: Container[int],
-        choice: Choice,
+        choice: AnonymousChoice,
     ) -> None:
         """`ports` are all TCP ports of Modbus, `rtu_ports` those with RTU over TCP."""
         self._pseudonyms = pseudonyms
