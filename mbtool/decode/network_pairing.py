@@ -531,9 +531,22 @@ class NetworkPairing:
             self._habits.note_latency(one.adu.pdu[0], latency_ns)
         if is_sure and not is_late:
             self._habits.note_answered(one.number)
+            self._settle_loss(one.adu)
         retries, confidence = self._take_retries(one), 1.0 if is_sure else DOUBTFUL
         done = with_response(self._ends, one.adu, response, retries, verdicts, confidence)
         return late(done) if self._was_given_up(one) else done
+
+    def _settle_loss(self, answered: Adu) -> None:
+        """Forget the last loss if no response to a request from before it can come any more.
+
+        Slaves respond in order. So none can come once the slave has responded to a request that was
+        sent after the loss, if the master never has two requests open.
+        """
+        habits = self._habits
+        if self._lost_ns is None or habits.has_pipelined or habits.reorders:
+            return
+        if answered.start_ns > self._lost_ns:
+            self._lost_ns = None
 
     @property
     def _is_lossy(self) -> bool:

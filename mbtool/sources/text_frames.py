@@ -192,6 +192,8 @@ class TextFrames:
         """True once a Modbus/TCP ADU was shown as an RTU frame, too."""
         self._evidence = 0
         self._misses = 0
+        self._has_labelled = False
+        """True once an RTU frame had a direction by a word or arrow."""
         self._missed = 0
         """The number of runs of bytes without a frame before the log was known."""
         self._bare_request: _FoundFrame | None = None
@@ -238,7 +240,7 @@ class TextFrames:
 
         There are some only if all bytes of the log were frames, or nearly all.
         """
-        most = FEW_MISSES if self._evidence >= _LABELLED else 0
+        most = FEW_MISSES if self._has_labelled else 0
         if self.is_modbus or self._missed > most or not self._evidence:
             return []
         return [*self._held]
@@ -317,7 +319,9 @@ class TextFrames:
             is_labelled = voice.mark is not None and voice.mark.is_strong
             is_next = before is not None and _follows(before[0], frame)
             weight = _weight(transport, form, is_labelled) + is_next
-            self._evidence += ENOUGH if is_pair else weight
+            self._has_labelled |= weight >= _LABELLED
+            is_echo = before is not None and (before[0].raw, before[1]) == (raw, voice.text)
+            self._evidence += ENOUGH if is_pair and form and not is_echo else weight
             self._held.append(frame)
             if self._evidence < ENOUGH:
                 return None

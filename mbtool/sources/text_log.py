@@ -208,11 +208,11 @@ class TextLog:
         row = self.lines
         for line in reversed(self._recent):
             row -= 1
-            if mark is None:
+            is_of_bytes = _has_bytes(self._plans.get(line.translate(SHAPE)))
+            if mark is None and not is_of_bytes:
                 mark = find_mark(line, is_strong=True)
             if ts_ns is None and (time := find_time(line)) is not None:
                 ts_ns = self._ns(time, line)
-            is_of_bytes = self._plans.get(line.translate(SHAPE)) is not None
             if is_of_bytes and mark is None and self._last_mark[0] == row and line[:1].isspace():
                 mark = self._last_mark[1]  # Both lines are of one object that has several.
             if (mark is not None and ts_ns is not None) or is_of_bytes:
@@ -255,6 +255,13 @@ class TextLog:
             connection=self._connection if is_network else None,
             place=origin,
         )
+
+
+def _has_bytes(plan: _Plan | None) -> bool:
+    """True if lines of this plan have bytes enough for a frame, so that their mark is of these."""
+    return plan is not None and any(
+        one.end - one.start >= 2 * LEAST_BYTES for place in plan.places for one in place.readings
+    )
 
 
 def _cleaned(lines: list[bytes]) -> list[bytes]:

@@ -243,9 +243,13 @@ def _stray_frames(links: Sequence[LinkReport]) -> Iterator[Trouble]:
 
 def _unexplained(found: Sequence[Trouble]) -> Iterator[Trouble]:
     """Yield the troubles that no other trouble is the cause of."""
-    causes = [one for one in found if one.words.explains]
+    causes: dict[str, list[Trouble]] = {}
     for one in found:
-        if not any(_explains(cause, one) for cause in causes if cause is not one):
+        if one.words.explains:
+            causes.setdefault(one.link, []).append(one)
+    for one in found:
+        of_link = causes.get(one.link, ())
+        if not any(_explains(cause, one) for cause in of_link if cause is not one):
             yield one
 
 

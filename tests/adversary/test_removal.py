@@ -14,6 +14,9 @@ if TYPE_CHECKING:
 
 SAMPLE = 25
 
+PARTED = {"ntop__nDPI/modbus.pcap": 3}
+"""The last four responses of this capture have other ids than their requests. If one of these
+packets is lost, nothing behind it proves that the other three pairs are right."""
 PUBLIC = (
     "digitalbond__Quickdraw-Snort/modbus_test_data_part2.pcap",
     "camp0__aiengine/pcapfiles__modbus_five_flows.pcap",
@@ -39,4 +42,5 @@ def test_one_packet_less_leaves_all_other_transactions_of_a_public_capture(
     if not path.exists():
         pytest.skip("this capture is absent")
     found = remove_one_at_a_time(packets_of(path), sample=SAMPLE)
-    assert found.counts() == {**dict.fromkeys(found.counts(), 0), "removed": SAMPLE}
+    expected = {**dict.fromkeys(found.counts(), 0), "removed": SAMPLE}
+    assert found.counts() == expected | {"parted": PARTED.get(name, 0)}

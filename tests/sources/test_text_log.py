@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from mbtool.core import InputError, WireEvent
+from mbtool.modbus import rtu_adu
 from mbtool.sources.text_frames import TextFrames, Voice, whole_frames
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
 from tests.sources.text_logs import BY_WORD, FORMS, TIMED, conversation, expected
@@ -107,6 +108,16 @@ def test_digits_of_times_in_several_lines_are_no_frame_although_their_crc_fits()
     assert frames.is_modbus
     for row, piece in enumerate((digits[:5], digits[5:10], digits[10:]), 2):
         assert frames.feed([piece], Voice(b"end", None), None, row) == []
+
+
+def test_equal_checksums_that_look_like_an_echo_are_no_transaction(tmp_path: Path) -> None:
+    path = tmp_path / "sums.txt"
+    # An RTU frame of function 08 by its CRC, as one of 65,536 checksums is; the paths have words.
+    name = rtu_adu(22, bytes.fromhex("089b65f5cda3fa5bf751a2bbc3")).hex()
+    other = "00112233445566778899aabbccddeeff"
+    path.write_text(f"{other}  usr/lib/send.py\n{name}  usr/lib/send\n{name}  usr/share/reply\n")
+    with pytest.raises(InputError):
+        _read(path)
 
 
 def test_requests_and_responses_need_no_frame_if_they_fit_each_other(tmp_path: Path) -> None:
