@@ -53,11 +53,6 @@ class AnsweredRun:
     def __len__(self) -> int:
         return len(self.kind)
 
-    @property
-    def row_count(self) -> int:
-        """The number of transactions in the batch, for a progress bar."""
-        return len(self.kind)
-
     def latencies_of(self, polls: Sequence[P]) -> dict[P, list[int]]:
         """Return for each poll the latencies (ns) of its requests, in the order of the responses.
 
