@@ -192,6 +192,7 @@ class NetworkPairing:
             adu = plain_request(raw, stretch.requests.last_ns)
             one = OpenRequest(number=self._requests, since_ns=adu.end_ns, adu=adu)
             self._last_two = (self._last_two[1], one)
+            self._settle_loss(adu)
 
     def note_loss(
         self, direction: Direction, lost: int, at_ns: int, end: int | None = None
