@@ -247,6 +247,8 @@ class Account:
         cell = link.bins.cell(at_ns)
         cell[LinkSum.BYTES] += _size(one)
         if is_lone:
+            if use.master is not None:
+                use.master.note(one, at_ns, end_ns)
             return None
         cell[LinkSum.REQUESTS] += 1
         cell[LinkSum.NO_ANSWER] += is_missing

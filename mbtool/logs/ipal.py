@@ -17,6 +17,8 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
+from mbtool.modbus import FUNCTIONS
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -111,7 +113,7 @@ def _data(
     table, values = _TABLES.get(function), values or ()
     if table is None or address is None:
         return {}
-    size = 1 if function in _SINGLE else quantity or len(values)
-    places = range(address, address + size)
+    size = 1 if function in _SINGLE else min(quantity or len(values), FUNCTIONS[function].limit)
+    places = range(address, min(address + size, 0x10000))
     pairs = zip_longest(places, values[:size])
     return {f"{table}.{place}": value for place, value in pairs}

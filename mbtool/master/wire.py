@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from mbtool.core import LinkError, SerialLink, TcpLink
 from mbtool.master.links import CONNECT_S, READ_BYTES, SerialMaster
 from mbtool.modbus import ascii_adu, mbap_adu, rtu_adu
+from mbtool.modbus.adu import MAX_ASCII_ADU
 from mbtool.modbus.adu_bytes import crc, mbap_size
 from mbtool.modbus.ascii_frame import read_frame
 from mbtool.ports.host_names import why_failed
@@ -120,8 +121,10 @@ class SerialWire(Wire):
         return (ascii_adu if self._master.link.ascii else rtu_adu)(unit, pdu)
 
     def send(self, pieces: Sequence[bytes], pause_ns: int = 0, awaited: int = 1) -> Heard:
+        quiet_ns = time.monotonic_ns() + QUIET_NS
         while self._master.overhear(2 * self._format.t3_5_ns)[0]:
-            pass
+            if time.monotonic_ns() > quiet_ns:
+                raise LinkError(f"{self._master.link}: somebody else speaks without a pause")
         for number, piece in enumerate(pieces):
             if number:
                 time.sleep(pause_ns / _NS)
@@ -129,7 +132,8 @@ class SerialWire(Wire):
         sent_ns = time.monotonic_ns()
         raw, first_ns = b"", 0
         until_ns = sent_ns + self._wait_ns(awaited)
-        while (now_ns := time.monotonic_ns()) < until_ns:
+        last_ns = until_ns + MAX_ASCII_ADU * self._format.character_ns
+        while (now_ns := time.monotonic_ns()) < min(until_ns, last_ns):
             data, _ = self._master.overhear(until_ns - now_ns)
             if data:
                 first_ns = first_ns or time.monotonic_ns()

@@ -80,6 +80,8 @@ class ConnectionPlayer(ConnectionPolicy):
         self._taken = 0
         self._numbers: dict[Peer, int] = {}
         """By live connection, the number of the recorded one that it plays."""
+        self._ended: set[int] = set()
+        """The numbers of the connections that the slave is ending."""
         self._due_ns: dict[int, int] = {}
         """By number of a recorded connection, the time (ns) at which the slave ends it."""
         self._closed_until_ns: int | None = None
@@ -115,14 +117,16 @@ class ConnectionPlayer(ConnectionPolicy):
     def ends(self, peer: Peer, now_ns: int) -> None:
         number = self._numbers.get(peer)
         if number is not None:
+            self._ended.add(number)
             self._cause("ended", number, now_ns)
 
     def lost(self, peer: Peer, loss: Loss, now_ns: int) -> None:
         super().lost(peer, loss, now_ns)
         number = self._numbers.pop(peer, None)
         if number is not None:
-            if number not in self._due_ns:  # Else `ends` has told so.
+            if number not in self._ended:  # The master has left before the slave's own end was due.
                 self._cause("ended", number, now_ns)
+            self._ended.discard(number)
             self._due_ns.pop(number, None)
 
     def _cause(self, what: str, number: int, now_ns: int) -> None:

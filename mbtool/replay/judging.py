@@ -187,6 +187,8 @@ class ResponseJudge:
         is the unit, the name of the device's profile (None without profile) and the register."""
         self.count = 0
         """The number of played requests that were judged, also those without a response."""
+        self.wrong_connections = 0
+        """The number of connections that were not opened or ended as recorded."""
         self.connections = 0
         """The number of connections that were judged."""
         self._connections: list[Difference] = []
@@ -239,6 +241,7 @@ class ResponseJudge:
         in words. At most MAX_CONNECTIONS differences are kept.
         """
         self.connections += 1
+        self.wrong_connections += recorded != answered
         if recorded != answered and len(self._connections) < MAX_CONNECTIONS:
             self._connections.append(
                 Difference(
@@ -248,10 +251,6 @@ class ResponseJudge:
                     b=Side(text=answered),
                 )
             )
-
-    @property
-    def wrong_connections(self) -> int:
-        return len(self._connections)
 
     def requests(self) -> list[RequestReport]:
         """The results of each request, in the order in which the requests were first sent."""

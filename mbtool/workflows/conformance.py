@@ -328,14 +328,16 @@ class Conformance:
                 continue
             changed = before ^ 1
             sent = self._wire.adu(self._unit, _write(writing, at, changed))
-            heard = self._wire.send([sent])
-            got = heard.adus[0].pdu if heard.adus else b""
-            problem = ""
-            if got != _write(writing, at, changed):
-                problem = f"expected the request repeated, got {_shown(heard, b'')}"
-            elif (after := self._value(reading, at)) != changed:
-                problem = f"expected {changed} to be read back, got {after}"
-            self._wire.send([self._wire.adu(self._unit, _write(writing, at, before))])
+            try:
+                heard = self._wire.send([sent])
+                got = heard.adus[0].pdu if heard.adus else b""
+                problem = ""
+                if got != _write(writing, at, changed):
+                    problem = f"expected the request repeated, got {_shown(heard, b'')}"
+                elif (after := self._value(reading, at)) != changed:
+                    problem = f"expected {changed} to be read back, got {after}"
+            finally:
+                self._wire.send([self._wire.adu(self._unit, _write(writing, at, before))])
             if not problem and self._value(reading, at) != before:
                 problem = f"{before} could not be put back"
             yield _result(name, section, problem, sent, heard)

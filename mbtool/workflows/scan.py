@@ -23,6 +23,7 @@ from mbtool.core import Direction
 from mbtool.modbus import FUNCTIONS, Outcome, encode_pdu
 from mbtool.modbus.functions import GATEWAY_EXCEPTIONS
 from mbtool.modbus.identification import identities
+from mbtool.modbus.pdu import whole_pdu
 from mbtool.modbus.tables import Table
 
 if TYPE_CHECKING:
@@ -57,6 +58,8 @@ class FoundUnit(msgspec.Struct, kw_only=True, omit_defaults=True):
     unit: int
     sign: str
     """The answer that it gave, as a table shows it."""
+    answer: str = ""
+    """The bytes of this answer from its unit on, in hexadecimal, without the unit."""
     identity: list[str] = []
     """Its answers to 2B/0E, each as `name: text`."""
     is_any: bool = False
@@ -110,32 +113,46 @@ class Scan:
         self._next_ns = 0
         self._silent = 0
         """The number of requests without an answer since the last answer."""
-        self._limits: dict[int, int] = {}
-        """The longest block to read, by function code."""
+        self._limits: dict[tuple[int, int], int] = {}
+        """The longest block that a unit lets read, by unit and function code."""
+        self._longest: dict[tuple[int, int], int] = {}
+        """The longest block that was read, by unit and function code."""
+        self._refuses_by_value: set[tuple[int, int]] = set()
+        """The units and functions that refuse addresses with exception 03, as others do with 02."""
 
     def units(self, numbers: Sequence[int]) -> Iterator[int]:
         """Ask each unit; yield the number of each, asked or left out, after it."""
-        signs: list[str] = []
         for place in range(self.state.next_unit, len(numbers)):
             unit = numbers[place]
             found = self._sign_of(unit)
             if found is not None:
                 self.state.units.append(found)
-                signs.append(found.sign)
             self.state.next_unit = place + 1
-            if self._is_tcp and len(signs) == place + 1 >= _LEAST_SAME and len(set(signs)) == 1:
+            yield unit
+            if self._is_tcp and place + 1 == _LEAST_SAME and self._is_any(numbers):
                 self.state.units[1:] = []
                 self.state.units[0].is_any = True
                 self.state.next_unit = len(numbers)
-                yield unit
                 return
-            yield unit
+
+    def _is_any(self, numbers: Sequence[int]) -> bool:
+        """True if one device answers for all units: the first ones gave equal answers, and so does
+        the last one.
+        """
+        found = self.state.units
+        if len(found) < _LEAST_SAME:
+            return False
+        last = self._sign_of(numbers[-1])
+        answers = {(one.answer, *one.identity) for one in (*found, *([last] if last else ()))}
+        return last is not None and len(answers) == 1
 
     def _sign_of(self, unit: int) -> FoundUnit | None:
         for pdu in _PROBES:
             transaction = self._send(unit, pdu)
             if _is_sign(transaction):
                 found = FoundUnit(unit=unit, sign=_sign_text(transaction))
+                response = whole_pdu(transaction.transport, transaction.response_raw)
+                found.answer = (response or b"").hex()
                 known = transaction if pdu == _IDENTIFICATION else self._send(unit, _IDENTIFICATION)
                 found.identity = [f"{one.name}: {one.text}" for one in identities(known)]
                 return found
@@ -151,13 +168,16 @@ class Scan:
             at = self.state.next_addresses.get(key, addresses.start)
             self._silent = 0
             while at < addresses.stop:
-                size = min(self._limits.get(code, FUNCTIONS[code].limit), addresses.stop - at)
+                limit = self._limits.get((unit, code), FUNCTIONS[code].limit)
+                size = min(limit, addresses.stop - at)
                 answer = self._read(unit, code, at, size)
+                if answer == _ILLEGAL_VALUE and size > 1:
+                    shorter = self._shorter(unit, code, at, size)
+                    if shorter:
+                        self._limits[unit, code] = shorter
+                        continue
                 if answer == _ILLEGAL_FUNCTION:
                     at = addresses.stop
-                elif answer == _ILLEGAL_VALUE and size > 1:
-                    self._limits[code] = size // 2
-                    continue
                 elif answer == _VALUES:
                     self._add(unit, table, at, at + size)
                     at += size
@@ -172,6 +192,21 @@ class Scan:
                         f"unit {unit} answers no more: {table.value} is not read from {at} on"
                     )
                     return
+
+    def _shorter(self, unit: int, code: int, at: int, size: int) -> int:
+        """Return a length of a block that is not too long for the unit, if `size` is; 0 if it
+        refuses the addresses, and not the length.
+        """
+        # A block as long as this has been read elsewhere, so it is the addresses.
+        is_by_address = size <= self._longest.get((unit, code), 0)
+        if is_by_address or (unit, code) in self._refuses_by_value:
+            return 0
+        while size > 1:
+            size //= 2
+            if self._read(unit, code, at, size) != _ILLEGAL_VALUE:
+                return size
+        self._refuses_by_value.add((unit, code))
+        return 0
 
     def _within(self, unit: int, code: int, block: range) -> Iterable[tuple[int, int]]:
         """Yield the parts of a refused block that can be read, as first address and end."""
@@ -233,7 +268,10 @@ class Scan:
         self._silent = self._silent + 1 if transaction.outcome is Outcome.NO_ANSWER else 0
         if transaction.outcome is Outcome.EXCEPTION:
             return transaction.exception or _NOTHING
-        return _VALUES if transaction.outcome is Outcome.OK else _NOTHING
+        if transaction.outcome is not Outcome.OK:
+            return _NOTHING
+        self._longest[unit, code] = max(quantity, self._longest.get((unit, code), 0))
+        return _VALUES
 
     def _send(self, unit: int, pdu: bytes) -> NamedTransaction:
         wait_ns = self._next_ns - time.monotonic_ns()

@@ -177,3 +177,50 @@ def test_a_unit_that_answers_no_more_is_left() -> None:
     list(work.registers(2, range(10_000)))
     assert len(units.asked) < 20
     assert "unit 2 answers no more" in work.state.remarks[0]
+
+
+def test_units_behind_a_gateway_that_answer_alike_are_told_apart_by_their_values() -> None:
+    def unit(value: int) -> Callable[[bytes], bytes | None]:
+        return lambda pdu: bytes([3, 2, 0, value]) if pdu[0] == 3 else bytes([pdu[0] | 0x80, 1])
+
+    units = Units({number: unit(number) for number in range(1, 9)})
+    work = Scan(units.ask, ScanState(link="tcp"), is_tcp=True)
+    assert len(list(work.units(range(1, 13)))) == 12
+    assert [one.unit for one in work.state.units] == list(range(1, 9))
+
+
+def test_four_equal_units_behind_a_gateway_are_no_single_device() -> None:
+    units = Units(dict.fromkeys(range(1, 9), registers(set(range(10)))))
+    work = Scan(units.ask, ScanState(link="tcp"), is_tcp=True)
+    list(work.units(range(1, 13)))
+    assert [one.unit for one in work.state.units] == list(range(1, 9))
+
+
+def test_a_device_for_every_unit_is_found_also_after_an_interruption() -> None:
+    units = Units(dict.fromkeys(range(256), registers(set(range(10)))))
+    state = ScanState(link="tcp")
+    begun = Scan(units.ask, state, is_tcp=True).units(range(1, 248))
+    next(begun)
+    next(begun)
+    begun.close()
+    list(Scan(units.ask, state, is_tcp=True).units(range(1, 248)))
+    assert [(one.unit, one.is_any) for one in state.units] == [(1, True)]
+
+
+def test_a_device_that_refuses_addresses_as_wrong_values_is_read_in_whole_blocks() -> None:
+    allowed = set(range(200))
+
+    def answer(pdu: bytes) -> bytes | None:
+        response = registers(allowed)(pdu)
+        return bytes.fromhex("83 03") if response == REFUSED else response
+
+    units = Units({5: answer, 6: registers(set(range(500)))})
+    work = Scan(units.ask, ScanState(link="line"), is_tcp=False)
+    for unit in (5, 6):
+        list(work.registers(unit, range(2000)))
+    assert [(one.unit, one.first, one.last) for one in work.state.areas] == [
+        (5, 0, 199),
+        (6, 0, 499),
+    ]
+    assert sum(unit == 5 for unit, _ in units.asked) < 500
+    assert sum(unit == 6 for unit, _ in units.asked) < 500
