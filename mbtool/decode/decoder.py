@@ -39,7 +39,7 @@ from mbtool.core.link_spec import MODBUS_PORT
 from mbtool.decode.connections import Bus, ConnectionDecoder, Decoded
 from mbtool.decode.framed_line import FramedLine
 from mbtool.decode.line_timing import LineTiming
-from mbtool.decode.protocol_detection import ProtocolDetector, ProtocolState
+from mbtool.decode.protocol_detection import ProtocolDetector, ProtocolState, ProvenSlaves
 from mbtool.decode.tap_pair import TapPair
 from mbtool.devices import NamedTransaction, Namer
 from mbtool.modbus import Adu, Transaction
@@ -124,6 +124,7 @@ class Decoder:
         self._serial_types = SERIAL_LINK_TYPES | (USER_LINK_TYPES if line is not None else set())
         self._rtu_ports = frozenset(rtu_ports)
         self._any_port = any_port
+        self._proven_slaves = ProvenSlaves()
         self._ports = frozenset((*ports, *self._rtu_ports, *((MODBUS_PORT,) if any_port else ())))
         self._reassembler = TcpReassembler(_EVERY_PORT if any_port else self._ports, across=across)
         self._buses: dict[str, Bus | TapPair | FramedLine] = {}
@@ -388,6 +389,7 @@ class Decoder:
             rtu=is_rtu or self._any_port,
             swapped=swapped,
             timed=timed,
+            slaves=self._proven_slaves,
         )
 
     def _is_expected(self, connection: Connection) -> bool:

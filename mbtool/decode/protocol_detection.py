@@ -14,6 +14,8 @@
 #     transaction id and unit (Modbus/TCP) or correct CRCs (RTU); or
 #   - after ENOUGH_ADUS well-formed ADUs in a row. Random bytes look like that with a probability of
 #     2^-96 (MBAP headers), or of 2^-48 and less (CRCs).
+#   - at its end with a well-formed ADU of Modbus/TCP, if another connection to the same
+#     slave (IP address and port) has carried Modbus.
 # An RTU frame can look like a Modbus/TCP ADU. If both candidates are left, the next ADU decides.
 #
 # A connection is foreign
@@ -58,7 +60,7 @@ from mbtool.modbus.transaction import Outcome, Transaction
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from mbtool.core import Connection, StreamPlace
+    from mbtool.core import Connection, Endpoint, StreamPlace
 
 ENOUGH_ADUS = 3
 MAX_MALFORMED = 3
@@ -66,6 +68,8 @@ MAX_UNDECIDED_BYTES = 2048
 GAP_BYTES = 64
 MAX_NOISE = MAX_RTU_ADU
 MAX_HELD_EVENTS = 8
+MAX_SLAVES = 65536
+"""So many slaves are remembered; of further ones the first is forgotten."""
 
 _HEAD_SIZE = MAX_RTU_ADU + 1  # Bytes kept of a direction: one more than the longest RTU frame.
 
@@ -83,6 +87,21 @@ class ProtocolState(Enum):
     FOREIGN = auto()
 
 
+class ProvenSlaves:
+    """The slaves (IP address and port) that have carried Modbus on a connection."""
+
+    def __init__(self) -> None:
+        self._slaves: dict[Endpoint, None] = {}
+
+    def __contains__(self, slave: Endpoint) -> bool:
+        return slave in self._slaves
+
+    def add(self, slave: Endpoint) -> None:
+        if len(self._slaves) >= MAX_SLAVES:
+            del self._slaves[next(iter(self._slaves))]
+        self._slaves[slave] = None
+
+
 class ProtocolDetector:
     """Decodes a connection into transactions, or reports once that it does not carry Modbus."""
 
@@ -96,14 +115,17 @@ class ProtocolDetector:
         rtu: bool = False,
         swapped: bool = False,
         timed: bool = True,
+        slaves: ProvenSlaves | None = None,
     ) -> None:
         """Prepare a candidate for each possible protocol and assignment of roles.
 
         `tcp` is True if the connection may carry Modbus/TCP, `rtu` if RTU over TCP, `expected` if
         its port is 502 or one that the user named. `joined` is True if the capture lacks its
         beginning, `swapped` if the end that `connection` calls the slave is the master. `timed` is
-        False if its bytes have no known times.
+        False if its bytes have no known times. `slaves` are those of all connections to which
+        requests were answered.
         """
+        self._slaves = ProvenSlaves() if slaves is None else slaves
         self.state = ProtocolState.UNDECIDED
         self.connection = connection
         self.joined = joined
@@ -226,6 +248,9 @@ class ProtocolDetector:
             or (self._foreign_name() is None and expected.may_begin_with(self._heads))
         ):
             return self._accept(expected)
+        for one in self._candidates:
+            if one.well_formed and not one.is_rtu and one.slave in self._slaves:
+                return self._accept(one)
         return self._reject()
 
     def plain_decoder(self) -> ConnectionDecoder | None:
@@ -281,6 +306,8 @@ class ProtocolDetector:
 
     def _accept(self, candidate: _ProtocolCandidate) -> list[Decoded]:
         self.state = ProtocolState.MODBUS
+        if candidate.is_confirmed and not candidate.is_rtu:
+            self._slaves.add(candidate.slave)
         self._candidates = [candidate]
         events = [candidate.in_own_roles(event) for event in self._held]
         decoded = [*events, *candidate.decoded]
@@ -345,7 +372,8 @@ class _ProtocolCandidate:
         self.malformed = 0
         """The number of ADUs that did not have the structure of their function."""
         self._connection = connection
-        self._is_rtu = rtu
+        self.is_rtu = rtu
+        self.slave = connection.slave
         self._is_swapped = swapped
         self.roles = OTHER if swapped else {direction: direction for direction in OTHER}
         """Maps a direction in the capture to this candidate's: the ends may be exchanged."""
@@ -362,7 +390,7 @@ class _ProtocolCandidate:
     @property
     def plain_decoder(self) -> ConnectionDecoder | None:
         """The decoder if it reads Modbus/TCP and master and slave are not exchanged; else None."""
-        return None if self._is_rtu or self._is_swapped else self.decoder
+        return None if self.is_rtu or self._is_swapped else self.decoder
 
     def feed_undecided(
         self, direction: Direction, data: bytes, ts_ns: int, place: StreamPlace | None
@@ -398,12 +426,12 @@ class _ProtocolCandidate:
         """True if no bytes came, one of `heads` may begin an ADU, or a decoded CRC was wrong."""
         if any(_has_bad_check(one) for one in self.decoded) or not any(heads.values()):
             return True
-        if not self._is_rtu:
+        if not self.is_rtu:
             return any(head and _PROTOCOL_ID.match(head) for head in heads.values())
         return any(head and self._may_begin_adu(head, way) for way, head in heads.items())
 
     def _may_begin_adu(self, head: bytes, direction: Direction) -> bool:
-        if self._is_rtu:  # One direction may carry a whole line, and so begin with either.
+        if self.is_rtu:  # One direction may carry a whole line, and so begin with either.
             return any(begins_with_frame(head, each) is not False for each in OTHER)
         if (LONG_HEADER if len(head) >= _MBAP_SIZE else _MBAP_PREFIX).match(head) is not None:
             return True

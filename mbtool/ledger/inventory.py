@@ -25,7 +25,7 @@ from mbtool.ledger.inventory_rows import (
 from mbtool.ledger.observation import UNANSWERED
 from mbtool.ledger.request_tally import RequestTally, merged
 from mbtool.ledger.unit_account import UnitAccount, UseAccount
-from mbtool.modbus.functions import FUNCTIONS, ExceptionCode
+from mbtool.modbus.functions import FUNCTIONS, GATEWAY_EXCEPTIONS, ExceptionCode
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -39,10 +39,6 @@ if TYPE_CHECKING:
 _WHOLE_DEVICE = frozenset((0, 255))
 """Unit ids that address the host itself, and not a unit behind it (MODBUS Messaging on TCP/IP
 V1.0b, 4.4.2)."""
-_GATEWAY_EXCEPTIONS = frozenset(
-    (ExceptionCode.GATEWAY_PATH_UNAVAILABLE, ExceptionCode.GATEWAY_TARGET_FAILED_TO_RESPOND)
-)
-"""Codes of exception responses that a gateway sends when the unit behind it does not answer."""
 
 
 @dataclass(slots=True)
@@ -75,7 +71,7 @@ class _Slave:
         """The number of requests that a gateway answered with an exception, because it could not
         reach the unit.
         """
-        return sum(self.tally.exceptions.get(code, 0) for code in _GATEWAY_EXCEPTIONS)
+        return sum(self.tally.exceptions.get(code, 0) for code in GATEWAY_EXCEPTIONS)
 
     @property
     def answered(self) -> int:

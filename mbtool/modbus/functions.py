@@ -192,6 +192,12 @@ class ExceptionCode(IntEnum):
     GATEWAY_TARGET_FAILED_TO_RESPOND = 0x0B
 
 
+GATEWAY_EXCEPTIONS = frozenset(
+    (ExceptionCode.GATEWAY_PATH_UNAVAILABLE, ExceptionCode.GATEWAY_TARGET_FAILED_TO_RESPOND)
+)
+"""The exceptions with which a gateway answers for a unit that it did not reach (V1.1b3, 7)."""
+
+
 def function_name(code: int) -> str:
     """The standard's name of a function; `function 41H` if the standard has none for code 41H."""
     function = FUNCTIONS.get(code)

@@ -44,8 +44,7 @@ class LineHistory:
         self.least_silence_ns = 0
         """A silence up to this length, in ns, is usual on any line of this baud rate."""
         self.hears_silences = False
-        """True once a silence of t3.5 was heard between two frames that is shorter than those of an
-        adapter that merges a request and its retry."""
+        """True once a silence of t3.5 was heard between two frames or inside one."""
         self.latency = LatencyStatistics()
         self.timeout = ResponseTimeout()
         self.echo_latencies: dict[tuple[int, int], LatencyStatistics] = {}

@@ -36,7 +36,7 @@ from mbtool.framing.rtu_lengths import (
 from mbtool.modbus.adu import MAX_RTU_ADU, Adu, Checksum, DirectionBy, Skipped, Transport, Verdict
 from mbtool.modbus.functions import ECHOING, NEVER_ECHOED
 from mbtool.serial_line.adapter_echo import AdapterEcho
-from mbtool.serial_line.burst_statistics import MAX_GLUED, MERGING_NS, BurstStatistics
+from mbtool.serial_line.burst_statistics import MAX_GLUED, BurstStatistics
 from mbtool.serial_line.bus_model import ROLES, SURE, BusModel, Classification
 from mbtool.serial_line.candidates import LONG_SKIP, NOISE, ByteWindow
 from mbtool.serial_line.fast_path import FastPath
@@ -444,7 +444,7 @@ class RtuSplitter:
             is_split = longest_ns >= self._t3_5_ns
             if before_ns is not None and not was_skipped:
                 is_glued, glue = before_ns < self._t3_5_ns, statistics.glue
-                if not is_glued and before_ns < MERGING_NS:
+                if is_split or not is_glued:
                     self._model.history.hears_silences = True
                 if is_glued or not glue.is_at_rest:
                     glue.learn(is_glued)

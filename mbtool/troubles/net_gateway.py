@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from mbtool.core.wording import duration
 from mbtool.devices.named_transaction import NamedTransaction
 from mbtool.modbus import Outcome
+from mbtool.modbus.functions import GATEWAY_EXCEPTIONS
 from mbtool.troubles.sense import MAX_LINKS, Sense
 from mbtool.troubles.trouble import MAX_EVIDENCE, Evidence, Sureness, Trouble
 
@@ -49,7 +50,6 @@ RECENT = 8
 OF_TIMEOUT = 0.8
 """At least this share (0 to 1) of the times at which a master has two requests open come from its
 time-out; a master that pipelines has others."""
-_GATEWAY_CODES = frozenset((0x0A, 0x0B))
 
 
 class _Slow(NamedTuple):
@@ -90,7 +90,7 @@ class Gateways(Sense):
         if one.transport.is_serial or one.request_ns is None:
             return
         latency_ns = one.latency_ns
-        is_failed = one.outcome is Outcome.NO_ANSWER or one.exception in _GATEWAY_CODES
+        is_failed = one.outcome is Outcome.NO_ANSWER or one.exception in GATEWAY_EXCEPTIONS
         if is_failed or (latency_ns is not None and latency_ns >= SLOW_NS):
             end_ns = one.response_ns or one.request_ns + UNANSWERED_NS
             self._keep(one.link, _Slow(one.request_ns, end_ns, one.unit, Evidence.of(one)))

@@ -17,6 +17,7 @@ from mbtool.ledger.request_tally import RequestTally
 from mbtool.ledger.statistics_report import unit_polls, unit_tallies, unit_times
 from mbtool.ledger.unit_account import UnitAccount
 from mbtool.modbus import Outcome, short_name
+from mbtool.modbus.functions import GATEWAY_EXCEPTIONS
 from mbtool.troubles.failed_shares import FailedShare, missing_share, refused_share
 from mbtool.troubles.failure_limits import FEW, are_damaged, never_answers
 from mbtool.troubles.refusals import always_refused, joint_refusals
@@ -219,6 +220,7 @@ def _scan(joint: JointRefusals, link: str) -> Trouble:
 
 def _slow(units: dict[tuple[str, int], _JudgedUnit]) -> Iterator[Trouble]:
     """Yield a trouble for each slow unit, and for each that became slower."""
+    units = {key: unit for key, unit in units.items() if not _is_answered_for(unit.tally)}
     slow, slower = slow_and_slower_units(
         {key: unit.tally.latency for key, unit in units.items()},
         {key: unit.times for key, unit in units.items() if unit.times is not None},
@@ -233,6 +235,15 @@ def _slow(units: dict[tuple[str, int], _JudgedUnit]) -> Iterator[Trouble]:
         )  # fmt: skip
     for key, one in slower.items():
         yield _slower(units[key], one)
+
+
+def _is_answered_for(tally: RequestTally) -> bool:
+    """True if most answers come from a gateway that could not reach the unit (0A, 0B).
+
+    Their latencies are those of the gateway's time-out.
+    """
+    of_gateway = sum(tally.exceptions.get(code, 0) for code in GATEWAY_EXCEPTIONS)
+    return 2 * of_gateway > tally.latency.count
 
 
 def _slower(unit: _JudgedUnit, one: Slower) -> Trouble:

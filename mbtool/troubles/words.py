@@ -102,8 +102,8 @@ _ROWS = (
         "LINE-BIAS", _W,
         "a byte {byte} that nobody sends stands {places} ({count} times) at {link}: the idle line "
         "floats, or a driver switches too early or late",
-        "fit bias resistors and termination at one place of the line; if it is beside frames of "
-        "one sender only, look at how its driver is switched",
+        "fit bias resistors at one place and termination at both ends of the line; if it is beside "
+        "frames of one sender only, look at how its driver is switched",
         "line", "stray {byte}",
         ("RTU-202", "RTU-103", "RTU-104", "LINE-NOISE", "LINE-LOST-BYTES"),
     ),

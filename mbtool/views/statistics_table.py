@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 FEWEST = 3
 """Each section keeps this many rows, however small the terminal is."""
 USUAL = 10
-MOST_IMPORTANT = 3
+MOST_IMPORTANT = 2
 """This many sections, the first ones, are shown even on the smallest terminal: they matter most."""
 _ALIKE = 0.7
 _BAR = 30

@@ -21,6 +21,7 @@ import msgspec
 
 from mbtool.core import Direction
 from mbtool.modbus import FUNCTIONS, Outcome, encode_pdu
+from mbtool.modbus.functions import GATEWAY_EXCEPTIONS
 from mbtool.modbus.identification import identities
 from mbtool.modbus.tables import Table
 
@@ -46,8 +47,6 @@ _LEAST_SAME = 4
 _VALUES, _NOTHING = 0, -1
 """How a read ended, beside exception codes: with values; without an answer of any use."""
 _ILLEGAL_FUNCTION, _ILLEGAL_VALUE = 0x01, 0x03
-_UNREACHED = (0x0A, 0x0B)
-"""Exceptions that a gateway gives in place of the unit (V1.1b3, section 7): no sign of life."""
 MOST_SILENT = 3
 """So many requests in a row without an answer end the scan of a unit that answered before."""
 
@@ -260,7 +259,7 @@ def final_reads(state: ScanState, unit: int) -> Iterator[bytes]:
 
 def _is_sign(transaction: NamedTransaction) -> bool:
     if transaction.outcome is Outcome.EXCEPTION:
-        return transaction.exception not in _UNREACHED
+        return transaction.exception not in GATEWAY_EXCEPTIONS
     return transaction.outcome in (Outcome.OK, Outcome.MALFORMED)
 
 

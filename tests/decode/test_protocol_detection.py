@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Protocol
 
 import pytest
@@ -15,9 +16,11 @@ from mbtool.decode.protocol_detection import (
     GAP_BYTES,
     MAX_NOISE,
     MAX_UNDECIDED_BYTES,
+    ProvenSlaves,
 )
 from mbtool.modbus.adu import Verdict
 from mbtool.modbus.adu_bytes import mbap_adu, rtu_adu
+from mbtool.modbus.transaction import Outcome
 from tests.modbus.reading import adus, transactions, wire_events
 
 REQUEST, RESPONSE = Direction.REQUEST, Direction.RESPONSE
@@ -395,3 +398,29 @@ def test_held_events_are_bounded() -> None:
     told = wire_events(fed(detector, TCP_PAIR))
     assert [event.ts_ns for event in told] == list(range(8))
     assert {len(event.raw) for event in told} == {MAX_UNDECIDED_BYTES}
+
+
+def test_one_request_is_enough_at_a_slave_that_answered_on_another_connection() -> None:
+    slaves = ProvenSlaves()
+    first, second, other = (
+        ProtocolDetector(connection, expected=False, rtu=True, slaves=slaves)
+        for connection in (
+            CONNECTION,
+            replace(CONNECTION, master=replace(CONNECTION.master, port=50_001)),
+            replace(CONNECTION, slave=replace(CONNECTION.slave, port=9_999)),
+        )
+    )
+    for detector in (first, second, other):
+        assert fed(detector, TCP_PAIR[:1]) == []
+    assert len(transactions(fed(first, TCP_PAIR[1:]))) == 1
+    (one,) = transactions(second.close())
+    assert (one.outcome, one.request_raw) == (Outcome.NO_ANSWER, TCP_PAIR[0][1])
+    assert is_one_event(other.close())
+
+
+def test_bytes_of_another_protocol_are_foreign_also_at_a_slave_that_answered() -> None:
+    slaves = ProvenSlaves()
+    slaves.add(CONNECTION.slave)
+    detector = ProtocolDetector(CONNECTION, expected=False, rtu=True, slaves=slaves)
+    fed(detector, [(REQUEST, b"GET / HTTP/1.1\r\n\r\n")])
+    assert is_one_event(detector.close()) or detector.state is ProtocolState.FOREIGN

@@ -30,6 +30,7 @@ from mbtool.core import (
     UsageError,
     WireEvent,
 )
+from mbtool.core.wording import counted
 from mbtool.decode.decoder import Decoder
 from mbtool.decode.line_timing import LineTiming
 from mbtool.devices import Assignments, Namer
@@ -93,6 +94,8 @@ class Reading:
         self._serial_packets = 0
         """The number of packets read so far that contain bytes of a serial line."""
         self._has_found = False
+        self._foreign = 0
+        """The number of events that tell of connections with another protocol."""
         """True once a transaction or event was found in the files."""
         self._has_decoded = False
         """True once a transaction was found, or an event that does not report undecodable data."""
@@ -147,7 +150,8 @@ class Reading:
 
     @property
     def why_empty(self) -> str | None:
-        """A line for the user that says why the files have no transaction and no event.
+        """A line for the user that says why the files have no transaction, and no event but such
+        about connections with other protocols.
 
         None if they have some, or if they are not read to their ends.
         """
@@ -158,8 +162,9 @@ class Reading:
             return f"{names}: empty; there is neither a packet nor a transaction in it"
         if self._items == self._serial_packets:
             return f"{names}: no byte of a serial line in it"
+        others = f"; {counted(self._foreign, 'server', ',')} with other protocols"
         if self._any_port:
-            return f"{names}: no Modbus at any TCP port"
+            return f"{names}: no Modbus at any TCP port{others if self._foreign else ''}"
         ports = {port for some in self._ports for port in some}
         return (
             f"{names}: no Modbus at TCP port {', '.join(map(str, sorted(ports)))}; "
@@ -225,7 +230,10 @@ class Reading:
     def records(self) -> Iterator[Record]:
         """Yield all transactions and events, file by file. Each transaction names its file."""
         for record in self._records():
-            self._has_found = True
+            if isinstance(record, WireEvent) and record.kind is EventKind.FOREIGN:
+                self._foreign += 1
+            else:
+                self._has_found = True
             self.results.note(self.file, record)
             if not isinstance(record, WireEvent):
                 if record.verdicts:  # Without any, no call is needed.
