@@ -5,7 +5,8 @@
 # differ only in time, ends, transaction id, values, raw bytes and packet numbers. The function
 # formats one transaction of each group with a random mark in each of these fields. The result is a
 # template: the line of each transaction is the template with the transaction's own texts in place
-# of the marks, and so equals the line that the function would have made.
+# of the marks, and so equals the line that the function would have made. The function formats each
+# transaction of a group that has few, as a template would cost more.
 #
 # Memory: about MAX_LINES templates are kept. If there are more, all are forgotten and made again
 # when needed.
@@ -39,6 +40,8 @@ if TYPE_CHECKING:
     from mbtool.columns.usual_values import ValueLists
 
 MAX_LINES = 65_536
+FEW = 4
+"""A template is made if a group has at least so many rows in a block."""
 
 _TEXTS = ("link", "source", "destination")
 _NUMBERS = ("transaction_id", "response_ns", "latency_ns", "request_packet", "response_packet")
@@ -115,9 +118,10 @@ class BlockLines:
         usual = UsualValues(plain)
         objects = self._objects.of(plain, usual)
         usual.is_usual &= ~objects.have_profile()
+        forms, kinds = self._forms_of(plain, usual, objects)
         chosen, others = np.flatnonzero(usual.is_usual), np.flatnonzero(~usual.is_usual)
         unusual = [*objects.chosen(others)]
-        usual_lines = self._lines(plain, usual, chosen, objects)
+        usual_lines = self._lines(plain, usual, chosen, [forms[one] for one in kinds.tolist()])
         refused = int(np.count_nonzero(usual.exception[chosen] >= 0))
         outcomes = Counter({Outcome.OK: len(chosen) - refused, Outcome.EXCEPTION: refused})
         if not (lines or unusual):
@@ -129,40 +133,50 @@ class BlockLines:
         return LineBatch("".join(ordered), outcomes, [*made, *unusual], unusual)
 
     def _lines(
-        self, rows: PlainRows, usual: UsualValues, chosen: Int64s, objects: RowObjects
+        self, rows: PlainRows, usual: UsualValues, chosen: Int64s, forms: list[str]
     ) -> list[str]:
         if not len(chosen):
             return []
-        forms, kinds = self._forms_of(rows, usual, chosen, objects)
         fields = self._fields(rows, usual, chosen)
         texts = zip(*(fields[name] for name in self._order), strict=True)
-        return [forms[kind] % some for kind, some in zip(kinds, texts, strict=True)]
+        return [form % some for form, some in zip(forms, texts, strict=True)]
 
     def _forms_of(
-        self, rows: PlainRows, usual: UsualValues, chosen: Int64s, objects: RowObjects
-    ) -> tuple[list[str], list[int]]:
-        """Return the templates (lines with %s in place of each field that differs within a group)
-        for the rows with the indices `chosen`, and for each of these rows the index of its
-        template.
+        self, rows: PlainRows, usual: UsualValues, objects: RowObjects
+    ) -> tuple[list[str], Int64s]:
+        """Return templates (lines with %s in place of each field that differs within a group), and
+        for each usual row the index of its template.
+
+        Rows of a group without a template that has fewer than FEW rows in this block are no longer
+        usual: to make a line of each is faster.
         """
+        chosen = np.flatnonzero(usual.is_usual)
         numbers: dict[object, int] = {}
         place_of = np.array([numbers.setdefault(one, len(numbers)) for one in rows.addresses])
         places = [*numbers]
         asked = usual.asked[chosen]
         distinct, like = np.unique(asked, return_inverse=True)
-        both = place_of[rows.connection[chosen]] * len(distinct) + like
-        _, first, kinds = np.unique(both, return_index=True, return_inverse=True)
+        place = place_of[rows.connection[chosen]]
+        _, first, kinds, counts = np.unique(
+            place * len(distinct) + like,
+            return_index=True,
+            return_inverse=True,
+            return_counts=True,
+        )
+        keys = [
+            (rows.block.file, places[where], what)
+            for where, what in zip(place[first].tolist(), asked[first].tolist(), strict=True)
+        ]
         if len(self._forms) > MAX_LINES:
             self._forms.clear()
-        forms = []
-        for one in first.tolist():
-            index = int(chosen[one])
-            place = places[place_of[rows.connection[index]]]
-            key = rows.block.file, place, int(asked[one])
-            if key not in self._forms:
-                self._forms[key] = self._form(objects.one(index))
-            forms.append(self._forms[key])
-        return forms, kinds.tolist()
+        is_new = np.array([key not in self._forms for key in keys], np.bool_)
+        is_rare = is_new & (counts < FEW)
+        new = np.flatnonzero(is_new & ~is_rare)
+        made = objects.chosen(chosen[first[new]])
+        for one, example in zip(new.tolist(), made, strict=True):
+            self._forms[keys[one]] = self._form(example)
+        usual.is_usual[chosen[is_rare[kinds]]] = False
+        return [self._forms.get(key, "") for key in keys], kinds[~is_rare[kinds]]
 
     def _form(self, like: NamedTransaction) -> str:
         """Return the line of the transaction `like` as a template: %s stands in place of each field

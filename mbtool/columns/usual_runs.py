@@ -73,19 +73,23 @@ class UsualRuns(Generic[F]):
         usual.is_usual &= ~(self._sunspec.find(rows, usual) | made.have_profile())
         usual.is_usual[: self._singly] = False
         self._singly = max(self._singly - len(usual.is_usual), 0)
-        block = _BlockForms(rows, usual, lambda index: self._form_of(made.one(index)))
+        block = _BlockForms(
+            rows, usual, lambda some: [self._form_of(one) for one in made.chosen(some)]
+        )
         yield from in_turn(rows, usual.is_usual, records, block.some, made.some)
 
 
 class _BlockForms(Generic[F]):
     """The usual reads and writes of a block: their forms, ends, numbers and values as lists."""
 
-    def __init__(self, rows: PlainRows, usual: UsualValues, form_of: Callable[[int], F]) -> None:
+    def __init__(
+        self, rows: PlainRows, usual: UsualValues, forms_of: Callable[[Int64s], list[F]]
+    ) -> None:
         chosen = np.flatnonzero(usual.is_usual)
         self._index: Int64s = np.cumsum(usual.is_usual) - usual.is_usual
         """For each row (transaction), the number of usual reads and writes before it."""
         _, first, kind = np.unique(usual.asked[chosen], return_index=True, return_inverse=True)
-        forms = [form_of(index) for index in chosen[first].tolist()]
+        forms = forms_of(chosen[first])
         ends = [(one.link, str(one.master), str(one.slave)) for one in rows.connections]
         connection = rows.connection[chosen].tolist()
         number = rows.block.first_number

@@ -14,7 +14,7 @@ from unittest.mock import patch
 
 import pyarrow as pa
 
-from mbtool.columns import packet_block
+from mbtool.columns import packet_block, plain_lines
 from mbtool.columns.block_table import BlockTables
 from mbtool.columns.column_decoder import ColumnDecoder
 from mbtool.columns.packet_block import read_blocks
@@ -136,10 +136,12 @@ def differing_texts(capture: bytes, block_packets: int = packet_block.BLOCK_PACK
     rows = [one for one in records if not isinstance(one, WireEvent)]
     found = []
     for name, line_of, separator in (("jsonl", jsonl_line, ","), ("csv", csv_line, " ")):
-        lines = BlockLines(line_of, separator)
-        text = "".join([lines.batch(one).text for one in blocks])
-        if text != "".join(map(line_of, rows)):
-            found.append(name)
+        for few in (1, plain_lines.FEW):
+            lines = BlockLines(line_of, separator)
+            with patch.object(plain_lines, "FEW", few):
+                text = "".join([lines.batch(one).text for one in blocks])
+            if text != "".join(map(line_of, rows)):
+                found.append(f"{name}, templates from {few} rows on")
     return found
 
 
