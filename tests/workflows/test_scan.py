@@ -202,7 +202,6 @@ def test_a_device_for_every_unit_is_found_also_after_an_interruption() -> None:
     begun = Scan(units.ask, state, is_tcp=True).units(range(1, 248))
     next(begun)
     next(begun)
-    begun.close()
     list(Scan(units.ask, state, is_tcp=True).units(range(1, 248)))
     assert [(one.unit, one.is_any) for one in state.units] == [(1, True)]
 
