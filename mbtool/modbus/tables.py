@@ -23,3 +23,12 @@ class Table(StrEnum):
     @property
     def is_writable(self) -> bool:
         return self in (Table.COILS, Table.HOLDING_REGISTERS)
+
+
+READS_OF_TABLE = {
+    Table.COILS: 0x01,
+    Table.DISCRETE_INPUTS: 0x02,
+    Table.HOLDING_REGISTERS: 0x03,
+    Table.INPUT_REGISTERS: 0x04,
+}
+"""The function code that reads each table."""

@@ -44,8 +44,8 @@ from mbtool.core.wording import percent
 from mbtool.devices.named_transaction import NamedTransaction
 from mbtool.modbus import Outcome
 from mbtool.modbus.adu_bytes import crc
-from mbtool.troubles.sense import MAX_LINKS, SortedSense
-from mbtool.troubles.trouble import MAX_EVIDENCE, Evidence, Sureness, Trouble
+from mbtool.troubles.sense import DAMAGE, MAX_LINKS, SortedSense, is_text
+from mbtool.troubles.trouble import MAX_EVIDENCE, Evidence, Sureness, Trouble, keep
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -78,7 +78,6 @@ _SHORTEST_REQUEST = 8
 _READS = frozenset((1, 2, 3, 4))
 _AROUND_VALUES = 5
 """Bytes of an answer to a read that are no values: unit, function, byte count and CRC."""
-_DAMAGE = frozenset((EventKind.SKIPPED, EventKind.BAD_CHECK))
 
 
 @dataclass(slots=True)
@@ -169,11 +168,11 @@ class LineDamage(SortedSense):
     def take_event(self, event: WireEvent) -> None:
         if event.kind is EventKind.TWO_MASTERS and (line := self._line(event.link)) is not None:
             line.is_told = True
-            _keep(line.masters_cases, Evidence.of_event(event))
-        elif event.kind in _DAMAGE and (line := self._line(event.link)) is not None:
+            keep(line.masters_cases, Evidence.of_event(event))
+        elif event.kind in DAMAGE and (line := self._line(event.link)) is not None:
             if len(event.raw) < LEAST_BYTES:
                 line.odd += 1
-            elif not _is_text(event.raw):
+            elif not is_text(event.raw):
                 self._note_merged(line, event)
                 line.held.append(event)
 
@@ -220,7 +219,7 @@ class LineDamage(SortedSense):
         last = [one for one in line.requests if one[-_TAIL:] == raw[-_TAIL:]]
         if any(one != other for one in first for other in last):
             line.merged += 1
-            _keep(line.masters_cases, Evidence.of_event(event, "two requests at once"))
+            keep(line.masters_cases, Evidence.of_event(event, "two requests at once"))
 
     def _note_interrupted(self, line: _DamagedLine, one: NamedTransaction) -> None:
         """Note if `one` was sent while the request before it surely waited for its answer."""
@@ -238,7 +237,7 @@ class LineDamage(SortedSense):
         usual_ns = unit.latency_ns // (unit.answered or 1)
         if 0 < waited_ns < usual_ns and not line.held:
             line.interrupted.append(waited_ns)
-            _keep(line.masters_cases, Evidence.of(one, "sent while another request waited"))
+            keep(line.masters_cases, Evidence.of(one, "sent while another request waited"))
 
     def _give(self, line: _DamagedLine) -> None:
         """Take the damaged frames since the last transaction as its answer if it has none; else
@@ -256,13 +255,13 @@ class LineDamage(SortedSense):
             else:
                 line.in_requests += 1
                 line.short_requests += len(event.raw) < len(request)
-                _keep(line.cases, Evidence.of_event(event))
+                keep(line.cases, Evidence.of_event(event))
         unit = line.unit(last.unit)
         if last.outcome is not Outcome.NO_ANSWER:
             line.elsewhere += len(answer)
             unit.after += last.outcome is Outcome.OK
             for event in answer:
-                _keep(line.cases, Evidence.of_event(event))
+                keep(line.cases, Evidence.of_event(event))
         elif answer:
             _note_answer(unit, last, answer)
 
@@ -273,18 +272,18 @@ class LineDamage(SortedSense):
         last = line.last
         if not (line.held or line.odd) and _is_second(unit.last, one):
             unit.seconds += 1
-            _keep(unit.cases, Evidence.of(one, "a second answer to the same request"))
+            keep(unit.cases, Evidence.of(one, "a second answer to the same request"))
         elif line.held:
             request = line.held.pop()
             line.in_requests += 1
             line.short_requests += len(request.raw) < _SHORTEST_REQUEST
             if last is not None and last.outcome is Outcome.OK:
                 line.unit(last.unit).after += len(request.raw) > _SHORTEST_REQUEST
-            _keep(line.cases, Evidence.of_event(request))
+            keep(line.cases, Evidence.of_event(request))
         elif line.odd:
             line.in_requests += 1
             line.short_requests += 1
-            _keep(line.cases, Evidence.of(one, "the answer to a damaged request"))
+            keep(line.cases, Evidence.of(one, "the answer to a damaged request"))
 
     def troubles(self, links: Sequence[LinkReport]) -> Iterator[Trouble]:
         self.flush()
@@ -389,7 +388,7 @@ def _note_answer(
 ) -> None:
     """Note the pieces of the damaged answer to a request."""
     unit.damaged += 1
-    _keep(unit.cases, Evidence.of(request, answer[0].message))
+    keep(unit.cases, Evidence.of(request, answer[0].message))
     expected, came = _expected(request), sum(len(event.raw) for event in answer)
     if expected is None:
         return
@@ -449,13 +448,3 @@ def _expected(one: NamedTransaction) -> int | None:
     if one.function in (1, 2):
         return 5 + (one.quantity + 7) // 8
     return _SHORTEST_REQUEST if one.function in (5, 6, 15, 16) else None
-
-
-def _is_text(raw: bytes) -> bool:
-    """True if bytes are readable text, as of another protocol."""
-    return all(0x20 <= byte < 0x7F or byte in (0x0A, 0x0D, 0x02, 0x03) for byte in raw)
-
-
-def _keep(cases: list[Evidence], case: Evidence) -> None:
-    if len(cases) < MAX_EVIDENCE:
-        cases.append(case)

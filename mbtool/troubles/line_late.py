@@ -24,12 +24,11 @@ from dataclasses import dataclass, field
 from statistics import median
 from typing import TYPE_CHECKING
 
-from mbtool.core import EventKind
 from mbtool.devices.named_transaction import NamedTransaction
 from mbtool.ledger.request_tally import RequestTally, merged
 from mbtool.modbus import Outcome
-from mbtool.troubles.sense import MAX_LINKS, SortedSense
-from mbtool.troubles.trouble import MAX_EVIDENCE, Evidence, Sureness, Trouble
+from mbtool.troubles.sense import DAMAGE, MAX_LINKS, SortedSense
+from mbtool.troubles.trouble import Evidence, Sureness, Trouble, keep
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -50,9 +49,6 @@ OFTEN = 0.5
 MOSTLY = 0.8
 NEAR = 0.85
 """Answers come near the time-out if 5 % of them take at least this share (0 to 1) of it."""
-
-
-_DAMAGE = frozenset((EventKind.SKIPPED, EventKind.BAD_CHECK))
 
 
 @dataclass(slots=True)
@@ -129,7 +125,7 @@ class LateOnLine(SortedSense):
             self._resolve(name, line, None)
 
     def take_event(self, event: WireEvent) -> None:
-        if event.kind not in _DAMAGE or len(set(event.raw)) < 2:  # Not a byte of an idle line.
+        if event.kind not in DAMAGE or len(set(event.raw)) < 2:  # Not a byte of an idle line.
             return
         if (line := self._line(event.link)) is None:
             return
@@ -156,7 +152,7 @@ class LateOnLine(SortedSense):
             line.last = one
             if one.outcome is Outcome.NO_ANSWER:
                 unit.missing += 1
-                _keep(unit.missing_cases, Evidence.of(one))
+                keep(unit.missing_cases, Evidence.of(one))
 
     def _line(self, link: str) -> _LateLine | None:
         line = self._lines.get(link)
@@ -274,12 +270,12 @@ def _note_late(unit: _LateUnit, one: NamedTransaction, *, is_other: bool) -> Non
     """Note a late answer; if it `is_other`, it answers a request that was damaged."""
     if is_other:
         unit.missing += 1
-        _keep(unit.missing_cases, Evidence.of(one))
+        keep(unit.missing_cases, Evidence.of(one))
         return
     unit.count += 1
     latency_ns = one.latency_ns or 0
     unit.latencies.append(latency_ns)
-    _keep(unit.cases, Evidence.of(one, f"answered after {_s(latency_ns)}"))
+    keep(unit.cases, Evidence.of(one, f"answered after {_s(latency_ns)}"))
 
 
 def _disturbs(unit: _LateUnit, line: _LateLine) -> bool:
@@ -307,11 +303,6 @@ def _trouble(link: str, number: int, late: _LateUnit, requests: int) -> Trouble:
         figures={"latency": f"after {_s(latency_ns)}", "timeout": waits, "longest": _s(longest_ns)},
         evidence=tuple(late.cases),
     )
-
-
-def _keep(cases: list[Evidence], one: Evidence) -> None:
-    if len(cases) < MAX_EVIDENCE:
-        cases.append(one)
 
 
 def _s(ns: float) -> str:

@@ -25,7 +25,7 @@ from mbtool.core import EventKind
 from mbtool.devices.named_transaction import NamedTransaction
 from mbtool.modbus import RESPONDED, Outcome
 from mbtool.troubles.sense import MAX_LINKS, Sense
-from mbtool.troubles.trouble import MAX_EVIDENCE, Evidence, Sureness, Trouble
+from mbtool.troubles.trouble import Evidence, Sureness, Trouble, keep
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -82,10 +82,10 @@ class HeardSides(Sense):
             return
         if event.kind is EventKind.ECHO:
             line.echoes += 1
-            _keep(line.echo_cases, Evidence.of_event(event))
+            keep(line.echo_cases, Evidence.of_event(event))
         elif event.kind is EventKind.REPEATED:
             line.copies += 1
-            _keep(line.copy_cases, Evidence.of_event(event))
+            keep(line.copy_cases, Evidence.of_event(event))
         else:
             line.other += 1
 
@@ -98,7 +98,7 @@ class HeardSides(Sense):
             line.requests += 1
             line.other_requests += one.function not in _ECHOING
             if one.outcome is Outcome.NO_ANSWER:
-                _keep(line.asked_cases, Evidence.of(one))
+                keep(line.asked_cases, Evidence.of(one))
         if one.outcome not in RESPONDED and one.request_ns is not None:
             return
         line.responses += 1
@@ -106,14 +106,14 @@ class HeardSides(Sense):
         if one.request_ns is not None:
             return
         line.alone += 1
-        _keep(line.alone_cases, Evidence.of(one))
+        keep(line.alone_cases, Evidence.of(one))
         if last is None or last.response_ns is None or one.response_ns is None:
             return
         if not one.response_raw or last.response_raw != one.response_raw:
             return
         if one.response_ns - last.response_ns <= SOON_NS:
             line.copies += 1
-            _keep(line.copy_cases, Evidence.of(one))
+            keep(line.copy_cases, Evidence.of(one))
 
     def troubles(self, links: Sequence[LinkReport]) -> Iterator[Trouble]:
         for link in links:
@@ -148,8 +148,3 @@ class HeardSides(Sense):
                     figures={"side": "requests", "lacking": "responses"},
                     sureness=Sureness.LIKELY, evidence=tuple(line.asked_cases),
                 )  # fmt: skip
-
-
-def _keep(cases: list[Evidence], case: Evidence) -> None:
-    if len(cases) < MAX_EVIDENCE:
-        cases.append(case)

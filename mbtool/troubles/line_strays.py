@@ -29,8 +29,8 @@ from mbtool.core import EventKind, WireEvent
 from mbtool.core.wording import percent
 from mbtool.devices.named_transaction import NamedTransaction
 from mbtool.modbus import Outcome
-from mbtool.troubles.sense import MAX_LINKS, SortedSense
-from mbtool.troubles.trouble import MAX_EVIDENCE, Evidence, Sureness, Trouble
+from mbtool.troubles.sense import DAMAGE, MAX_LINKS, SortedSense, is_text
+from mbtool.troubles.trouble import MAX_EVIDENCE, Evidence, Sureness, Trouble, keep
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -59,7 +59,6 @@ CHANCE = 1e-6
 """A stretch is told if noise as elsewhere on the line would damage so many frames in a row less
 often than this."""
 _ANSWERED = frozenset((Outcome.OK, Outcome.EXCEPTION, Outcome.LATE))
-_DAMAGE = frozenset((EventKind.SKIPPED, EventKind.BAD_CHECK))
 
 
 @dataclass(slots=True)
@@ -70,7 +69,7 @@ class _Stretch:
     last_ns: int
     size: int = 0
     pieces: int = 0
-    is_text: bool = True
+    is_readable: bool = True
 
 
 @dataclass(slots=True)
@@ -122,7 +121,7 @@ class StrayBytes(SortedSense):
         return line
 
     def take_event(self, event: WireEvent) -> None:
-        if event.kind not in _DAMAGE:
+        if event.kind not in DAMAGE:
             return
         line = self._line(event.link)
         if line is None or not event.raw:
@@ -133,29 +132,29 @@ class StrayBytes(SortedSense):
             line.bias[raw[:1]] += 1
             if len(line.waiting) < ENOUGH:
                 line.waiting.append(event)
-            _keep(line.bias_cases, Evidence.of_event(event))
+            keep(line.bias_cases, Evidence.of_event(event))
             return
-        is_text = _is_text(raw)
+        is_readable = is_text(raw)
         is_rest = line.piece_ns is not None and event.ts_ns - line.piece_ns <= PIECE_NS
         line.piece_ns = event.ts_ns
-        if is_rest and not is_text and raw[:2] not in line.heads:
+        if is_rest and not is_readable and raw[:2] not in line.heads:
             line.piece_bytes += len(raw)
         elif len(raw) >= SHORTEST_PIECE and event.kind is EventKind.SKIPPED:
             line.pieces += 1
             line.piece_bytes += len(raw)
-            if is_text:
+            if is_readable:
                 line.text += 1
                 line.text_bytes += len(raw)
             if raw[:2] in line.heads or len(line.heads) < HEADS:
                 line.heads[raw[:2]] += 1
-            _keep(line.foreign_cases, Evidence.of_event(event))
+            keep(line.foreign_cases, Evidence.of_event(event))
         if line.stretch is None:
             line.stretch = _Stretch(event, event.ts_ns)
         stretch = line.stretch
         stretch.last_ns = event.ts_ns
         stretch.size += len(raw)
         stretch.pieces += 1
-        stretch.is_text &= is_text
+        stretch.is_readable &= is_readable
 
     def take_transaction(self, one: NamedTransaction) -> None:
         if (line := self._line(one.link)) is None:
@@ -283,13 +282,4 @@ def _by_chance(damaged: int, right: int) -> float:
 def _is_wrong(stretch: _Stretch) -> bool:
     is_long = stretch.last_ns - stretch.first.ts_ns >= SHORTEST_NS
     is_enough = stretch.size >= ENOUGH_BYTES and stretch.pieces >= ENOUGH_PIECES
-    return is_long and is_enough and not stretch.is_text
-
-
-def _is_text(raw: bytes) -> bool:
-    return all(0x20 <= byte < 0x7F or byte in (0x0A, 0x0D, 0x02, 0x03) for byte in raw)
-
-
-def _keep(cases: list[Evidence], case: Evidence) -> None:
-    if len(cases) < MAX_EVIDENCE:
-        cases.append(case)
+    return is_long and is_enough and not stretch.is_readable

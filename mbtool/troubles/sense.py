@@ -5,7 +5,7 @@ from __future__ import annotations
 from heapq import heappop, heappush
 from typing import TYPE_CHECKING
 
-from mbtool.core import WireEvent
+from mbtool.core import EventKind, WireEvent
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -20,6 +20,9 @@ HOLD_NS = 6_000_000_000
 MAX_HELD = 2000
 MAX_LINKS = 1024
 """A sense knows at most so many links."""
+
+DAMAGE = frozenset((EventKind.SKIPPED, EventKind.BAD_CHECK))
+"""The events about bytes of a serial line that are no right frame."""
 
 
 class Sense:
@@ -93,3 +96,8 @@ class SortedSense(Sense):
             self.take_event(record)
         else:
             self.take_transaction(record)
+
+
+def is_text(raw: bytes) -> bool:
+    """True if bytes are readable text, as of another protocol."""
+    return all(0x20 <= byte < 0x7F or byte in (0x0A, 0x0D, 0x02, 0x03) for byte in raw)

@@ -206,3 +206,9 @@ def _of_rule(code: str) -> Words:
         f"see docs/findings.md, section {code if rule is None else rule.code}",
         "place",
     )
+
+
+def keep(cases: list[Evidence], case: Evidence) -> None:
+    """Add a case to the first ones, if there are fewer than MAX_EVIDENCE."""
+    if len(cases) < MAX_EVIDENCE:
+        cases.append(case)

@@ -25,7 +25,7 @@ from mbtool.core import Direction, SerialLink, TcpLink
 from mbtool.modbus import FUNCTIONS, encode_pdu, exception_name, mbap_adu
 from mbtool.modbus.expected_response import ExpectedResponse
 from mbtool.modbus.functions import EXCEPTION_BIT
-from mbtool.modbus.tables import Table
+from mbtool.modbus.tables import READS_OF_TABLE
 from mbtool.slave.device import RegisterImage
 from mbtool.slave.families import make_device
 
@@ -38,12 +38,6 @@ if TYPE_CHECKING:
 
 _READS = {1: "6.1", 2: "6.2", 3: "6.3", 4: "6.4"}
 """The functions that read, and their sections of the Application Protocol V1.1b3."""
-_READ_OF_TABLE = {
-    Table.COILS: 1,
-    Table.DISCRETE_INPUTS: 2,
-    Table.HOLDING_REGISTERS: 3,
-    Table.INPUT_REGISTERS: 4,
-}
 _FILE = "14 07 06 0001 0000 0001"
 _OTHERS = tuple(
     bytes.fromhex(text)
@@ -151,7 +145,7 @@ class Conformance:
                 yield f"{code:02X}, which it lacks", "V1.1b3 7, 01", _read(code, 0, 1)
                 continue
             limit = FUNCTIONS[code].limit if rule.limit is None else rule.limit
-            areas = [area for area in self._profile.areas if _READ_OF_TABLE[area.table] == code]
+            areas = [area for area in self._profile.areas if READS_OF_TABLE[area.table] == code]
             for area in areas:
                 size = area.last - area.first + 1
                 yield f"{code:02X} {area.name}: first", where, _read(code, area.first, 1)
@@ -204,7 +198,7 @@ class Conformance:
     def _answered_read(self) -> bytes:
         """Return the PDU of a read that the profile's device answers with values."""
         for area in self._profile.areas:
-            pdu = _read(_READ_OF_TABLE[area.table], area.first, 1)
+            pdu = _read(READS_OF_TABLE[area.table], area.first, 1)
             response = self._model.respond(self._unit, pdu, 0)
             if response is not None and not response.pdu[0] & EXCEPTION_BIT:
                 return pdu
@@ -316,7 +310,7 @@ class Conformance:
     # Writes, only where the user allows them.
 
     def _written(self, span: Span) -> Iterator[CaseResult]:
-        reading = _READ_OF_TABLE[span.table]
+        reading = READS_OF_TABLE[span.table]
         writing = 5 if span.table.is_bits else 6
         for at in range(span.first, span.last + 1):
             before = self._value(reading, at)

@@ -24,19 +24,20 @@ from mbtool.modbus import FUNCTIONS, Outcome, encode_pdu
 from mbtool.modbus.functions import GATEWAY_EXCEPTIONS
 from mbtool.modbus.identification import identities
 from mbtool.modbus.pdu import whole_pdu
-from mbtool.modbus.tables import Table
+from mbtool.modbus.tables import READS_OF_TABLE, Table
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from mbtool.devices import NamedTransaction
 
-READS = {
-    Table.HOLDING_REGISTERS: 0x03,
-    Table.INPUT_REGISTERS: 0x04,
-    Table.COILS: 0x01,
-    Table.DISCRETE_INPUTS: 0x02,
-}
+_TABLES = (
+    Table.HOLDING_REGISTERS,
+    Table.INPUT_REGISTERS,
+    Table.COILS,
+    Table.DISCRETE_INPUTS,
+)
+"""The tables in the order in which they are read."""
 _PROBES = (
     bytes.fromhex("03 0000 0001"),  # read holding register 0
     bytes.fromhex("08 0000 a55a"),  # diagnostics: echo
@@ -163,7 +164,8 @@ class Scan:
 
         Addresses are those on the wire. Ends early if the unit answers no more.
         """
-        for table, code in READS.items():
+        for table in _TABLES:
+            code = READS_OF_TABLE[table]
             key = f"{unit} {table.value}"
             at = self.state.next_addresses.get(key, addresses.start)
             self._silent = 0
@@ -284,7 +286,7 @@ class Scan:
 
 def final_reads(state: ScanState, unit: int) -> Iterator[bytes]:
     """Yield the PDUs of the requests that read all areas found of a unit, each once."""
-    codes = {table.value: code for table, code in READS.items()}
+    codes = {table.value: code for table, code in READS_OF_TABLE.items()}
     for area in state.areas:
         if area.unit != unit:
             continue

@@ -11,9 +11,10 @@ from mbtool.decode.transactions import Ends, no_answer, with_response
 from mbtool.devices import Assignments, Namer, builtin_profiles, load_profile
 from mbtool.modbus import Adu, rtu_adu
 from mbtool.modbus.adu import DirectionBy, Transport
+from mbtool.modbus.tables import READS_OF_TABLE
 from mbtool.slave.device import RegisterImage
 from mbtool.slave.families import make_device
-from mbtool.workflows.scan import READS, FoundArea, Scan, ScanState, final_reads
+from mbtool.workflows.scan import FoundArea, Scan, ScanState, final_reads
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -92,7 +93,7 @@ def test_every_register_that_a_device_lets_read_is_found(name: str) -> None:
     units = Units({1: answer})
     last = 2047
     found = areas_of(units, 1, last)
-    for table, code in READS.items():
+    for table, code in READS_OF_TABLE.items():
         readable = {
             at
             for at in range(last + 1)

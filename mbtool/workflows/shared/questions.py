@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING
 from mbtool.core import Direction, UsageError
 from mbtool.devices import Profile, parse_span
 from mbtool.modbus import FUNCTIONS, encode_pdu
-from mbtool.modbus.tables import Table
+from mbtool.modbus.tables import READS_OF_TABLE, Table
 from mbtool.slave.device.value_targets import ValueTarget, ValueTargets
 
 if TYPE_CHECKING:
@@ -32,16 +32,10 @@ if TYPE_CHECKING:
 
     from mbtool.devices import Span
 
-_READS = {
-    Table.COILS: 0x01,
-    Table.DISCRETE_INPUTS: 0x02,
-    Table.HOLDING_REGISTERS: 0x03,
-    Table.INPUT_REGISTERS: 0x04,
-}
 _WRITES = {Table.COILS: (0x05, 0x0F), Table.HOLDING_REGISTERS: (0x06, 0x10)}
 """For each table that can be written: the function code that writes one value, and the one that
 writes several."""
-READ_FUNCTIONS = tuple(_READS.values())
+READ_FUNCTIONS = tuple(READS_OF_TABLE.values())
 WRITE_FUNCTIONS = tuple(sorted(code for codes in _WRITES.values() for code in codes))
 
 _SIX_DIGITS = re.compile(r"(?:HR|IR|I|C)?([0134])(\d{5})", re.ASCII | re.IGNORECASE)
@@ -87,7 +81,7 @@ class Wording:
         Raises UsageError if the text names none, or if the chosen function cannot read them.
         """
         table, span = self.addresses(text)
-        code = self._code(text, table, (_READS[table],))
+        code = self._code(text, table, (READS_OF_TABLE[table],))
         return [
             encode_pdu(code, Direction.REQUEST, address=part.start, quantity=len(part))
             for part in self._parts(code, table, span)
