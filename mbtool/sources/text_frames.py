@@ -120,15 +120,13 @@ class _OpenBytes:
         """Take more bytes; return the frames that they complete, and forget all before these."""
         size = len(self.data)
         self.data += data
-        found: list[tuple[Transport, bytes]] = []
         for begin in self._begins:
-            if len(self.data) - begin <= MAX_TCP_ADU:
-                found = whole_frames(self.data[begin:])
-                if found:
-                    self._drop(len(self.data))
-                    return found
+            if len(self.data) - begin <= MAX_TCP_ADU and (whole := whole_frames(self.data[begin:])):
+                self._drop(len(self.data))
+                return [*whole]
         self._begins = [*self._begins[:1], *self._begins[1:][1 - MAX_BEGINS :], size]
         self._search()
+        found: list[tuple[Transport, bytes]] = []
         while (place := self._complete()) is not None:
             begin, end = place
             found.append((Transport.RTU, self.data[begin:end]))
@@ -216,7 +214,7 @@ class TextFrames:
         Returns the frames that are complete, if the log is known to be Modbus.
         """
         for data in choices:
-            found = whole_frames(data, labelled=voice.mark is not None)
+            found = [*whole_frames(data, labelled=voice.mark is not None)]
             if found:
                 self._parts.pop(voice.text, None)
                 break
@@ -381,8 +379,6 @@ class TextFrames:
         last, text = self._last
         if last.raw != frame.raw or (last.direction is not frame.direction and voice.mark):
             return False
-        if last.direction is frame.direction is Direction.RESPONSE:
-            return True
         return text != voice.text and (
             is_sure or voice.mark is None or last.direction is frame.direction
         )
@@ -432,15 +428,15 @@ def forms(transport: Transport, raw: bytes) -> tuple[Direction, ...]:
 
 
 @lru_cache(maxsize=1024)
-def whole_frames(data: bytes, *, labelled: bool = False) -> list[tuple[Transport, bytes]]:
-    """Return the frames of which bytes consist, without a rest; an empty list if they do not.
+def whole_frames(data: bytes, *, labelled: bool = False) -> tuple[tuple[Transport, bytes], ...]:
+    """Return the frames of which bytes consist, without a rest; an empty tuple if they do not.
 
     `labelled` is True if a word says that the bytes were sent or received. Then one RTU frame
     counts that has not the length of its function, or a function that no table knows.
     """
     if data[:1] == b":":
-        return _ascii_frames(data)
-    return _rtu_frames(data, labelled=labelled) or _mbap_frames(data)
+        return tuple(_ascii_frames(data))
+    return tuple(_rtu_frames(data, labelled=labelled) or _mbap_frames(data))
 
 
 def _rtu_frames(data: bytes, *, labelled: bool) -> list[tuple[Transport, bytes]]:

@@ -100,7 +100,7 @@ def _escaped(data: bytes) -> str:
 
 def test_digits_of_times_in_several_lines_are_no_frame_although_their_crc_fits() -> None:
     digits = bytes.fromhex("179583439617958343981795834400")
-    assert whole_frames(digits) == []
+    assert whole_frames(digits) == ()
     frames = TextFrames()
     said = conversation()
     for one in said[:2]:
@@ -151,3 +151,23 @@ def test_without_times_there_is_no_latency(tmp_path: Path, form: str) -> None:
     path = tmp_path / "log.txt"
     path.write_text(FORMS[form](conversation()))
     assert {one.latency_ns for one in _read(path)} == {None}
+
+
+def test_lines_that_come_again_give_the_same_frames_again(tmp_path: Path) -> None:
+    path = tmp_path / "log.txt"
+    request, response = (
+        rtu_adu(1, bytes.fromhex("030000000a")),
+        rtu_adu(1, b"\x03\x14" + b"\0\1" * 10),
+    )
+    lines = (b"\xff" * 4, request + response[:10], response[10:])
+    path.write_text("".join(f"RX: {line.hex(' ')}\n" for line in lines) * 2)
+    assert _told(_read(path)) == [(3, "ok"), (3, "ok")]
+
+
+def test_equal_responses_of_a_log_without_requests_all_count(tmp_path: Path) -> None:
+    path = tmp_path / "log.txt"
+    response = rtu_adu(1, b"\x03\x14" + b"\0\1" * 10).hex(" ")
+    path.write_text("".join(f"12:00:{second:02} RX: {response}\n" for second in range(50)))
+    found = _read(path)
+    assert _told(found) == [(3, "not-captured")] * 50
+    assert [one.start_ns % (60 * 10**9) for one in found] == [one * 10**9 for one in range(50)]
