@@ -11,9 +11,17 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from mbtool.cli import exit_codes
-from mbtool.packets.link_layer import IP_FINDERS
+from mbtool.core import Packet
+from mbtool.core.pseudonyms import Pseudonyms
+from mbtool.modbus import ascii_adu
+from mbtool.modbus.ascii_frame import read_frame
+from mbtool.packets.link_layer import IP_FINDERS, NOT_IP
 from mbtool.packets.segment import find_tcp
-from mbtool.workflows.shared.anonymous_packets import MIN_TEXT
+from mbtool.workflows.shared.anonymous_packets import (
+    MIN_TEXT,
+    AnonymousChoice,
+    AnonymousPackets,
+)
 from tests.captures import public_folder, read_packets
 from tests.sources.text_logs import conversation, pymodbus
 
@@ -200,3 +208,93 @@ def test_an_empty_key_is_refused(mbtool: CommandLine, tmp_path: Path) -> None:
         assert problem in told.err
     told = mbtool("convert", _capture("plant.pcap"), copy, "--units")
     assert told.code == exit_codes.USAGE
+
+
+def _replaced(data: bytes, link_type: int) -> bytes:
+    packets = AnonymousPackets(Pseudonyms(b"key"), {502}, set(), AnonymousChoice())
+    return packets.replaced(Packet(0, "", data, link_type))
+
+
+_MACS = "00a1a2a3a4a5 00b1b2b3b4b5"
+_THREE = f"{_MACS} 00c1c2c3c4c5 1000"
+_FOUR = f"{_THREE} 00d1d2d3d4d5"
+_SNAP = "aaaa03000000"
+_IP = "4500 0014 0000 0000 4006 0000 0a000001 0a000002"
+
+
+@pytest.mark.parametrize(
+    ("link_type", "header"),
+    [
+        (1, f"{_MACS} 0800"),
+        (1, f"{_MACS} 0806 0001 0800 0604 0001 00b1b2b3b4b5"),
+        (9, f"c021 {_MACS}"),
+        (105, f"0801 2c00 {_THREE} {_SNAP} 0800"),
+        (105, f"0803 2c00 {_FOUR} {_SNAP} 0800"),
+        (105, f"8841 2c00 {_THREE} 0000 {_MACS}"),
+        (105, f"8000 0000 {_THREE} {_MACS}"),
+        (105, f"d400 0000 {_MACS}"),
+        (113, "0000 0001 0006 00a1a2a3a4a5 0000 0800"),
+        (127, f"0000 0800 00000000 0801 2c00 {_THREE} {_SNAP} 0800"),
+        (127, f"0000 0800 00000000 0803 2c00 {_FOUR} {_SNAP} 0800"),
+        (127, f"0000 0800 00000000 8000 0000 {_THREE} {_MACS}"),
+        (127, f"0000 ff00 00000000 8000 0000 {_THREE} {_MACS}"),
+        (276, "0800 0000 00000002 0001 00 06 00a1a2a3a4a5 0000"),
+        (9999, _MACS),
+    ],
+)
+def test_no_mac_address_is_in_the_copy_wherever_a_packet_is_cut(
+    link_type: int, header: str
+) -> None:
+    packets = AnonymousPackets(Pseudonyms(b"key"), {502}, set(), AnonymousChoice())
+    whole = bytes.fromhex(header + _IP)
+    for size in range(len(whole) + 1):
+        data = whole[:size]
+        packet = Packet(
+            ts_ns=0, link="", link_type=link_type, data=data, original_length=len(whole)
+        )
+        replaced = packets.replaced(packet)
+        assert len(replaced) == size
+        for first in (0xA1, 0xB1, 0xC1, 0xD1):
+            assert bytes((first, first + 1, first + 2)) not in replaced
+    finds_ip = IP_FINDERS.get(link_type, lambda _: NOT_IP)(whole) == len(whole) - 20
+    assert any(replaced[-20:]) == finds_ip
+
+
+def _set_parity(raw: bytes, ones: int) -> bytes:
+    return bytes(byte | 0x80 * (byte.bit_count() & 1 != ones) for byte in raw)
+
+
+_TEXT_FRAME = ascii_adu(17, bytes.fromhex("0310") + b"PUMP-HOUSE NORTH")
+_WRONG = _TEXT_FRAME[:-4] + b"00\r\n"
+
+
+@pytest.mark.parametrize(
+    ("raw", "seven"),
+    [
+        (_TEXT_FRAME, _TEXT_FRAME),
+        (_set_parity(_TEXT_FRAME, 0), _TEXT_FRAME),
+        (_set_parity(_TEXT_FRAME, 1), _TEXT_FRAME),
+        (bytes(byte | 0x80 for byte in _TEXT_FRAME), _TEXT_FRAME),
+        (_WRONG, _WRONG),
+        (_WRONG.lower(), _WRONG.lower()),
+        (_set_parity(_WRONG, 0), _WRONG),
+        (_TEXT_FRAME[:-7], _TEXT_FRAME[:-7]),
+        (_WRONG * 2000, _WRONG * 2000),
+        (_TEXT_FRAME[:5] + b"?" + _TEXT_FRAME[6:], _TEXT_FRAME[:5] + b"?" + _TEXT_FRAME[6:]),
+        (_set_parity(_TEXT_FRAME, 0)[:20] + _TEXT_FRAME[20:], _TEXT_FRAME),
+    ],
+)
+def test_texts_in_ascii_are_replaced_also_in_damaged_frames(raw: bytes, seven: bytes) -> None:
+    packets = AnonymousPackets(Pseudonyms(b"key"), {502}, set(), AnonymousChoice())
+    before = read_frame(raw)
+    for replaced in {packets.other(raw), packets.ascii(raw) if before else packets.other(raw)}:
+        assert len(replaced) == len(raw)
+        made = bytes(byte & 0x7F for byte in replaced)
+        for text in (b"PUMP", b"HOUSE", b"NORTH"):
+            assert text.hex() not in made.decode().lower()
+        assert [chr(byte) in "0123456789abcdefABCDEF" for byte in made] == [
+            chr(byte) in "0123456789abcdefABCDEF" for byte in seven
+        ]
+        after = read_frame(replaced)
+        assert (after and after.checksum.ok) == (before and before.checksum.ok)
+        assert (after and after.parity_in_data) == (before and before.parity_in_data)
