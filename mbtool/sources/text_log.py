@@ -12,24 +12,34 @@
 #
 # Frames of RTU and ASCII are one serial line, those with an MBAP header one TCP connection, both
 # with the name of the file. A log without times has times that only show the order: as if the bytes
-# had come without gaps at the line's baud rate, from 1970-01-01 on. In a log with times, a frame
-# without one has that of the frame before, and a time that goes back by less than MAX_BACK_NS is
+# had come without gaps at the line's baud rate, from 1970-01-01 on. A log has times if one of its
+# first MAX_UNTIMED frames has one. In it a frame without a time has that of the frame before, and
+# frames before the first time have that one; a time that goes back by less than MAX_BACK_NS is
 # replaced by that of the frame before, as threads write their lines a little out of order.
 #
-# Memory: lines of at most MAX_LINE bytes, MAX_SHAPES shapes, and that of text_frames.py.
+# Memory: lines of at most MAX_LINE bytes, MAX_SHAPES shapes, MAX_UNTIMED frames, and that of
+# text_frames.py.
 
 from __future__ import annotations
 
 import codecs
 import re
 from collections import deque
+from itertools import chain
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple, cast
 
 from mbtool.core import Chunk, Connection, Endpoint, Origin, Stamp, StreamPlace
 from mbtool.core.link_spec import MODBUS_PORT
 from mbtool.modbus.adu import Transport
 from mbtool.sources.text_frames import TextFrame, TextFrames, Voice
-from mbtool.sources.text_marks import DAY_NS, MAX_TIME_NS, Time, find_mark, find_time
+from mbtool.sources.text_marks import (
+    DAY_NS,
+    MAX_TIME_NS,
+    DateOrder,
+    Time,
+    find_mark,
+    find_time,
+)
 from mbtool.sources.text_notations import SHAPE, FoundBytes, find_bytes
 
 if TYPE_CHECKING:
@@ -46,6 +56,7 @@ MAX_SHAPES = 4096
 LOOK_BACK = 4
 """The number of lines before a line in which its mark or time is looked for."""
 MAX_BACK_NS = 2_000_000_000
+MAX_UNTIMED = 256
 LEAST_BYTES = 4
 """Fewer bytes than these at one place, without a mark, are no part of a frame."""
 MASTER = "master"
@@ -90,12 +101,13 @@ class TextLog:
         """The number and the voice of the last row of a dump."""
         self._last_mark: tuple[int, Mark | None] = 0, None
         """The number and the mark of the last line that had bytes."""
+        self._dates = DateOrder()
         self._day_ns = 0
         self._clock_ns = 0
         self._time_ns: int | None = None
         """The last time that a line of bytes had."""
         self._sent_ns = 0
-        self._is_timed: bool | None = None
+        self._is_timed = False
         self._bytes = 0
         self.lines = 0
         self.bytes_seen = 0
@@ -115,6 +127,19 @@ class TextLog:
 
     def chunks(self) -> Iterator[Chunk]:
         """Yield the frames of the log, each as a chunk; none if it is not known to be Modbus."""
+        frames = self._found_frames()
+        first: list[TextFrame] = []
+        for frame in frames:
+            first.append(frame)
+            if frame.ts_ns is not None:
+                self._is_timed, self._sent_ns = True, frame.ts_ns
+                break
+            if len(first) == MAX_UNTIMED:
+                break
+        for frame in chain(first, frames):
+            yield self._chunk(frame)
+
+    def _found_frames(self) -> Iterator[TextFrame]:
         for lines in self._blocks():
             shapes = b"\n".join(lines).translate(SHAPE).split(b"\n")
             for line, shape in zip(lines, shapes, strict=True):
@@ -124,11 +149,9 @@ class TextLog:
                 except KeyError:
                     plan = self._planned(line, shape)
                 if plan is not None:
-                    for frame in self._read(line, plan):
-                        yield self._chunk(frame)
+                    yield from self._read(line, plan)
                 self._recent.append(line)
-        for frame in self._frames.close():
-            yield self._chunk(frame)
+        yield from self._frames.close()
 
     def _blocks(self) -> Iterator[list[bytes]]:
         """Yield the lines of the file, many at a time, without their ends and without colours."""
@@ -139,9 +162,11 @@ class TextLog:
         while data := read(READ_BYTES):
             if is_first and data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
                 decoder = codecs.getincrementaldecoder("utf-16")("replace")
-            is_first = False
             if decoder is not None:
                 data = decoder.decode(data).encode("utf-8", "replace")
+            if is_first:
+                self._dates.note(data)
+            is_first = False
             lines = (rest + data).split(b"\n")
             rest = lines.pop()
             if len(rest) >= MAX_LINE:
@@ -223,10 +248,12 @@ class TextLog:
 
     def _ns(self, time: Time, line: bytes) -> int | None:
         try:
-            ts_ns = time.read(line[time.start : time.end])
+            ts_ns = self._dates.read(time, line[time.start : time.end])
         except (ValueError, KeyError):
             return None
         if time.is_clock:
+            if self._day_ns and ts_ns - self._clock_ns > DAY_NS - MAX_BACK_NS:
+                return ts_ns + self._day_ns - DAY_NS  # A line of the day before came late.
             if ts_ns < self._clock_ns - DAY_NS // 2:
                 self._day_ns += DAY_NS
             self._clock_ns = ts_ns
@@ -234,8 +261,6 @@ class TextLog:
         return ts_ns if 0 <= ts_ns < MAX_TIME_NS else None
 
     def _chunk(self, frame: TextFrame) -> Chunk:
-        if self._is_timed is None:
-            self._is_timed = frame.ts_ns is not None
         self._bytes += len(frame.raw)
         ts_ns = frame.ts_ns
         if not self._is_timed:
