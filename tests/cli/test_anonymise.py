@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from ipaddress import ip_address
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,11 +12,13 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from mbtool.cli import exit_codes
-from mbtool.core import Packet
+from mbtool.core import Chunk, EventKind, Packet, Stamp, WireEvent
 from mbtool.core.pseudonyms import Pseudonyms
-from mbtool.modbus import ascii_adu
+from mbtool.logs.reader import LogReader
+from mbtool.logs.writer import LogWriter
+from mbtool.modbus import ascii_adu, rtu_adu
 from mbtool.modbus.ascii_frame import read_frame
-from mbtool.packets.link_layer import IP_FINDERS, NOT_IP
+from mbtool.packets.link_layer import IP_FINDERS
 from mbtool.packets.segment import find_tcp
 from mbtool.workflows.shared.anonymous_packets import (
     MIN_TEXT,
@@ -210,11 +213,6 @@ def test_an_empty_key_is_refused(mbtool: CommandLine, tmp_path: Path) -> None:
     assert told.code == exit_codes.USAGE
 
 
-def _replaced(data: bytes, link_type: int) -> bytes:
-    packets = AnonymousPackets(Pseudonyms(b"key"), {502}, set(), AnonymousChoice())
-    return packets.replaced(Packet(0, "", data, link_type))
-
-
 _MACS = "00a1a2a3a4a5 00b1b2b3b4b5"
 _THREE = f"{_MACS} 00c1c2c3c4c5 1000"
 _FOUR = f"{_THREE} 00d1d2d3d4d5"
@@ -256,8 +254,7 @@ def test_no_mac_address_is_in_the_copy_wherever_a_packet_is_cut(
         assert len(replaced) == size
         for first in (0xA1, 0xB1, 0xC1, 0xD1):
             assert bytes((first, first + 1, first + 2)) not in replaced
-    finds_ip = IP_FINDERS.get(link_type, lambda _: NOT_IP)(whole) == len(whole) - 20
-    assert any(replaced[-20:]) == finds_ip
+    assert any(replaced[-20:]) == (_ip_at(link_type, whole) == len(whole) - 20)
 
 
 def _set_parity(raw: bytes, ones: int) -> bytes:
@@ -298,3 +295,33 @@ def test_texts_in_ascii_are_replaced_also_in_damaged_frames(raw: bytes, seven: b
         after = read_frame(replaced)
         assert (after and after.checksum.ok) == (before and before.checksum.ok)
         assert (after and after.parity_in_data) == (before and before.parity_in_data)
+
+
+@pytest.mark.parametrize("link", ["rs485", "eth0"])
+def test_settings_events_and_bytes_of_a_link_get_one_name(
+    mbtool: CommandLine, tmp_path: Path, link: str
+) -> None:
+    path, copy = tmp_path / "log.mcap", tmp_path / "copy.mcap"
+    items: list[Chunk | Packet]
+    if link == "eth0":
+        spec = "net:eth0"
+        items = [replace(one, link=link) for one in read_packets(_capture("plant.pcap"))]
+    else:
+        spec = "rtu:/dev/rs485@9600"
+        frame = rtu_adu(1, bytes.fromhex("0300000001"))
+        items = [Chunk(ts_ns=10**18, link=link, data=frame, stamp=Stamp.AT_ONCE)]
+    before_ns = items[0].ts_ns - 10**9
+    with LogWriter(path, capture={}) as log:
+        log.add_link(link, {"spec": spec, "ports": "502"})
+        log.write(
+            WireEvent(ts_ns=before_ns, link=link, kind=EventKind.GAP, message=f"{link} is back")
+        )
+        for item in items:
+            log.write(item)
+    assert mbtool("convert", path, copy, "--anonymous").code == exit_codes.DONE
+    with LogReader.open(copy) as reader:
+        heard = [*reader.heard()]
+        (name,) = reader.links
+    assert {one.link for one in heard if isinstance(one, Packet | Chunk)} == {name}
+    (event,) = [one for one in heard if isinstance(one, WireEvent) and one.kind is EventKind.GAP]
+    assert (event.link, event.message) == (name, f"{name} is back")

@@ -180,7 +180,7 @@ def _starts(path: Path, heads: list[str], begin: str = "1970-01-01 00:00:00") ->
     path.write_text(
         "".join(f"{head} TX: {one.hex(' ')}\n" for head, one in zip(heads, requests, strict=True))
     )
-    by_value = sorted(_read(path), key=lambda one: one.request_values)
+    by_value = sorted(_read(path), key=lambda one: one.request_values or [])
     return [(one.start_ns - iso_ns(begin.encode())) / 1e9 for one in by_value]
 
 
