@@ -31,7 +31,7 @@ from typing import TYPE_CHECKING, BinaryIO, NamedTuple, cast
 from mbtool.core import Chunk, Connection, Endpoint, Origin, Stamp, StreamPlace
 from mbtool.core.link_spec import MODBUS_PORT
 from mbtool.modbus.adu import Transport
-from mbtool.sources.text_frames import TextFrame, TextFrames, Voice
+from mbtool.sources.text_frames import Label, TextFrame, TextFrames
 from mbtool.sources.text_marks import (
     DAY_NS,
     MAX_TIME_NS,
@@ -75,7 +75,7 @@ class _BytesPlace(NamedTuple):
     """A place of a line at which bytes are written, with what stands before it."""
 
     readings: tuple[FoundBytes, ...]
-    voice: Voice
+    label: Label
 
 
 class _Plan(NamedTuple):
@@ -97,8 +97,8 @@ class TextLog:
         self._frames = TextFrames()
         self._plans: dict[bytes, _Plan | None] = {}
         self._recent: deque[bytes] = deque(maxlen=LOOK_BACK)
-        self._last_row: tuple[int, Voice] | None = None
-        """The number and the voice of the last row of a dump."""
+        self._last_row: tuple[int, Label] | None = None
+        """The number and the label of the last row of a dump."""
         self._last_mark: tuple[int, Mark | None] = 0, None
         """The number and the mark of the last line that had bytes."""
         self._dates = DateOrder()
@@ -200,20 +200,20 @@ class TextLog:
             if not choices:
                 continue
             self.bytes_seen += len(choices[0])
-            first, voice = place.readings[0], place.voice
-            if first.is_row or not (voice.text or voice.mark or plan.time):
-                voice, ts_ns = self._of_dump(line[: first.start], voice, ts_ns)
-            elif voice.mark is None or ts_ns is None:
-                voice, ts_ns = self._of_lines_before(voice, ts_ns)
-            if len(choices[0]) < LEAST_BYTES and voice.mark is None and not first.is_row:
+            first, label = place.readings[0], place.label
+            if first.is_row or not (label.text or label.mark or plan.time):
+                label, ts_ns = self._of_dump(line[: first.start], label, ts_ns)
+            elif label.mark is None or ts_ns is None:
+                label, ts_ns = self._of_lines_before(label, ts_ns)
+            if len(choices[0]) < LEAST_BYTES and label.mark is None and not first.is_row:
                 continue
-            self._last_mark = self.lines, voice.mark
+            self._last_mark = self.lines, label.mark
             self._time_ns = ts_ns if ts_ns is not None else self._time_ns
-            frames += self._frames.feed(choices, voice, self._time_ns, self.lines)
+            frames += self._frames.feed(choices, label, self._time_ns, self.lines)
         return frames
 
-    def _of_dump(self, offset: bytes, voice: Voice, ts_ns: int | None) -> tuple[Voice, int | None]:
-        """Return the voice and the time of a row of bytes: those of its heading.
+    def _of_dump(self, offset: bytes, label: Label, ts_ns: int | None) -> tuple[Label, int | None]:
+        """Return the label and the time of a row of bytes: those of its heading.
 
         `offset` is the offset at the front of the row; it is 0 where a dump begins.
         """
@@ -221,15 +221,15 @@ class TextLog:
         if is_first:
             self._frames.drop_parts()
         if not is_first and self._last_row is not None and self._last_row[0] == self.lines - 1:
-            voice = self._last_row[1]
-        elif voice.mark is None:
-            voice, ts_ns = self._of_lines_before(voice, ts_ns)
-        self._last_row = self.lines, voice
-        return voice, ts_ns
+            label = self._last_row[1]
+        elif label.mark is None:
+            label, ts_ns = self._of_lines_before(label, ts_ns)
+        self._last_row = self.lines, label
+        return label, ts_ns
 
-    def _of_lines_before(self, voice: Voice, ts_ns: int | None) -> tuple[Voice, int | None]:
-        """Return the voice and the time, each from the lines before if the line has none."""
-        mark: Mark | None = voice.mark
+    def _of_lines_before(self, label: Label, ts_ns: int | None) -> tuple[Label, int | None]:
+        """Return the label and the time, each from the lines before if the line has none."""
+        mark: Mark | None = label.mark
         row = self.lines
         for line in reversed(self._recent):
             row -= 1
@@ -242,9 +242,9 @@ class TextLog:
                 mark = self._last_mark[1]  # Both lines are of one object that has several.
             if (mark is not None and ts_ns is not None) or is_of_bytes:
                 break
-        if mark is not None and voice.mark is None:
-            voice = Voice(voice.text + b"/" + mark.word, mark)
-        return voice, ts_ns
+        if mark is not None and label.mark is None:
+            label = Label(label.text + b"/" + mark.word, mark)
+        return label, ts_ns
 
     def _ns(self, time: Time, line: bytes) -> int | None:
         try:
@@ -314,9 +314,9 @@ def _plan(line: bytes, shape: bytes) -> _Plan | None:
             end = max(end, one.end)
             continue
         before = line[end : one.start]
-        mark = find_mark(before) or (places[-1].voice.mark if places else None)
+        mark = find_mark(before) or (places[-1].label.mark if places else None)
         mark = mark or find_mark(line[one.end :], last=False)
         text = _UNIMPORTANT.sub(b"", shape[end : one.start])[-80:]
-        places.append(_BytesPlace((one,), Voice(text, mark)))
+        places.append(_BytesPlace((one,), Label(text, mark)))
         end = one.end
     return _Plan(time, tuple(places)) if places else None

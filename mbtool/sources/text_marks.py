@@ -197,13 +197,14 @@ def _clock_ns(hours: bytes, minutes: bytes, seconds: bytes, fraction: bytes | No
 
 
 _STRONG = re.compile(
-    rb"(?i)(?<![a-z])(?:(sen(?:d|t|ding)(?:to|msg)?|txd?|transmit\w*|req(?:uest)?|query|queries|>>+|-+>|=+>"
-    rb"|\xe2\x86\x92|\xe2\x9f\xb6)|(rec(?:v|eive|eived|eiving)(?:from|msg)?|rcvd?|rxd?|resp(?:onse|ond|onded)?|rsp|answer|reply|replied"
-    rb"|<<+|<-+|<=+|\xe2\x86\x90|\xe2\x9f\xb5))(?![a-z])|^\s*(?:(>)|(<))\s"
+    rb"(?i)(?P<sent>(?<![a-z])(?:sen(?:d|t|ding)(?:to|msg)?|txd?|transmit\w*|req(?:uest)?|query|queries|>>+|-+>|=+>"
+    rb"|\xe2\x86\x92|\xe2\x9f\xb6)(?![a-z])|^\s*>\s)"
+    rb"|(?P<received>(?<![a-z])(?:rec(?:v|eive|eived|eiving)(?:from|msg)?|rcvd?|rxd?|resp(?:onse|ond|onded)?|rsp|answer|reply|replied"
+    rb"|<<+|<-+|<=+|\xe2\x86\x90|\xe2\x9f\xb5)(?![a-z])|^\s*<\s)"
 )
 _WEAK = re.compile(
-    rb"(?i)(?<![a-z])(?:(writ(?:e|es|ing|ten)|wrote|master|output|out)"
-    rb"|(read(?:ing)?|slave|input|in|got)|(\0)|(\0))(?![a-z])"
+    rb"(?i)(?<![a-z])(?:(?P<sent>writ(?:e|es|ing|ten)|wrote|master|output|out)"
+    rb"|(?P<received>read(?:ing)?|slave|input|in|got))(?![a-z])"
 )
 """Words that stand in other meanings, too: they count if there is no other."""
 
@@ -238,7 +239,7 @@ def _find_mark(text: bytes, last: bool, is_strong: bool) -> Mark | None:
         every = [*pattern.finditer(text)]
         if every:
             found = every[-1 if last else 0]
-            is_sent = bool(found[1] or found[3])
+            is_sent = found["sent"] is not None
             strong = pattern is _STRONG and last
             return Mark(found[0].strip().lower(), is_sent, strong)
     return None

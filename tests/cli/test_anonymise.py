@@ -284,7 +284,8 @@ _WRONG = _TEXT_FRAME[:-4] + b"00\r\n"
 def test_texts_in_ascii_are_replaced_also_in_damaged_frames(raw: bytes, seven: bytes) -> None:
     packets = AnonymousPackets(Pseudonyms(b"key"), {502}, set(), AnonymousChoice())
     before = read_frame(raw)
-    for replaced in {packets.other(raw), packets.ascii(raw) if before else packets.other(raw)}:
+    for replace_texts in (packets.other, packets.payload, packets.ascii):
+        replaced = replace_texts(raw)
         assert len(replaced) == len(raw)
         made = bytes(byte & 0x7F for byte in replaced)
         for text in (b"PUMP", b"HOUSE", b"NORTH"):

@@ -8,7 +8,7 @@ import pytest
 
 from mbtool.core import InputError, WireEvent
 from mbtool.modbus import rtu_adu
-from mbtool.sources.text_frames import TextFrames, Voice, whole_frames
+from mbtool.sources.text_frames import Label, TextFrames, whole_frames
 from mbtool.sources.text_marks import DateOrder, find_time, iso_ns
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
 from tests.sources.text_logs import BY_WORD, FORMS, TIMED, conversation, expected
@@ -105,10 +105,10 @@ def test_digits_of_times_in_several_lines_are_no_frame_although_their_crc_fits()
     frames = TextFrames()
     said = conversation()
     for one in said[:2]:
-        frames.feed([one.data], Voice(b"x", None), None, 1)
+        frames.feed([one.data], Label(b"x", None), None, 1)
     assert frames.is_modbus
     for row, piece in enumerate((digits[:5], digits[5:10], digits[10:]), 2):
-        assert frames.feed([piece], Voice(b"end", None), None, row) == []
+        assert frames.feed([piece], Label(b"end", None), None, row) == []
 
 
 def test_equal_checksums_that_look_like_an_echo_are_no_transaction(tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ import re
 import struct
 from typing import TYPE_CHECKING, NamedTuple
 
-from mbtool.modbus.adu_bytes import crc, lrc, mbap_size
+from mbtool.modbus.adu_bytes import MBAP_BYTES, crc, lrc, mbap_size
 from mbtool.modbus.ascii_frame import SEVEN_BITS, like_parity, read_frame
 from mbtool.packets.link_layer import IP_FINDERS, NOT_IP, TAGGED, wireless_macs
 from mbtool.packets.segment import TCP, find_tcp, walk_ipv6
@@ -54,7 +54,6 @@ _KEPT_WITHOUT_IP = {0: 4, 1: 14, 9: 4, 50: 4, 104: 4, 105: 2, 108: 4, 113: 16, 1
 """By link type, the number of bytes that stay at the front of a packet without IP. They hold no
 address, or one of _MACS_AT."""
 _NOP = 1
-_MBAP = 7
 
 
 class AnonymousChoice(NamedTuple):
@@ -176,17 +175,17 @@ class AnonymousPackets:
     def payload(self, data: bytes, *, is_rtu: bool = False) -> bytes:
         """Return the payload of a TCP segment with everything replaced; the same size."""
         if is_rtu:
-            return self.rtu(data) if len(data) >= 4 and crc(data) == 0 else self._without_text(data)
+            return self.rtu(data) if len(data) >= 4 and crc(data) == 0 else self.other(data)
         parts = []
-        while len(data) > _MBAP and data[2:4] == b"\0\0" and mbap_size(data) > _MBAP:
+        while len(data) > MBAP_BYTES and data[2:4] == b"\0\0" and mbap_size(data) > MBAP_BYTES:
             size = mbap_size(data)
             parts.append(self.mbap(data[:size]))
             data = data[size:]
-        return b"".join(parts) + self._without_text(data)
+        return b"".join(parts) + self.other(data)
 
     def mbap(self, adu: bytes) -> bytes:
         """Return an ADU of Modbus/TCP, or its beginning, with everything replaced."""
-        return adu[:6] + self._unit(adu[6]) + self._pdu(adu[7:])
+        return adu[:6] + self._unit(adu[6]) + self._pdu(adu[MBAP_BYTES:])
 
     def rtu(self, frame: bytes) -> bytes:
         """Return an RTU frame with everything replaced, and a new CRC."""
