@@ -18,7 +18,8 @@
 #     time          all times are earlier by the same number of days, 1 to 3650, so that hours and
 #                   other divisions of the day, by which statistics count, stay the same
 #
-# Memory: the addresses and names met so far, at most MAX_KEPT of each kind are kept.
+# Memory: the last MAX_KEPT IP addresses, as many MAC addresses and as many names. A name that was
+# forgotten gets a new number.
 
 from __future__ import annotations
 
@@ -47,7 +48,6 @@ class Pseudonyms:
     def __init__(self, key: bytes) -> None:
         """`key` may have any length; the same key gives the same pseudonyms, but for names."""
         self._key = blake2b(key, digest_size=32).digest()
-        self._names: dict[tuple[str, str], str] = {}
         self._counts: dict[str, int] = {}
         order = sorted(
             range(1, _MAX_UNIT + 1), key=lambda unit: self._hash(b"unit", bytes((unit,)))
@@ -57,6 +57,7 @@ class Pseudonyms:
         """Every time becomes earlier by this, in ns; a whole number of days."""
         self.ip = lru_cache(maxsize=MAX_KEPT)(self._ip)
         self.mac = lru_cache(maxsize=MAX_KEPT)(self._mac)
+        self.name = lru_cache(maxsize=MAX_KEPT)(self._name)
 
     def _hash(self, kind: bytes, data: bytes) -> bytes:
         return blake2b(data, key=self._key, person=kind, digest_size=16).digest()
@@ -107,13 +108,10 @@ class Pseudonyms:
         """The pseudonym of a unit id."""
         return self._units.get(unit, unit)
 
-    def name(self, kind: str, name: str) -> str:
+    def _name(self, kind: str, name: str) -> str:
         """The pseudonym of a name: `kind` and a number. `kind` says what the name is of."""
-        known = self._names.get((kind, name))
-        if known is None:
-            self._counts[kind] = self._counts.get(kind, 0) + 1
-            known = self._names[kind, name] = f"{kind}{self._counts[kind]}"
-        return known
+        self._counts[kind] = self._counts.get(kind, 0) + 1
+        return f"{kind}{self._counts[kind]}"
 
     def host(self, host: str) -> str:
         """The pseudonym of a host: of an IP address another one, of a name `host` and a number."""

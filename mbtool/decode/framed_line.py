@@ -14,6 +14,7 @@ from mbtool.core import Direction, EventKind
 from mbtool.decode.connections import skipped_event
 from mbtool.decode.pairing import Pairing
 from mbtool.decode.transactions import Ends
+from mbtool.framing.rtu_lengths import MIN_FRAME
 from mbtool.modbus.adu import Adu, Checksum, DirectionBy, Skipped, Transport
 from mbtool.modbus.adu_bytes import crc
 from mbtool.modbus.ascii_frame import read_frame
@@ -21,9 +22,6 @@ from mbtool.modbus.ascii_frame import read_frame
 if TYPE_CHECKING:
     from mbtool.core import StreamPlace
     from mbtool.decode.connections import Decoded
-
-MIN_RTU = 4
-"""The least size of an RTU frame in bytes: unit, function code and CRC."""
 
 
 class FramedLine:
@@ -73,7 +71,7 @@ def _parts(data: bytes) -> tuple[Transport, int, bytes, Checksum] | None:
     frame = read_frame(data) if data.startswith(b":") else None
     if frame is not None and len(frame.body) > 1:
         return Transport.ASCII, frame.body[0], frame.body[1:], frame.checksum
-    if len(data) < MIN_RTU:
+    if len(data) < MIN_FRAME:
         return None
     checksum = Checksum(int.from_bytes(data[-2:], "little"), crc(data[:-2]))
     return Transport.RTU, data[0], data[1:-2], checksum

@@ -88,6 +88,16 @@ def why_unreadable(raw: bytes, *, eight_bits: bool = True) -> str:
     )
 
 
+def like_parity(characters: bytes, raw: bytes) -> bytes:
+    """Return 7-bit characters with the bit 7 that those of `raw`, which begin a frame, have."""
+    if raw.isascii():
+        return characters
+    if min(raw) >= 0x80:
+        return bytes(one | 0x80 for one in characters)
+    ones = _ODD_ONES[raw[0]]
+    return bytes(one | 0x80 if _ODD_ONES[one] != ones else one for one in characters)
+
+
 def _has_parity(raw: bytes) -> bool:
     """True if bit 7 of the characters can be a parity bit or a stop bit.
 

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
 NOT_IP = -1
+_IEEE_802_11, _RADIOTAP = 105, 127
 
 _IP = (b"\x08\x00", b"\x86\xdd")
 VLAN = (b"\x81\x00", b"\x88\xa8", b"\x91\x00")
@@ -146,6 +147,16 @@ def _wireless(data: bytes, start: int = 0, *, is_padded: bool = False) -> int:
     return _behind(data, data[at + 6 : at + 8], at + 8)
 
 
+def wireless_macs(link_type: int, data: bytes) -> tuple[int, ...]:
+    """Return the offsets of the MAC addresses of an 802.11 frame that holds an IP packet."""
+    if link_type not in (_IEEE_802_11, _RADIOTAP):
+        return ()
+    start = int.from_bytes(data[2:4], "little") if link_type == _RADIOTAP else 0
+    macs = (start + 4, start + 10, start + 16)
+    is_relayed = data[start + 1] & _FOUR_ADDRESSES == _FOUR_ADDRESSES
+    return (*macs, start + 24) if is_relayed else macs
+
+
 def _null(data: bytes) -> int:
     return 4 if data[:4] in FAMILIES else NOT_IP
 
@@ -163,10 +174,10 @@ IP_FINDERS: dict[int, Callable[[bytes], int]] = {
     50: _ppp,
     101: _raw,
     104: _cisco_hdlc,
-    105: _wireless,
+    _IEEE_802_11: _wireless,
     108: _null,
     113: _cooked,
-    127: _radiotap,
+    _RADIOTAP: _radiotap,
     228: _raw,
     229: _raw,
     276: _cooked_v2,

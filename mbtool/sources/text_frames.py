@@ -3,15 +3,15 @@
 # Bytes are a frame if the CRC of an RTU frame holds at the length that its function tells, the LRC
 # of an ASCII frame, or the length of an MBAP header together with that of its function. Bytes that
 # are no frame may be a part of one: they are kept with those of the same place in the log's lines
-# (its "voice", such as `recv:`), and joined with the next ones. RTU frames are found anywhere among
+# (its "label", such as `recv:`), and joined with the next ones. RTU frames are found anywhere among
 # joined bytes, the others only where a piece begins, as zeros look like an MBAP header.
 #
 # The direction of a frame is that of its form, if only a request or only a response has it. Else it
-# is that of the voice, as its other frames have shown; else that of its word (`Tx`), as other
+# is that of the label, as its other frames have shown; else that of its word (`Tx`), as other
 # frames of that word have shown; else the frame is a response if it answers the last request; else
 # the word decides, and a frame without one is a request. Many programs show a frame twice, and an
 # adapter may hear what it sends. So a frame is left out if the frame before is equal, in the same
-# direction, and of another voice; a request of the same voice is a retry. If a log shows an ADU of
+# direction, and of another label; a request of the same label is a retry. If a log shows an ADU of
 # Modbus/TCP as an RTU frame, too, all its RTU frames are left out.
 #
 # Some programs show unit and PDU without a frame. Such bytes count, as RTU frames with the CRC that
@@ -20,7 +20,7 @@
 #
 # A log is taken for Modbus once it has given enough evidence (ENOUGH). Frames before that are held.
 #
-# Memory: MAX_HELD frames, MAX_VOICES voices with at most MAX_PART bytes each.
+# Memory: MAX_HELD frames, MAX_LABELS labels with at most MAX_PART bytes each.
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.core import Direction
-from mbtool.framing.rtu_lengths import frame_size
+from mbtool.framing.rtu_lengths import MIN_FRAME, frame_size
 from mbtool.modbus.adu import MAX_RTU_ADU, MAX_TCP_ADU, Transport
 from mbtool.modbus.adu_bytes import MBAP_BYTES, crc, mbap_size
 from mbtool.modbus.ascii_frame import read_frame
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from mbtool.sources.text_marks import Mark
 
 MAX_HELD = 256
-MAX_VOICES = 256
+MAX_LABELS = 256
 MAX_PART = 2 * MAX_RTU_ADU
 MAX_BEGINS = 8
 """A frame other than RTU is found in the first piece since the last frame and what follows, or in
@@ -63,8 +63,8 @@ FEW_MISSES = 16
 """A log of a single RTU frame that has a direction counts if at most so many runs of bytes are no
 frame."""
 
-_LABELLED = 2
-_MIN_RTU, _MIN_MBAP, _MIN_BARE = 4, MBAP_BYTES + 1, 3
+_MARKED = 2
+_MIN_MBAP, _MIN_BARE = MBAP_BYTES + 1, 3
 _MAX_UNIT = 247
 _SENDERS = (Direction.REQUEST, Direction.RESPONSE)
 _CODES = bytes(sorted({*FUNCTIONS, *(code | EXCEPTION_BIT for code in FUNCTIONS)}))
@@ -84,7 +84,7 @@ class TextFrame(NamedTuple):
     """The number of its line in the file, from 1."""
 
 
-class Voice(NamedTuple):
+class Label(NamedTuple):
     """Where bytes stand in the lines of a log: the text before them, and its mark."""
 
     text: bytes
@@ -103,7 +103,7 @@ class _FoundFrame(NamedTuple):
 
 
 class _OpenBytes:
-    """Bytes of one voice that are no whole frame yet, at most MAX_PART."""
+    """Bytes of one label that are no whole frame yet, at most MAX_PART."""
 
     def __init__(self) -> None:
         self.data = b""
@@ -120,15 +120,13 @@ class _OpenBytes:
         """Take more bytes; return the frames that they complete, and forget all before these."""
         size = len(self.data)
         self.data += data
-        found: list[tuple[Transport, bytes]] = []
         for begin in self._begins:
-            if len(self.data) - begin <= MAX_TCP_ADU:
-                found = whole_frames(self.data[begin:])
-                if found:
-                    self._drop(len(self.data))
-                    return found
+            if len(self.data) - begin <= MAX_TCP_ADU and (whole := whole_frames(self.data[begin:])):
+                self._drop(len(self.data))
+                return [*whole]
         self._begins = [*self._begins[:1], *self._begins[1:][1 - MAX_BEGINS :], size]
         self._search()
+        found: list[tuple[Transport, bytes]] = []
         while (place := self._complete()) is not None:
             begin, end = place
             found.append((Transport.RTU, self.data[begin:end]))
@@ -182,17 +180,17 @@ class TextFrames:
 
     def __init__(self) -> None:
         self._parts: OrderedDict[bytes, _OpenBytes] = OrderedDict()
-        self._voices: dict[bytes, list[int]] = {}
+        self._labels: dict[bytes, list[int]] = {}
         self._words: defaultdict[bytes, list[int]] = defaultdict(lambda: [0, 0])
         self._last: tuple[TextFrame, bytes] | None = None
-        """The last frame, and the text of its voice."""
+        """The last frame, and the text of its label."""
         self._pending: TextFrame | None = None
         self._held: deque[TextFrame] = deque(maxlen=MAX_HELD)
         self._is_network = False
         """True once a Modbus/TCP ADU was shown as an RTU frame, too."""
         self._evidence = 0
         self._misses = 0
-        self._has_labelled = False
+        self._has_marked = False
         """True once an RTU frame had a direction by a word or arrow."""
         self._missed = 0
         """The number of runs of bytes without a frame before the log was known."""
@@ -209,25 +207,25 @@ class TextFrames:
         return self._evidence >= ENOUGH
 
     def feed(
-        self, choices: list[bytes], voice: Voice, ts_ns: int | None, row: int
+        self, choices: list[bytes], label: Label, ts_ns: int | None, row: int
     ) -> list[TextFrame]:
         """Take the bytes at one place of a line, and other readings of the same place.
 
         Returns the frames that are complete, if the log is known to be Modbus.
         """
         for data in choices:
-            found = whole_frames(data, labelled=voice.mark is not None)
+            found = [*whole_frames(data, marked=label.mark is not None)]
             if found:
-                self._parts.pop(voice.text, None)
+                self._parts.pop(label.text, None)
                 break
         else:
-            found = self._joined(choices[0], voice, row)
+            found = self._joined(choices[0], label, row)
         shown = [_FoundFrame(transport, raw, ts_ns, row) for transport, raw in found] or self._bare(
-            choices[0], voice, ts_ns, row
+            choices[0], label, ts_ns, row
         )
         if not self.is_modbus:
             self._note_miss(choices[0], is_miss=not shown)
-        frames = [frame for one in shown if (frame := self._frame(one, voice)) is not None]
+        frames = [frame for one in shown if (frame := self._frame(one, label)) is not None]
         if self.is_modbus:
             if self._held:
                 frames = [*self._held, *frames]
@@ -240,7 +238,7 @@ class TextFrames:
 
         There are some only if all bytes of the log were frames, or nearly all.
         """
-        most = FEW_MISSES if self._has_labelled else 0
+        most = FEW_MISSES if self._has_marked else 0
         if self.is_modbus or self._missed > most or not self._evidence:
             return []
         return [*self._held]
@@ -249,10 +247,10 @@ class TextFrames:
         """Forget incomplete bytes, as at the beginning of another dump."""
         self._parts.clear()
 
-    def _bare(self, data: bytes, voice: Voice, ts_ns: int | None, row: int) -> list[_FoundFrame]:
+    def _bare(self, data: bytes, label: Label, ts_ns: int | None, row: int) -> list[_FoundFrame]:
         """Return a request and its response that are shown without a frame, once both are there."""
         is_framed = self._last is not None and not self.bare
-        if is_framed or voice.mark is None or not _MIN_BARE <= len(data) <= MAX_RTU_ADU - 2:
+        if is_framed or label.mark is None or not _MIN_BARE <= len(data) <= MAX_RTU_ADU - 2:
             return []
         raw = data + crc(data).to_bytes(2, "little")
         form = forms(Transport.RTU, raw) if data[1] & ~EXCEPTION_BIT in FUNCTIONS else ()
@@ -268,25 +266,25 @@ class TextFrames:
     def _note_miss(self, data: bytes, *, is_miss: bool) -> None:
         if is_miss and self._last is not None and data in self._last[0].raw:
             return  # The program shows a part of the frame again.
-        self._misses = self._misses + (len(data) >= _MIN_RTU) if is_miss else 0
+        self._misses = self._misses + (len(data) >= MIN_FRAME) if is_miss else 0
         self._missed += is_miss
         if self._misses >= MAX_MISSES:
             self._evidence = 0
             self._held.clear()
 
-    def _joined(self, data: bytes, voice: Voice, row: int) -> list[tuple[Transport, bytes]]:
-        part = self._parts.pop(voice.text, None)
+    def _joined(self, data: bytes, label: Label, row: int) -> list[tuple[Transport, bytes]]:
+        part = self._parts.pop(label.text, None)
         if part is None or row - part.row > MAX_LINES_APART:
             part = _OpenBytes()
         part.row = row
         found = part.feed(data)
         if part.data:
-            self._parts[voice.text] = part
-            if len(self._parts) > MAX_VOICES:
+            self._parts[label.text] = part
+            if len(self._parts) > MAX_LABELS:
                 self._parts.popitem(last=False)
         return found
 
-    def _frame(self, one: _FoundFrame, voice: Voice) -> TextFrame | None:
+    def _frame(self, one: _FoundFrame, label: Label) -> TextFrame | None:
         """Decide the direction of a frame, if it is not known; None if it was shown before."""
         transport, raw, ts_ns, row, way = one
         if self._is_network and transport is not Transport.TCP:
@@ -295,19 +293,19 @@ class TextFrames:
         form = forms(transport, raw)
         direction, is_sure = way, False
         if direction is None:
-            direction, is_sure = self._direction(transport, raw, form, voice)
+            direction, is_sure = self._direction(transport, raw, form, label)
         frame = TextFrame(ts_ns, raw, transport, direction, row)
         if is_sure:
-            self._learn(voice, direction)
+            self._learn(label, direction)
         if self._is_other_form(frame):
             self._keep_network()
             if transport is not Transport.TCP:
                 self.left_out += 1
                 return None
-        elif self._is_shown_twice(frame, voice, is_sure=is_sure):
+        elif self._is_shown_twice(frame, label, is_sure=is_sure):
             self.left_out += 1
             return None
-        before, self._last = self._last, (frame, voice.text)
+        before, self._last = self._last, (frame, label.text)
         is_pair = False
         if direction is Direction.REQUEST:
             self._pending = frame
@@ -316,11 +314,11 @@ class TextFrames:
             is_pair = is_same and _answers(self._pending.raw, transport, raw)
             self._pending = None
         if not self.is_modbus:
-            is_labelled = voice.mark is not None and voice.mark.is_strong
+            is_marked = label.mark is not None and label.mark.is_strong
             is_next = before is not None and _follows(before[0], frame)
-            weight = _weight(transport, form, is_labelled) + is_next
-            self._has_labelled |= weight >= _LABELLED
-            is_echo = before is not None and (before[0].raw, before[1]) == (raw, voice.text)
+            weight = _weight(transport, form, is_marked) + is_next
+            self._has_marked |= weight >= _MARKED
+            is_echo = before is not None and (before[0].raw, before[1]) == (raw, label.text)
             self._evidence += ENOUGH if is_pair and form and not is_echo else weight
             self._held.append(frame)
             if self._evidence < ENOUGH:
@@ -329,34 +327,34 @@ class TextFrames:
         return frame
 
     def _direction(
-        self, transport: Transport, raw: bytes, form: tuple[Direction, ...], voice: Voice
+        self, transport: Transport, raw: bytes, form: tuple[Direction, ...], label: Label
     ) -> tuple[Direction, bool]:
         """Return the direction of a frame, and True if its form alone shows it."""
         if len(form) == 1:
             return form[0], True
-        of_voice = _decided(self._voices.get(voice.text))
-        if of_voice is not None:
-            return of_voice, False
-        of_word = _decided(self._words[voice.mark.word]) if voice.mark is not None else None
+        of_label = _decided(self._labels.get(label.text))
+        if of_label is not None:
+            return of_label, False
+        of_word = _decided(self._words[label.mark.word]) if label.mark is not None else None
         if of_word is not None:
             return of_word, False
         asked = self._pending
         is_same = asked is not None and asked.transport is transport
         if asked is not None and is_same and _answers(asked.raw, transport, raw):
             return Direction.RESPONSE, False
-        if voice.mark is None:
+        if label.mark is None:
             return Direction.REQUEST, False
-        return (Direction.REQUEST if voice.mark.is_sent else Direction.RESPONSE), False
+        return (Direction.REQUEST if label.mark.is_sent else Direction.RESPONSE), False
 
-    def _learn(self, voice: Voice, direction: Direction) -> None:
+    def _learn(self, label: Label, direction: Direction) -> None:
         which = direction is Direction.RESPONSE
-        if len(self._voices) >= MAX_VOICES and voice.text not in self._voices:
-            self._voices.clear()
-        self._voices.setdefault(voice.text, [0, 0])[which] += 1
-        if voice.mark is not None:
-            if len(self._words) >= MAX_VOICES and voice.mark.word not in self._words:
+        if len(self._labels) >= MAX_LABELS and label.text not in self._labels:
+            self._labels.clear()
+        self._labels.setdefault(label.text, [0, 0])[which] += 1
+        if label.mark is not None:
+            if len(self._words) >= MAX_LABELS and label.mark.word not in self._words:
                 self._words.clear()
-            self._words[voice.mark.word][which] += 1
+            self._words[label.mark.word][which] += 1
 
     def _is_other_form(self, frame: TextFrame) -> bool:
         """True if a frame is the one before in another form: of a Modbus/TCP ADU some programs show
@@ -375,23 +373,21 @@ class TextFrames:
         self._held = deque(kept, MAX_HELD)
         self._pending = None
 
-    def _is_shown_twice(self, frame: TextFrame, voice: Voice, *, is_sure: bool) -> bool:
+    def _is_shown_twice(self, frame: TextFrame, label: Label, *, is_sure: bool) -> bool:
         if self._last is None:
             return False
         last, text = self._last
-        if last.raw != frame.raw or (last.direction is not frame.direction and voice.mark):
+        if last.raw != frame.raw or (last.direction is not frame.direction and label.mark):
             return False
-        if last.direction is frame.direction is Direction.RESPONSE:
-            return True
-        return text != voice.text and (
-            is_sure or voice.mark is None or last.direction is frame.direction
+        return text != label.text and (
+            is_sure or label.mark is None or last.direction is frame.direction
         )
 
 
-def _weight(transport: Transport, form: tuple[Direction, ...], is_labelled: bool) -> int:
+def _weight(transport: Transport, form: tuple[Direction, ...], is_marked: bool) -> int:
     if not form:
         return 0
-    return is_labelled + (transport is Transport.RTU)
+    return is_marked + (transport is Transport.RTU)
 
 
 def _follows(before: TextFrame, frame: TextFrame) -> bool:
@@ -432,18 +428,18 @@ def forms(transport: Transport, raw: bytes) -> tuple[Direction, ...]:
 
 
 @lru_cache(maxsize=1024)
-def whole_frames(data: bytes, *, labelled: bool = False) -> list[tuple[Transport, bytes]]:
-    """Return the frames of which bytes consist, without a rest; an empty list if they do not.
+def whole_frames(data: bytes, *, marked: bool = False) -> tuple[tuple[Transport, bytes], ...]:
+    """Return the frames of which bytes consist, without a rest; an empty tuple if they do not.
 
-    `labelled` is True if a word says that the bytes were sent or received. Then one RTU frame
+    `marked` is True if a word says that the bytes were sent or received. Then one RTU frame
     counts that has not the length of its function, or a function that no table knows.
     """
     if data[:1] == b":":
-        return _ascii_frames(data)
-    return _rtu_frames(data, labelled=labelled) or _mbap_frames(data)
+        return tuple(_ascii_frames(data))
+    return tuple(_rtu_frames(data, marked=marked) or _mbap_frames(data))
 
 
-def _rtu_frames(data: bytes, *, labelled: bool) -> list[tuple[Transport, bytes]]:
+def _rtu_frames(data: bytes, *, marked: bool) -> list[tuple[Transport, bytes]]:
     found = []
     at = 0
     while at < len(data):
@@ -454,14 +450,14 @@ def _rtu_frames(data: bytes, *, labelled: bool) -> list[tuple[Transport, bytes]]
         at += size
     if at == len(data):
         return found
-    is_frame = labelled and _MIN_RTU <= len(data) <= MAX_RTU_ADU and crc(data) == 0
+    is_frame = marked and MIN_FRAME <= len(data) <= MAX_RTU_ADU and crc(data) == 0
     return [(Transport.RTU, data)] if is_frame and data[1] > 0 else []
 
 
 def _rtu_size(data: bytes, at: int) -> int:
     """The size of the RTU frame of a known function that begins at `at`; 0 if there is none."""
     start = data[at : at + MAX_RTU_ADU]
-    if len(start) < _MIN_RTU or start[0] > _MAX_UNIT:
+    if len(start) < MIN_FRAME or start[0] > _MAX_UNIT:
         return 0
     for direction in _SENDERS:
         size = frame_size(start, direction)

@@ -12,24 +12,34 @@
 #
 # Frames of RTU and ASCII are one serial line, those with an MBAP header one TCP connection, both
 # with the name of the file. A log without times has times that only show the order: as if the bytes
-# had come without gaps at the line's baud rate, from 1970-01-01 on. In a log with times, a frame
-# without one has that of the frame before, and a time that goes back by less than MAX_BACK_NS is
+# had come without gaps at the line's baud rate, from 1970-01-01 on. A log has times if one of its
+# first MAX_UNTIMED frames has one. In it a frame without a time has that of the frame before, and
+# frames before the first time have that one; a time that goes back by less than MAX_BACK_NS is
 # replaced by that of the frame before, as threads write their lines a little out of order.
 #
-# Memory: lines of at most MAX_LINE bytes, MAX_SHAPES shapes, and that of text_frames.py.
+# Memory: lines of at most MAX_LINE bytes, MAX_SHAPES shapes, MAX_UNTIMED frames, and that of
+# text_frames.py.
 
 from __future__ import annotations
 
 import codecs
 import re
 from collections import deque
+from itertools import chain
 from typing import TYPE_CHECKING, BinaryIO, NamedTuple, cast
 
 from mbtool.core import Chunk, Connection, Endpoint, Origin, Stamp, StreamPlace
 from mbtool.core.link_spec import MODBUS_PORT
 from mbtool.modbus.adu import Transport
-from mbtool.sources.text_frames import TextFrame, TextFrames, Voice
-from mbtool.sources.text_marks import DAY_NS, MAX_TIME_NS, Time, find_mark, find_time
+from mbtool.sources.text_frames import Label, TextFrame, TextFrames
+from mbtool.sources.text_marks import (
+    DAY_NS,
+    MAX_TIME_NS,
+    DateOrder,
+    Time,
+    find_mark,
+    find_time,
+)
 from mbtool.sources.text_notations import SHAPE, FoundBytes, find_bytes
 
 if TYPE_CHECKING:
@@ -46,6 +56,7 @@ MAX_SHAPES = 4096
 LOOK_BACK = 4
 """The number of lines before a line in which its mark or time is looked for."""
 MAX_BACK_NS = 2_000_000_000
+MAX_UNTIMED = 256
 LEAST_BYTES = 4
 """Fewer bytes than these at one place, without a mark, are no part of a frame."""
 MASTER = "master"
@@ -64,7 +75,7 @@ class _BytesPlace(NamedTuple):
     """A place of a line at which bytes are written, with what stands before it."""
 
     readings: tuple[FoundBytes, ...]
-    voice: Voice
+    label: Label
 
 
 class _Plan(NamedTuple):
@@ -86,16 +97,17 @@ class TextLog:
         self._frames = TextFrames()
         self._plans: dict[bytes, _Plan | None] = {}
         self._recent: deque[bytes] = deque(maxlen=LOOK_BACK)
-        self._last_row: tuple[int, Voice] | None = None
-        """The number and the voice of the last row of a dump."""
+        self._last_row: tuple[int, Label] | None = None
+        """The number and the label of the last row of a dump."""
         self._last_mark: tuple[int, Mark | None] = 0, None
         """The number and the mark of the last line that had bytes."""
+        self._dates = DateOrder()
         self._day_ns = 0
         self._clock_ns = 0
         self._time_ns: int | None = None
         """The last time that a line of bytes had."""
         self._sent_ns = 0
-        self._is_timed: bool | None = None
+        self._is_timed = False
         self._bytes = 0
         self.lines = 0
         self.bytes_seen = 0
@@ -115,6 +127,19 @@ class TextLog:
 
     def chunks(self) -> Iterator[Chunk]:
         """Yield the frames of the log, each as a chunk; none if it is not known to be Modbus."""
+        frames = self._found_frames()
+        first: list[TextFrame] = []
+        for frame in frames:
+            first.append(frame)
+            if frame.ts_ns is not None:
+                self._is_timed, self._sent_ns = True, frame.ts_ns
+                break
+            if len(first) == MAX_UNTIMED:
+                break
+        for frame in chain(first, frames):
+            yield self._chunk(frame)
+
+    def _found_frames(self) -> Iterator[TextFrame]:
         for lines in self._blocks():
             shapes = b"\n".join(lines).translate(SHAPE).split(b"\n")
             for line, shape in zip(lines, shapes, strict=True):
@@ -124,11 +149,9 @@ class TextLog:
                 except KeyError:
                     plan = self._planned(line, shape)
                 if plan is not None:
-                    for frame in self._read(line, plan):
-                        yield self._chunk(frame)
+                    yield from self._read(line, plan)
                 self._recent.append(line)
-        for frame in self._frames.close():
-            yield self._chunk(frame)
+        yield from self._frames.close()
 
     def _blocks(self) -> Iterator[list[bytes]]:
         """Yield the lines of the file, many at a time, without their ends and without colours."""
@@ -139,9 +162,11 @@ class TextLog:
         while data := read(READ_BYTES):
             if is_first and data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
                 decoder = codecs.getincrementaldecoder("utf-16")("replace")
-            is_first = False
             if decoder is not None:
                 data = decoder.decode(data).encode("utf-8", "replace")
+            if is_first:
+                self._dates.note(data)
+            is_first = False
             lines = (rest + data).split(b"\n")
             rest = lines.pop()
             if len(rest) >= MAX_LINE:
@@ -175,20 +200,20 @@ class TextLog:
             if not choices:
                 continue
             self.bytes_seen += len(choices[0])
-            first, voice = place.readings[0], place.voice
-            if first.is_row or not (voice.text or voice.mark or plan.time):
-                voice, ts_ns = self._of_dump(line[: first.start], voice, ts_ns)
-            elif voice.mark is None or ts_ns is None:
-                voice, ts_ns = self._of_lines_before(voice, ts_ns)
-            if len(choices[0]) < LEAST_BYTES and voice.mark is None and not first.is_row:
+            first, label = place.readings[0], place.label
+            if first.is_row or not (label.text or label.mark or plan.time):
+                label, ts_ns = self._of_dump(line[: first.start], label, ts_ns)
+            elif label.mark is None or ts_ns is None:
+                label, ts_ns = self._of_lines_before(label, ts_ns)
+            if len(choices[0]) < LEAST_BYTES and label.mark is None and not first.is_row:
                 continue
-            self._last_mark = self.lines, voice.mark
+            self._last_mark = self.lines, label.mark
             self._time_ns = ts_ns if ts_ns is not None else self._time_ns
-            frames += self._frames.feed(choices, voice, self._time_ns, self.lines)
+            frames += self._frames.feed(choices, label, self._time_ns, self.lines)
         return frames
 
-    def _of_dump(self, offset: bytes, voice: Voice, ts_ns: int | None) -> tuple[Voice, int | None]:
-        """Return the voice and the time of a row of bytes: those of its heading.
+    def _of_dump(self, offset: bytes, label: Label, ts_ns: int | None) -> tuple[Label, int | None]:
+        """Return the label and the time of a row of bytes: those of its heading.
 
         `offset` is the offset at the front of the row; it is 0 where a dump begins.
         """
@@ -196,15 +221,15 @@ class TextLog:
         if is_first:
             self._frames.drop_parts()
         if not is_first and self._last_row is not None and self._last_row[0] == self.lines - 1:
-            voice = self._last_row[1]
-        elif voice.mark is None:
-            voice, ts_ns = self._of_lines_before(voice, ts_ns)
-        self._last_row = self.lines, voice
-        return voice, ts_ns
+            label = self._last_row[1]
+        elif label.mark is None:
+            label, ts_ns = self._of_lines_before(label, ts_ns)
+        self._last_row = self.lines, label
+        return label, ts_ns
 
-    def _of_lines_before(self, voice: Voice, ts_ns: int | None) -> tuple[Voice, int | None]:
-        """Return the voice and the time, each from the lines before if the line has none."""
-        mark: Mark | None = voice.mark
+    def _of_lines_before(self, label: Label, ts_ns: int | None) -> tuple[Label, int | None]:
+        """Return the label and the time, each from the lines before if the line has none."""
+        mark: Mark | None = label.mark
         row = self.lines
         for line in reversed(self._recent):
             row -= 1
@@ -217,16 +242,18 @@ class TextLog:
                 mark = self._last_mark[1]  # Both lines are of one object that has several.
             if (mark is not None and ts_ns is not None) or is_of_bytes:
                 break
-        if mark is not None and voice.mark is None:
-            voice = Voice(voice.text + b"/" + mark.word, mark)
-        return voice, ts_ns
+        if mark is not None and label.mark is None:
+            label = Label(label.text + b"/" + mark.word, mark)
+        return label, ts_ns
 
     def _ns(self, time: Time, line: bytes) -> int | None:
         try:
-            ts_ns = time.read(line[time.start : time.end])
+            ts_ns = self._dates.read(time, line[time.start : time.end])
         except (ValueError, KeyError):
             return None
         if time.is_clock:
+            if self._day_ns and ts_ns - self._clock_ns > DAY_NS - MAX_BACK_NS:
+                return ts_ns + self._day_ns - DAY_NS  # A line of the day before came late.
             if ts_ns < self._clock_ns - DAY_NS // 2:
                 self._day_ns += DAY_NS
             self._clock_ns = ts_ns
@@ -234,8 +261,6 @@ class TextLog:
         return ts_ns if 0 <= ts_ns < MAX_TIME_NS else None
 
     def _chunk(self, frame: TextFrame) -> Chunk:
-        if self._is_timed is None:
-            self._is_timed = frame.ts_ns is not None
         self._bytes += len(frame.raw)
         ts_ns = frame.ts_ns
         if not self._is_timed:
@@ -289,9 +314,9 @@ def _plan(line: bytes, shape: bytes) -> _Plan | None:
             end = max(end, one.end)
             continue
         before = line[end : one.start]
-        mark = find_mark(before) or (places[-1].voice.mark if places else None)
+        mark = find_mark(before) or (places[-1].label.mark if places else None)
         mark = mark or find_mark(line[one.end :], last=False)
         text = _UNIMPORTANT.sub(b"", shape[end : one.start])[-80:]
-        places.append(_BytesPlace((one,), Voice(text, mark)))
+        places.append(_BytesPlace((one,), Label(text, mark)))
         end = one.end
     return _Plan(time, tuple(places)) if places else None

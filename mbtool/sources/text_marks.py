@@ -3,6 +3,11 @@
 # Times are UTC unless the line names an offset. A time without a date counts from 1970-01-01, and
 # from the next day on when it goes back by more than half a day. A syslog time has no year; it is
 # in 1970. Times in seconds, and milliseconds since the boot of a device, count from 1970.
+# A number in brackets is such a time if it has 4 digits or more; fewer are of a port or a unit.
+#
+# Dates like 12/02/2024 have one order in a file, that of its first date with a number above 12.
+# Dates before it have the month first, unless all are in the first READ_BYTES of the file. A date
+# in the other order is no time.
 #
 # Only what stands before the bytes is a time: a date and a time anywhere, a number at the front.
 
@@ -23,6 +28,7 @@ NEAR = 120
 LOOKED_AT = 120
 """A time is looked for in this many characters at the front of a line."""
 
+_MONTH = rb"(jan|feb|mar|apr|may|jun|jul|aug|sep|oct|nov|dec)"
 _CLOCK = rb"(\d{1,2}):(\d\d):(\d\d)(?:[.,:](\d{1,9}))?(?!\d|:\d)"
 _MONTHS = {
     name: number
@@ -74,8 +80,9 @@ def _day_first(text: bytes) -> int:
     match = _SHORT.match(text)
     if match is None:
         raise ValueError
-    one, mark, other, year, hours, minutes, seconds, fraction, half = match.groups()
-    day, month = (other, one) if mark == b"/" and int(one) <= 12 else (one, other)
+    day, _, month, year, hours, minutes, seconds, fraction, half = match.groups()
+    if not 1 <= int(month) <= 12:
+        raise ValueError("no month")
     clock_ns = _clock_ns(hours, minutes, seconds, fraction)
     if half:
         clock_ns += (12 * (half[:1] in b"pP") - 12 * (int(hours) == 12)) * 3600 * 10**9
@@ -122,8 +129,9 @@ _FRACTION = re.compile(rb"(?:[.,:](\d{1,9}))? ?(Z|[+-]\d\d:?\d\d)?")
 _SHORT = re.compile(
     rb"(\d{1,2})([./-])(\d{1,2})[./-](\d{4}),?[ T]{1,2}" + _CLOCK + rb"(?: ?([aApP][mM]))?"
 )
-_SYSLOG = re.compile(rb"(?i)\b([a-z]{3})\s+(\d{1,2})(?:,? (\d{4}))?,? +" + _CLOCK)
-_DAY_MONTH = re.compile(rb"(?i)\b(\d{1,2})[ /-]([a-z]{3})[ /-](\d{4})[ :T]" + _CLOCK)
+_SLASHED = re.compile(rb"(?<!\d)(\d{1,2})/(\d{1,2})(?=/\d{4},?[ T]{1,2}\d{1,2}:)")
+_SYSLOG = re.compile(rb"(?i)\b" + _MONTH + rb"\s+(\d{1,2})(?:,? (\d{4}))?,? +" + _CLOCK)
+_DAY_MONTH = re.compile(rb"(?i)\b(\d{1,2})[ /-]" + _MONTH + rb"[ /-](\d{4})[ :T]" + _CLOCK)
 _OF_DAY = re.compile(rb"(?<![\d:.])" + _CLOCK)
 _FORMS: tuple[tuple[re.Pattern[bytes], Callable[[bytes], int], int, bool], ...] = (
     (_ISO, iso_ns, 0, False),
@@ -136,7 +144,7 @@ _AT_FRONT: tuple[tuple[re.Pattern[bytes], Callable[[bytes], int]], ...] = (
     (re.compile(rb"[\[(]?\s*(\d{13})(?!\d)"), _milliseconds),
     (re.compile(rb"[\[(]?\s*(\d{1,10}[.,]\d{3,9})(?![\d.])"), _seconds),
     (re.compile(rb"\s*(\d{1,12}) ?ms\b"), _milliseconds),
-    (re.compile(rb"[\[(]\s*(\d{1,12})\s?[\])]"), _milliseconds),
+    (re.compile(rb"[\[(]\s*(\d{4,12})\s?[\])]"), _milliseconds),
 )
 
 
@@ -154,6 +162,30 @@ def find_time(line: bytes) -> Time | None:
     return None
 
 
+class DateOrder:
+    """Reads times, with one order of day and month in all dates like 12/02/2024 of a file."""
+
+    def __init__(self) -> None:
+        self._has_day_first: bool | None = None
+        """None until a date has shown it."""
+
+    def note(self, text: bytes) -> None:
+        """Decide the order by the first date of a text that has a number above 12."""
+        for match in _SLASHED.finditer(text):
+            numbers = [int(one) for one in match.groups()]
+            if self._has_day_first is None and max(numbers) > 12:
+                self._has_day_first = numbers[0] > 12
+
+    def read(self, time: Time, text: bytes) -> int:
+        """Read the text of a time to ns. Raises ValueError if it is no time."""
+        if time.read is _day_first:
+            if self._has_day_first is None:
+                self.note(text)
+            if not self._has_day_first:
+                text = _SLASHED.sub(rb"\2/\1", text)
+        return time.read(text)
+
+
 @lru_cache(maxsize=256)
 def _date_ns(year: bytes, month: bytes, day: bytes) -> int:
     return timegm((int(year), int(month), int(day), 0, 0, 0)) * 10**9
@@ -165,13 +197,14 @@ def _clock_ns(hours: bytes, minutes: bytes, seconds: bytes, fraction: bytes | No
 
 
 _STRONG = re.compile(
-    rb"(?i)(?<![a-z])(?:(sen(?:d|t|ding)(?:to|msg)?|txd?|transmit\w*|req(?:uest)?|query|queries|>>+|-+>|=+>"
-    rb"|\xe2\x86\x92|\xe2\x9f\xb6)|(rec(?:v|eive|eived|eiving)(?:from|msg)?|rcvd?|rxd?|resp(?:onse|ond|onded)?|rsp|answer|reply|replied"
-    rb"|<<+|<-+|<=+|\xe2\x86\x90|\xe2\x9f\xb5))(?![a-z])|^\s*(?:(>)|(<))\s"
+    rb"(?i)(?P<sent>(?<![a-z])(?:sen(?:d|t|ding)(?:to|msg)?|txd?|transmit\w*|req(?:uest)?|query|queries|>>+|-+>|=+>"
+    rb"|\xe2\x86\x92|\xe2\x9f\xb6)(?![a-z])|^\s*>\s)"
+    rb"|(?P<received>(?<![a-z])(?:rec(?:v|eive|eived|eiving)(?:from|msg)?|rcvd?|rxd?|resp(?:onse|ond|onded)?|rsp|answer|reply|replied"
+    rb"|<<+|<-+|<=+|\xe2\x86\x90|\xe2\x9f\xb5)(?![a-z])|^\s*<\s)"
 )
 _WEAK = re.compile(
-    rb"(?i)(?<![a-z])(?:(writ(?:e|es|ing|ten)|wrote|master|output|out)"
-    rb"|(read(?:ing)?|slave|input|in|got)|(\0)|(\0))(?![a-z])"
+    rb"(?i)(?<![a-z])(?:(?P<sent>writ(?:e|es|ing|ten)|wrote|master|output|out)"
+    rb"|(?P<received>read(?:ing)?|slave|input|in|got))(?![a-z])"
 )
 """Words that stand in other meanings, too: they count if there is no other."""
 
@@ -206,7 +239,7 @@ def _find_mark(text: bytes, last: bool, is_strong: bool) -> Mark | None:
         every = [*pattern.finditer(text)]
         if every:
             found = every[-1 if last else 0]
-            is_sent = bool(found[1] or found[3])
+            is_sent = found["sent"] is not None
             strong = pattern is _STRONG and last
             return Mark(found[0].strip().lower(), is_sent, strong)
     return None

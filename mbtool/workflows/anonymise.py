@@ -101,7 +101,8 @@ class _Copy:
         capture = {key: value for key, value in head.capture.items() if key == ACROSS}
         with LogWriter(path, capture={EVIDENCE_ONLY: "true", **capture}) as log:
             for name, settings in head.links.items():
-                log.add_link(self._link(name, settings), self._settings(name, settings))
+                self._links[name] = self._link(name, settings)
+                log.add_link(self._links[name], self._settings(name, settings))
             for who, profile in self._devices(head).items():
                 log.add_device(who, profile)
             for name in sorted(set(self._devices(head).values())):
@@ -112,7 +113,7 @@ class _Copy:
                 if isinstance(item, WireEvent):
                     log.write(self._event(item, packets))
                 else:
-                    log.write(self._moved(item, head))
+                    log.write(self._moved(item))
 
     def _replaced(self, one: Shown, packets: AnonymousPackets) -> Shown:
         """Return a packet or the bytes of a link with their content replaced."""
@@ -121,15 +122,15 @@ class _Copy:
             return NumberedPacket(packet, ())
         return one._replace(data=_replaced_bytes(one, packets))
 
-    def _moved(self, item: Packet | Chunk, head: CaptureHead) -> Packet | Chunk:
+    def _moved(self, item: Packet | Chunk) -> Packet | Chunk:
         """Return a packet or a read at its new time and with the new names of its link and ends."""
         ts_ns = item.ts_ns - self._pseudonyms.shift_ns
         ts_ns = ts_ns if ts_ns >= 0 else item.ts_ns
         if isinstance(item, Packet):
-            link = self._links[item.link] = self._pseudonyms.name("if", item.link)
+            link = self._known_link(item.link, "if")
             return replace(item, ts_ns=ts_ns, link=link, file="", number=0)
         if item.connection is None:
-            link = self._links[item.link] = self._link(item.link, head.links.get(item.link, {}))
+            link = self._known_link(item.link, "line")
             return replace(item, ts_ns=ts_ns, link=link, place=None)
         connection = Connection(
             self._end(item.connection.master),
@@ -167,6 +168,12 @@ class _Copy:
 
     def _end(self, end: Endpoint) -> Endpoint:
         return Endpoint(self._pseudonyms.host(end.host), end.port)
+
+    def _known_link(self, name: str, kind: str) -> str:
+        """Return the new name of a link; it is made from `kind` if the capture does not name it."""
+        if name not in self._links:
+            self._links[name] = self._pseudonyms.name(kind, name)
+        return self._links[name]
 
     def _link(self, name: str, settings: dict[str, str]) -> str:
         """Return the new name of a link: that of a serial line is made from its number."""

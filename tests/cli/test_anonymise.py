@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from ipaddress import ip_address
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,9 +12,19 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from mbtool.cli import exit_codes
+from mbtool.core import Chunk, EventKind, Packet, Stamp, WireEvent
+from mbtool.core.pseudonyms import Pseudonyms
+from mbtool.logs.reader import LogReader
+from mbtool.logs.writer import LogWriter
+from mbtool.modbus import ascii_adu, rtu_adu
+from mbtool.modbus.ascii_frame import read_frame
 from mbtool.packets.link_layer import IP_FINDERS
 from mbtool.packets.segment import find_tcp
-from mbtool.workflows.shared.anonymous_packets import MIN_TEXT
+from mbtool.workflows.shared.anonymous_packets import (
+    MIN_TEXT,
+    AnonymousChoice,
+    AnonymousPackets,
+)
 from tests.captures import public_folder, read_packets
 from tests.sources.text_logs import conversation, pymodbus
 
@@ -200,3 +211,118 @@ def test_an_empty_key_is_refused(mbtool: CommandLine, tmp_path: Path) -> None:
         assert problem in told.err
     told = mbtool("convert", _capture("plant.pcap"), copy, "--units")
     assert told.code == exit_codes.USAGE
+
+
+_MACS = "00a1a2a3a4a5 00b1b2b3b4b5"
+_THREE = f"{_MACS} 00c1c2c3c4c5 1000"
+_FOUR = f"{_THREE} 00d1d2d3d4d5"
+_SNAP = "aaaa03000000"
+_IP = "4500 0014 0000 0000 4006 0000 0a000001 0a000002"
+
+
+@pytest.mark.parametrize(
+    ("link_type", "header"),
+    [
+        (1, f"{_MACS} 0800"),
+        (1, f"{_MACS} 0806 0001 0800 0604 0001 00b1b2b3b4b5"),
+        (9, f"c021 {_MACS}"),
+        (105, f"0801 2c00 {_THREE} {_SNAP} 0800"),
+        (105, f"0803 2c00 {_FOUR} {_SNAP} 0800"),
+        (105, f"8841 2c00 {_THREE} 0000 {_MACS}"),
+        (105, f"8000 0000 {_THREE} {_MACS}"),
+        (105, f"d400 0000 {_MACS}"),
+        (113, "0000 0001 0006 00a1a2a3a4a5 0000 0800"),
+        (127, f"0000 0800 00000000 0801 2c00 {_THREE} {_SNAP} 0800"),
+        (127, f"0000 0800 00000000 0803 2c00 {_FOUR} {_SNAP} 0800"),
+        (127, f"0000 0800 00000000 8000 0000 {_THREE} {_MACS}"),
+        (127, f"0000 ff00 00000000 8000 0000 {_THREE} {_MACS}"),
+        (276, "0800 0000 00000002 0001 00 06 00a1a2a3a4a5 0000"),
+        (9999, _MACS),
+    ],
+)
+def test_no_mac_address_is_in_the_copy_wherever_a_packet_is_cut(
+    link_type: int, header: str
+) -> None:
+    packets = AnonymousPackets(Pseudonyms(b"key"), {502}, set(), AnonymousChoice())
+    whole = bytes.fromhex(header + _IP)
+    for size in range(len(whole) + 1):
+        data = whole[:size]
+        packet = Packet(
+            ts_ns=0, link="", link_type=link_type, data=data, original_length=len(whole)
+        )
+        replaced = packets.replaced(packet)
+        assert len(replaced) == size
+        for first in (0xA1, 0xB1, 0xC1, 0xD1):
+            assert bytes((first, first + 1, first + 2)) not in replaced
+    assert any(replaced[-20:]) == (_ip_at(link_type, whole) == len(whole) - 20)
+
+
+def _set_parity(raw: bytes, ones: int) -> bytes:
+    return bytes(byte | 0x80 * (byte.bit_count() & 1 != ones) for byte in raw)
+
+
+_TEXT_FRAME = ascii_adu(17, bytes.fromhex("0310") + b"PUMP-HOUSE NORTH")
+_WRONG = _TEXT_FRAME[:-4] + b"00\r\n"
+
+
+@pytest.mark.parametrize(
+    ("raw", "seven"),
+    [
+        (_TEXT_FRAME, _TEXT_FRAME),
+        (_set_parity(_TEXT_FRAME, 0), _TEXT_FRAME),
+        (_set_parity(_TEXT_FRAME, 1), _TEXT_FRAME),
+        (bytes(byte | 0x80 for byte in _TEXT_FRAME), _TEXT_FRAME),
+        (_WRONG, _WRONG),
+        (_WRONG.lower(), _WRONG.lower()),
+        (_set_parity(_WRONG, 0), _WRONG),
+        (_TEXT_FRAME[:-7], _TEXT_FRAME[:-7]),
+        (_WRONG * 2000, _WRONG * 2000),
+        (_TEXT_FRAME[:5] + b"?" + _TEXT_FRAME[6:], _TEXT_FRAME[:5] + b"?" + _TEXT_FRAME[6:]),
+        (_set_parity(_TEXT_FRAME, 0)[:20] + _TEXT_FRAME[20:], _TEXT_FRAME),
+    ],
+)
+def test_texts_in_ascii_are_replaced_also_in_damaged_frames(raw: bytes, seven: bytes) -> None:
+    packets = AnonymousPackets(Pseudonyms(b"key"), {502}, set(), AnonymousChoice())
+    before = read_frame(raw)
+    for replace_texts in (packets.other, packets.payload, packets.ascii):
+        replaced = replace_texts(raw)
+        assert len(replaced) == len(raw)
+        made = bytes(byte & 0x7F for byte in replaced)
+        for text in (b"PUMP", b"HOUSE", b"NORTH"):
+            assert text.hex() not in made.decode().lower()
+        assert [chr(byte) in "0123456789abcdefABCDEF" for byte in made] == [
+            chr(byte) in "0123456789abcdefABCDEF" for byte in seven
+        ]
+        after = read_frame(replaced)
+        assert (after and after.checksum.ok) == (before and before.checksum.ok)
+        assert (after and after.parity_in_data) == (before and before.parity_in_data)
+
+
+@pytest.mark.parametrize("link", ["rs485", "eth0"])
+def test_settings_events_and_bytes_of_a_link_get_one_name(
+    mbtool: CommandLine, tmp_path: Path, link: str
+) -> None:
+    path, copy = tmp_path / "log.mcap", tmp_path / "copy.mcap"
+    items: list[Chunk | Packet]
+    if link == "eth0":
+        spec = "net:eth0"
+        items = [replace(one, link=link) for one in read_packets(_capture("plant.pcap"))]
+    else:
+        spec = "rtu:/dev/rs485@9600"
+        frame = rtu_adu(1, bytes.fromhex("0300000001"))
+        items = [Chunk(ts_ns=10**18, link=link, data=frame, stamp=Stamp.AT_ONCE)]
+    before_ns = items[0].ts_ns - 10**9
+    with LogWriter(path, capture={}) as log:
+        log.add_link(link, {"spec": spec, "ports": "502"})
+        log.write(
+            WireEvent(ts_ns=before_ns, link=link, kind=EventKind.GAP, message=f"{link} is back")
+        )
+        for item in items:
+            log.write(item)
+    assert mbtool("convert", path, copy, "--anonymous").code == exit_codes.DONE
+    with LogReader.open(copy) as reader:
+        heard = [*reader.heard()]
+        (name,) = reader.links
+    assert {one.link for one in heard if isinstance(one, Packet | Chunk)} == {name}
+    (event,) = [one for one in heard if isinstance(one, WireEvent) and one.kind is EventKind.GAP]
+    assert (event.link, event.message) == (name, f"{name} is back")

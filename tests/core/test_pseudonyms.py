@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from mbtool.core import pseudonyms
 from mbtool.core.pseudonyms import Pseudonyms
 
 ONE, OTHER = Pseudonyms(b"one"), Pseudonyms(b"other")
@@ -86,3 +87,10 @@ def test_names_are_numbered_by_kind_and_hosts_are_addresses_or_names() -> None:
     ]  # fmt: skip
     assert names.host("plc.example") == "host1"
     assert names.host("10.0.0.1") == str(ip_address(names.ip(bytes((10, 0, 0, 1)))))
+
+
+def test_only_the_last_names_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pseudonyms, "MAX_KEPT", 2)
+    names = Pseudonyms(b"")
+    made = [names.name("host", one) for one in ("a", "b", "a", "c", "a", "b")]
+    assert made == ["host1", "host2", "host1", "host3", "host1", "host4"]

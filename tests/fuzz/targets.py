@@ -155,7 +155,7 @@ def text_log(data: bytes) -> None:
     """A text with frames, or byte times as CSV, decoded; each frame is a whole one."""
     decoder = Decoder(Namer())
     for chunk in TextLog(io.BytesIO(data), "x.txt", "x", FORMAT).chunks():
-        assert whole_frames(chunk.data, labelled=True), "a chunk is no frame"
+        assert whole_frames(chunk.data, marked=True), "a chunk is no frame"
         decoder.feed(chunk)
     decoder.close()
     try:

@@ -8,7 +8,8 @@ import pytest
 
 from mbtool.core import InputError, WireEvent
 from mbtool.modbus import rtu_adu
-from mbtool.sources.text_frames import TextFrames, Voice, whole_frames
+from mbtool.sources.text_frames import Label, TextFrames, whole_frames
+from mbtool.sources.text_marks import DateOrder, find_time, iso_ns
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
 from tests.sources.text_logs import BY_WORD, FORMS, TIMED, conversation, expected
 
@@ -100,14 +101,14 @@ def _escaped(data: bytes) -> str:
 
 def test_digits_of_times_in_several_lines_are_no_frame_although_their_crc_fits() -> None:
     digits = bytes.fromhex("179583439617958343981795834400")
-    assert whole_frames(digits) == []
+    assert whole_frames(digits) == ()
     frames = TextFrames()
     said = conversation()
     for one in said[:2]:
-        frames.feed([one.data], Voice(b"x", None), None, 1)
+        frames.feed([one.data], Label(b"x", None), None, 1)
     assert frames.is_modbus
     for row, piece in enumerate((digits[:5], digits[5:10], digits[10:]), 2):
-        assert frames.feed([piece], Voice(b"end", None), None, row) == []
+        assert frames.feed([piece], Label(b"end", None), None, row) == []
 
 
 def test_equal_checksums_that_look_like_an_echo_are_no_transaction(tmp_path: Path) -> None:
@@ -151,3 +152,87 @@ def test_without_times_there_is_no_latency(tmp_path: Path, form: str) -> None:
     path = tmp_path / "log.txt"
     path.write_text(FORMS[form](conversation()))
     assert {one.latency_ns for one in _read(path)} == {None}
+
+
+def test_lines_that_come_again_give_the_same_frames_again(tmp_path: Path) -> None:
+    path = tmp_path / "log.txt"
+    request, response = (
+        rtu_adu(1, bytes.fromhex("030000000a")),
+        rtu_adu(1, b"\x03\x14" + b"\0\1" * 10),
+    )
+    lines = (b"\xff" * 4, request + response[:10], response[10:])
+    path.write_text("".join(f"RX: {line.hex(' ')}\n" for line in lines) * 2)
+    assert _told(_read(path)) == [(3, "ok"), (3, "ok")]
+
+
+def test_equal_responses_of_a_log_without_requests_all_count(tmp_path: Path) -> None:
+    path = tmp_path / "log.txt"
+    response = rtu_adu(1, b"\x03\x14" + b"\0\1" * 10).hex(" ")
+    path.write_text("".join(f"12:00:{second:02} RX: {response}\n" for second in range(50)))
+    found = _read(path)
+    assert _told(found) == [(3, "not-captured")] * 50
+    assert [one.start_ns % (60 * 10**9) for one in found] == [one * 10**9 for one in range(50)]
+
+
+def _starts(path: Path, heads: list[str], begin: str = "1970-01-01 00:00:00") -> list[float]:
+    """The seconds since `begin` of the times of requests that a log shows, each behind a text."""
+    requests = [rtu_adu(1, bytes((6, 0, 1, 0, number))) for number in range(len(heads))]
+    path.write_text(
+        "".join(f"{head} TX: {one.hex(' ')}\n" for head, one in zip(heads, requests, strict=True))
+    )
+    by_value = sorted(_read(path), key=lambda one: one.request_values or [])
+    return [(one.start_ns - iso_ns(begin.encode())) / 1e9 for one in by_value]
+
+
+def test_lines_a_little_out_of_order_at_midnight_add_no_day(tmp_path: Path) -> None:
+    heads = ["23:59:59.998", "00:00:00.001", "23:59:59.999", "00:00:00.010", "23:50:00.000",
+             "00:10:00.000"]  # fmt: skip
+    day = 86_400
+    assert _starts(tmp_path / "log.txt", heads) == [
+        day - 0.002, day + 0.001, day + 0.001, day + 0.01, 2 * day - 600, 2 * day + 600,
+    ]  # fmt: skip
+
+
+def test_frames_before_the_first_time_have_that_time(tmp_path: Path) -> None:
+    heads = ["first", "next", "12:00:00.5", "more", "12:00:02"]
+    noon = 12 * 3600
+    assert _starts(tmp_path / "log.txt", heads) == [
+        noon + 0.5, noon + 0.5, noon + 0.5, noon + 0.5, noon + 2,
+    ]  # fmt: skip
+
+
+def test_a_port_before_a_time_is_no_month_and_a_number_in_brackets_no_time(tmp_path: Path) -> None:
+    noon = 12 * 3600
+    heads = ["COM 3 12:00:00.1", "COM 3 12:00:01.1"]
+    assert _starts(tmp_path / "log.txt", heads) == [noon + 0.1, noon + 1.1]
+    time = find_time(b"[2] TX: 01 03")
+    assert time is None
+    assert find_time(b"[2345] TX: 01 03") is not None
+
+
+@pytest.mark.parametrize(
+    ("dates", "days"),
+    [
+        (["12/02/2024", "13/02/2024"], [42, 43]),
+        (["02/12/2024", "02/13/2024"], [42, 43]),
+        (["13/01/2024", "01/02/2024"], [12, 31]),
+        (["01/13/2024", "02/01/2024"], [12, 31]),
+        (["12.02.2024", "13.02.2024"], [42, 43]),
+    ],
+)
+def test_day_and_month_have_one_order_in_a_file(
+    tmp_path: Path, dates: list[str], days: list[int]
+) -> None:
+    heads = [f"{date} 00:00:00" for date in dates]
+    found = _starts(tmp_path / "log.txt", heads, "2024-01-01 00:00:00")
+    assert found == [one * 86_400 for one in days]
+
+
+def test_a_date_in_the_other_order_is_no_time() -> None:
+    order = DateOrder()
+    texts = (b"13/02/2024 12:00:00", b"12/02/2024 12:00:00", b"02/13/2024 12:00:00")
+    (first, time), (second, _), (third, _) = [(one, find_time(one)) for one in texts]
+    assert time is not None
+    assert order.read(time, first) - order.read(time, second) == 86_400 * 10**9
+    with pytest.raises(ValueError, match="no month"):
+        order.read(time, third)

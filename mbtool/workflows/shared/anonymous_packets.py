@@ -2,8 +2,9 @@
 
 # Of a packet these bytes stay what they are: the headers of the link layer, of IP and TCP but for
 # addresses and IP options, and the payload of TCP at the ports of Modbus but for texts. All else
-# becomes zeros: other payload, ARP, trailers behind the IP packet. So packets keep their number,
-# size and order, and reassembly and decoding go the same way. Inside tunnels the same is done.
+# becomes zeros: other payload, ARP, trailers behind the IP packet, 802.11 frames without a readable
+# IP packet. So packets keep their number, size and order, and reassembly and decoding go the same
+# way. Inside tunnels the same is done.
 # Checksums are computed anew where the packet is whole.
 #
 # A text is a run of at least MIN_TEXT printable characters of which most are letters and digits and
@@ -18,9 +19,9 @@ import re
 import struct
 from typing import TYPE_CHECKING, NamedTuple
 
-from mbtool.modbus.adu_bytes import crc, lrc, mbap_size
-from mbtool.modbus.ascii_frame import read_frame
-from mbtool.packets.link_layer import IP_FINDERS, NOT_IP, TAGGED
+from mbtool.modbus.adu_bytes import MBAP_BYTES, crc, lrc, mbap_size
+from mbtool.modbus.ascii_frame import SEVEN_BITS, like_parity, read_frame
+from mbtool.packets.link_layer import IP_FINDERS, NOT_IP, TAGGED, wireless_macs
 from mbtool.packets.segment import TCP, find_tcp, walk_ipv6
 from mbtool.packets.tunnels import MAX_TUNNELS, find_inner
 
@@ -38,15 +39,21 @@ MIN_IDENTITY = 2
 _TEXT = re.compile(rb"[\x20-\x7e]{%d,}" % MIN_TEXT)
 _WIDE = re.compile(rb"(?:\0[\x21-\x7e]){%d,}" % MIN_WIDE)
 _IDENTITY = re.compile(rb"[\x20-\x7e]{%d,}" % MIN_IDENTITY)
+_ASCII = re.compile(rb":[0-9A-Fa-f]{2}[\x20-\x7e]*[\r\n]*")
+"""What begins like an ASCII frame, damaged or not, in characters of 7 bits."""
+_DIGITS = re.compile(rb"([0-9A-Fa-f]{%d,})" % (2 * MIN_WIDE))
 _WORD = re.compile(rb"[A-Za-z0-9]")
 _LETTER = re.compile(rb"[A-Za-z]")
 _COUNTED = frozenset((0x01, 0x02, 0x03, 0x04, 0x0C, 0x14, 0x15, 0x17, 0x18))
 """Functions behind which a byte count stands."""
 _IDENTIFYING = (0x11, 0x2B)
 _MACS_AT = {1: (0, 6), 113: (6,), 276: (12,)}
-"""By link type, the offsets of the MAC addresses in the link-layer header."""
+"""By link type, the offsets of the MAC addresses in the link-layer header. Those of 802.11 frames
+are found by link_layer.wireless_macs."""
+_KEPT_WITHOUT_IP = {0: 4, 1: 14, 9: 4, 50: 4, 104: 4, 105: 2, 108: 4, 113: 16, 127: 8, 276: 20}
+"""By link type, the number of bytes that stay at the front of a packet without IP. They hold no
+address, or one of _MACS_AT."""
 _NOP = 1
-_MBAP = 7
 
 
 class AnonymousChoice(NamedTuple):
@@ -77,12 +84,14 @@ class AnonymousPackets:
         data = bytearray(packet.data)
         finder = IP_FINDERS.get(packet.link_type)
         at = NOT_IP if finder is None else finder(packet.data)
-        for mac in _MACS_AT.get(packet.link_type, ()):
+        is_ip = NOT_IP < at <= len(data)
+        wireless = wireless_macs(packet.link_type, packet.data) if is_ip else ()
+        for mac in _MACS_AT.get(packet.link_type, wireless):
             self._replace_mac(data, mac)
-        if at == NOT_IP or at > len(data):
-            begin = 14 if packet.link_type == 1 else min(20, len(data))
-            data[begin:] = bytes(len(data) - begin)
-            return bytes(data[: len(packet.data)])
+        if not is_ip:
+            kept = _KEPT_WITHOUT_IP.get(packet.link_type, 0)
+            kept = kept if kept <= len(data) else 0
+            return bytes(data[:kept]) + bytes(len(data) - kept)
         end = self._replace_ip(data, packet.data, at, packet.original_length, MAX_TUNNELS)
         data[end:] = bytes(len(data) - end)
         return bytes(data)
@@ -166,17 +175,17 @@ class AnonymousPackets:
     def payload(self, data: bytes, *, is_rtu: bool = False) -> bytes:
         """Return the payload of a TCP segment with everything replaced; the same size."""
         if is_rtu:
-            return self.rtu(data) if len(data) >= 4 and crc(data) == 0 else self._without_text(data)
+            return self.rtu(data) if len(data) >= 4 and crc(data) == 0 else self.other(data)
         parts = []
-        while len(data) > _MBAP and data[2:4] == b"\0\0" and mbap_size(data) > _MBAP:
+        while len(data) > MBAP_BYTES and data[2:4] == b"\0\0" and mbap_size(data) > MBAP_BYTES:
             size = mbap_size(data)
             parts.append(self.mbap(data[:size]))
             data = data[size:]
-        return b"".join(parts) + self._without_text(data)
+        return b"".join(parts) + self.other(data)
 
     def mbap(self, adu: bytes) -> bytes:
         """Return an ADU of Modbus/TCP, or its beginning, with everything replaced."""
-        return adu[:6] + self._unit(adu[6]) + self._pdu(adu[7:])
+        return adu[:6] + self._unit(adu[6]) + self._pdu(adu[MBAP_BYTES:])
 
     def rtu(self, frame: bytes) -> bytes:
         """Return an RTU frame with everything replaced, and a new CRC."""
@@ -184,17 +193,46 @@ class AnonymousPackets:
         return body + crc(body).to_bytes(2, "little")
 
     def ascii(self, raw: bytes) -> bytes:
-        """Return an ASCII frame with everything replaced, and a new LRC."""
+        """Return an ASCII frame with everything replaced, and a new LRC: wrong if it was."""
         frame = read_frame(raw)
-        if frame is None or frame.parity_in_data or len(frame.body) < 2:
-            return raw
+        if frame is None or len(frame.body) < 2:
+            return self._damaged_ascii(raw)
         body = self._unit(frame.body[0]) + self._pdu(frame.body[1:])
-        digits = (body + bytes((lrc(body),))).hex().encode()
-        return b":" + (digits if frame.is_lower_case else digits.upper()) + frame.end
+        error = frame.checksum.received - frame.checksum.computed
+        digits = (body + bytes(((lrc(body) + error) & 0xFF,))).hex().encode()
+        made = b":" + (digits if frame.is_lower_case else digits.upper()) + frame.end
+        return like_parity(made, raw)
 
     def other(self, data: bytes) -> bytes:
-        """Return bytes that are no frame with their texts replaced."""
-        return self._without_text(data)
+        """Return bytes that are no frame with their texts replaced, also those in ASCII digits."""
+        seven = data.translate(SEVEN_BITS)
+        made = []
+        end = 0
+        while match := _ASCII.match(seven, end):
+            end = match.end()
+            made.append(self.ascii(data[match.start() : end]))
+        parts = _DIGITS.split(data[end:])
+        parts[1::2] = [self._digits(one) for one in parts[1::2]]
+        return b"".join(made) + self._without_text(b"".join(parts))
+
+    def _damaged_ascii(self, raw: bytes) -> bytes:
+        """Replace the texts in damaged characters of ASCII; wrong parity bits stay wrong."""
+        seven = raw.translate(SEVEN_BITS)
+        parts = _DIGITS.split(seven)
+        parts[::2] = [self._without_text(one) for one in parts[::2]]
+        parts[1::2] = [self._digits(one) for one in parts[1::2]]
+        made = like_parity(b"".join(parts), raw)
+        errors = zip(raw, like_parity(seven, raw), strict=True)
+        return bytes(new ^ old ^ right for new, (old, right) in zip(made, errors, strict=True))
+
+    def _digits(self, digits: bytes) -> bytes:
+        """Replace the texts whose bytes are written as hexadecimal digits, from either digit on."""
+        for at in (0, 1):
+            end = len(digits) - (len(digits) - at) % 2
+            made = self._without_text(bytes.fromhex(digits[at:end].decode())).hex().encode()
+            made = made if digits != digits.upper() else made.upper()
+            digits = digits[:at] + made + digits[end:]
+        return digits
 
     def _unit(self, unit: int) -> bytes:
         return bytes((self._pseudonyms.unit(unit) if self._choice.units else unit,))
