@@ -569,7 +569,8 @@ class SerialMaster(MasterLink):
         is_other = self._other is not None and not (
             self._expected is not None and self._expected.fits(adu.pdu)
         )
-        if unit != adu.unit or is_other:
+        is_named = self._expected is None or self._expected.is_named_by(adu.pdu[0])
+        if unit != adu.unit or is_other or not is_named:
             return ReceivedResponse(-1, adu.pdu, adu.start_ns, adu.end_ns)
         self._pending, self._response = None, adu
         return ReceivedResponse(number, adu.pdu, adu.start_ns, adu.end_ns)

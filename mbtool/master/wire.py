@@ -11,7 +11,8 @@ import time
 from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, NamedTuple
 
-from mbtool.core import LinkError, SerialLink, TcpLink
+from mbtool.core import LinkError, SerialLink, TcpLink, UsageError
+from mbtool.core.link_spec import ANSWERED
 from mbtool.master.links import CONNECT_S, READ_BYTES, SerialMaster
 from mbtool.modbus import ascii_adu, mbap_adu, rtu_adu
 from mbtool.modbus.adu import MAX_ASCII_ADU
@@ -93,11 +94,13 @@ class Wire(ABC):
 def open_wire(link: LinkSpec, timeout_ns: int, listen_ns: int | None) -> Wire:
     """Open a link for any bytes. On a serial line listen first, as `MasterLink.take_line` does.
 
-    Raises LinkError if the slave cannot be reached, or another master asks on the line.
+    Raises LinkError if the slave cannot be reached, or another master asks on the line, UsageError
+    for a link on which nobody answers.
     """
     if isinstance(link, TcpLink):
         return TcpWire(link, timeout_ns)
-    assert isinstance(link, SerialLink)
+    if not isinstance(link, SerialLink):
+        raise UsageError(f"link {link}: a test needs {ANSWERED}")
     link.demand_one_port()
     master = SerialMaster(link, timeout_ns)
     try:

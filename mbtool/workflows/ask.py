@@ -149,6 +149,8 @@ class Changes:
 
     def _changed(self, before: NamedTransaction, now: NamedTransaction) -> list[PointValue]:
         olds, news = (self._points(one) for one in (before, now))
+        if len(olds) != len(news):  # The answer to another master's request, or a wrong one.
+            return news
         return [
             msgspec.structs.replace(new, value=None, text=f"{new.text} (was {old.text})")
             for old, new in zip(olds, news, strict=True)

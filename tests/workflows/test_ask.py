@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import msgspec
+
 from mbtool.core import EventKind, SerialLink, TcpLink
 from mbtool.devices import load_profile
 from mbtool.master.links import Exchange, MasterLink, ReceivedResponse, open_master
@@ -148,3 +150,18 @@ def test_a_broadcast_is_no_failure() -> None:
         ):
             tally.add(Asker(master, link, 0, None).ask(WRITE)[0])
     assert tally.sentence() == "asked 1, answered 1, failed 0"
+
+
+def test_an_answer_of_another_length_is_shown_whole() -> None:
+    changes = Changes(None)
+    lengths = iter((b"\x03\x04\x00\x01\x00\x02", b"\x03\x02\x00\x09"))
+    with TcpSlave(TcpLink(ANY), Scripted(lambda unit, pdu: Response(next(lengths)))) as slave:
+        link = TcpLink(slave.endpoint)
+        with open_master(link) as master:
+            asker = Asker(master, link, 1, None)
+            first, second = (asker.ask(READ)[0] for _ in range(2))
+    second = msgspec.structs.replace(second, outcome=first.outcome)
+    assert changes.since_last(READ, first) is first
+    told = changes.since_last(READ, second)
+    assert told is not None
+    assert [point.text for point in told.points] == ["9"]

@@ -200,6 +200,7 @@ class TcpSlave(Shell):
                 lambda: MasterConnection(self), self.rules.notes.append
             )
             await self._woken.wait()
+            self._woken.clear()
             await self._finish_accepting()
             server.close()
             self._is_closed = True
@@ -235,9 +236,9 @@ class TcpSlave(Shell):
 
     async def _stay_closed(self) -> None:
         while self._closed_s() > 0 and not self._is_stopping:
-            self._woken.clear()
             with suppress(TimeoutError):
                 await asyncio.wait_for(self._woken.wait(), self._closed_s())
+            self._woken.clear()
         self._woken.clear()
 
     def _closed_s(self) -> float:

@@ -348,6 +348,7 @@ def test_another_that_listens_while_no_connection_is_taken_is_told() -> None:
             with suppress(OSError):  # Until it has closed its own.
                 other.bind(("127.0.0.1", slave.endpoint.port))
         other.listen()
+        rules.until_ns = 0
         slave._loop.call_soon_threadsafe(slave._woken.set)
         with pytest.raises(LinkError, match="the port is in use"):
             slave.wait(PATIENCE_S)
