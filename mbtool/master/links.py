@@ -520,6 +520,10 @@ class SerialMaster(MasterLink):
                 f"the longest sure one of the other master is {duration(longest_ns)}; nothing was "
                 "sent. A shorter --timeout needs less, a longer --listen may find more"
             )
+        # What has waited in the port since the last request came at times that nobody knows.
+        while self.overhear(0)[0]:
+            pass
+        self._other.listen_anew()
         until_ns = time.monotonic_ns() + LONGEST_TURN_NS
         while self._other.rest_ns(now_ns := time.monotonic_ns()) < needed_ns:
             if now_ns > until_ns:

@@ -176,6 +176,11 @@ class OtherMaster:
         heard = [one.longest_latency_ns for one in self.polls.values() if one.request.unit == unit]
         return max(heard, default=0) or None
 
+    def listen_anew(self) -> None:
+        """Forget what was heard last, as bytes may have been missed since; the polls stay known."""
+        self._splitter.close()
+        self._answered = self._asked = None
+
     def note_our_request(self) -> None:
         """Note that a request of ours fills the present pause, so that no other one is sent."""
         self._answered = self._asked = None

@@ -107,3 +107,17 @@ def test_another_master_with_ever_new_requests_is_remembered_in_bounded_memory()
             other.feed(frame, now_ns)
             other.feed(b"", now_ns + 4 * MS)
     assert len(other.polls) == 256
+
+
+def test_a_pause_is_known_again_after_bytes_were_missed() -> None:
+    link = line()
+    other, now_ns = heard(link, 6)
+    known_ns = other.longest_pause_ns
+    other.listen_anew()
+    now_ns += 2_000 * MS
+    for frame, wait_ms in ((READ_2, 20), (ANSWER_2, 8)):
+        now_ns += wait_ms * MS + len(frame) * link.format.character_ns
+        other.feed(frame, now_ns)
+        other.feed(b"", now_ns + 4 * MS)
+    assert other.longest_pause_ns == known_ns
+    assert other.rest_ns(now_ns + 4 * MS) > 300 * MS
