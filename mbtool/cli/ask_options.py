@@ -157,7 +157,7 @@ class AskedSlave:
     timeout_ns: int
     tls: TargetTls | None
     listen_ns: int | None
-    """How long to listen for another master first, in ns; None for the usual times."""
+    """The time (ns) to listen for another master before the first request; None for the default."""
     is_between: bool
     """True if requests are sent in the pauses of another master."""
 

@@ -78,15 +78,15 @@ AGAIN_BEFORE = 0.01
 it stays below MARGIN for MAX_BEFORE responses."""
 
 MAX_BEFORE = 16
-"""Of a connection whose beginning the capture lacks, at most this many responses may answer
-requests before the capture."""
+"""The greatest number of responses that may answer requests from before the capture, if the
+capture lacks the beginning of their connection."""
 MAX_LATE = 4
 """A response may go to one of at most this many given-up requests, the newest ones. With the
 request that waits this gives fewer than MAX_READINGS ways to pair, so that no reading of equal cost
 is dropped."""
 MAX_LOST_RUNS = 16
-"""Of the runs of requests whose responses lost bytes may be, about so many are tried: the first
-ones, as a slave answers in order. More would cost time in a connection that is not Modbus."""
+"""About so many guesses are tried as to which requests' responses the missing bytes were. The
+guesses with the earliest requests come first, as a slave answers in order. More would cost time in a connection that is not Modbus."""
 MAX_READINGS = 20
 MAX_PASSED = 64
 MAX_LOST_RESPONSES = 8

@@ -27,7 +27,7 @@ class TransactionField(NamedTuple):
     type: inspect.Type
     """Its type, without None."""
     text: str
-    """What it is."""
+    """The description of the field for JSON schemas and docs."""
     places: dict[str, int | None]
     """Its places among the columns of CSV (`csv`) and Parquet (`table`); None if it comes last."""
     bits: int

@@ -27,7 +27,7 @@ MAX_ASKED = 2048
 
 
 class Lacks(IntEnum):
-    """What the response to a request lacks."""
+    """The fault of the response to a request: none, no response, or a wrong check."""
 
     NOTHING = 0
     RESPONSE = 1

@@ -137,7 +137,7 @@ def report(account: Account, *, with_cycles: bool = True) -> list[LinkReport]:
 
 
 class _Rows(NamedTuple):
-    """What the account has of one link."""
+    """The counts and times of one link, read from the account."""
 
     polls: list[PollStatistics]
     uses: list[UseAccount]

@@ -36,7 +36,7 @@ class FailureSpan(NamedTuple):
 
 
 class UnitAccount:
-    """What is known of one unit of a link, and from when to when it was asked and failed.
+    """The counts of one unit of a link, and the times (UTC ns) when it was asked and failed.
 
     Its requests are counted with its polls, and by `use` (UseAccount). Times are UTC ns.
     """

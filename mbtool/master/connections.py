@@ -64,7 +64,7 @@ class ConnectionsMaster(MasterLink):
             self._drop(number)
 
     def ended(self, number: int) -> ConnectionEnding | None:
-        """How the slave ended the connection `number` since it was opened; None if it did not."""
+        """Return the way in which the slave ended connection `number`; None if it did not."""
         master = self._masters.get(number)
         return None if master is None else master.ended
 

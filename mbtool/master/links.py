@@ -274,7 +274,7 @@ class TcpMaster(MasterLink):
         self._lost: deque[int] = deque(maxlen=MAX_OPEN_REQUESTS)
         self._last_id = 0
         self.ended: ConnectionEnding | None = None
-        """How the slave ended the connection that was opened last; None if it did not."""
+        """The way in which the slave ended the last connection, FIN or RST; None if it did not."""
         self.socket: socket.socket | None = self._connect(connect_s)
 
     def send(self, number: int, unit: int, pdu: bytes) -> None:

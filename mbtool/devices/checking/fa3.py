@@ -94,7 +94,7 @@ class _Third:
     others: tuple[str, ...]
     """The master's HOST:PORT of the connections beside it."""
     silent: str
-    """Of these, the one that was silent longest."""
+    """The connection among them that was silent longest."""
 
 
 @dataclass(slots=True)

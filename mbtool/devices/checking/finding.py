@@ -42,7 +42,7 @@ class Finding:
     """In a file of the bytes of a serial line, the numbers of bytes before the first case's request
     and response."""
     cases: tuple[tuple[int, ...], ...] = ()
-    """Of a finding about an attack or a scan, the packets of request and response of each case."""
+    """The packet numbers of request and response of each case of an attack or a scan."""
     level: Severity | None = None
     """The severity of a trouble that is no broken rule; None for that of the code's rule."""
 
