@@ -86,7 +86,8 @@ request that waits this gives fewer than MAX_READINGS ways to pair, so that no r
 is dropped."""
 MAX_LOST_RUNS = 16
 """About so many guesses are tried as to which requests' responses the missing bytes were. The
-guesses with the earliest requests come first, as a slave answers in order. More would cost time in a connection that is not Modbus."""
+guesses with the earliest requests come first, as a slave answers in order. More would cost time in
+a connection that is not Modbus."""
 MAX_READINGS = 20
 MAX_PASSED = 64
 MAX_LOST_RESPONSES = 8
