@@ -16,9 +16,7 @@ from mbtool.core.link_spec import ANSWERED
 from mbtool.core.moments import SECOND_NS
 from mbtool.master.links import CONNECT_S, READ_BYTES, SerialMaster
 from mbtool.modbus import ascii_adu, mbap_adu, rtu_adu
-from mbtool.modbus.adu import MAX_ASCII_ADU
-from mbtool.modbus.adu_bytes import crc, mbap_size
-from mbtool.modbus.ascii_frame import read_frame
+from mbtool.modbus.adu import MAX_ASCII_ADU, crc, mbap_size, read_frame
 from mbtool.ports.host_names import why_failed
 
 if TYPE_CHECKING:
