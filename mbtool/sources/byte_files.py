@@ -22,7 +22,10 @@ if TYPE_CHECKING:
     import io
     from collections.abc import Iterable, Iterator
 
-    from mbtool.core import LineSettings
+    from mbtool.core import LineSettings, WireEvent
+    from mbtool.packets.stream_events import StreamGap
+
+    SerialPiece = Chunk | WireEvent | StreamGap
 
 READ_BYTES = 4096
 
@@ -38,8 +41,8 @@ class SerialBytes(NamedTuple):
     line: LineSettings
     """The line's settings: those that the user gave, else those found from the times of the bytes
     or from the signal."""
-    pieces: Iterator[Chunk]
-    """The bytes in the order of the file, as consecutive chunks.
+    pieces: Iterator[SerialPiece]
+    """The bytes in the order of the file, as consecutive chunks, and losses that a text shows.
 
     The iterator raises InputError for bad content, CutError for a file that was cut off, and
     OSError if reading fails."""
