@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from mbtool.packets.stream_events import StreamGap
 
     SerialPiece = Chunk | WireEvent | StreamGap
+    """Bytes of a serial line, or a loss that a text log shows."""
 
 READ_BYTES = 4096
 
@@ -41,8 +42,8 @@ class SerialBytes(NamedTuple):
     line: LineSettings
     """The line's settings: those that the user gave, else those found from the times of the bytes
     or from the signal."""
-    pieces: Iterator[SerialPiece]
-    """The bytes in the order of the file, as consecutive chunks, and losses that a text shows.
+    pieces: Iterator[Chunk]
+    """The bytes in the order of the file, as consecutive chunks.
 
     The iterator raises InputError for bad content, CutError for a file that was cut off, and
     OSError if reading fails."""

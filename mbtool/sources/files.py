@@ -40,7 +40,7 @@ from mbtool.core import (
 from mbtool.core.wording import counted
 from mbtool.packets import CAPTURE_MAGICS, PCAP_MAGICS, PCAPNG_MAGIC, read_capture
 from mbtool.sources.appearance import find_appearance, is_text, text_without_frames, unknown_file
-from mbtool.sources.byte_files import SerialBytes, read_hex, read_raw
+from mbtool.sources.byte_files import read_hex, read_raw
 from mbtool.sources.text_log import TextLog
 
 if TYPE_CHECKING:
@@ -148,8 +148,8 @@ class CaptureFile:
         """The name of the file's serial line: the file's name without its suffix, or "stdin"."""
         return "stdin" if _is_standard_input(self._file) else PurePath(self.name).stem
 
-    def serial(self, line: LineSettings | None) -> SerialBytes:
-        """Return the bytes of the serial line in the file, and the line's settings.
+    def serial(self, line: LineSettings | None) -> tuple[LineSettings, Iterator[SerialPiece]]:
+        """Return the line's settings and the bytes of the serial line in the file, in its order.
 
         If `line` is None, the settings are found from the times of the bytes. Raises InputError for
         a file of packets, for a log, and, if `line` is None, for a file without times. The iterator
@@ -159,9 +159,9 @@ class CaptureFile:
             line, pieces = self._serial(line)
         except OSError as error:
             raise _unreadable(self.name, error) from error
-        return SerialBytes(line, self.guarded(pieces))
+        return line, self.guarded(pieces)
 
-    def _serial(self, line: LineSettings | None) -> SerialBytes:
+    def _serial(self, line: LineSettings | None) -> tuple[LineSettings, Iterator[SerialPiece]]:
         of_file = self.stream, self.name, self.link
         if self.kind is CaptureKind.BYTE_TIMES:
             from mbtool.sources.byte_times import read_byte_times
@@ -174,7 +174,7 @@ class CaptureFile:
         if self.kind is CaptureKind.TEXT_LOG:
             settings = line or LineSettings(SerialFormat())
             self._text = TextLog(*of_file, settings.format)
-            return SerialBytes(settings, self._frames(self._text))
+            return settings, self._frames(self._text)
         if line is None or self.kind not in (CaptureKind.RAW, CaptureKind.HEX):
             raise InputError(f"{self.name}: {self.kind}, where bytes of a serial line are wanted")
         return (read_raw if self.kind is CaptureKind.RAW else read_hex)(*of_file, line)

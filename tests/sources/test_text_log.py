@@ -334,7 +334,7 @@ def test_zeros_alone_are_no_text(tmp_path: Path) -> None:
 def _remarks(path: Path, text: str) -> str:
     path.write_text(text)
     with open_capture(path) as capture:
-        list(capture.serial(None).pieces)
+        list(capture.serial(None)[1])
         return capture.remark or ""
 
 
