@@ -40,11 +40,11 @@ from mbtool.core import (
     WireEvent,
 )
 from mbtool.core.link_spec import MODBUS_PORT
+from mbtool.core.moments import DAY_NS
 from mbtool.modbus.adu import Transport
 from mbtool.packets.stream_events import StreamGap
 from mbtool.sources.text_frames import Label, TextFrame, TextFrames
 from mbtool.sources.text_marks import (
-    DAY_NS,
     MAX_TIME_NS,
     DateOrder,
     Time,
