@@ -95,6 +95,11 @@ def open_wire(link: LinkSpec, timeout_ns: int, listen_ns: int | None) -> Wire:
     Raises LinkError if the slave cannot be reached, or another master asks on the line, UsageError
     for a link on which nobody answers.
     """
+    if isinstance(link, TcpLink) and link.is_udp:
+        raise UsageError(
+            f"link {link}: a test sends pieces of ADUs, which UDP cannot; test the slave over TCP "
+            "or on its serial line"
+        )
     if isinstance(link, TcpLink):
         return TcpWire(link, timeout_ns)
     if not isinstance(link, SerialLink):

@@ -9,7 +9,7 @@ import re
 import struct
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 import msgspec
 from fastcrc import crc16
@@ -26,12 +26,37 @@ MAX_ASCII_ADU = 513
 
 
 class Transport(StrEnum):
-    """The form of an ADU (RTU, ASCII, MBAP) and its medium (serial line or TCP)."""
+    """The form of an ADU (RTU, ASCII, MBAP) and its medium (serial line, TCP or UDP)."""
 
     RTU = "rtu"
     ASCII = "ascii"
     TCP = "tcp"
     RTU_TCP = "rtu-tcp"
+    UDP = "udp"
+    RTU_UDP = "rtu-udp"
+
+    @classmethod
+    def at_endpoint(cls, *, is_rtu: bool, is_udp: bool) -> Self:
+        """The transport at an endpoint of a network."""
+        return cls(f"rtu-{'udp' if is_udp else 'tcp'}" if is_rtu else "udp" if is_udp else "tcp")
+
+    @property
+    def has_mbap(self) -> bool:
+        """True for ADUs with an MBAP header."""
+        return self in (Transport.TCP, Transport.UDP)
+
+    @property
+    def over_tcp(self) -> Transport:
+        """The transport of the same form over TCP for one over UDP; else the transport itself.
+
+        Profiles name no UDP: what holds for a device over TCP holds over UDP.
+        """
+        return {Transport.UDP: Transport.TCP, Transport.RTU_UDP: Transport.RTU_TCP}.get(self, self)
+
+    @property
+    def over_udp(self) -> Transport:
+        """The transport of the same form over UDP for one over TCP; else the transport itself."""
+        return {Transport.TCP: Transport.UDP, Transport.RTU_TCP: Transport.RTU_UDP}.get(self, self)
 
     @property
     def is_serial(self) -> bool:

@@ -256,4 +256,4 @@ def _items(path: str, options: ReadingOptions) -> Iterator[Evidence]:
         elif capture.kind in PACKET_KINDS:
             yield from reads_of(capture.packets())
         else:
-            yield from capture.serial(options.line).pieces
+            yield from capture.serial(options.line)[1]
