@@ -11,12 +11,12 @@ from mbtool.cli import exit_codes
 from mbtool.cli.console import PipeConsole
 from mbtool.cli.keys import controlled
 from mbtool.cli.output import told_as_lost
+from mbtool.cli.output_file import demand_writable
 from mbtool.cli.output_path import demand_other_file
 from mbtool.cli.progress import with_progress
 from mbtool.cli.range_lists import add_ranges, demand_list
 from mbtool.cli.talk import say
 from mbtool.core import LinkError, UsageError
-from mbtool.core.errors import reason_unwritten
 from mbtool.core.wording import counted, milliseconds, plural
 from mbtool.replay.significance import MIN_VALUES
 from mbtool.sources.priority import run_promptly
@@ -49,7 +49,7 @@ def play_as_master(
     for written, inputs in ((report_file, [file, *lists]), (learn, [file])):
         if written is not None:
             demand_other_file(inputs, str(written))
-            _demand_writable(written)
+            demand_writable(written)
     run = MasterRun(file, options, say, with_progress)
     if learn is not None and learn.is_file():
         demand_list(learn, run)
@@ -74,19 +74,6 @@ def play_as_master(
         raise typer.Exit(exit_codes.INTERRUPTED)
     if report.differences:
         raise typer.Exit(exit_codes.NO)
-
-
-def _demand_writable(file: Path) -> None:
-    """Raise UsageError, before a long run, if a file cannot be written; leave no file behind."""
-    if file.exists() and not (file.is_file() or file.is_dir()):
-        return  # Opening a pipe would wait until somebody reads it.
-    was_there = file.exists() or file.is_symlink()
-    try:
-        file.open("ab").close()
-        if not was_there:
-            file.unlink()
-    except OSError as error:
-        raise UsageError(f"{file}: cannot be written: {reason_unwritten(file, error)}") from error
 
 
 def _write(file: Path, text: str) -> None:

@@ -217,7 +217,7 @@ class OtherMaster:
         return max(heard, default=0) or None
 
     def listen_anew(self, now_ns: int) -> None:
-        """Forget what was heard last, as bytes were missed before `now_ns`; the polls stay known."""
+        """Forget what was heard last, as bytes were missed before `now_ns`; keep the polls."""
         self._splitter.close()
         self._answered = self._asked = None
         self._anew_ns = now_ns
