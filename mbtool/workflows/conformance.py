@@ -25,7 +25,7 @@ from enum import StrEnum
 from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.core import Direction, LinkError, SerialLink, TcpLink
-from mbtool.core.wording import duration, milliseconds
+from mbtool.core.wording import counted, duration, milliseconds
 from mbtool.modbus import FUNCTIONS, encode_pdu, exception_name, mbap_adu
 from mbtool.modbus.expected_response import ExpectedResponse
 from mbtool.modbus.functions import EXCEPTION_BIT
@@ -57,11 +57,12 @@ MOST_SILENT = 3
 _SIGNS = tuple(bytes.fromhex(text) for text in ("08 0000 a55a", "2b 0e 01 00", "04 0000 0001"))
 _LATE_NS = 3_000_000_000
 """An answer that does not come in time is awaited for this time (ns) more, to tell a late one."""
-_LONGEST_PAUSE_NS = 40_000_000
+_LONGEST_PAUSE_NS = 60_000_000
 """A longer pause (ns) inside an answer is none of an adapter, which delivers bytes at least each
 16 ms."""
-_PAUSES = 3
-"""An answer pauses if it does so each of this many times: once may be a busy machine's fault."""
+_PAUSES = 8
+"""An answer pauses if it does so each of this many times: a busy machine makes pauses, too. With 3
+times, a machine with 22 processes for 2 cores made a false one."""
 _TORN_NS = 60_000_000
 """The pause inside a torn frame, in ns: longer than t3.5 at 1200 baud, also on a USB adapter."""
 
@@ -215,8 +216,9 @@ class Conformance:
 
     def _case(self, name: str, section: str, pdu: bytes) -> CaseResult:
         sent = self._wire.adu(self._unit, pdu)
+        begin_ns = time.monotonic_ns()
         heard = self._wire.send([sent])
-        problem = self._problem(pdu, sent, heard)
+        problem = self._problem(pdu, sent, heard, begin_ns)
         if problem:
             self._wire.renew()
         elif self._pauses(pdu, heard):
@@ -231,8 +233,11 @@ class Conformance:
             heard = self._wire.send([self._wire.adu(self._unit, pdu)])
         return True
 
-    def _problem(self, pdu: bytes, sent: bytes, heard: Heard) -> str:
-        """Compare what came with what the model answers; empty if they agree."""
+    def _problem(self, pdu: bytes, sent: bytes, heard: Heard, begin_ns: int) -> str:
+        """Compare what came with what the model answers; empty if they agree.
+
+        `begin_ns` is the time at which the request was sent, in ns of the monotonic clock.
+        """
         response = self._model.respond(self._unit, pdu, time.monotonic_ns())
         wanted = None if response is None else response.pdu
         if wanted is None:
@@ -240,7 +245,7 @@ class Conformance:
         self._unanswered = 0 if heard.raw else self._unanswered + 1
         got = heard.adus[0] if heard.adus else None
         if got is None:
-            late = "" if heard.raw or heard.is_closed else self._late()
+            late = "" if heard.raw or heard.is_closed else self._late(begin_ns)
             return f"expected {_text(wanted, pdu)}, got {late or self._shown(heard, pdu)}"
         if heard.rest:
             return f"expected nothing behind the answer, got {heard.rest.hex(' ')}"
@@ -262,16 +267,15 @@ class Conformance:
             return "the slave closed the connection after the answer before"
         return ""
 
-    def _late(self) -> str:
+    def _late(self, begin_ns: int) -> str:
         """Wait on for an answer that has not come in time; say how late it is, if it comes."""
-        begin_ns = time.monotonic_ns()
+        before_ns = time.monotonic_ns() - begin_ns
         heard = self._wire.hear(self._late_ns)
         if not heard.raw:
             self._late_ns = 0 if self._unanswered >= MOST_SILENT else self._late_ns
             return ""
         self._unanswered, self._late_ns = 0, _LATE_NS
-        after_ns = self._wire.timeout_ns + time.monotonic_ns() - begin_ns
-        return f"an answer only after {duration(after_ns)}"
+        return f"the answer only after {duration(before_ns + heard.after_ns)}"
 
     def _answered_read(self) -> bytes:
         """Return the PDU of a read that the profile's device answers with values."""
@@ -464,7 +468,9 @@ def _text(response: bytes, pdu: bytes) -> str:
     if pdu and pdu[0] in _READS and (not response or response[0] == pdu[0]):
         quantity = int.from_bytes(pdu[3:5])
         if response and (expected := ExpectedResponse.of(pdu)) and not expected.fits(response):
-            return f"{len(response) - 2} bytes of values"
+            more = len(response) - 2 - response[1] if len(response) > 1 else 0
+            behind = f" and {counted(more, 'byte')} behind them" if more > 0 else ""
+            return f"{counted(len(response) - 2 - max(more, 0), 'byte')} of values{behind}"
         return f"{quantity} value{'s' * (quantity != 1)}"
     return f"{response.hex(' ')}" if response else "an answer"
 
