@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.core import LinkError, SerialLink, TcpLink, UsageError
 from mbtool.core.link_spec import ANSWERED
+from mbtool.core.moments import SECOND_NS
 from mbtool.master.links import CONNECT_S, READ_BYTES, SerialMaster
 from mbtool.modbus import ascii_adu, mbap_adu, rtu_adu
 from mbtool.modbus.adu import MAX_ASCII_ADU
@@ -39,7 +40,6 @@ _REST_NS = 500_000_000
 """The rest of an answer on a serial line is awaited for this time (ns) after its last byte."""
 _SHOWN = 32
 """So many bytes of a damaged answer are shown."""
-_NS = 1_000_000_000
 
 
 class HeardAdu(NamedTuple):
@@ -153,7 +153,7 @@ class SerialWire(Wire):
                 raise LinkError(f"{self._master.link}: somebody else speaks without a pause")
         for number, piece in enumerate(pieces):
             if number:
-                time.sleep(pause_ns / _NS)
+                time.sleep(pause_ns / SECOND_NS)
             self._master.send_bytes(piece)
         return self.hear(self._wait_ns(awaited))
 
@@ -240,7 +240,7 @@ class TcpWire(Wire):
         try:
             for number, piece in enumerate(pieces):
                 if number:
-                    time.sleep(pause_ns / _NS)
+                    time.sleep(pause_ns / SECOND_NS)
                 self._socket.sendall(piece)
         except OSError:
             self.close()
@@ -259,7 +259,7 @@ class TcpWire(Wire):
                 rest_ns = until_ns - time.monotonic_ns()
                 if rest_ns <= 0:
                     break
-                self._socket.settimeout(rest_ns / _NS)
+                self._socket.settimeout(rest_ns / SECOND_NS)
                 data = self._socket.recv(READ_BYTES)
                 first_ns = first_ns or time.monotonic_ns()
                 raw += data

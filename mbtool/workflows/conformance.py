@@ -25,6 +25,7 @@ from enum import StrEnum
 from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.core import Direction, LinkError, SerialLink, TcpLink
+from mbtool.core.limits import LAST_UNIT
 from mbtool.core.wording import counted, duration, milliseconds
 from mbtool.modbus import FUNCTIONS, encode_pdu, exception_name, mbap_adu
 from mbtool.modbus.expected_response import ExpectedResponse
@@ -51,7 +52,6 @@ _OTHERS = tuple(
 _LAST = 0xFFFF
 _RANDOM_READS = 20
 _QUICK_REQUESTS = 20
-_HIGHEST_UNIT = 247
 MOST_SILENT = 3
 """After so many requests in a row without an answer other signs of life are looked for."""
 _SIGNS = tuple(bytes.fromhex(text) for text in ("08 0000 a55a", "2b 0e 01 00", "04 0000 0001"))
@@ -290,7 +290,7 @@ class Conformance:
 
     def _frames(self, link: SerialLink) -> Iterator[CaseResult]:
         good = self._wire.adu(self._unit, self._good)
-        other = self._unit % _HIGHEST_UNIT + 1
+        other = self._unit % LAST_UNIT + 1
         where = "Serial Line V1.02"
         yield self._silent("wrong check", f"{where} 2.5.1.2", [_wrong_check(good, link)])
         yield self._silent(
