@@ -137,6 +137,10 @@ class Reading:
     def profile_for(self, transaction: NamedTransaction) -> Profile | None:
         return self.assignments.profile_for(transaction)
 
+    def profile_named(self, name: str) -> Profile | None:
+        """Return the profile in use that has this name; None if there is none."""
+        return next((one for one in self.assignments.profiles if one.name == name), None)
+
     @property
     def fraction(self) -> float | None:
         """The share (0 to 1) of the files read so far; None if it is unknown, as for a pipe."""
