@@ -70,6 +70,12 @@ def value_tables(table: pa.Table, profile_named: ProfileNamed) -> Iterator[pa.Ta
         yield _values_of(batch, profile_named)
 
 
+def joined_values(table: pa.Table, profile_named: ProfileNamed) -> pa.Table:
+    """Return the values of `value_tables` as one table."""
+    parts = list(value_tables(table, profile_named))
+    return pa.concat_tables(parts) if parts else VALUE_SCHEMA.empty_table()
+
+
 def _values_of(batch: pa.RecordBatch, profile_named: ProfileNamed) -> pa.Table:
     effective = pc.is_in(batch["outcome"].cast(pa.string()), value_set=_EFFECTIVE)
     is_effective: Bools = effective.to_numpy(zero_copy_only=False)
