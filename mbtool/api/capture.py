@@ -20,6 +20,7 @@ from mbtool.core import (
     WireEvent,
     parse_line,
 )
+from mbtool.workflows.shared.named_files import named_files
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
 
 if TYPE_CHECKING:
@@ -323,6 +324,7 @@ def open_capture(
 ) -> Capture:
     """Open a capture (.pcap, .pcapng) or a log (.mcap), plain, .gz or .zst; or several as one.
 
+    A folder stands for the captures in it, a pattern ("site-*.pcap") for the files that fit it.
     `devices` gives slaves their profiles: {5: "idec-ft1a-touch", "192.168.3.250": "fa3-at1m8x"}; a
     log contains the profiles that it was recorded with. `where` chooses transactions: 'unit == 5
     and outcome != "ok"'. `line` says that the file has the bytes of a serial line: "rtu@19200-8E1".
@@ -341,5 +343,5 @@ def open_capture(
         line=settings,
         raw=raw,
     )
-    paths = [fspath(one) for one in (path, *more)]
+    paths = named_files([fspath(one) for one in (path, *more)])
     return Capture(paths, options, where, incomplete=incomplete)

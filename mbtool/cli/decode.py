@@ -126,6 +126,7 @@ def decode(
     from mbtool.core import UsageError, WireEvent
     from mbtool.workflows.shared.log_records import followed
     from mbtool.workflows.shared.model_hints import ModelHints
+    from mbtool.workflows.shared.named_files import named_files
     from mbtool.workflows.shared.time_window import TimeWindow
     from mbtool.workflows.shared.unreadable_lines import UnreadableLines
 
@@ -133,7 +134,9 @@ def decode(
         raise UsageError("--follow goes with one log, and not with --raw, --link or --sunspec")
     if follow and sort is not None:
         raise UsageError("--follow prints each row as it comes; --sort needs all of them first")
-    if is_job(files, output, group):
+    if not is_job(files, output, group):
+        files = named_files(files)
+    else:
         refuse_others({
             "--device": device, "--where": where, "--start": start, "--end": end,
             "--limit": limit, "--follow": follow, "--raw": raw, "--link": source.link,

@@ -153,6 +153,10 @@ class Reading:
         return f"file {min(self.results.files_read + 1, len(self._paths))} of {len(self._paths)}"
 
     @property
+    def noun(self) -> str:
+        return "transactions"
+
+    @property
     def why_empty(self) -> str | None:
         """A line for the user that says why the files have no transaction, and no event but such
         about connections with other protocols.
