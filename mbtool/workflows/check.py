@@ -47,9 +47,8 @@ if TYPE_CHECKING:
     from mbtool.ledger.poll_statistics import PollStatistics
     from mbtool.query.where import Where
     from mbtool.troubles.judge import Judgement
+    from mbtool.workflows.shared.read_all import Watch
     from mbtool.workflows.shared.reading import ReadingOptions
-
-    WatchRows = Callable[[Reading, Iterator[Record | BlockRows]], Iterator[Record | BlockRows]]
 
 LARGE = 256 * 1024
 """The least size (bytes) of a capture file that is read as numpy arrays. For a smaller file,
@@ -254,7 +253,7 @@ class CheckRun:
         """True if the files have transactions, but none in the time between --start and --end."""
         return self._window.why_empty is not None
 
-    def findings(self, watch: WatchRows = unwatched) -> Iterator[FileFinding]:
+    def findings(self, watch: Watch = unwatched) -> Iterator[FileFinding]:
         """Yield the findings that the filter chooses, capture by capture.
 
         `watch` passes on the records as they are read, and may show the progress. Raises InputError
