@@ -96,10 +96,10 @@ class Capture:
         """Return all transactions as a `pyarrow.Table`; docs/log-format.md lists its columns.
 
         A file of packets that is opened without `devices`, `where`, `line` and `any_port` is
-        decoded several times as fast in this way as one by one. Raises UsageError if numpy or
-        pyarrow are not installed.
+        decoded several times as fast in this way as one by one. Raises UsageError if pyarrow is not
+        installed.
         """
-        if any(find_spec(name) is None for name in ("numpy", "pyarrow")):
+        if find_spec("pyarrow") is None:
             from mbtool.core.extras import missing_extra
 
             raise missing_extra("table()", "columns")
