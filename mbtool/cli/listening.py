@@ -25,7 +25,7 @@ def heard_ports(links: Sequence[LinkSpec], options: PortOptions) -> TcpPorts:
     """
     from mbtool.cli.talk import say
     from mbtool.core import InterfaceLink
-    from mbtool.workflows.shared.reading import DEFAULT_PORT
+    from mbtool.core.link_spec import MODBUS_PORT
 
     given = options.tcp_ports()
     if (
@@ -34,7 +34,7 @@ def heard_ports(links: Sequence[LinkSpec], options: PortOptions) -> TcpPorts:
         and not any(isinstance(one, InterfaceLink) for one in links)
     ):
         say("mbtool: --port has no effect: it is for interfaces (net:), and there is none")
-    return given if given.ports else given._replace(ports=[DEFAULT_PORT])
+    return given if given.ports else given._replace(ports=[MODBUS_PORT])
 
 
 def allowed_networks(

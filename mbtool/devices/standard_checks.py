@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 
     from mbtool.modbus.transaction import Transaction
 
-LAST_UNIT = 247
 """The highest unit on a serial line; 248 to 255 are reserved (Serial Line 2.2)."""
 
 RESERVED = frozenset((9, 10, 13, 14, 41, 42, 91, 125, 126, 127))

@@ -13,6 +13,7 @@ import msgspec
 from mbtool.modbus.functions import (
     ECHOING,
     EXCEPTION_BIT,
+    FORCE_LISTEN_ONLY,
     FUNCTIONS,
     QUERY_DATA,
     READ_BITS,
@@ -32,7 +33,6 @@ _ECHOED = ECHOING - {0x08}  # 08 echoes only some of its sub-functions.
 _SIZES = {code: one.response.length(b"") or UNKNOWN_SIZE for code, one in FUNCTIONS.items()}
 """The size in bytes of the response's PDU, by function code; UNKNOWN_SIZE if the function alone
 does not tell it."""
-_FORCE_LISTEN_ONLY = 4
 """The sub-function of 08 that has no response (V1.1b3, 6.8.1)."""
 
 
@@ -63,7 +63,7 @@ class ExpectedResponse(msgspec.Struct, frozen=True, gc=False):
             return cls(code, request[:5], 5)
         if code == 0x08:
             sub_function = int.from_bytes(request[1:3])
-            if sub_function == _FORCE_LISTEN_ONLY:
+            if sub_function == FORCE_LISTEN_ONLY:
                 return None
             echoed = request if sub_function == QUERY_DATA else request[:3]
             return cls(code, echoed, len(request))

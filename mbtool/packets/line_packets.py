@@ -35,6 +35,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import msgspec
 
 from mbtool.core import Chunk, Connection, Direction, Origin, Packet, Stamp, StreamPlace
+from mbtool.core.link_spec import MODBUS_PORT
 from mbtool.packets.pcap import MAX_CAPTURED
 from mbtool.packets.serial_packets import RTAC_HEADER
 
@@ -44,7 +45,6 @@ if TYPE_CHECKING:
 RAW_IPV4 = 228
 LOCAL_OPTION = 0x8D62
 LOCAL_BLOCK = 0x80008D62
-MODBUS_PORT = 502
 MASTER_PORT = 20502
 MAX_LINK_NUMBER = 255
 

@@ -30,7 +30,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from mbtool.core import Direction
-from mbtool.modbus.functions import READS, TABLE_FUNCTIONS
+from mbtool.modbus.functions import READ_WRITE_REGISTERS, READS, TABLE_FUNCTIONS
 from mbtool.modbus.pdu import exception_pdu, parse_pdu
 from mbtool.modbus.register_access import register_access, response_to, values_after
 from mbtool.modbus.response import Response
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 
 MAX_KNOWN = 4096
 
-_PLAIN_READS = READS - {0x17}
+_PLAIN_READS = READS - {READ_WRITE_REGISTERS}
 """Functions that only read, not 17H: the response consists of a byte count and the values."""
 
 
