@@ -50,9 +50,8 @@ if TYPE_CHECKING:
     from mbtool.workflows.shared.read_all import Watch
     from mbtool.workflows.shared.reading import ReadingOptions
 
-LARGE = 256 * 1024
-"""The least size (bytes) of a capture file that is read as numpy arrays. For a smaller file,
-importing numpy would take longer than arrays save."""
+    WatchRows = Callable[[Reading, Iterator[Record | BlockRows]], Iterator[Record | BlockRows]]
+
 _CONNECTIONS = frozenset((EventKind.OPENED, EventKind.CLOSED))
 
 
@@ -184,7 +183,7 @@ class CheckRun:
         self._paths = paths
         self._options = options
         self._line = options.line
-        self._columns = column_reading(paths, options, at_least=LARGE) if wanted is None else None
+        self._columns = column_reading(paths, options) if wanted is None else None
         self.reading: Reading = self._columns or Reading(paths, options)
         self._ports: frozenset[int] | None = None
         if options.any_port:
