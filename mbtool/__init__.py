@@ -33,7 +33,7 @@ if TYPE_CHECKING:
         ProfileError,
         UsageError,
     )
-    from mbtool.core.events import EventKind, WireEvent
+    from mbtool.core.evidence import EventKind, WireEvent
     from mbtool.devices.named_transaction import NamedTransaction, PointValue
     from mbtool.modbus.transaction import Outcome
     from mbtool.troubles.trouble import Trouble

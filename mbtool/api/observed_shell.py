@@ -21,6 +21,7 @@ from mbtool.core.link_spec import ANSWERED
 from mbtool.core.wording import clock_time
 from mbtool.devices import Span, find_span
 from mbtool.modbus import FUNCTIONS, Outcome
+from mbtool.modbus.functions import READ_WRITE_REGISTERS
 from mbtool.slave.device.value_targets import ValueTarget, ValueTargets
 from mbtool.slave.shells import TcpSlave, slave_link
 from mbtool.views.cells import event_text, transaction_text
@@ -42,7 +43,6 @@ MAX_KEPT = 100_000
 72,000."""
 _SHOWN = 20
 """The message of a failed assertion shows at most this many requests."""
-_READ_WRITE = 0x17
 
 
 class ObservedShell:
@@ -303,12 +303,12 @@ def _written_at(one: NamedTransaction, span: Span) -> list[int] | None:
     the request writes nothing, or begins behind the first address of `span`.
     """
     function = FUNCTIONS.get(one.function)
-    first = one.write_address if one.function == _READ_WRITE else one.address
+    first = one.write_address if one.function == READ_WRITE_REGISTERS else one.address
     if (
         function is None
         or first is None
         or not one.request_values
-        or not (function.writes or one.function == _READ_WRITE)
+        or not (function.writes or one.function == READ_WRITE_REGISTERS)
     ):
         return None
     begin = span.first - first

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar
 import typer
 
 from mbtool.cli.tls_options import TargetTlsOptions
+from mbtool.core.moments import DAY_NS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -47,7 +48,7 @@ ListenOption = Annotated[
         "there. 0s: send at once. [default: 1s, or 5s if anything is heard]",
     ),
 ]
-_MOST_LISTEN_NS = 86_400_000_000_000
+_MOST_LISTEN_NS = DAY_NS
 
 
 def listen_ns(text: str | None) -> int | None:

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from mbtool.cli.options import PortOptions, TcpPorts
     from mbtool.core import LinkSpec
     from mbtool.decode.line_timing import LineTiming
-    from mbtool.ports.allowed_peers import AllowedPeers
+    from mbtool.ports.tcp_listener import AllowedPeers
     from mbtool.workflows.shared.recorder import Log
     from mbtool.workflows.sniff import Sniffer
 
@@ -25,7 +25,7 @@ def heard_ports(links: Sequence[LinkSpec], options: PortOptions) -> TcpPorts:
     """
     from mbtool.cli.talk import say
     from mbtool.core import InterfaceLink
-    from mbtool.workflows.shared.reading import DEFAULT_PORT
+    from mbtool.core.link_spec import MODBUS_PORT
 
     given = options.tcp_ports()
     if (
@@ -34,7 +34,7 @@ def heard_ports(links: Sequence[LinkSpec], options: PortOptions) -> TcpPorts:
         and not any(isinstance(one, InterfaceLink) for one in links)
     ):
         say("mbtool: --port has no effect: it is for interfaces (net:), and there is none")
-    return given if given.ports else given._replace(ports=[DEFAULT_PORT])
+    return given if given.ports else given._replace(ports=[MODBUS_PORT])
 
 
 def allowed_networks(
@@ -48,8 +48,7 @@ def allowed_networks(
     UsageError for a text that is no network, and if networks or limits are given without a tap.
     """
     from mbtool.core import TapLink, UsageError
-    from mbtool.ports.allowed_peers import AllowedPeers
-    from mbtool.ports.connection_limits import ConnectionLimits
+    from mbtool.ports.tcp_listener import AllowedPeers, ConnectionLimits
 
     if networks and not any(isinstance(one, TapLink) for one in links):
         raise UsageError("--allow is for taps, and there is none; write tap:LISTEN=TARGET")

@@ -28,7 +28,13 @@ from mbtool.devices.checking.quiet_run import (
     QuietWrite,
 )
 from mbtool.ledger.answered_reads import AnsweredReads, SlowRead
-from mbtool.modbus.functions import READ_BITS, READ_REGISTERS, WRITE_ONE, WRITE_SEVERAL
+from mbtool.modbus.functions import (
+    READ_BITS,
+    READ_REGISTERS,
+    READ_WRITE_REGISTERS,
+    WRITE_ONE,
+    WRITE_SEVERAL,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Iterator, Sequence
@@ -41,7 +47,7 @@ if TYPE_CHECKING:
     from mbtool.devices import NamedTransaction, Namer
     from mbtool.ledger.answered_run import AnsweredRun
 
-_READS = [*READ_BITS, *READ_REGISTERS - {0x17}]
+_READS = [*READ_BITS, *READ_REGISTERS - {READ_WRITE_REGISTERS}]
 _WRITES = [*WRITE_ONE - {0x16}, *WRITE_SEVERAL]
 FEWEST = 24
 """The fewest rows (transactions) of a QuietRows. A shorter series of quiet rows is given as

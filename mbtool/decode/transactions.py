@@ -11,6 +11,7 @@ import msgspec
 from mbtool.core import Direction, LinkAddresses, Origin
 from mbtool.framing.mbap import PARTS_NS
 from mbtool.modbus.adu import MAX_PDU, Adu, Transport, Verdict
+from mbtool.modbus.expected_response import mismatch
 from mbtool.modbus.functions import (
     READ_BITS,
     READ_REGISTERS,
@@ -18,10 +19,8 @@ from mbtool.modbus.functions import (
     exception_name,
     function_name,
 )
-from mbtool.modbus.layouts import COIL_VALUES
-from mbtool.modbus.packing import words
+from mbtool.modbus.layouts import COIL_VALUES, words
 from mbtool.modbus.pdu import Pdu, parse_pdu
-from mbtool.modbus.request_match import mismatch
 from mbtool.modbus.transaction import Outcome, Transaction
 
 SURE = 0.8

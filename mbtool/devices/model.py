@@ -34,8 +34,6 @@ Texts = dict[int, str]
 text its name."""
 
 WORD_BITS = 16
-READ_AND_WRITE = 0x17
-"""Function 17H, the only one that both reads and writes (Application Protocol, 6.17)."""
 
 
 class Radix(StrEnum):

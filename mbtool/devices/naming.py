@@ -22,10 +22,11 @@ from typing import TYPE_CHECKING
 
 import msgspec
 
+from mbtool.core.limits import LAST_UNIT
 from mbtool.devices.assignment import Assignments
 from mbtool.devices.identity import answer_word, identity_points
 from mbtool.devices.joined_words import JoinedWords
-from mbtool.devices.model import READ_AND_WRITE, AnswerWord, Point, Profile
+from mbtool.devices.model import AnswerWord, Point, Profile
 from mbtool.devices.named_transaction import NamedTransaction, PointValue
 from mbtool.devices.point_types import PointType
 from mbtool.devices.profile_checks import (
@@ -44,10 +45,15 @@ from mbtool.devices.profile_checks import (
 from mbtool.devices.references import write_reference
 from mbtool.devices.response_checks import response_findings
 from mbtool.devices.scale_factors import ScaleFactors
-from mbtool.devices.standard_checks import LAST_UNIT, form_codes, request_codes
+from mbtool.devices.standard_checks import form_codes, request_codes
 from mbtool.devices.values import PointInstance, point_instances, point_values
 from mbtool.modbus.adu import Verdict
-from mbtool.modbus.functions import FUNCTIONS, TABLE_FUNCTIONS
+from mbtool.modbus.functions import (
+    FUNCTIONS,
+    MASK_WRITE_REGISTER,
+    READ_WRITE_REGISTERS,
+    TABLE_FUNCTIONS,
+)
 from mbtool.modbus.identification import ENCAPSULATED, REPORT_SERVER_ID
 from mbtool.modbus.tables import Table
 from mbtool.modbus.transaction import Outcome
@@ -57,7 +63,6 @@ if TYPE_CHECKING:
 
 _MAX_CACHED = 4096
 
-_MASK_WRITE = 0x16
 
 _WITHOUT_REQUEST = frozenset((Outcome.UNSOLICITED, Outcome.NOT_CAPTURED))
 """The outcomes of transactions that may have only a response and no request."""
@@ -286,7 +291,7 @@ class _Vocabulary:
                 findings += [undocumented] if undocumented is not None else []
             if self._ranges and transaction.request_values and meaning.written and points:
                 written = points
-                if transaction.function == READ_AND_WRITE:
+                if transaction.function == READ_WRITE_REGISTERS:
                     written = [point for point in points if point.written]
                 if values_outside(self._ranges, written):
                     findings.append(value_finding(profile, transaction.function))
@@ -342,10 +347,10 @@ class _Vocabulary:
         known = FUNCTIONS.get(function)
         if known is None or known.table is None or address is None:
             return _Meaning(title, answer=answer, answer_texts=texts, findings=findings)
-        writes = known.writes and function != READ_AND_WRITE
+        writes = known.writes and function != READ_WRITE_REGISTERS
         reference = write_reference(self.profile, known.table, address, quantity, writing=writes)
         points = self._points_in(known.table, address, max(quantity or 1, 1), writing=writes)
-        if function == READ_AND_WRITE and transaction.write_address is not None:
+        if function == READ_WRITE_REGISTERS and transaction.write_address is not None:
             start, count = transaction.write_address, len(transaction.request_values or ())
             said = transaction.written_quantity
             written = write_reference(self.profile, known.table, start, said, writing=True)
@@ -356,7 +361,7 @@ class _Vocabulary:
                 read=points,
                 findings=findings,
             )
-        if function == _MASK_WRITE:
+        if function == MASK_WRITE_REGISTER:
             points = ()
         return _Meaning(
             title,
@@ -421,7 +426,7 @@ def _points(meaning: _Meaning, transaction: Transaction) -> list[PointValue]:
     points: list[PointValue] = []
     if meaning.written and transaction.request_values:
         points += point_values(meaning.written, transaction.request_values)
-        if transaction.function == READ_AND_WRITE:
+        if transaction.function == READ_WRITE_REGISTERS:
             points = [msgspec.structs.replace(point, written=True) for point in points]
     if meaning.read and transaction.response_values:
         points += point_values(meaning.read, transaction.response_values)

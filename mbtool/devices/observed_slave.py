@@ -17,8 +17,7 @@ from typing import TYPE_CHECKING
 
 from mbtool.devices.assignment import Who
 from mbtool.devices.identity import answer_word
-from mbtool.devices.model import READ_AND_WRITE
-from mbtool.modbus.functions import EXCEPTION_BIT, FUNCTIONS
+from mbtool.modbus.functions import EXCEPTION_BIT, FUNCTIONS, READ_WRITE_REGISTERS
 from mbtool.modbus.identification import identities
 from mbtool.modbus.tables import Table
 from mbtool.modbus.transaction import Outcome
@@ -197,7 +196,7 @@ def _requests(transaction: Transaction) -> list[tuple[ObservedRequest, Sequence[
         writes = known is not None and known.writes
         return [(ObservedRequest(function, None, None, 1, writes), None)]
     quantity = 1 if transaction.quantity is None else transaction.quantity
-    if function == READ_AND_WRITE and transaction.write_address is not None:
+    if function == READ_WRITE_REGISTERS and transaction.write_address is not None:
         written = transaction.request_values or []
         read = ObservedRequest(function, table, transaction.address, quantity, False)
         write = ObservedRequest(function, table, transaction.write_address, len(written), True)

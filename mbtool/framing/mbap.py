@@ -45,8 +45,16 @@ from typing import TYPE_CHECKING
 from mbtool.core import Direction, EventKind
 from mbtool.framing.skips import SkipRun
 from mbtool.framing.timed_buffer import TimedBuffer
-from mbtool.modbus.adu import MAX_PDU, Adu, DirectionBy, Skipped, Transport, Verdict
-from mbtool.modbus.adu_bytes import MBAP_BYTES, mbap_size
+from mbtool.modbus.adu import (
+    MAX_PDU,
+    MBAP_BYTES,
+    Adu,
+    DirectionBy,
+    Skipped,
+    Transport,
+    Verdict,
+    mbap_size,
+)
 from mbtool.modbus.pdu import pdu_length
 
 if TYPE_CHECKING:

@@ -20,7 +20,6 @@ from collections import Counter, OrderedDict
 from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind, WireEvent
-from mbtool.devices.model import READ_AND_WRITE
 from mbtool.ledger.link_statistics import LinkStatistics
 from mbtool.ledger.master_tape import Lacks
 from mbtool.ledger.observation import Observation
@@ -31,7 +30,7 @@ from mbtool.ledger.time_bins import LinkSum, TimeBins, UnitSum
 from mbtool.ledger.unit_account import MasterAccount, UnitAccount, UnitKey, UseAccount, UseKey
 from mbtool.modbus import Outcome
 from mbtool.modbus.damaged_answers import DamagedAnswers
-from mbtool.modbus.functions import FUNCTIONS
+from mbtool.modbus.functions import FUNCTIONS, READ_WRITE_REGISTERS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -440,7 +439,7 @@ class Account:
         """
         use.unit.transports.add(one.transport.value)
         is_refused = one.exception is not None
-        if one.function == READ_AND_WRITE:
+        if one.function == READ_WRITE_REGISTERS:
             use.widen(one.address, one.quantity, writes=False, is_refused=is_refused)
             use.widen(one.write_address, one.written_quantity, writes=True, is_refused=is_refused)
         else:

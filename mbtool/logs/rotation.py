@@ -24,6 +24,7 @@ import msgspec
 
 from mbtool.core import UsageError
 from mbtool.core.closing import ClosesOnExit
+from mbtool.core.moments import SECOND_NS
 from mbtool.logs.creating import check_path, demand_unlocked
 from mbtool.logs.messages import DecodingMark
 from mbtool.logs.writer import LogWriter
@@ -36,7 +37,6 @@ if TYPE_CHECKING:
 
 _PATTERN = re.compile(r"(?P<number>\d{1,9})(?P<suffix>[A-Za-z]{1,2})", re.ASCII)
 _SIZES = {"kb": 1_000, "mb": 1_000_000, "gb": 1_000_000_000}
-_SECOND_NS = 1_000_000_000
 _TIMES = {"s": 1, "m": 60, "h": 3600, "d": 86400}
 
 
@@ -59,7 +59,7 @@ class Rotation:
             if suffix in _SIZES:
                 return cls(size=number * _SIZES[suffix])
             if suffix in _TIMES:
-                return cls(time_ns=number * _TIMES[suffix] * _SECOND_NS)
+                return cls(time_ns=number * _TIMES[suffix] * SECOND_NS)
         raise UsageError(
             f"rotation {text!r}: write a size in KB, MB or GB or a time in s, m, h or d, "
             "for example 100MB or 1h"

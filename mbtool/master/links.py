@@ -31,6 +31,7 @@ from typing import TYPE_CHECKING, NamedTuple, Self
 from mbtool.core import Direction, LinkError, LinkSpec, SerialLink, TcpLink, UsageError
 from mbtool.core.limits import MAX_OPEN_REQUESTS, LinkLimits
 from mbtool.core.link_spec import ANSWERED
+from mbtool.core.moments import SECOND_NS
 from mbtool.core.wording import duration
 from mbtool.framing import MbapSplitter, RtuStreamSplitter
 from mbtool.master.other_master import (
@@ -75,8 +76,6 @@ _LISTEN_SLICE_NS = 20_000_000
 _LEAST_ASK_PAUSE_NS = 5_000_000
 """Shortest pause, in ns, before a request of `ask` on a serial line. At high baud rates t3.5 is so
 short that a listening adapter would return two frames as one."""
-
-_NS = 1_000_000_000
 
 
 class ReceivedResponse(NamedTuple):
@@ -158,7 +157,7 @@ class MasterLink(ABC):
         self._asked += 1
         self.send(self._asked, unit, pdu)
         if unit == 0 and self.transport.is_serial:
-            time.sleep(self.limits.turnaround_ns / _NS)
+            time.sleep(self.limits.turnaround_ns / SECOND_NS)
             return Exchange(self._request, None, ())
         response = self._response if self._is_answered(wait_ns) else None
         return Exchange(self._request, response, tuple(self._unread))
@@ -177,7 +176,7 @@ class MasterLink(ABC):
         response.
         """
         if self.limits.pause_ns:
-            time.sleep(max(2 * self.limits.pause_ns, _LEAST_ASK_PAUSE_NS) / _NS)
+            time.sleep(max(2 * self.limits.pause_ns, _LEAST_ASK_PAUSE_NS) / SECOND_NS)
         return self.limits.timeout_ns
 
     def _is_answered(self, wait_ns: int) -> bool:
@@ -300,7 +299,7 @@ class TcpMaster(MasterLink):
             self._lose()
 
     def receive(self, timeout_ns: int) -> Sequence[ReceivedResponse]:
-        wait_s = min(max(timeout_ns / _NS, 0.0), LONGEST_WAIT_S)
+        wait_s = min(max(timeout_ns / SECOND_NS, 0.0), LONGEST_WAIT_S)
         if self.socket is None:
             time.sleep(wait_s)
             return ()
@@ -426,7 +425,7 @@ class SerialMaster(MasterLink):
             timeout_ns=timeout_ns, one_at_a_time=True, pause_ns=link.format.t3_5_ns
         )
         self.link = link
-        self._port = open_port(link, link.format.t3_5_ns / _NS)
+        self._port = open_port(link, link.format.t3_5_ns / SECOND_NS)
         splitter = AsciiSplitter if link.ascii else RtuSplitter
         self._splitter: AsciiSplitter | RtuSplitter = splitter(
             link.format, speaker=Direction.RESPONSE
@@ -554,7 +553,7 @@ class SerialMaster(MasterLink):
         """
         begin_ns = time.monotonic_ns()
         is_there = self._has_bytes(0.0)
-        has_bytes = is_there or self._has_bytes(wait_ns / _NS)
+        has_bytes = is_there or self._has_bytes(wait_ns / SECOND_NS)
         data = bytes(self._port.read(self._port.in_waiting or 1)) if has_bytes else b""
         now_ns = time.monotonic_ns()
         return data, self._arrivals.arrived_ns(

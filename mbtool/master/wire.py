@@ -13,11 +13,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.core import LinkError, SerialLink, TcpLink, UsageError
 from mbtool.core.link_spec import ANSWERED
+from mbtool.core.moments import SECOND_NS
 from mbtool.master.links import CONNECT_S, READ_BYTES, SerialMaster
 from mbtool.modbus import ascii_adu, mbap_adu, rtu_adu
-from mbtool.modbus.adu import MAX_ASCII_ADU
-from mbtool.modbus.adu_bytes import crc, mbap_size
-from mbtool.modbus.ascii_frame import read_frame
+from mbtool.modbus.adu import MAX_ASCII_ADU, crc, mbap_size, read_frame
 from mbtool.ports.host_names import why_failed
 
 if TYPE_CHECKING:
@@ -31,7 +30,6 @@ QUIET_NS = 300_000_000
 _LEAST_GAP_NS = 40_000_000
 """After a whole response on a serial line further bytes are awaited for at least this time, in ns:
 USB adapters deliver bytes in blocks up to 16 ms apart."""
-_NS = 1_000_000_000
 
 
 class HeardAdu(NamedTuple):
@@ -130,7 +128,7 @@ class SerialWire(Wire):
                 raise LinkError(f"{self._master.link}: somebody else speaks without a pause")
         for number, piece in enumerate(pieces):
             if number:
-                time.sleep(pause_ns / _NS)
+                time.sleep(pause_ns / SECOND_NS)
             self._master.send_bytes(piece)
         sent_ns = time.monotonic_ns()
         raw, first_ns = b"", 0
@@ -195,7 +193,7 @@ class TcpWire(Wire):
         try:
             for number, piece in enumerate(pieces):
                 if number:
-                    time.sleep(pause_ns / _NS)
+                    time.sleep(pause_ns / SECOND_NS)
                 self._socket.sendall(piece)
             sent_ns = time.monotonic_ns()
             until_ns = sent_ns + self._wait_ns(awaited)
@@ -203,7 +201,7 @@ class TcpWire(Wire):
                 rest_ns = until_ns - time.monotonic_ns()
                 if rest_ns <= 0:
                     break
-                self._socket.settimeout(rest_ns / _NS)
+                self._socket.settimeout(rest_ns / SECOND_NS)
                 data = self._socket.recv(READ_BYTES)
                 first_ns = first_ns or time.monotonic_ns()
                 raw += data

@@ -21,10 +21,8 @@ from __future__ import annotations
 import msgspec
 
 from mbtool.core import Direction
-from mbtool.modbus.adu import MAX_PDU, Transport
-from mbtool.modbus.adu_bytes import mbap_size
-from mbtool.modbus.ascii_frame import read_frame
-from mbtool.modbus.functions import EXCEPTION_BIT, FUNCTIONS, WRITE_SEVERAL
+from mbtool.modbus.adu import MAX_PDU, Transport, mbap_size, read_frame
+from mbtool.modbus.functions import EXCEPTION_BIT, FUNCTIONS, READ_WRITE_REGISTERS, WRITE_SEVERAL
 from mbtool.modbus.layouts import Bytes, Fields, Layout, Value
 
 _EXCEPTION = Layout(("exception_code", 1))
@@ -99,7 +97,7 @@ def encode_pdu(code: int, direction: Direction, **fields: Value) -> bytes:
     if direction is Direction.REQUEST and isinstance(values, tuple | list):
         if code in WRITE_SEVERAL:
             fields.setdefault("quantity", len(values))
-        elif code == 0x17:
+        elif code == READ_WRITE_REGISTERS:
             fields.setdefault("write_quantity", len(values))
     pdu = bytes([code]) + LAYOUTS[direction][code].encode(fields)
     if len(pdu) > MAX_PDU:

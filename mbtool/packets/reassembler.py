@@ -42,10 +42,9 @@ from mbtool.packets.fragments import (
     find_fragment,
     fragment_events,
 )
-from mbtool.packets.link_addresses import link_addresses
-from mbtool.packets.link_layer import IP_FINDERS, NOT_IP
+from mbtool.packets.line_packets import USER_LINK_TYPES
+from mbtool.packets.link_layer import IP_FINDERS, NOT_IP, link_addresses
 from mbtool.packets.segment import ACK, RST, SYN, TcpSegment, endpoint, find_tcp, read_segment
-from mbtool.packets.serial_packets import USER_LINK_TYPES
 from mbtool.packets.stream_events import CloseReason, StreamEvent, StreamItem
 from mbtool.packets.tunnels import GRE_IN_FRAGMENTS, MAX_TUNNELS, find_inner
 

@@ -41,6 +41,7 @@ from mbtool.core import Direction
 from mbtool.devices import Difference, Side, Span
 from mbtool.devices import DifferenceKind as Kind
 from mbtool.modbus import exception_name, parse_pdu, register_access
+from mbtool.modbus.functions import EXCEPTION_BIT
 from mbtool.replay.script import Step
 from mbtool.replay.significance import ALPHA, MIN_VALUES, rank_sum
 from mbtool.replay.traffic import NO_ANSWER, ObservedValues, Sample, ValueKey
@@ -59,7 +60,6 @@ MAX_CONNECTIONS = 1024
 
 _OK = "ok"
 _OTHER_OUTCOMES = ("others", "others")
-_EXCEPTION_BIT = 0x80
 
 
 @dataclass(frozen=True, slots=True)
@@ -435,9 +435,9 @@ def _with_count(text: str, count: int, total: int) -> str:
 def _outcome(pdu: bytes | None, function: int) -> str:
     if pdu is None:
         return NO_ANSWER
-    if pdu[0] | _EXCEPTION_BIT != function | _EXCEPTION_BIT:
-        return f"answer to function {pdu[0] & ~_EXCEPTION_BIT:02X}"
-    if pdu[0] & _EXCEPTION_BIT:
+    if pdu[0] | EXCEPTION_BIT != function | EXCEPTION_BIT:
+        return f"answer to function {pdu[0] & ~EXCEPTION_BIT:02X}"
+    if pdu[0] & EXCEPTION_BIT:
         if len(pdu) != 2:
             return f"malformed exception {_shown(pdu)}"
         return f"exception {pdu[1]:02X} {exception_name(pdu[1])}"

@@ -11,9 +11,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from mbtool.core import Direction
+from mbtool.core.limits import LAST_UNIT
 from mbtool.framing.rtu_lengths import MIN_FRAME, frame_size
-from mbtool.modbus.adu import MAX_RTU_ADU, DirectionBy
-from mbtool.modbus.adu_bytes import crc
+from mbtool.modbus.adu import MAX_RTU_ADU, DirectionBy, crc
 from mbtool.modbus.functions import EXCEPTION_BIT, READ_BITS
 from mbtool.serial_line import costs
 from mbtool.serial_line.bus_model import (
@@ -25,7 +25,6 @@ from mbtool.serial_line.bus_model import (
     Classification,
 )
 from mbtool.serial_line.bus_state import MAX_PENDING_NS
-from mbtool.serial_line.frame_costs import MAX_UNIT
 from mbtool.serial_line.plausibility import is_padded
 
 if TYPE_CHECKING:
@@ -202,7 +201,7 @@ class FastPath:
         """
         model = self._model
         pending, history = model.state.pending, model.history
-        if pending is None or unit > MAX_UNIT or pdu == pending.pdu or not pending.fits(unit, pdu):
+        if pending is None or unit > LAST_UNIT or pdu == pending.pdu or not pending.fits(unit, pdu):
             return False
         if pdu[0] in READ_BITS and not is_padded(pending.pdu, pdu):
             return False

@@ -16,6 +16,7 @@ from math import log2
 from typing import TYPE_CHECKING
 
 from mbtool.core import Direction
+from mbtool.core.limits import LAST_UNIT
 from mbtool.modbus.functions import (
     ECHOING,
     EXCEPTION_BIT,
@@ -35,7 +36,6 @@ from mbtool.serial_line.plausibility import is_odd_request, is_odd_response, is_
 if TYPE_CHECKING:
     from mbtool.serial_line.line_history import LineHistory
 
-MAX_UNIT = 247
 """The largest address of a slave (Serial Line V1.02, 2.2)."""
 
 USUAL_TIMEOUT_NS = 200_000_000
@@ -65,7 +65,7 @@ def frame_cost(
             cost += costs.REQUEST_ON_THE_SLAVES_SIDE
     else:
         cost, by_time = _response_cost(history, state, unit, pdu, at_ns)
-    if unit > MAX_UNIT:
+    if unit > LAST_UNIT:
         cost += costs.RESERVED_UNIT
     return cost, by_time if history.trusts_silences else 0.0
 

@@ -30,10 +30,17 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.core import Direction
+from mbtool.core.limits import LAST_UNIT
 from mbtool.framing.rtu_lengths import MIN_FRAME, frame_size
-from mbtool.modbus.adu import MAX_RTU_ADU, MAX_TCP_ADU, Transport
-from mbtool.modbus.adu_bytes import MBAP_BYTES, crc, mbap_size
-from mbtool.modbus.ascii_frame import read_frame
+from mbtool.modbus.adu import (
+    MAX_RTU_ADU,
+    MAX_TCP_ADU,
+    MBAP_BYTES,
+    Transport,
+    crc,
+    mbap_size,
+    read_frame,
+)
 from mbtool.modbus.expected_response import ExpectedResponse
 from mbtool.modbus.functions import EXCEPTION_BIT, FUNCTIONS
 from mbtool.modbus.pdu import parse_pdu, pdu_length, pdu_of
@@ -65,7 +72,6 @@ frame."""
 
 _MARKED = 2
 _MIN_MBAP, _MIN_BARE = MBAP_BYTES + 1, 3
-_MAX_UNIT = 247
 _SENDERS = (Direction.REQUEST, Direction.RESPONSE)
 _CODES = bytes(sorted({*FUNCTIONS, *(code | EXCEPTION_BIT for code in FUNCTIONS)}))
 _RTU_START = re.compile(rb"(?=[\x00-\xf7][%s])" % re.escape(_CODES), re.DOTALL)
@@ -259,7 +265,7 @@ class TextFrames:
         if asked is not None and is_answer and _answers(asked.raw, Transport.RTU, raw):
             self.bare += 2
             return [asked, _FoundFrame(Transport.RTU, raw, ts_ns, row, Direction.RESPONSE)]
-        if Direction.REQUEST in form and data[0] <= _MAX_UNIT:
+        if Direction.REQUEST in form and data[0] <= LAST_UNIT:
             self._bare_request = _FoundFrame(Transport.RTU, raw, ts_ns, row, Direction.REQUEST)
         return []
 
@@ -457,7 +463,7 @@ def _rtu_frames(data: bytes, *, marked: bool) -> list[tuple[Transport, bytes]]:
 def _rtu_size(data: bytes, at: int) -> int:
     """The size of the RTU frame of a known function that begins at `at`; 0 if there is none."""
     start = data[at : at + MAX_RTU_ADU]
-    if len(start) < MIN_FRAME or start[0] > _MAX_UNIT:
+    if len(start) < MIN_FRAME or start[0] > LAST_UNIT:
         return 0
     for direction in _SENDERS:
         size = frame_size(start, direction)
@@ -490,7 +496,7 @@ def _ascii_frames(data: bytes) -> list[tuple[Transport, bytes]]:
     while match := _ASCII.match(data, at):
         raw = match[0].rstrip(b"\r\n") + b"\r\n"
         frame = read_frame(raw)
-        if frame is None or not frame.checksum.ok or frame.body[0] > _MAX_UNIT:
+        if frame is None or not frame.checksum.ok or frame.body[0] > LAST_UNIT:
             return []
         if not forms(Transport.ASCII, raw):
             return []

@@ -30,10 +30,10 @@ from typing import TYPE_CHECKING, BinaryIO, NamedTuple, cast
 
 from mbtool.core import Chunk, Connection, Endpoint, Origin, Stamp, StreamPlace
 from mbtool.core.link_spec import MODBUS_PORT
+from mbtool.core.moments import DAY_NS
 from mbtool.modbus.adu import Transport
 from mbtool.sources.text_frames import Label, TextFrame, TextFrames
 from mbtool.sources.text_marks import (
-    DAY_NS,
     MAX_TIME_NS,
     DateOrder,
     Time,

@@ -21,7 +21,6 @@ from typing import TYPE_CHECKING, NamedTuple
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-DAY_NS = 86_400 * 10**9
 MAX_TIME_NS = 1 << 62
 NEAR = 120
 """A mark is looked for in this many characters next to the bytes."""

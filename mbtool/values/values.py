@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from mbtool.devices.references import write_reference
 from mbtool.ledger.answered_reads import ValueChanges
 from mbtool.modbus import FUNCTIONS
+from mbtool.modbus.functions import MASK_WRITE_REGISTER
 from mbtool.values.value_series import ValueSeries
 
 if TYPE_CHECKING:
@@ -31,7 +32,6 @@ MAX_OF_POLL = 64
 MAX_POLLS = 2048
 MAX_LEFT_OUT = 65_536
 """The names of so many points and registers take 13 MB."""
-_MASK_WRITE = 0x16
 
 
 class SeriesKey(NamedTuple):
@@ -82,7 +82,7 @@ class Values:
             return
         only_writes = function.writes and one.write_address is None
         values = one.request_values if only_writes else one.response_values
-        if values is None or one.function == _MASK_WRITE:
+        if values is None or one.function == MASK_WRITE_REGISTER:
             return
         key = (one.link, one.unit, one.function, one.address, one.quantity, one.write_address)
         poll = self._poll(key)

@@ -22,6 +22,7 @@ from enum import StrEnum
 from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.core import Direction, SerialLink, TcpLink
+from mbtool.core.limits import LAST_UNIT
 from mbtool.modbus import FUNCTIONS, encode_pdu, exception_name, mbap_adu
 from mbtool.modbus.expected_response import ExpectedResponse
 from mbtool.modbus.functions import EXCEPTION_BIT
@@ -47,7 +48,6 @@ _OTHERS = tuple(
 _LAST = 0xFFFF
 _RANDOM_READS = 20
 _QUICK_REQUESTS = 20
-_HIGHEST_UNIT = 247
 _TORN_NS = 60_000_000
 """The pause inside a torn frame, in ns: longer than t3.5 at 1200 baud, also on a USB adapter."""
 
@@ -208,7 +208,7 @@ class Conformance:
 
     def _frames(self, link: SerialLink) -> Iterator[CaseResult]:
         good = self._wire.adu(self._unit, self._good)
-        other = self._unit % _HIGHEST_UNIT + 1
+        other = self._unit % LAST_UNIT + 1
         where = "Serial Line V1.02"
         yield self._silent("wrong check", f"{where} 2.5.1.2", [_wrong_check(good, link)])
         yield self._silent(

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from mbtool.core import InputError, LinkError, TcpLink
+from mbtool.core.moments import SECOND_NS
 from mbtool.core.wording import counted
 from mbtool.devices import Difference, DifferenceKind, Span, parse_span, write_reference
 from mbtool.master.connections import ConnectionsMaster
@@ -46,7 +47,6 @@ if TYPE_CHECKING:
     from mbtool.master.links import MasterLink
     from mbtool.workflows.shared.read_all import Watch
 
-_NS = 1_000_000_000
 _AT_ONCE_NS = 200_000
 """If the call that sends a request takes less than this (ns), the time before the call counts as
 the time of sending; else the time after it."""
@@ -63,7 +63,7 @@ class MasterOptions(PlayOptions):
     """The options for replaying a recording as the master, which sends the recorded requests."""
 
     is_loop: bool = False
-    timeout_ns: int = _NS
+    timeout_ns: int = SECOND_NS
     listen_ns: int | None = 0
     """How long to listen for another master on a serial line before the first request, in ns; 0 for
     not at all, None for the usual times."""
@@ -178,7 +178,7 @@ class MasterRun:
             tolerance=options.tolerance,
         )
         clock = PlayClock(
-            self.script.length_ns, rate=options.rate, gap_ns=_NS, is_loop=options.is_loop
+            self.script.length_ns, rate=options.rate, gap_ns=SECOND_NS, is_loop=options.is_loop
         )
         conductor, problem = None, None
         try:

@@ -32,6 +32,7 @@ from mbtool.devices.checking.lru_dict import LruDict
 from mbtool.devices.checking.transactions import request_text
 from mbtool.devices.named_transaction import NamedTransaction
 from mbtool.modbus.adu import Transport, Verdict
+from mbtool.modbus.functions import DIAGNOSTICS, FORCE_LISTEN_ONLY
 from mbtool.modbus.pdu import whole_pdu
 from mbtool.modbus.transaction import Outcome
 
@@ -54,7 +55,6 @@ capture's end."""
 USUAL = 0.25
 """A request comes at the usual period of its poll if it differs from it by at most this share."""
 
-_DIAGNOSTICS, _FORCE_LISTEN_ONLY = 0x08, 0x04
 _LOST = frozenset((EventKind.GAP, EventKind.CUT, EventKind.DISCARDED))
 _UNPAIRED = frozenset((Outcome.NO_ANSWER, Outcome.UNSOLICITED))
 _DAMAGE = frozenset((EventKind.SKIPPED, EventKind.BAD_CHECK, EventKind.FOREIGN))
@@ -330,7 +330,7 @@ def _needs_no_response(transaction: NamedTransaction, profile: Profile | None) -
     """
     if transaction.transport is Transport.RTU_TCP and transaction.unit == 0:
         return True
-    if transaction.function == _DIAGNOSTICS and transaction.sub_function == _FORCE_LISTEN_ONLY:
+    if transaction.function == DIAGNOSTICS and transaction.sub_function == FORCE_LISTEN_ONLY:
         return True
     rule = profile.rule(transaction.function) if profile is not None else None
     return rule is not None and not rule.answers

@@ -30,6 +30,7 @@ from mbtool.core import (
     UsageError,
     WireEvent,
 )
+from mbtool.core.link_spec import MODBUS_PORT
 from mbtool.core.wording import counted
 from mbtool.decode.decoder import Decoder
 from mbtool.decode.line_timing import LineTiming
@@ -73,9 +74,8 @@ if TYPE_CHECKING:
 _SERIAL_KINDS = frozenset(CaptureKind) - PACKET_KINDS - {CaptureKind.MCAP}
 UNDECODABLE_EVENTS = frozenset((EventKind.UNREADABLE, EventKind.CUT))
 
-DEFAULT_PORT = 502
 
-__all__ = ["DEFAULT_PORT", "UNDECODABLE_EVENTS", "Reading", "ReadingOptions"]
+__all__ = ["MODBUS_PORT", "UNDECODABLE_EVENTS", "Reading", "ReadingOptions"]
 
 
 class Reading:
@@ -113,7 +113,7 @@ class Reading:
         self._last_ns = 0
         """The time (UTC ns) of the last transaction or event that was yielded."""
         self._ports: tuple[Sequence[int], Sequence[int]] = (
-            options.ports or (DEFAULT_PORT,),
+            options.ports or (MODBUS_PORT,),
             options.rtu_ports,
         )
         self._any_port = options.any_port
@@ -300,7 +300,7 @@ class Reading:
             Namer(options.assignments),
             line=options.line,
             timing=self._timing(options.assignments),
-            ports=options.ports or (DEFAULT_PORT,),
+            ports=options.ports or (MODBUS_PORT,),
             rtu_ports=options.rtu_ports,
             any_port=options.any_port,
             across=True,  # Several interfaces of the file may have captured one connection.
@@ -441,7 +441,7 @@ class Reading:
     ) -> Iterator[Record]:
         """Decode the packets and bytes of a log, or of a capture made from one, again."""
         options = self._options
-        ports = options.ports or ports_of(log, PORTS) or (DEFAULT_PORT,)
+        ports = options.ports or ports_of(log, PORTS) or (MODBUS_PORT,)
         rtu_ports = options.rtu_ports or ports_of(log, RTU_PORTS)
         self._ports = (ports, rtu_ports)
         # If the user gave TCP ports, those stored in the log are not used.
