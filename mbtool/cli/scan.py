@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ipaddress
 import re
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -308,6 +307,7 @@ class _Runner:
 
     def run(self, units: list[int], addresses: range | None, rate: float, *, every: bool) -> None:
         """Find the units, and with `addresses` their areas; end early after Ctrl-C."""
+        from mbtool.cli.talk import shown_progress
         from mbtool.core import TcpLink
         from mbtool.workflows.scan import Scan
 
@@ -318,13 +318,13 @@ class _Runner:
             every=every,
             interval_ns=round(1e9 / rate),
         )
-        for text in self._steps(work, units, addresses):
-            _tell_progress(f"{text}; {len(self.state.units)} found, {work.asked:,} requests")
-            if self._resume is not None:
-                self._keep(self._resume)
-            if self._interrupt.asked:
-                break
-        _tell_progress("")
+        with shown_progress() as show:
+            for text in self._steps(work, units, addresses):
+                show(f"{text}; {len(self.state.units)} found, {work.asked:,} requests")
+                if self._resume is not None:
+                    self._keep(self._resume)
+                if self._interrupt.asked:
+                    break
 
     def _steps(self, work: Scan, units: list[int], addresses: range | None) -> Iterator[str]:
         for unit in work.units(units):
@@ -370,15 +370,6 @@ class _Runner:
         name = name_for(output) if is_file(output) else f"unit-{unit}"
         drafted = draft_profile(slaves.only("--units"), name, str(self._spec))
         give(drafted.text, output, overwrite=overwrite)
-
-
-def _tell_progress(text: str) -> None:
-    """Show how far the scan is, in one line of a terminal that is redrawn; "" erases it."""
-    from mbtool.cli.talk import escaped
-
-    if sys.stderr.isatty():
-        sys.stderr.write(f"\r\x1b[K{escaped(text)}")
-        sys.stderr.flush()
 
 
 def _print(found: list[ScanState], format_: ListFormat) -> None:
