@@ -28,8 +28,8 @@ back."""
 
 
 _FIRST_NS = 1_000_000_000
-"""The time (ns) from the first heartbeat to the second one; then it doubles up to HEARTBEAT_NS. So a
-recording that has just begun soon shows what it hears."""
+"""The time (ns) from the first heartbeat to the second one; then it doubles up to HEARTBEAT_NS, so
+that a recording that has just begun soon shows what it hears."""
 
 
 class StatusLog(FindingsLog, Protocol):
