@@ -133,7 +133,7 @@ def scan(
             state = _state(resume, spec, numbers, None if units_only else asked_addresses)
             try:
                 with _opened(spec, timeout, target, listen, between=between) as master:
-                    runner = _Runner(master, spec, state, interrupt, resume)
+                    runner = _Runner(master, spec, state, interrupt, resume, timeout)
                     runner.run(numbers, None if units_only else asked_addresses, rate, every=every)
                     if output is not None and not interrupt.asked:
                         runner.write_profile(output, overwrite=overwrite)
@@ -293,6 +293,7 @@ class _Runner:
         state: ScanState,
         interrupt: Interrupt,
         resume: Path | None,
+        timeout_s: float,
     ) -> None:
         from mbtool.workflows.ask import Asker
 
@@ -304,6 +305,7 @@ class _Runner:
         self.state = state
         self._interrupt = interrupt
         self._resume = resume
+        self._timeout_ns = round(timeout_s * 1e9)
 
     def run(self, units: list[int], addresses: range | None, rate: float, *, every: bool) -> None:
         """Find the units, and with `addresses` their areas; end early after Ctrl-C."""
@@ -317,6 +319,7 @@ class _Runner:
             is_tcp=isinstance(self._spec, TcpLink),
             every=every,
             interval_ns=round(1e9 / rate),
+            late_ns=self._timeout_ns,
         )
         with shown_progress() as show:
             for text in self._steps(work, units, addresses):
