@@ -75,7 +75,7 @@ EXAMPLES = {
         f"mbtool replay site.mcap --as-master --to {_PORT} --report result.xml",
     ),
     "diff": HelpExamples(
-        "comparing",
+        "diff",
         "mbtool diff good-day.mcap bad-day.mcap",
         "mbtool diff a.pcap b.pcap --ignore 'holding 9..19' --no-latency",
     ),

@@ -72,7 +72,7 @@ def replay(
         )
     if side == AS_SLAVE:
         from mbtool.cli.replay_slave import play_as_slave
-        from mbtool.ports.allowed_peers import AllowedPeers
+        from mbtool.ports.tcp_listener import AllowedPeers
 
         slave_options = as_slave.read(shared, is_loop=pace.loop)
         peers = AllowedPeers.parse(allow or (), connections.read())

@@ -356,8 +356,8 @@ class _Runner:
         from mbtool.cli.profile_files import give, is_file
         from mbtool.cli.talk import say
         from mbtool.core import UsageError
-        from mbtool.devices.drafting.draft import draft_profile
         from mbtool.devices.profile_template import name_for
+        from mbtool.values.draft import draft_profile
         from mbtool.workflows.scan import final_reads
         from mbtool.workflows.shared.observed_slaves import ObservedSlaves
 

@@ -55,7 +55,7 @@ from mbtool.serial_line import AsciiSplitter, RtuSplitter
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from mbtool.core import TargetTls
+    from mbtool.core import Endpoint, TargetTls
     from mbtool.modbus import Skipped
 
 CONNECT_S = 5.0
@@ -234,7 +234,7 @@ def open_master(
     cannot be reached, TLS fails or the port cannot be opened, UsageError if a master cannot use
     such a link.
     """
-    if tls is not None and not (isinstance(link, TcpLink) and not link.rtu):
+    if tls is not None and (not isinstance(link, TcpLink) or link.rtu or link.is_udp):
         raise UsageError(f"link {link}: TLS is for Modbus/TCP, tcp:HOST:PORT")
     if isinstance(link, SerialLink):
         link.demand_one_port()
@@ -245,7 +245,11 @@ def open_master(
 
 
 class TcpMaster(MasterLink):
-    """A master that reaches slaves through a TCP connection: Modbus/TCP, or RTU over TCP."""
+    """A master that reaches slaves through a TCP connection (Modbus/TCP, or RTU over TCP), or with
+    datagrams of UDP.
+
+    A datagram has whole ADUs: bytes of two are never joined. A lost one is not sent again.
+    """
 
     def __init__(
         self,
@@ -259,7 +263,7 @@ class TcpMaster(MasterLink):
         if it cannot be reached.
         """
         super().__init__()
-        self.transport = Transport.RTU_TCP if link.rtu else Transport.TCP
+        self.transport = Transport.at_endpoint(is_rtu=link.rtu, is_udp=link.is_udp)
         self.limits = LinkLimits(timeout_ns=timeout_ns, one_at_a_time=link.rtu)
         self._link = link
         self._on_remark = on_remark
@@ -312,17 +316,22 @@ class TcpMaster(MasterLink):
             return ()  # Only TLS's own messages came, no data.
         except OSError as error:
             why = failure(error, "slave")
+            if self._link.is_udp and isinstance(error, ConnectionRefusedError):
+                why = "its host answers that nobody listens at this port"
             if why is not None:
                 self._on_remark(f"mbtool: {self._link}: {why}")
             data, arrived_ns = b"", 0
             self.ended = ConnectionEnding.RESET
+        if not data and self._link.is_udp:
+            return ()
         if not data:
             self.ended = self.ended or ConnectionEnding.CLOSE
             self._lose()
             return ()
+        rest = self._splitter.restart() if self._link.is_udp else []
         return [
             response
-            for event in self._splitter.feed(data, arrived_ns)
+            for event in [*rest, *self._splitter.feed(data, arrived_ns)]
             if (response := self._matched(event)) is not None
         ]
 
@@ -389,17 +398,23 @@ class TcpMaster(MasterLink):
     def _connect(self, timeout_s: float) -> socket.socket:
         endpoint = self._link.endpoint
         try:
-            connected = socket.create_connection((endpoint.host, endpoint.port), timeout_s)
+            if self._link.is_udp:
+                connected = _datagram_socket(endpoint)
+            else:
+                connected = socket.create_connection((endpoint.host, endpoint.port), timeout_s)
         except (OSError, UnicodeError) as error:
             unknown = why_unknown(error)
             hint = "does a slave listen there?" if unknown is None else "is the name right?"
             why = unknown or why_failed(error)
             raise LinkError(f"{self._link}: cannot be reached: {why}; {hint}") from error
-        connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        if not self._link.is_udp:
+            connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         if self._tls is not None:
             connected = self._secured(connected, *self._tls)
         note_arrivals(connected)
-        self._splitter = (RtuStreamSplitter if self._link.rtu else MbapSplitter)(Direction.RESPONSE)
+        self._splitter = (RtuStreamSplitter if self._link.rtu else MbapSplitter)(
+            Direction.RESPONSE, is_udp=self._link.is_udp
+        )
         return connected
 
     def _secured(
@@ -413,6 +428,20 @@ class TcpMaster(MasterLink):
             of_tls = failure(error, "slave") if isinstance(error, OSError) else None
             why = of_tls or f"TLS: {why_failed(error)}; perhaps it speaks no TLS"
             raise LinkError(f"{self._link}: {why}") from error
+
+
+def _datagram_socket(endpoint: Endpoint) -> socket.socket:
+    """Open a socket that exchanges datagrams with one endpoint. Raises OSError, UnicodeError."""
+    family, kind, protocol, _, address = socket.getaddrinfo(
+        endpoint.host, endpoint.port, type=socket.SOCK_DGRAM
+    )[0]
+    connected = socket.socket(family, kind, protocol)
+    try:
+        connected.connect(address)
+    except OSError:
+        connected.close()
+        raise
+    return connected
 
 
 class SerialMaster(MasterLink):

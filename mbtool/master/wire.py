@@ -18,9 +18,15 @@ from mbtool.core.link_spec import ANSWERED
 from mbtool.core.moments import SECOND_NS
 from mbtool.master.links import CONNECT_S, READ_BYTES, SerialMaster
 from mbtool.modbus import ascii_adu, mbap_adu, rtu_adu
-from mbtool.modbus.adu import MAX_ASCII_ADU
-from mbtool.modbus.adu_bytes import CRC_BYTES, MBAP_BYTES, RTU_EXTRA_BYTES, crc, mbap_size
-from mbtool.modbus.ascii_frame import read_frame
+from mbtool.modbus.adu import (
+    CRC_BYTES,
+    MAX_ASCII_ADU,
+    MBAP_BYTES,
+    RTU_EXTRA_BYTES,
+    crc,
+    mbap_size,
+    read_frame,
+)
 from mbtool.modbus.expected_response import EXCEPTION_SIZE, ExpectedResponse
 from mbtool.modbus.functions import EXCEPTION_BIT
 from mbtool.ports.host_names import why_failed
@@ -120,6 +126,11 @@ def open_wire(link: LinkSpec, timeout_ns: int, listen_ns: int | None) -> Wire:
     Raises LinkError if the slave cannot be reached, or another master asks on the line, UsageError
     for a link on which nobody answers.
     """
+    if isinstance(link, TcpLink) and link.is_udp:
+        raise UsageError(
+            f"link {link}: a test sends pieces of ADUs, which UDP cannot; test the slave over TCP "
+            "or on its serial line"
+        )
     if isinstance(link, TcpLink):
         return TcpWire(link, timeout_ns)
     if not isinstance(link, SerialLink):

@@ -227,7 +227,7 @@ class MasterRun:
 
     def _open(self, link: LinkSpec) -> MasterLink:
         options = self._options
-        if not self._connections or not isinstance(link, TcpLink):
+        if not self._connections or not isinstance(link, TcpLink) or link.is_udp:
             return open_master(link, options.timeout_ns, self._on_remark)
         master = ConnectionsMaster(link, options.timeout_ns, self._on_remark)
         if self._connections[0].is_open:
