@@ -70,7 +70,7 @@ def site_picture() -> str:
         text=True,
     ) as player:
         assert player.stdout is not None
-        lines = []
+        lines: list[str] = []
         while "Ctrl-C ends" not in "".join(lines):
             lines.append(player.stdout.readline())
         for host, unit, function, address, quantity in asked:
