@@ -52,7 +52,7 @@ def changes_cost(numbers: Sequence[int], bits: int) -> float:
     if cost > _DEAR * min(len(numbers), INDEPENDENT):
         # A number that goes on as before is known by the changes of its changes.
         further = [after - before for before, after in pairwise(numbers)]
-        cost = min(cost, bits + _steps_cost(further, bits))
+        cost = min(cost, 2.0 + whole_cost(further[0], bits) + _steps_cost(further, bits))
     return cost
 
 
