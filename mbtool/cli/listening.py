@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from mbtool.cli.options import PortOptions, TcpPorts
     from mbtool.core import LinkSpec
     from mbtool.decode.line_timing import LineTiming
-    from mbtool.ports.allowed_peers import AllowedPeers
+    from mbtool.ports.tcp_listener import AllowedPeers
     from mbtool.workflows.shared.recorder import Log
     from mbtool.workflows.sniff import Sniffer
 
@@ -48,8 +48,7 @@ def allowed_networks(
     UsageError for a text that is no network, and if networks or limits are given without a tap.
     """
     from mbtool.core import TapLink, UsageError
-    from mbtool.ports.allowed_peers import AllowedPeers
-    from mbtool.ports.connection_limits import ConnectionLimits
+    from mbtool.ports.tcp_listener import AllowedPeers, ConnectionLimits
 
     if networks and not any(isinstance(one, TapLink) for one in links):
         raise UsageError("--allow is for taps, and there is none; write tap:LISTEN=TARGET")

@@ -168,8 +168,8 @@ class PortOptions(OptionGroup):
         typer.Option(
             "--port",
             metavar="PORT|any",
-            help="A TCP port of slaves, or any: find Modbus/TCP and RTU over TCP at all ports by "
-            "what is said there. Repeatable. [default: 502]",
+            help="A TCP or UDP port of slaves, or any: find Modbus/TCP and RTU over TCP at all "
+            "ports by what is said there. Repeatable. [default: 502]",
         ),
     ] = None
     rtu_port: Annotated[
@@ -177,7 +177,7 @@ class PortOptions(OptionGroup):
         typer.Option(
             "--rtu-port",
             metavar="PORT",
-            help="A TCP port of slaves that speak RTU over TCP. Repeatable.",
+            help="A TCP or UDP port of slaves that speak RTU over it. Repeatable.",
         ),
     ] = None
 

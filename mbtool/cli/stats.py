@@ -86,6 +86,7 @@ def stats(
     """
     from mbtool.cli.output import demand_standard_output
     from mbtool.core import UsageError
+    from mbtool.workflows.shared.named_files import named_files
 
     demand_standard_output()
     live = [is_link(one) for one in sources]
@@ -95,6 +96,8 @@ def stats(
         raise UsageError("--raw and --link go with files")
     if not any(live) and (duration is not None or allow):
         raise UsageError("--duration and --allow go with a link")
+    if not any(live):
+        sources = named_files(sources)
     shown = _Shown(sources, where, as_json, top)
     if any(live):
         _listen(shown, device, source, silences, allow, duration)

@@ -23,9 +23,8 @@ from mbtool.columns.plain_rows import link_addresses_of
 from mbtool.columns.usual_values import UsualValues
 from mbtool.core import Direction, Origin
 from mbtool.decode.transactions import Ends, add_origins, with_response
-from mbtool.modbus.adu import Adu, DirectionBy, Transport
-from mbtool.modbus.adu_bytes import MBAP_BYTES
-from mbtool.packets.link_addresses import MAX_CACHED_HEADERS
+from mbtool.modbus.adu import MBAP_BYTES, Adu, DirectionBy, Transport
+from mbtool.packets.link_layer import MAX_CACHED_HEADERS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -30,7 +30,7 @@ from mbtool.columns.packet_block import SPARE
 from mbtool.columns.sent_again import is_sent_again
 from mbtool.decode.network_pairing import TIMEOUT_NS
 from mbtool.framing.mbap import MAX_LENGTH, MAX_REQUEST_NS, MIN_LENGTH
-from mbtool.modbus.adu_bytes import MBAP_BYTES
+from mbtool.modbus.adu import MBAP_BYTES
 from mbtool.modbus.functions import EXCEPTION_BIT
 from mbtool.packets.segment import ACK
 

@@ -10,6 +10,7 @@ import msgspec
 
 from mbtool.core import Direction, LinkAddresses, Origin
 from mbtool.modbus.adu import MAX_PDU, Adu, Verdict
+from mbtool.modbus.expected_response import mismatch
 from mbtool.modbus.functions import (
     READ_BITS,
     READ_REGISTERS,
@@ -17,10 +18,8 @@ from mbtool.modbus.functions import (
     exception_name,
     function_name,
 )
-from mbtool.modbus.layouts import COIL_VALUES
-from mbtool.modbus.packing import words
+from mbtool.modbus.layouts import COIL_VALUES, words
 from mbtool.modbus.pdu import Pdu, parse_pdu
-from mbtool.modbus.request_match import mismatch
 from mbtool.modbus.transaction import Outcome, Transaction
 
 SURE = 0.8

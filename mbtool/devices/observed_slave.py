@@ -160,7 +160,7 @@ class ObservedSlave:
     def note(self, transaction: Transaction) -> None:
         """Add one transaction of this slave."""
         self.transactions += 1
-        self.transports.add(transaction.transport)
+        self.transports.add(transaction.transport.over_tcp)
         if transaction.response_raw is not None and transaction.exception is None:
             self._note_identity(transaction)
         if not 0 < transaction.function < EXCEPTION_BIT:

@@ -126,6 +126,8 @@ NOTATIONS = (
     ),
     # :0103000000025A, a frame of Modbus ASCII as it is
     Notation((b":00000000",), re.compile(rb":(?:00){4,}" + _AFTER), _ascii_frame),
+    # 581#01030400010002, a CAN frame that carries a part of a Modbus frame
+    Notation((b"000#00",), re.compile(rb"(?<=[ 0]000#)(?:00){1,8}" + _AFTER), _digits),
     # 0103000000020BC4, 0x0103000000020BC4
     Notation(
         (b"00000000",),
@@ -145,7 +147,7 @@ _DECIMALS = Notation(
     _decimal,
 )
 """[1, 3, 0, 0, 0, 2, 196, 11]: Python, JavaScript, Go."""
-_SINGLE = re.compile(rb"(?:[:=>\]]\s?|^\s*)(00)(?:\s{3,}\S{1,3})?\s*$")
+_SINGLE = re.compile(rb"(?:[:=>\]]\s{0,2}|^\s*)(00)(?:\s{3,}\S{1,3})?\s*$")
 """A single byte at the end of a line, as programs write that log each byte; or in a row of its own,
 with its character behind it."""
 _QUOTED = re.compile(rb"\"((?:[^\"\\]|\\.)*)\"|'((?:[^'\\]|\\.)*)'")

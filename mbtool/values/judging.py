@@ -363,7 +363,6 @@ def _judged(one: _Range, *, is_signed: bool) -> Iterator[Judged]:
         [(candidate, _best(candidate).order) for candidate, _ in one.division.parts],
         one.columns,
         one.inner_edges(),
-        [part.candidate.at for part in one.division.parts if one.is_alone(*part.candidate[:2])],
     )
     for (candidate, likelihood), is_in_doubt in zip(one.division.parts, doubts, strict=True):
         reading = _best(candidate)

@@ -47,13 +47,11 @@ if TYPE_CHECKING:
     from mbtool.ledger.poll_statistics import PollStatistics
     from mbtool.query.where import Where
     from mbtool.troubles.judge import Judgement
+    from mbtool.workflows.shared.read_all import Watch
     from mbtool.workflows.shared.reading import ReadingOptions
 
     WatchRows = Callable[[Reading, Iterator[Record | BlockRows]], Iterator[Record | BlockRows]]
 
-LARGE = 256 * 1024
-"""The least size (bytes) of a capture file that is read as numpy arrays. For a smaller file,
-importing numpy would take longer than arrays save."""
 _CONNECTIONS = frozenset((EventKind.OPENED, EventKind.CLOSED))
 
 
@@ -185,7 +183,7 @@ class CheckRun:
         self._paths = paths
         self._options = options
         self._line = options.line
-        self._columns = column_reading(paths, options, at_least=LARGE) if wanted is None else None
+        self._columns = column_reading(paths, options) if wanted is None else None
         self.reading: Reading = self._columns or Reading(paths, options)
         self._ports: frozenset[int] | None = None
         if options.any_port:
@@ -254,7 +252,7 @@ class CheckRun:
         """True if the files have transactions, but none in the time between --start and --end."""
         return self._window.why_empty is not None
 
-    def findings(self, watch: WatchRows = unwatched) -> Iterator[FileFinding]:
+    def findings(self, watch: Watch = unwatched) -> Iterator[FileFinding]:
         """Yield the findings that the filter chooses, capture by capture.
 
         `watch` passes on the records as they are read, and may show the progress. Raises InputError

@@ -15,7 +15,7 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 
@@ -46,6 +46,8 @@ _PROBES = (
 _IDENTIFICATION = _PROBES[2]
 _LEAST_SAME = 4
 """If so many units of a TCP link give the same answers, one device answers for all."""
+_Unit = Annotated[int, msgspec.Meta(ge=0, le=255)]
+_Address = Annotated[int, msgspec.Meta(ge=0, le=0x10000)]
 _VALUES, _NOTHING = 0, -1
 """How a read ended, beside exception codes: with values; without an answer of any use."""
 _ILLEGAL_FUNCTION, _ILLEGAL_VALUE = 0x01, 0x03
@@ -56,7 +58,7 @@ MOST_SILENT = 3
 class FoundUnit(msgspec.Struct, kw_only=True, omit_defaults=True):
     """A unit that answered."""
 
-    unit: int
+    unit: _Unit
     sign: str
     """The answer that it gave, as a table shows it."""
     answer: str = ""
@@ -70,21 +72,25 @@ class FoundUnit(msgspec.Struct, kw_only=True, omit_defaults=True):
 class FoundArea(msgspec.Struct, kw_only=True, frozen=True):
     """Addresses (on the wire, both included) of one table that a unit lets read."""
 
-    unit: int
-    table: str
-    first: int
-    last: int
+    unit: _Unit
+    table: Table
+    first: _Address
+    last: _Address
 
 
 class ScanState(msgspec.Struct, kw_only=True):
     """What a scan has found and where it stands; also the content of the file of --resume."""
 
     link: str
-    next_unit: int = 0
-    """The place of the next unit to ask in the list of units."""
+    numbers: list[_Unit] = []
+    """The units to ask."""
+    addresses: tuple[_Address, _Address] | None = None
+    """The first and the last address to read; None if no registers are read."""
+    next_unit: Annotated[int, msgspec.Meta(ge=0)] = 0
+    """The place in `numbers` of the next unit to ask."""
     units: list[FoundUnit] = []
     areas: list[FoundArea] = []
-    next_addresses: dict[str, int] = {}
+    next_addresses: dict[str, _Address] = {}
     """The next address to read, by `unit table`; the table is done if it is 65536."""
     remarks: list[str] = []
 
@@ -253,12 +259,12 @@ class Scan:
     def _add(self, unit: int, table: Table, first: int, end: int) -> None:
         """Note that addresses can be read, joined with the area that ends before them."""
         areas = self.state.areas
-        if areas and (areas[-1].unit, areas[-1].table) == (unit, table.value):
+        if areas and (areas[-1].unit, areas[-1].table) == (unit, table):
             last = areas[-1]
             if last.last + 1 == first:
-                areas[-1] = FoundArea(unit=unit, table=table.value, first=last.first, last=end - 1)
+                areas[-1] = msgspec.structs.replace(last, last=end - 1)
                 return
-        areas.append(FoundArea(unit=unit, table=table.value, first=first, last=end - 1))
+        areas.append(FoundArea(unit=unit, table=table, first=first, last=end - 1))
 
     def _can_read(self, unit: int, code: int, first: int, quantity: int) -> bool:
         return self._read(unit, code, first, quantity) == _VALUES
@@ -286,11 +292,10 @@ class Scan:
 
 def final_reads(state: ScanState, unit: int) -> Iterator[bytes]:
     """Yield the PDUs of the requests that read all areas found of a unit, each once."""
-    codes = {table.value: code for table, code in READS_OF_TABLE.items()}
     for area in state.areas:
         if area.unit != unit:
             continue
-        code, at = codes[area.table], area.first
+        code, at = READS_OF_TABLE[area.table], area.first
         while at <= area.last:
             size = min(FUNCTIONS[code].limit, area.last + 1 - at)
             yield encode_pdu(code, Direction.REQUEST, address=at, quantity=size)

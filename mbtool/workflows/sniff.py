@@ -29,9 +29,9 @@ from mbtool.core import (
 )
 from mbtool.core.wording import counted
 from mbtool.modbus import Outcome
-from mbtool.ports.allowed_peers import THIS_MACHINE, AllowedPeers
 from mbtool.ports.clock import ClockWatch, begun_run, monotonic_ns, now_ns
 from mbtool.ports.host_names import HostLookup
+from mbtool.ports.tcp_listener import THIS_MACHINE, AllowedPeers
 from mbtool.sources.inbox import Ended, Inbox
 from mbtool.sources.line_guess import guess_line
 from mbtool.sources.live import live_source

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 from pymodbus import FramerType
-from pymodbus.client import ModbusSerialClient, ModbusTcpClient
-from pymodbus.server import ModbusTcpServer, ModbusTlsServer
+from pymodbus.client import ModbusSerialClient, ModbusTcpClient, ModbusUdpClient
+from pymodbus.server import ModbusTcpServer, ModbusTlsServer, ModbusUdpServer
 from pymodbus.simulator import DataType, SimData, SimDevice
 
 from tests.end_to_end.programs import PATIENCE_S, Program, required
@@ -92,6 +92,26 @@ def tcp_client(port: int, host: str = "127.0.0.1") -> Iterator[tuple[ModbusTcpCl
 
 
 @contextmanager
+def udp_client(
+    port: int, framer: FramerType = FramerType.SOCKET
+) -> Iterator[tuple[ModbusUdpClient, Wire]]:
+    wire = Wire()
+    client: Any = ModbusUdpClient(
+        "127.0.0.1",
+        port=port,
+        framer=framer,
+        timeout=PATIENCE_S,
+        retries=0,
+        trace_packet=wire.trace,
+    )
+    assert client.connect()
+    try:
+        yield client, wire
+    finally:
+        client.close()
+
+
+@contextmanager
 def rtu_client(port: str, baud: int) -> Iterator[tuple[ModbusSerialClient, Wire]]:
     wire = Wire()
     client: Any = ModbusSerialClient(
@@ -127,7 +147,7 @@ class SecuredClient(ModbusTcpClient):
 
 @contextmanager
 def pymodbus_server(
-    tls: ssl.SSLContext | None = None,
+    tls: ssl.SSLContext | None = None, udp: FramerType | None = None
 ) -> Iterator[tuple[int, Callable[[], None]]]:
     """A server's port, and what changes its inputs."""
     loop = asyncio.new_event_loop()
@@ -137,8 +157,12 @@ def pymodbus_server(
     def call(coroutine: Any) -> Any:
         return asyncio.run_coroutine_threadsafe(coroutine, loop).result(PATIENCE_S)
 
-    async def serve() -> ModbusTcpServer:
+    async def serve() -> ModbusTcpServer | ModbusUdpServer:
         address = ("127.0.0.1", 0)
+        if udp is not None:
+            datagrams = ModbusUdpServer(_device(), framer=udp, address=address)
+            await datagrams.serve_forever(background=True)
+            return datagrams
         server = (
             ModbusTcpServer(_device(), address=address)
             if tls is None
@@ -159,7 +183,10 @@ def pymodbus_server(
         call(context.async_setValues(UNIT, DISCRETE_INPUTS_FUNCTION, 0, bits))
 
     try:
-        yield server.transport.sockets[0].getsockname()[1], change
+        if udp is None:
+            yield server.transport.sockets[0].getsockname()[1], change
+        else:
+            yield server.transport.get_extra_info("sockname")[1], change
     finally:
         call(server.shutdown())
         loop.call_soon_threadsafe(loop.stop)

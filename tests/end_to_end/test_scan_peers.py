@@ -82,3 +82,40 @@ def test_wrong_usage_is_told(words: tuple[str, ...], told: str) -> None:
     with mbtool("scan", *words) as program:
         assert program.wait() == 2
     assert told in program.said.text
+
+
+def refused(*words: str) -> str:
+    with mbtool("scan", "tcp:127.0.0.1:1", *words) as program:
+        assert program.wait() == 3
+    assert program.said.text.count("\n") == 1
+    return program.said.text
+
+
+def test_a_file_that_no_scan_wrote_is_refused_whatever_it_is(tmp_path: Path) -> None:
+    other, wrong, long = tmp_path / "other", tmp_path / "wrong", tmp_path / "long"
+    other.write_text('{"link": "tcp:10.0.0.1:502"}')
+    wrong.write_text('{"link": "tcp:127.0.0.1:1", "units": [{"unit": 300, "sign": ""}]}')
+    with long.open("wb") as stream:
+        stream.truncate(17 << 20)
+    assert "a scan did not write it" in refused("--resume", str(wrong))
+    assert "is longer than 16 MiB" in refused("--resume", str(long))
+    assert "is of tcp:10.0.0.1:502" in refused("--resume", str(other))
+    for name in (str(tmp_path), "/dev/full", "/dev/zero"):
+        assert f"--resume {name}: is no regular file" in refused("--resume", name)
+
+
+def test_a_scan_of_other_units_or_addresses_is_not_resumed(tmp_path: Path) -> None:
+    kept = str(tmp_path / "kept")
+    with pymodbus_server() as (port, _):
+        link = f"tcp:127.0.0.1:{port}"
+        first = scanned(link, "--units", "1", "--addresses", "0x0..0x1f", "--resume", kept)
+        again = scanned(link, "--units", "1", "--addresses", "0..31", "--resume", kept)
+        assert first == again
+        assert {area["last"] for area in first[0]["areas"]} == {31}
+        for words, told in (
+            (("--units", "1..3"), "is with --units 1, and 1..3 is asked for"),
+            (("--units", "1"), "is with --addresses 0..31, and 0..9999 is asked for"),
+        ):
+            with mbtool("scan", link, *words, "--resume", kept) as program:
+                assert program.wait() == 3
+            assert told in program.said.text

@@ -221,9 +221,9 @@ def _evidence(path: str, options: ReadingOptions) -> Iterator[tuple[LineSettings
                         yield line, piece
         else:
             settings, pieces = capture.serial(options.line)
-            for piece in pieces:
-                if isinstance(piece, Chunk):
-                    yield settings, piece
+            for read in pieces:
+                if isinstance(read, Chunk):
+                    yield settings, read
 
 
 def _line_in(head: CaptureHead, link: str) -> LineSettings | None:

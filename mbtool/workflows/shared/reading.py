@@ -137,6 +137,10 @@ class Reading:
     def profile_for(self, transaction: NamedTransaction) -> Profile | None:
         return self.assignments.profile_for(transaction)
 
+    def profile_named(self, name: str) -> Profile | None:
+        """Return the profile in use that has this name; None if there is none."""
+        return next((one for one in self.assignments.profiles if one.name == name), None)
+
     @property
     def fraction(self) -> float | None:
         """The share (0 to 1) of the files read so far; None if it is unknown, as for a pipe."""
@@ -147,6 +151,10 @@ class Reading:
     def progress_text(self) -> str:
         """A text for a progress bar about the file that is being read: `file 3 of 60`."""
         return f"file {min(self.results.files_read + 1, len(self._paths))} of {len(self._paths)}"
+
+    @property
+    def noun(self) -> str:
+        return "transactions"
 
     @property
     def why_empty(self) -> str | None:
