@@ -244,16 +244,18 @@ def plain_transaction(rows: PlainRows, index: int) -> Transaction:
 @lru_cache(maxsize=MAX_CACHED_HEADERS)
 def origin_fields(
     request: LinkAddresses | None, response: LinkAddresses | None
-) -> tuple[str | None, str | None, int | None]:
-    """Return the MAC address of the master, that of the slave, and the VLAN number; None for what
-    is unknown.
+) -> tuple[str | None, str | None, str | None, int | None]:
+    """Return the MAC address of the master, that of the slave, that of the response if it is
+    another one, and the VLAN number; None for what is unknown.
 
     `request` and `response` are the addresses in the headers of the two packets; None if a header
     has none.
     """
     fields: dict[str, Any] = {}
     add_origins(fields, Origin("", 0, request), Origin("", 0, response))
-    return fields.get("source_mac"), fields.get("destination_mac"), fields.get("vlan")
+    names = ("source_mac", "destination_mac", "response_mac", "vlan")
+    source, destination, answering, vlan = (fields.get(name) for name in names)
+    return source, destination, answering, vlan
 
 
 class _Half(NamedTuple):

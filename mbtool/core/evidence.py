@@ -175,6 +175,9 @@ class EventKind(StrEnum):
     """Bytes that are known to be missing from the capture."""
     OVERLAP = "overlap"
     """A retransmission whose bytes differ from the first copy."""
+    SENT_AGAIN = "sent-again"
+    """A TCP segment that its sender repeated after a while, as after a loss. A copy that comes at
+    once, as of a mirror port, is none."""
     DISCARDED = "discarded"
     """Data that was dropped because a limit of this program was exceeded."""
     REFUSED = "refused"

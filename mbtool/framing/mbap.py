@@ -71,6 +71,11 @@ MAX_REQUEST_NS = 1_000_000_000
 ns. It is the shortest time after which an FA3 module can be set to disconnect such a master (its
 manual, 10.3, register 00F5H)."""
 
+PARTS_NS = 30_000_000
+"""If more than this (ns) passed between the first and the last byte of a request, the transaction
+tells how much. A sender that waits for a delayed acknowledgement before it sends the rest waits
+longer; a sender that makes two segments at once does not."""
+
 _LENGTH_END = MBAP_BYTES - 1
 _MODBUS = b"\x00\x00"
 _HEADER = re.compile(rb"(?s)..\x00\x00\x00[%c-%c]" % (MIN_LENGTH, MAX_LENGTH))
