@@ -20,9 +20,9 @@ Damaged frames are events: a wrong CRC, or bytes that are no frame.
 #                   well; and there are more bytes than asked for, which neither noise nor lost
 #                   bytes make. Or nearly all of its answers are damaged, from their first bytes on
 #                   or with many different lengths, though it understands each request, which it
-#                   could not with a bad cable; or a second, whole response of the same form follows the
-#                   first with other bytes, and nothing that can be a damaged request to the unit
-#                   is between.
+#                   could not with a bad cable; or a second, whole response of the same form
+#                   follows the first with other bytes, and nothing that can be a damaged request
+#                   to the unit is between.
 # LINE-LOST-BYTES   Most damaged frames of a known length are too short.
 # LINE-NOISE        All other damage, with where it sits: in the answers of one unit, of all units,
 #                   in the requests, or everywhere.
