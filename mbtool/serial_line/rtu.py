@@ -41,11 +41,11 @@ from mbtool.modbus.adu import MAX_RTU_ADU, Adu, Checksum, DirectionBy, Skipped, 
 from mbtool.modbus.adu_bytes import crc
 from mbtool.modbus.functions import ECHOING, NEVER_ECHOED
 from mbtool.serial_line import costs
-from mbtool.serial_line.adapter_echo import AdapterEcho
 from mbtool.serial_line.burst_statistics import MAX_GLUED, BurstStatistics
 from mbtool.serial_line.bus_model import ROLES, SURE, BusModel, Classification
 from mbtool.serial_line.candidates import LONG_SKIP, NOISE, ByteWindow
 from mbtool.serial_line.fast_path import FastPath
+from mbtool.serial_line.frame_copies import FrameCopies
 from mbtool.serial_line.line_statistics import LatencyStatistics, LineStatistics
 from mbtool.serial_line.paths import Segment, SegmentKind
 from mbtool.serial_line.search import PathSearch
@@ -116,7 +116,7 @@ class RtuSplitter:
         self._behind_noise = FastPath(self._model, speaker, WINDOW)
         self._statistics = LineStatistics(timed=timed)
         self._bursts = BurstStatistics()
-        self._echo = AdapterEcho()
+        self._copies = FrameCopies()
         self.has_disorder = False
         """True once the time of a read was a little earlier than that of the read before."""
         self._data = b""
@@ -240,7 +240,7 @@ class RtuSplitter:
         while self._data and not (
             is_to_wait
             and (
-                self._echo.awaits(self._data)
+                self._copies.awaits(self._data)
                 or self._fast_path.is_incomplete(self._data, self._silences_at)
             )
         ):
@@ -252,18 +252,18 @@ class RtuSplitter:
     def _emit_certain_frames(self, events: list[Adu | Skipped], burst_over: bool = False) -> None:
         """Append frames while the fast path is certain; `burst_over`: a silence follows `_data`."""
         while len(self._data) >= MIN_FRAME:
-            last = self._echo.last
+            last = self._copies.last
             if last and self._data.startswith(last) and self._take_copy(events):
                 continue
-            last = self._echo.last_response
+            last = self._copies.last_response
             if last and self._data.startswith(last) and self._take_repeated(events):
                 continue
-            if self._echo.repeats and (size := doubled_size(self._data, self._roles)):
+            if self._copies.repeats and (size := doubled_size(self._data, self._roles)):
                 self._emit_frame(size, self._classified_alone(size), events)
                 continue
-            copied = self._echo.copied
+            copied = self._copies.copied
             if copied and self._may_be_copied(len(copied)):
-                have = self._echo.copied_size(self._data)
+                have = self._copies.copied_size(self._data)
                 if have >= 2 * len(copied):  # Only what the master sends is copied: it is a retry.
                     self._emit_frame(len(copied), _COPIED_RETRY, events)
                     continue
@@ -318,7 +318,7 @@ class RtuSplitter:
 
     def _take_copy(self, events: list[Adu | Skipped]) -> bool:
         """Skip the next bytes if they are an adapter's copy of the last request; True if so."""
-        last = self._echo.last
+        last = self._copies.last
         if not last or self._last_end is None or not self._data.startswith(last):
             return False
         size, first_ns = len(last), self._times[0]
@@ -329,19 +329,19 @@ class RtuSplitter:
         # If no silence follows these bytes, they may begin a longer frame.
         is_glued &= len(self._data) == size or self._is_silent(size)
         is_exact = first_ns - self._last_end[0] > self._character_ns
-        if not self._echo.takes_copy(glued=is_glued, exact=is_exact):
+        if not self._copies.takes_copy(glued=is_glued, exact=is_exact):
             return False
         self._remove(size, Verdict.GLUED)
-        events.append(Skipped(first_ns, EventKind.ECHO, self._echo.said(), last))
+        events.append(Skipped(first_ns, EventKind.ECHO, self._copies.said(), last))
         return True
 
     def _take_repeated(self, events: list[Adu | Skipped]) -> bool:
         """Skip the next bytes if they are a repeater's copy of the last response; True if so."""
-        copy, first_ns = self._echo.last_response, self._times[0] if self._times else 0
-        if not self._echo.takes_repeated(self._data):
+        copy, first_ns = self._copies.last_response, self._times[0] if self._times else 0
+        if not self._copies.takes_repeated(self._data):
             return False
         self._remove(len(copy), Verdict.GLUED)
-        events.append(Skipped(first_ns, EventKind.REPEATED, self._echo.said_of_response(), copy))
+        events.append(Skipped(first_ns, EventKind.REPEATED, self._copies.said_of_response(), copy))
         return True
 
     def _search(
@@ -452,7 +452,7 @@ class RtuSplitter:
             if model.may_be_slow(unit, pdu, start_ns):
                 confidence = min(confidence, UNSURE)
                 classification = replace(classification, confidence=confidence)
-        if self._echo.copies and self._echo.may_copy(raw, self._data[size:]):
+        if self._copies.copies and self._copies.may_copy(raw, self._data[size:]):
             confidence = min(confidence, UNSURE)
         verdicts = self._verdicts(size, before_ns, longest_ns, confidence)
         self._learn(size, before_ns, longest_ns)
@@ -461,11 +461,11 @@ class RtuSplitter:
             self._model.hear(classification, unit, pdu, start_ns, end_ns, longest_ns)
             if classification.direction is Direction.REQUEST:
                 is_certain = classification.by is DirectionBy.FORM or pdu[0] in NEVER_ECHOED
-                echo = self._echo
-                is_soon = echo.last == raw and self._is_soon(before_ns)
-                echo.hear_request(raw, is_certain=is_certain, is_soon=is_soon)
+                copies = self._copies
+                is_soon = copies.last == raw and self._is_soon(before_ns)
+                copies.hear_request(raw, is_certain=is_certain, is_soon=is_soon)
             else:
-                self._echo.hear_response(raw, is_certain=pdu[0] not in ECHOING)
+                self._copies.hear_response(raw, is_certain=pdu[0] not in ECHOING)
         self._remove(size, Verdict.GLUED)
         check = raw[-2] | raw[-1] << 8
         events.append(
