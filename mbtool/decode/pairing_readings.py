@@ -109,6 +109,8 @@ class PairStep(NamedTuple):
     is_sure: bool = True
     is_late: bool = False
     """True if the request was given up before the response came."""
+    place: AduPlace | None = None
+    """The position of the response in the connection; None if unknown."""
 
 
 class PairOption(NamedTuple):
@@ -223,18 +225,28 @@ class PairReading:
             used_before=self.used_before,
         )
 
-    def take(self, option: PairOption, response: Adu, habits: MasterHabits, since_ns: int) -> None:
+    def take(
+        self,
+        option: PairOption,
+        response: Adu,
+        habits: MasterHabits,
+        since_ns: int,
+        place: AduPlace | None = None,
+    ) -> None:
         """Assign a response to the request of an option, and add the option's cost.
 
-        `since_ns` is the time at which the response before this one was complete.
+        `since_ns` is the time at which the response before this one was complete; `place` is the
+        position of the response in the connection, None if unknown.
         """
         self.cost += option.cost
         request = option.request
         if request is None:
-            self.steps += (PairStep(response.end_ns, response, (), since_ns),)
+            self.steps += (PairStep(response.end_ns, response, (), since_ns, place=place),)
             return
         is_late = request.number in self.given_up
-        step = PairStep(response.end_ns, response, (request,), since_ns, is_late=is_late)
+        step = PairStep(
+            response.end_ns, response, (request,), since_ns, is_late=is_late, place=place
+        )
         self.steps += (step,)
         if request is REQUEST_BEFORE:
             self.before -= 1
