@@ -293,6 +293,7 @@ class NetworkPairing:
         waiting = self._readings[0].waiting
         repeats = (
             bool(waiting)
+            and self._requests_lost_ns is not None
             and self._habits.repeats_id(request.transaction_id)
             and any(one.adu is None for one in waiting)
         )
@@ -325,8 +326,9 @@ class NetworkPairing:
             self._note_next(self._readings[0].waiting[-1], request, at_ns)
         for reading in self._readings:
             if reading.waiting and reading.someone_waits:
-                reading.behind_others |= {one.number}
+                reading.behind_others.add(one.number)
             reading.waiting.append(one)
+            reading.forget_closed()
         is_more = len(self._readings[0].waiting) > self._most_waiting
         if is_more and not self._habits.ids_count_up:
             self._most_waiting = max(self._same_id(one), self._most_waiting)
