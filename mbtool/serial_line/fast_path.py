@@ -244,7 +244,7 @@ class FastPath:
         and the bytes behind it.
         """
         history, pending = self._model.history, state.pending
-        if not 0 < unit <= MAX_UNIT or history.hears_only_slaves or state.overdue is not None:
+        if not 0 < unit <= LAST_UNIT or history.hears_only_slaves or state.overdue is not None:
             return None
         if is_odd_request(pdu):
             return None
