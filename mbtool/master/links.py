@@ -156,6 +156,8 @@ class MasterLink(ABC):
         is lost.
         """
         wait_ns = self._await_turn(unit, pdu)
+        while not self._is_turn():
+            wait_ns = self._await_turn(unit, pdu)
         self.receive(0)  # Drop late responses, which would be taken for this request's.
         self._unread.clear()
         self._asked += 1
@@ -182,6 +184,10 @@ class MasterLink(ABC):
         if self.limits.pause_ns:
             time.sleep(max(2 * self.limits.pause_ns, _LEAST_ASK_PAUSE_NS) / SECOND_NS)
         return self.limits.timeout_ns
+
+    def _is_turn(self) -> bool:
+        """False if the turn has passed since `_await_turn`, as this process was suspended."""
+        return True
 
     def _is_answered(self, wait_ns: int) -> bool:
         """Wait for the response to the last request; False if it does not come in `wait_ns`."""
@@ -471,6 +477,8 @@ class SerialMaster(MasterLink):
         """The other master in whose pauses requests are sent; None if the line is ours alone."""
         self._turns = 0
         """The number of requests that were sent in its pauses."""
+        self._turn_ends_ns = 0
+        """The latest time (ns) at which the next request may be sent in the present pause."""
         self.on_bytes: Callable[[bytes, int, bool], None] = lambda *_: None
         """Called with all bytes of the line, the time of the last one in ns of the monotonic clock,
         and True for a request of ours and for what comes until the next turn is awaited."""
@@ -559,14 +567,20 @@ class SerialMaster(MasterLink):
         if self._has_missed_bytes():
             self._other.listen_anew(time.monotonic_ns())
         until_ns = time.monotonic_ns() + self._longest_turn_ns
-        while self._other.rest_ns(now_ns := time.monotonic_ns()) < needed_ns:
+        while (rest_ns := self._other.rest_ns(now_ns := time.monotonic_ns())) < needed_ns:
             if now_ns > until_ns:
                 raise self._no_pause(self._other, unit, needed_ns)
             self._other.feed(*self.overhear(self.link.format.t3_5_ns))
             needed_ns, wait_ns = self._needed_ns(self._other, unit, pdu)
+        self._turn_ends_ns = now_ns + rest_ns - needed_ns
         self._other.note_our_request()
         self._turns += 1
         return wait_ns
+
+    def _is_turn(self) -> bool:
+        if self._other is None:
+            return True
+        return time.monotonic_ns() <= self._turn_ends_ns and not self._has_bytes(0.0)
 
     @property
     def _longest_turn_ns(self) -> int:

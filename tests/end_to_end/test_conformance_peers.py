@@ -153,7 +153,7 @@ def deviations(kind: str, folder: Path, *words: str) -> dict[str, str]:
     ],
 )
 def test_each_known_deviation_is_named_and_no_other(tmp_path: Path, kind: str) -> None:
-    found = deviations(kind, tmp_path)
+    found = deviations(kind, tmp_path, "--timeout", "3")
     for name in SOMETIMES.get(kind, ()):
         found.pop(name, None)
     assert found.keys() == DEVIATIONS[kind].keys()
