@@ -102,11 +102,12 @@ def test_finds_the_units_of_a_line_and_writes_nothing(tmp_path: Path) -> None:
 
 def test_a_capture_of_a_whole_scan_has_no_write(tmp_path: Path) -> None:
     log = tmp_path / "scan.mcap"
-    with slave_of_another("pymodbus-tcp") as link:
-        with mbtool("sniff", f"tap:127.0.0.1:0={link.removeprefix('tcp:')}", "-w", str(log)) as tap:
-            port = tap.said.find(r"tap:127\.0\.0\.1:(\d+)=")[1]
-            scanned(f"tcp:127.0.0.1:{port}", "--units", str(UNIT), "--addresses", "0..999")
-            assert tap.interrupt() == 130, tap.said.text
+    with ExitStack() as stack:
+        target = stack.enter_context(slave_of_another("pymodbus-tcp")).removeprefix("tcp:")
+        tap = stack.enter_context(mbtool("sniff", f"tap:127.0.0.1:0={target}", "-w", str(log)))
+        port = tap.said.find(r"tap:127\.0\.0\.1:(\d+)=")[1]
+        scanned(f"tcp:127.0.0.1:{port}", "--units", str(UNIT), "--addresses", "0..999")
+        assert tap.interrupt() == 130, tap.said.text
     asked = list(api.open(log))
     assert len(asked) > 50
     assert {one.function for one in asked} <= {1, 2, 3, 4, 8, 0x2B}
