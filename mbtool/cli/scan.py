@@ -152,8 +152,6 @@ def scan(
                         runner.write_profile(output, overwrite=overwrite)
             except LinkError as error:
                 refused = error
-                if len(specs) == 1:
-                    raise
             found.append(state)
             if interrupt.asked:
                 break
@@ -161,6 +159,8 @@ def scan(
     for state in found:
         for remark in state.remarks:
             say(f"mbtool: {state.link}: {remark}")
+    if refused is not None and len(specs) == 1:
+        raise refused
     count = sum(len(state.units) for state in found)
     if not count and refused is not None and len(specs) == len(found):
         say(f"mbtool: {refused}")
