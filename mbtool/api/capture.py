@@ -138,9 +138,10 @@ class Capture:
 
         With `points`, return the values instead, one in each row; docs/sql.md lists their columns.
         A file of packets that is opened without `line` and `any_port` is decoded several times as
-        fast in this way as one by one. Raises UsageError if numpy or pyarrow are not installed.
+        fast in this way as one by one. Raises UsageError if pyarrow is not
+        installed.
         """
-        _demand("to_arrow()", "columns", "numpy", "pyarrow")
+        _demand("to_arrow()", "columns", "pyarrow")
         if not points:
             return self._table()
         from mbtool.columns.value_table import joined_values
@@ -152,9 +153,9 @@ class Capture:
     def to_polars(self, *, points: bool = False) -> polars.DataFrame:
         """Return the table of `to_arrow` as a `polars.DataFrame`.
 
-        Raises UsageError if polars, numpy or pyarrow are not installed.
+        Raises UsageError if polars or pyarrow are not installed.
         """
-        _demand("to_polars()", "data", "numpy", "pyarrow", "polars")
+        _demand("to_polars()", "data", "pyarrow", "polars")
         import polars
 
         frame = polars.from_arrow(self.to_arrow(points=points))
@@ -164,9 +165,9 @@ class Capture:
     def to_pandas(self, *, points: bool = False) -> pandas.DataFrame:
         """Return the table of `to_arrow` as a `pandas.DataFrame`; texts become categories.
 
-        Raises UsageError if pandas, numpy or pyarrow are not installed.
+        Raises UsageError if pandas or pyarrow are not installed.
         """
-        _demand("to_pandas()", "data", "numpy", "pyarrow", "pandas")
+        _demand("to_pandas()", "data", "pyarrow", "pandas")
         frame: pandas.DataFrame = self.to_arrow(points=points).to_pandas()
         return frame
 

@@ -14,8 +14,8 @@ from mbtool.core.link_spec import HEARD, MODBUS_PORT
 from mbtool.decode.decoder import Decoder
 from mbtool.decode.line_timing import LineTiming
 from mbtool.devices import Namer
-from mbtool.ports.allowed_peers import AllowedPeers
 from mbtool.ports.clock import now_ns
+from mbtool.ports.tcp_listener import AllowedPeers
 from mbtool.workflows.sniff import Sniffer, serial_lines, with_settings
 
 if TYPE_CHECKING:

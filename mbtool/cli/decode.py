@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import stat
 import sys
@@ -41,9 +40,6 @@ if TYPE_CHECKING:
     from mbtool.workflows.shared.time_window import TimeWindow
 
 STANDARD_INPUT = "-"
-_WORTH_BYTES = 1024 * 1024
-"""If the files have fewer bytes than this together, they are not decoded as arrays: importing numpy
-would take longer than arrays save."""
 _LOOK_AGAIN_S = 0.2
 """With --follow, the time in s between two attempts to read new records from the log."""
 
@@ -244,11 +240,13 @@ def _columns(
     match format_ or OUTPUT_FORMATS.get(suffix):
         case Format.PARQUET:
             demand_columns()
-            return column_reading(files, options)
+            return column_reading(files, options, at_least=0)  # pyarrow needs numpy anyway.
+        case _ if _is_shown(output):
+            return None
         case Format.JSONL | Format.CSV if events in (None, EventChoice.NONE):
-            return column_reading(files, options, at_least=_worth_bytes(output))
+            return column_reading(files, options)
         case Format.TABLE | None if events is not EventChoice.ALL:
-            return column_reading(files, options, at_least=_worth_bytes(output))
+            return column_reading(files, options)
     return None
 
 
@@ -263,18 +261,15 @@ def _reading(
     from mbtool.workflows.shared.reading import Reading
     from mbtool.workflows.shared.reading_choice import column_reading
 
-    columns = None if is_cut else column_reading(files, options, at_least=_worth_bytes(output))
+    columns = None if is_cut or _is_shown(output) else column_reading(files, options)
     return columns or Reading(files, options)
 
 
-def _worth_bytes(output: str | None) -> float:
-    """Return the least size in bytes, of all files together, for the array decoder.
-
-    It is infinite if rows go to a terminal, where the first rows should appear at once. `output` is
-    the path of the output file, None for standard output.
+def _is_shown(output: str | None) -> bool:
+    """True if rows go to a terminal, where the first rows should appear at once, so that packets
+    are decoded one by one. `output` is the path of the output file, None for standard output.
     """
-    is_shown = output is None and sys.stdout is not None and sys.stdout.isatty()
-    return math.inf if is_shown else _WORTH_BYTES
+    return output is None and sys.stdout is not None and sys.stdout.isatty()
 
 
 @contextmanager

@@ -210,11 +210,11 @@ class ParquetPrinter(Printer):
 
 
 def demand_columns(what: str = "--format parquet", extra: str = "columns") -> None:
-    """Raise UsageError if the packages that Parquet needs are not installed.
+    """Raise UsageError if pyarrow, which Parquet needs, is not installed.
 
     The error says that `what`, an option, needs mbtool's extra named `extra`.
     """
-    if any(find_spec(name) is None for name in ("numpy", "pyarrow")):
+    if find_spec("pyarrow") is None:
         from mbtool.core.extras import missing_extra
 
         raise missing_extra(what, extra)

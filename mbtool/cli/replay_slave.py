@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from mbtool.cli.keys import Keyboard
     from mbtool.devices import Profile
-    from mbtool.ports.allowed_peers import AllowedPeers
+    from mbtool.ports.tcp_listener import AllowedPeers
     from mbtool.replay import Progress, RequestKind
     from mbtool.slave.shells import OnExchange
     from mbtool.workflows.replay_site import PlayedSite, SitePlayer

@@ -64,7 +64,7 @@ class PlainTables:
         ends = rows.connection[chosen]
         connections = rows.connections
         origins = [origin_fields(*one) for one in rows.addresses]
-        source_macs, destination_macs, vlans = zip(*origins, strict=True)
+        source_macs, destination_macs, response_macs, vlans = zip(*origins, strict=True)
         exception = usual.exception[chosen]
         is_exception = exception >= 0
         codes = np.unique(exception[is_exception])
@@ -106,6 +106,7 @@ class PlainTables:
             "response_packet": rows.block.first_number + rows.response[chosen],
             "source_mac": _words_or_none(source_macs, ends),
             "destination_mac": _words_or_none(destination_macs, ends),
+            "response_mac": _words_or_none(response_macs, ends),
             "vlan": pa.array(vlans, pa.uint16()).take(pa.array(ends)),
         }
         return pa.Table.from_arrays(

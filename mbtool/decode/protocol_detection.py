@@ -9,8 +9,8 @@
 #   - after MAX_MALFORMED malformed ADUs, or fewer if the connection ends;
 #   - at the first gap and at the connection's end, unless the first bytes of each direction cannot
 #     begin an ADU (for Modbus/TCP: have another protocol id).
-# Where Modbus/TCP is expected, there is a candidate for RTU unless the first segment cannot begin with
-# an RTU frame with a correct CRC. At all other ports, and for this RTU, a candidate is accepted
+# Where Modbus/TCP is expected, there is a candidate for RTU unless the first segment cannot begin
+# with an RTU frame with a correct CRC. At all other ports, and for this RTU, it is accepted
 #   - with a request and its response, both of a known function and well formed, with equal
 #     transaction id and unit (Modbus/TCP) or correct CRCs (RTU); or
 #   - after ENOUGH_ADUS well-formed ADUs in a row. Random bytes look like that with a probability of

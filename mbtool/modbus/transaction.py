@@ -119,13 +119,13 @@ class Transaction(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True,
     request_parts_ns: Annotated[
         Nanoseconds | None,
         about(
-            "Nanoseconds from the first to the last byte of a Modbus/TCP request, if over 1 s",
+            "Nanoseconds from the first to the last byte of a Modbus/TCP request, if over 30 ms",
             42,
             42,
         ),
     ] = None
-    """The time from the first to the last byte of a Modbus/TCP request, in ns, if it is more than 1
-    s (verdict late-parts); otherwise None."""
+    """The time from the first to the last byte of a Modbus/TCP request, in ns, if it is more than
+    30 ms; otherwise None."""
     response_ns: Annotated[
         Nanoseconds | None,
         about("When the response was complete on the wire, UTC nanoseconds", 1, 19),
@@ -189,6 +189,14 @@ class Transaction(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True,
         str | None, about("The MAC address of the slave's packets", 39, 39)
     ] = None
     """The MAC address that the slave's packets have."""
+    response_mac: Annotated[
+        str | None,
+        about(
+            "The MAC address that the response came from, if the request went to another", 43, 43
+        ),
+    ] = None
+    """The MAC address that the response came from; None if the request was sent to the same one. It
+    differs behind a pair of routers, and if somebody has put himself in between (ARP spoofing)."""
     vlan: Annotated[
         Word | None, about("The VLAN of the packets: the id of the innermost tag", 40, 40)
     ] = None

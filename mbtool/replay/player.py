@@ -252,7 +252,7 @@ class RecordedSlave:
             self._clock.jump(self._clock.lap_begin(lap) + next_ns - begin_ns, now_ns)
 
     def _is_broadcast(self, unit: int) -> bool:
-        is_line = self._transport is not Transport.TCP
+        is_line = not self._transport.has_mbap
         return unit == BROADCAST_UNIT and is_line and unit not in self._recording.units
 
     def _play(self, unit: int, pdu: bytes, found: Found) -> Response | None:

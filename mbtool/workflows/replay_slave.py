@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import InputError, SerialLink, TcpLink, UsageError
 from mbtool.modbus import Transport
-from mbtool.ports.allowed_peers import THIS_MACHINE, AllowedPeers
+from mbtool.ports.tcp_listener import THIS_MACHINE, AllowedPeers
 from mbtool.replay import (
     ConnectionPlayer,
     FixedLatency,
@@ -27,7 +27,7 @@ from mbtool.replay import (
     SampledLatency,
 )
 from mbtool.slave.device import RegisterImage
-from mbtool.slave.device.units import is_line
+from mbtool.slave.device.responder import is_line
 from mbtool.slave.families import make_device
 from mbtool.slave.shells import open_shell, slave_link
 from mbtool.workflows.shared.faults import faulty
@@ -153,7 +153,7 @@ class SlaveRun:
             any_unit=self._any_unit(where),
         )
         rules = None
-        if isinstance(where, TcpLink) and self._connections:
+        if isinstance(where, TcpLink) and not where.is_udp and self._connections:
             is_loop = options.on_end is OnEnd.LOOP
             rules = ConnectionPlayer(self._connections, rate=options.rate, is_loop=is_loop)
         responder: Responder = slave
@@ -280,7 +280,7 @@ def _profile_of_units(recorded: Recorded) -> dict[int, Profile]:
 def _transport(link: SerialLink | TcpLink) -> Transport:
     if isinstance(link, SerialLink):
         return Transport.ASCII if link.ascii else Transport.RTU
-    return Transport.RTU_TCP if link.rtu else Transport.TCP
+    return Transport.at_endpoint(is_rtu=link.rtu, is_udp=link.is_udp)
 
 
 def _fixed_latency_ns(text: str) -> int | None:

@@ -236,7 +236,7 @@ def test_whatever_is_made_of_a_capture_its_reading_is_shown(
 
     for module in ("progress", "decode", "column_output", "decode_job"):
         monkeypatch.setattr(f"mbtool.cli.{module}.with_progress", note)
-    monkeypatch.setattr("mbtool.cli.decode._WORTH_BYTES", 0)
+    monkeypatch.setattr("mbtool.workflows.shared.reading_choice.WORTH_BYTES", 0)
     monkeypatch.setattr("mbtool.cli.column_output.WORTH_PROCESSES", 0)
     monkeypatch.chdir(tmp_path)
     path = tmp_path / "plant.pcap"

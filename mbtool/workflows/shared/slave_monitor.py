@@ -21,9 +21,8 @@ from typing import TYPE_CHECKING
 from mbtool.core import Direction, EventKind, WireEvent
 from mbtool.decode.transactions import Ends, broadcast, no_answer, with_response
 from mbtool.devices import Assignment, Assignments, Namer, Who
-from mbtool.modbus.adu import Adu, Transport
-from mbtool.modbus.distortion import wire_pieces
-from mbtool.modbus.response import ConnectionEnding
+from mbtool.modbus.adu import Adu
+from mbtool.modbus.response import ConnectionEnding, wire_pieces
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -161,7 +160,7 @@ class SlaveMonitor:
 
     def _transaction(self, request: Adu, response: Response | None) -> Transaction:
         if response is None:
-            if request.transport is not Transport.TCP and request.unit == 0:
+            if not request.transport.has_mbap and request.unit == 0:
                 return broadcast(self._ends, request)
             return no_answer(self._ends, request, 0)
         pieces = wire_pieces(response, request.transport, request.unit, request.transaction_id or 0)
