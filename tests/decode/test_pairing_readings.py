@@ -303,7 +303,7 @@ def test_only_the_first_late_request_is_given_up_of_those_behind_each_other(
     is_pipelined: bool, expected: set[int]
 ) -> None:
     of = reading(request(1), request(2, is_pipelined=is_pipelined))
-    of.behind_others = frozenset({2})
+    of.behind_others = {2}
     assert given_up(of, 200) == expected
     # One that was sent while others waited waits from then on when those were given up.
     assert given_up(of, 250) == expected
@@ -334,7 +334,7 @@ def test_a_request_that_is_sent_again_was_given_up(
         give_up_repeated([other], again)
         assert not other.given_up
     behind = reading(request(1))
-    behind.behind_others = frozenset({1})
+    behind.behind_others = {1}
     give_up_repeated([behind], again)
     assert not behind.given_up
 
