@@ -144,10 +144,13 @@ def _print(cases: Sequence[CaseResult], format_: ListFormat) -> None:
     for one in cases:
         if one.result in styles:
             word, style = styles[one.result]
-            console.print(plain(f"{word}  {one.name} ({one.section})", style))
-            console.print(plain(f"    {one.problem}"))
-            console.print(plain(f"    sent   {_bytes(one.sent)}"))
-            console.print(plain(f"    heard  {_bytes(one.heard)}"))
+            for line, line_style in (
+                (f"{word}  {one.name} ({one.section})", style),
+                (f"    {one.problem}", ""),
+                (f"    sent   {_bytes(one.sent)}", ""),
+                (f"    heard  {_bytes(one.heard)}", ""),
+            ):
+                console.print(plain(line, line_style), soft_wrap=True)
 
 
 def _bytes(raw: bytes) -> str:

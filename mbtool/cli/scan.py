@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ipaddress
 import re
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -134,7 +133,7 @@ def scan(
             state = _state(resume, spec, numbers, None if units_only else asked_addresses)
             try:
                 with _opened(spec, timeout, target, listen, between=between) as master:
-                    runner = _Runner(master, spec, state, interrupt, resume)
+                    runner = _Runner(master, spec, state, interrupt, resume, timeout)
                     runner.run(numbers, None if units_only else asked_addresses, rate, every=every)
                     if output is not None and not interrupt.asked:
                         runner.write_profile(output, overwrite=overwrite)
@@ -294,6 +293,7 @@ class _Runner:
         state: ScanState,
         interrupt: Interrupt,
         resume: Path | None,
+        timeout_s: float,
     ) -> None:
         from mbtool.workflows.ask import Asker
 
@@ -305,9 +305,11 @@ class _Runner:
         self.state = state
         self._interrupt = interrupt
         self._resume = resume
+        self._timeout_ns = round(timeout_s * 1e9)
 
     def run(self, units: list[int], addresses: range | None, rate: float, *, every: bool) -> None:
         """Find the units, and with `addresses` their areas; end early after Ctrl-C."""
+        from mbtool.cli.talk import shown_progress
         from mbtool.core import TcpLink
         from mbtool.workflows.scan import Scan
 
@@ -317,14 +319,15 @@ class _Runner:
             is_tcp=isinstance(self._spec, TcpLink),
             every=every,
             interval_ns=round(1e9 / rate),
+            late_ns=self._timeout_ns,
         )
-        for text in self._steps(work, units, addresses):
-            _tell_progress(f"{text}; {len(self.state.units)} found, {work.asked:,} requests")
-            if self._resume is not None:
-                self._keep(self._resume)
-            if self._interrupt.asked:
-                break
-        _tell_progress("")
+        with shown_progress() as show:
+            for text in self._steps(work, units, addresses):
+                show(f"{text}; {len(self.state.units)} found, {work.asked:,} requests")
+                if self._resume is not None:
+                    self._keep(self._resume)
+                if self._interrupt.asked:
+                    break
 
     def _steps(self, work: Scan, units: list[int], addresses: range | None) -> Iterator[str]:
         for unit in work.units(units):
@@ -370,15 +373,6 @@ class _Runner:
         name = name_for(output) if is_file(output) else f"unit-{unit}"
         drafted = draft_profile(slaves.only("--units"), name, str(self._spec))
         give(drafted.text, output, overwrite=overwrite)
-
-
-def _tell_progress(text: str) -> None:
-    """Show how far the scan is, in one line of a terminal that is redrawn; "" erases it."""
-    from mbtool.cli.talk import escaped
-
-    if sys.stderr.isatty():
-        sys.stderr.write(f"\r\x1b[K{escaped(text)}")
-        sys.stderr.flush()
 
 
 def _print(found: list[ScanState], format_: ListFormat) -> None:

@@ -72,10 +72,13 @@ MAX_MISSES = 32
 dump of one frame are 17 at most."""
 
 FEW_MISSES = 16
-"""A log of a single RTU frame that has a direction counts if at most so many runs of bytes are no
-frame."""
+FEWEST_MISSES = 4
+"""A log with too little evidence counts at its end if at most so many runs of bytes are no frame:
+16 if an RTU frame has a direction by a word or arrow; else 4 if there is an RTU frame of 8 bytes,
+as most requests are, or several different ones."""
 
 _MARKED = 2
+_REQUEST_SIZE = 8
 _MIN_MBAP, _MIN_BARE = MBAP_BYTES + 1, 3
 _SENDERS = (Direction.REQUEST, Direction.RESPONSE)
 _CODES = bytes(sorted({*FUNCTIONS, *(code | EXCEPTION_BIT for code in FUNCTIONS)}))
@@ -122,6 +125,8 @@ class _OpenBytes:
         self.data = b""
         self.row = 0
         """The number of the last line that brought bytes."""
+        self.misses = 0
+        """The number of pieces so far that completed no frame."""
         self._begins: list[int] = []
         """The offsets at which the last pieces begin, at which a frame of any kind may begin."""
         self._open: list[tuple[int, int]] = []
@@ -254,9 +259,11 @@ class TextFrames:
     def close(self) -> list[TextFrame]:
         """Return the frames of a log that ends before it has given enough evidence.
 
-        There are some only if all bytes of the log were frames, or nearly all.
+        There are some only if nearly all bytes of the log were frames.
         """
-        most = FEW_MISSES if self._has_marked else 0
+        rtu = {one.raw for one in self._held if one.transport is Transport.RTU}
+        has_rtu = len(rtu) > 1 or any(len(one) == _REQUEST_SIZE for one in rtu)
+        most = FEW_MISSES if self._has_marked else FEWEST_MISSES if has_rtu else 0
         if self.is_modbus or self._missed > most or not self._evidence:
             return []
         return [*self._held]
@@ -323,6 +330,11 @@ class TextFrames:
             part = _OpenBytes()
         part.row = row
         found = part.feed(data)
+        if found:
+            self._missed -= part.misses  # They were parts of a frame.
+            part.misses = 0
+        elif not self.is_modbus:
+            part.misses += 1
         if part.data:
             self._parts[label.text] = part
             if len(self._parts) > MAX_LABELS:

@@ -48,6 +48,7 @@ from mbtool.sources.text_marks import (
     MAX_TIME_NS,
     DateOrder,
     Time,
+    bracket_mark,
     find_mark,
     find_time,
 )
@@ -75,7 +76,7 @@ MASTER = "master"
 
 _MAY_BE_BYTES = re.compile(
     rb"00[ ,:|;\t_-]{1,2}00(?![0-9A-Za-z])|0[xX]0|0{8}|[\[<]00[\]>]|\\[x0]|00[hH][ ,]"
-    rb"|0{2,}0(?: 0000)|\(0+, \"|[ 0]000#00|(?:0{1,3},\s?){3}"
+    rb"|0{2,}0(?: 0000)|\(0+, \"|[ 0]000#00|0{4} \| 00|(?:0{1,3}(?:,\s?|-)){3}"
     rb"|(?:[:=>\]]\s{0,2}|^\s*)00(?:\s{3,}\S{1,3})?\s*$"
 )
 _UNIMPORTANT = re.compile(rb"[0\s]+")
@@ -246,7 +247,7 @@ class TextLog:
 
         `offset` is the offset at the front of the row; it is 0 where a dump begins.
         """
-        is_first = b"0" in offset and not offset.strip(b" \t:0xh")
+        is_first = b"0" in offset and not offset.strip(b" \t:|0xh")
         if is_first:
             self._frames.drop_parts()
         if not is_first and self._last_row is not None and self._last_row[0] == self.lines - 1:
@@ -362,7 +363,7 @@ def _plan(line: bytes, shape: bytes) -> _Plan | None:
             continue
         before = line[end : one.start]
         mark = find_mark(before) or (places[-1].label.mark if places else None)
-        mark = mark or find_mark(line[one.end :], last=False)
+        mark = mark or find_mark(line[one.end :], last=False) or bracket_mark(shape[one.start :])
         text = _UNIMPORTANT.sub(b"", shape[end : one.start])[-80:]
         places.append(_BytesPlace((one,), Label(text, mark)))
         end = one.end

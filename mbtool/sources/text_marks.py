@@ -253,6 +253,13 @@ class Mark(NamedTuple):
 
 
 _NUMBERS = b"0123456789"
+_BRACKETS = {b"[00][00][00][00]": Mark(b"[]", True), b"<00><00><00><00>": Mark(b"<>", False)}
+"""What libmodbus puts around the bytes that it sends and receives."""
+
+
+def bracket_mark(shape: bytes) -> Mark | None:
+    """Return the mark that brackets around each byte are; None if bytes are written otherwise."""
+    return _BRACKETS.get(shape[:16])
 
 
 def find_mark(text: bytes, *, last: bool = True, is_strong: bool = False) -> Mark | None:

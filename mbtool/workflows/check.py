@@ -24,6 +24,7 @@ from mbtool.devices.checking.security_limits import SecurityLimits
 from mbtool.devices.profile_checks import finding_prefix
 from mbtool.ledger.account import Account
 from mbtool.ledger.request_tally import merged
+from mbtool.logs.rotation import with_parts
 from mbtool.modbus import Outcome
 from mbtool.sources.files import STANDARD_INPUT
 from mbtool.troubles.judge import Judge
@@ -180,7 +181,7 @@ class CheckRun:
         self._codes = codes or CodeFilter()
         self._limits = limits or SecurityLimits()
         self._window = window or TimeWindow(None, None)
-        self._paths = paths
+        self._paths = paths = with_parts(paths)
         self._options = options
         self._line = options.line
         self._columns = column_reading(paths, options) if wanted is None else None

@@ -60,6 +60,8 @@ _LATE_NS = 3_000_000_000
 _LONGEST_PAUSE_NS = 60_000_000
 """A longer pause (ns) inside an answer is none of an adapter, which delivers bytes at least each
 16 ms."""
+_RECOVERIES = 8
+"""After wrong bytes, right requests are sent until one is answered, at most so many."""
 _PAUSES = 8
 """An answer pauses if it does so each of this many times: a busy machine makes pauses, too. With 3
 times, a machine with 22 processes for 2 cores made a false one."""
@@ -325,7 +327,7 @@ class Conformance:
         adu = self._wire.adu(self._unit, good)
         for cut in (1, 6, 7, len(adu) - 1):
             name = f"an ADU in two pieces, {cut} bytes first"
-            yield self._answered(name, f"{where} 4.4.2.2", [adu[:cut], adu[cut:]], renews=True)
+            yield self._answered(name, f"{where} 4.4.2.2", [adu[:cut], adu[cut:]])
         both = mbap_adu(0x1111, self._unit, good) + mbap_adu(0x2222, self._unit, good)
         heard = self._wire.send([both], awaited=2)
         ids = [one.transaction_id for one in heard.adus]
@@ -363,19 +365,17 @@ class Conformance:
         is_note = note is not None and bool(problem)
         if is_note:
             problem = f"{problem}: {note}"
-        lasting = self._lasting_problem()
+        lasting = self._lasting_problem(forgiven=1)
         if lasting:
             problem, is_note = f"{problem}; {lasting}".lstrip("; "), False
         return _result(name, section, problem, b"".join(pieces), heard, is_note=is_note)
 
-    def _answered(
-        self, name: str, section: str, pieces: Sequence[bytes], *, renews: bool = False
-    ) -> CaseResult:
+    def _answered(self, name: str, section: str, pieces: Sequence[bytes]) -> CaseResult:
         """Send bytes whose last ones are a right request, with a pause before them."""
         heard = self._wire.send(pieces, _TORN_NS)
         problem = self._unless_right(heard, b"".join(pieces))
-        if renews and problem:
-            self._wire.renew()
+        lasting = self._lasting_problem(forgiven=0) if problem else ""
+        problem = "; ".join(filter(None, (problem, lasting)))
         return _result(name, section, problem, b"".join(pieces), heard)
 
     def _unless_right(self, heard: Heard, sent: bytes) -> str:
@@ -384,15 +384,19 @@ class Conformance:
             return f"expected {_text(b'', self._good)}, got {self._shown(heard, self._good)}"
         return _wrong_id(sent, heard)
 
-    def _lasting_problem(self) -> str:
-        """Return what is wrong if a right request gets no right answer any more; else nothing."""
-        for _ in range(2):
+    def _lasting_problem(self, forgiven: int) -> str:
+        """Send right requests until one gets a right answer; say how many did not, if these are
+        more than `forgiven`.
+        """
+        for unanswered in range(_RECOVERIES):
             try:
                 self._wire.renew()
             except LinkError as error:
                 return f"afterwards {error}"
             if _is_right(self._wire.send([self._wire.adu(self._unit, self._good)]), self._good):
-                return ""
+                if unanswered <= forgiven:
+                    return ""
+                return f"the next {counted(unanswered, 'right request')} got no right answer"
         return "afterwards it answers no right request"
 
     def _shown(self, heard: Heard, pdu: bytes) -> str:
@@ -464,7 +468,9 @@ def _is_right(heard: Heard, pdu: bytes) -> bool:
 def _text(response: bytes, pdu: bytes) -> str:
     """Say what a response is: values, or an exception by code and name."""
     if response and response[0] & EXCEPTION_BIT and len(response) == 2:
-        return f"exception {response[1]:02X} {exception_name(response[1])}"
+        text = f"exception {response[1]:02X} {exception_name(response[1])}"
+        is_other = bool(pdu) and response[0] != pdu[0] | EXCEPTION_BIT
+        return f"{text} with function {response[0]:02X}" if is_other else text
     if pdu and pdu[0] in _READS and (not response or response[0] == pdu[0]):
         quantity = int.from_bytes(pdu[3:5])
         if response and (expected := ExpectedResponse.of(pdu)) and not expected.fits(response):

@@ -376,3 +376,18 @@ def test_a_table_of_times_and_whole_frames_is_a_text_log(tmp_path: Path) -> None
     rows = "".join(f"{one.ms / 1000:.3f},{one.data.hex()}\n" for one in conversation())
     path.write_text(f"t_start_s,hex\n{rows}")
     assert _told(_read(path)) == expected()
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "Connected\n[01][03][00][00][00][01][84][0A]\nERROR Bad file descriptor\n",
+        "0000 | 01 03 02 00 07 f9 86 | ...\nnext\n0000 | 01 03 02 00 08 b9 82 | ...\n",
+        "Transport - TX: 1, 3, 0, 22, 0, 2, 37, 207\n",
+        "<< writing 01 03 00 00 00 01 84 0A to COM4\ngot (00 01 03 02 00 07)\n",
+    ],
+)
+def test_a_short_log_of_few_frames_counts(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "log.txt"
+    path.write_text(text)
+    assert {function for function, _ in _told(_read(path))} == {3}

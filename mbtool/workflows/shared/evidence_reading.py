@@ -19,12 +19,14 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from mbtool.core import Chunk, Direction, InputError, Origin, Packet, StreamPlace, WireEvent
+from mbtool.decode.usb_adapters import UsbAdapters
 from mbtool.devices import finding_text
 from mbtool.logs import LogReader
 from mbtool.modbus import Outcome, Verdict
 from mbtool.modbus.damaged_answers import DamagedAnswers
 from mbtool.packets import reads_of, serial_pieces
 from mbtool.packets.tcp_ends import TcpEnd, TcpEnds, end_of
+from mbtool.packets.usb import USB_LINK_TYPES
 from mbtool.sources.files import PACKET_KINDS, CaptureKind, open_capture
 from mbtool.workflows.shared.heard_line import serial_types
 from mbtool.workflows.shared.read_all import unwatched
@@ -35,7 +37,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
     from collections.abc import Set as AbstractSet
 
-    from mbtool.decode.decoder import Evidence
+    from mbtool.decode.decoder import Decoder, Evidence
     from mbtool.devices import NamedTransaction, Profile
     from mbtool.workflows.shared.read_all import Watch
     from mbtool.workflows.shared.reading import ReadingOptions
@@ -86,6 +88,7 @@ class EvidenceReading(Reading):
     def __init__(self, paths: Sequence[str], options: ReadingOptions) -> None:
         super().__init__(paths, options)
         self._types = serial_types(options.line)
+        self._usb = UsbAdapters()
         self._positions: defaultdict[str, int] = defaultdict(int)
         self._packets = 0
         self._keys: dict[tuple[str, ...], StreamKey] = {}
@@ -120,8 +123,10 @@ class EvidenceReading(Reading):
                     frames.sort(key=lambda one: (one.ts_ns, one.number))
 
     def _fed(self, items: Iterator[Evidence]) -> Iterator[Evidence]:
-        for item in evidence_pieces(items, self._types):
+        for item in evidence_pieces(items, self._types, self._usb):
             self.marks.items += 1
+            if self._decoder is not None:
+                self._begin_usb_lines(self._decoder)
             if isinstance(item, Packet):
                 self._packets += 1
                 yield replace(item, file="", number=self._packets)
@@ -129,6 +134,17 @@ class EvidenceReading(Reading):
                 yield self._placed(item)
             else:
                 yield item
+
+    def _own_decoder(self) -> Decoder:
+        decoder = super()._own_decoder()
+        self._begin_usb_lines(decoder)
+        return decoder
+
+    def _begin_usb_lines(self, decoder: Decoder) -> None:
+        """Give the decoder the settings of USB adapters, which the chunks do not tell."""
+        if self._options.line is None:
+            for line in self._usb.lines():
+                decoder.begin_line(line)
 
     def _placed(self, chunk: Chunk) -> Chunk:
         key = StreamKey(chunk.link, chunk.direction, chunk.connection)
@@ -239,13 +255,18 @@ def frames_of(
         )
 
 
-def evidence_pieces(items: Iterable[Evidence], types: AbstractSet[int]) -> Iterator[Evidence]:
-    """Yield evidence unchanged, but packets with a link type in `types` as the chunks of serial
-    bytes that they contain.
+def evidence_pieces(
+    items: Iterable[Evidence], types: AbstractSet[int], usb: UsbAdapters | None = None
+) -> Iterator[Evidence]:
+    """Yield evidence unchanged, but packets with a link type in `types` and those of USB as the
+    chunks of serial bytes that they contain. `usb` learns the settings of USB adapters.
     """
+    usb = usb or UsbAdapters()
     for item in items:
         if isinstance(item, Packet) and item.link_type in types:
             yield from serial_pieces(item)
+        elif isinstance(item, Packet) and item.link_type in USB_LINK_TYPES:
+            yield from usb.feed(item)
         else:
             yield item
 

@@ -45,6 +45,7 @@ from mbtool.logs.links import (
     ports_of,
     serial_lines,
 )
+from mbtool.logs.rotation import with_parts
 from mbtool.packets import reads_of, serial_pieces
 from mbtool.sources.files import (
     PACKET_KINDS,
@@ -82,7 +83,8 @@ class Reading:
     """Reads files once, and yields their transactions and events."""
 
     def __init__(self, paths: Sequence[str], options: ReadingOptions) -> None:
-        self._paths = paths
+        """`paths` are files; the name of a log that was rotated stands for all of its parts."""
+        self._paths = paths = with_parts(paths)
         self._options = options
         self._current: CaptureFile | None = None
         self._decoder: Decoder | None = None
@@ -176,7 +178,7 @@ class Reading:
         ports = {port for some in self._ports for port in some}
         return (
             f"{names}: no Modbus at TCP port {', '.join(map(str, sorted(ports)))}; "
-            "name other ports with --port, for RTU over TCP with --rtu-port"
+            "--port any looks at all ports, --port N and for RTU over TCP --rtu-port N at some"
         )
 
     def demand_readable(self) -> None:
