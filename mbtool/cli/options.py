@@ -75,6 +75,15 @@ TypesOption = Annotated[
         "Flow=40011:i16, 'holding 0..9:u32', hr20:str8. Repeatable.",
     ),
 ]
+GuessedTypesOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--types",
+        metavar="REFERENCE:TYPE|off",
+        help="Read registers of slaves without a profile as numbers: hr10:f32cdab. Registers that "
+        "are surely one number are shown as one, marked with ?; off shows the words. Repeatable.",
+    ),
+]
 EventsOption = Annotated[
     EventChoice | None,
     typer.Option(
@@ -377,6 +386,12 @@ def assignments(devices: Sequence[str] | None, types: Sequence[str] | None = Non
 
         assigned.append(Assignment(Who(), with_points(None, typed_points(types))))
     return Assignments(assigned)
+
+
+def given_types(types: Sequence[str] | None) -> tuple[list[str], bool]:
+    """Return the types that --types gives, and False if `off` is among its values: no guesses."""
+    given = [one for one in types or () if one.strip().lower() != "off"]
+    return given, len(given) == len(types or ())
 
 
 def condition(where: str | None) -> Where:

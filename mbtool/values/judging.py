@@ -62,6 +62,8 @@ ASKED_ALONE = 7.0
 """How much cheaper, in bits, a value of several registers is if a request asks for just these."""
 CLOCK = 24.0
 """The cost in bits of the seconds since 1970, by the recording's own time to within a day."""
+ASKED_SINGLY = 8.0
+"""The cost in bits of each register of a value that a request asks for by itself."""
 COUNTS_FROM_BELOW = 6.0
 """The cost in bits of a negative number that only counts up: it is rather a counter."""
 _ORDERS = {Order.ABCD: 0.45, Order.CDAB: 0.35, Order.BADC: 0.1, Order.DCBA: 0.1}
@@ -150,7 +152,8 @@ class _Range:
         cost = sum(
             ACROSS_A_REQUEST * bool(self._edges[edge]) for edge in range(first + 1, first + words)
         )
-        return cost - ASKED_ALONE * self.is_alone(at, words)
+        singles = sum(self.is_alone(at + word, 1) for word in range(words))
+        return cost + ASKED_SINGLY * singles - ASKED_ALONE * self.is_alone(at, words)
 
     def is_alone(self, at: int, words: int) -> bool:
         """True if a request is for just these registers."""
@@ -326,8 +329,7 @@ def _ranges(histories: Sequence[WordHistory]) -> list[_Range]:
     alone: dict[Table, set[range]] = {}
     for one in histories:
         edges.setdefault(one.table, Counter()).update((one.first, one.stop))
-        if one.stop - one.first > 1:
-            alone.setdefault(one.table, set()).add(range(one.first, one.stop))
+        alone.setdefault(one.table, set()).add(range(one.first, one.stop))
     in_order = sorted(
         histories,
         key=lambda one: (one.is_written, len(one.rows) < 4, one.first - one.stop, one.first),

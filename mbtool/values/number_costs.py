@@ -30,6 +30,8 @@ IMPOSSIBLE = math.inf
 MOST_DECIMALS = 5
 _BEYOND_COUNTING = 30.0
 """The extra cost of a number that nothing measured or counted is."""
+_HUGE = 6.0
+"""The extra cost of a number of 32 bits that uses them nearly all: it is rather a float."""
 _FEWEST_FLIPS = 3
 _RARE = 4
 """So many of the dearest changes of a series count in full."""
@@ -43,7 +45,9 @@ _WIDE_NOISE = 13
 def whole_cost(number: int, bits: int) -> float:
     """The cost of a whole number of this many bits: small ones are more frequent."""
     cost = math.log2(abs(number) + 1) + math.log2(bits * 0.6931) + (bits > 16 or number < 0)
-    return cost + (_BEYOND_COUNTING if abs(number) > 1 << 53 else 0)
+    if abs(number) >> 53:
+        return cost + _BEYOND_COUNTING
+    return cost + (_HUGE if bits == 32 and abs(number) >> 28 else 0)
 
 
 def changes_cost(numbers: Sequence[int], bits: int) -> float:
