@@ -115,9 +115,7 @@ def _judged(
     edges = [
         WordHistory(history.table, span.start, [0], [(0,) * len(span)])
         for span in asked
-        if history.first <= span.start
-        and span.stop <= history.stop
-        and span != range(history.first, history.stop)
+        if history.first <= span.start and span.stop <= history.stop
     ]
     for judged in judge([history, *edges]):
         if is_shown(judged):
@@ -140,7 +138,7 @@ def _history(registers: Sequence[_Register]) -> WordHistory:
         rows.append(tuple(row))
         times.append(ts_ns)
     word = registers[0].key.name.partition(" ")[0]
-    return WordHistory(_TABLES[word], registers[0].address, times, rows)
+    return WordHistory(_TABLES[word], registers[0].address, times, rows, is_asked=False)
 
 
 def _series_of(

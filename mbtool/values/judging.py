@@ -85,6 +85,8 @@ class WordHistory(NamedTuple):
     """Number of answers (or writes) that had these registers; 0 if it is that of the rows."""
     is_written: bool = False
     """True if a master writes them; False if it reads them."""
+    is_asked: bool = True
+    """False if the range is put together, and no request asks for just it."""
 
     @property
     def stop(self) -> int:
@@ -329,7 +331,8 @@ def _ranges(histories: Sequence[WordHistory]) -> list[_Range]:
     alone: dict[Table, set[range]] = {}
     for one in histories:
         edges.setdefault(one.table, Counter()).update((one.first, one.stop))
-        alone.setdefault(one.table, set()).add(range(one.first, one.stop))
+        if one.is_asked:
+            alone.setdefault(one.table, set()).add(range(one.first, one.stop))
     in_order = sorted(
         histories,
         key=lambda one: (one.is_written, len(one.rows) < 4, one.first - one.stop, one.first),

@@ -71,4 +71,4 @@ def test_a_request_for_one_of_the_registers_keeps_them_apart() -> None:
     asked = [
         RequestedSpan("line", 5, Table.HOLDING_REGISTERS, range(at, at + 1)) for at in (10, 11)
     ]
-    assert with_guesses(series_of(rows), asked).keys() == series_of(rows).keys()
+    assert len(with_guesses(series_of(rows), asked)) == 2
