@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Self
 
 import msgspec
 
@@ -26,10 +27,14 @@ class Transport(StrEnum):
     TCP = "tcp"
     RTU_TCP = "rtu-tcp"
 
-    @property
-    def is_serial(self) -> bool:
-        """True for RTU and ASCII on a serial line, which all units share."""
-        return self in (Transport.RTU, Transport.ASCII)
+    is_serial: bool
+    """True for RTU and ASCII on a serial line, which all units share."""
+
+    def __new__(cls, value: str) -> Self:
+        self = str.__new__(cls, value)
+        self._value_ = value
+        self.is_serial = value in ("rtu", "ascii")  # Asked for each transaction several times.
+        return self
 
 
 class DirectionBy(StrEnum):

@@ -16,6 +16,7 @@ from __future__ import annotations
 import itertools
 import re
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 from mbtool.core.wording import host_of
@@ -153,6 +154,7 @@ def _was_replaced(macs: dict[str, _Mac], owners: dict[str, set[str]]) -> bool:
     return follow and len(owners[in_order[-1][0]]) == 1
 
 
+@lru_cache(maxsize=MAX_HOSTS)
 def _network(host: str) -> str | None:
     match = _IN_A_NETWORK.fullmatch(host)
     return None if match is None else match[1]

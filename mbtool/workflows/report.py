@@ -83,7 +83,6 @@ class ReportRun:
             window=window,
             on_retry=self._mark_retry,
             observes=True,
-            reads_only=True,
         )
         self.reading = self._check.reading
         self.account = self._check.ledger
