@@ -74,6 +74,14 @@ def decode(
             "also into a folder, here or in an object store (s3://...): a file for each capture.",
         ),
     ] = None,
+    points: Annotated[
+        str | None,
+        typer.Option(
+            "--points",
+            metavar="OUT",
+            help="With -o OUT.parquet: a second Parquet file with a row for each value.",
+        ),
+    ] = None,
     overwrite: OverwriteOption = False,
     start: StartOption = None,
     end: EndOption = None,
@@ -114,6 +122,7 @@ def decode(
     from mbtool.core import UsageError, WireEvent
     from mbtool.workflows.shared.log_records import followed
     from mbtool.workflows.shared.model_hints import ModelHints
+    from mbtool.workflows.shared.named_files import named_files
     from mbtool.workflows.shared.time_window import TimeWindow
     from mbtool.workflows.shared.unreadable_lines import UnreadableLines
 
@@ -121,18 +130,21 @@ def decode(
         raise UsageError("--follow goes with one log, and not with --raw, --link or --sunspec")
     if follow and sort is not None:
         raise UsageError("--follow prints each row as it comes; --sort needs all of them first")
-    if is_job(files, output, group):
+    if not is_job(files, output, group):
+        files = named_files(files)
+    else:
         refuse_others({
             "--device": device, "--where": where, "--start": start, "--end": end,
             "--limit": limit, "--follow": follow, "--raw": raw, "--link": source.link,
-            "--sunspec": sunspec, "--events": events, "--sort": sort,
+            "--sunspec": sunspec, "--events": events, "--sort": sort, "--points": points,
             "--t1-5, --t3-5, --response-timeout": silences != SilenceOptions(),
             "options of the table": table != TableOptionGroup(),
         })  # fmt: skip
         read = source.read()
         run_job(files, output, format_, read, group, jobs, overwrite=overwrite)
         return
-    demand_other_file(files, output)
+    for path in (output, points):
+        demand_other_file(files, path)
     window = TimeWindow.parse(start, end)
     fits = condition(where)
     wanted = fits if window.is_whole else lambda one: one in window and fits(one)
@@ -159,6 +171,8 @@ def decode(
             order=sort,
             overwrite=overwrite,
             in_place=follow or (STANDARD_INPUT in files and _is_piped()),
+            points=points,
+            profile_named=reading.profile_named,
         ) as out,
         interruptible() as interrupt,
     ):

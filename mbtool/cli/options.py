@@ -103,6 +103,15 @@ TopicPerPointOption = Annotated[
 OverwriteOption = Annotated[
     bool, typer.Option("--overwrite", help="Replace the file of --output if there is one.")
 ]
+WaitOption = Annotated[
+    str | None,
+    typer.Option(
+        "--wait",
+        metavar="TIME",
+        help="With @auto: listen at most so long for the settings. [default: 15min, and 1min if "
+        "nothing is heard]",
+    ),
+]
 RawOption = Annotated[
     bool,
     typer.Option("--raw", help="Decode a log's evidence afresh, in place of what it says."),
@@ -168,8 +177,8 @@ class PortOptions(OptionGroup):
         typer.Option(
             "--port",
             metavar="PORT|any",
-            help="A TCP port of slaves, or any: find Modbus/TCP and RTU over TCP at all ports by "
-            "what is said there. Repeatable. [default: 502]",
+            help="A TCP or UDP port of slaves, or any: find Modbus/TCP and RTU over TCP at all "
+            "ports by what is said there. Repeatable. [default: 502]",
         ),
     ] = None
     rtu_port: Annotated[
@@ -177,7 +186,7 @@ class PortOptions(OptionGroup):
         typer.Option(
             "--rtu-port",
             metavar="PORT",
-            help="A TCP port of slaves that speak RTU over TCP. Repeatable.",
+            help="A TCP or UDP port of slaves that speak RTU over it. Repeatable.",
         ),
     ] = None
 

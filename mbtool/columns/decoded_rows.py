@@ -19,8 +19,7 @@ import numpy as np
 from mbtool.columns.packet_block import SPARE
 from mbtool.columns.plain_rows import PER_ROW, PlainRows, link_addresses_of, link_headers
 from mbtool.core import WireEvent
-from mbtool.modbus.adu import DirectionBy, Transport
-from mbtool.modbus.adu_bytes import MBAP_BYTES
+from mbtool.modbus.adu import MBAP_BYTES, DirectionBy, Transport
 from mbtool.modbus.functions import READ_BITS, READ_REGISTERS, WRITE_ONE, WRITE_SEVERAL
 from mbtool.modbus.transaction import Outcome
 
@@ -107,6 +106,7 @@ def _is_ordinary(
         or one.direction_by is not DirectionBy.PORT
         or one.confidence != 1.0
         or one.pair_confidence is not None
+        or one.request_parts_ns is not None
         or one.response_file is not None
     ):
         return False

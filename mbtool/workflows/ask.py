@@ -29,9 +29,9 @@ ANSWERED_OUTCOMES = (Outcome.OK, Outcome.BROADCAST)
 
 
 def transport_of(link: LinkSpec) -> Transport:
-    """The transport (RTU, ASCII, TCP or RTU over TCP) that a master uses on this link."""
+    """The transport (RTU, ASCII, TCP, UDP or RTU over these) that a master uses on this link."""
     if isinstance(link, TcpLink):
-        return Transport.RTU_TCP if link.rtu else Transport.TCP
+        return Transport.at_endpoint(is_rtu=link.rtu, is_udp=link.is_udp)
     is_ascii = isinstance(link, SerialLink) and link.ascii
     return Transport.ASCII if is_ascii else Transport.RTU
 

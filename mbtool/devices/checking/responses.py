@@ -348,7 +348,7 @@ def _needs_no_response(transaction: NamedTransaction, profile: Profile | None) -
 
     `profile` is the slave's; None if it has none.
     """
-    if transaction.transport is Transport.RTU_TCP and transaction.unit == 0:
+    if transaction.transport.over_tcp is Transport.RTU_TCP and transaction.unit == 0:
         return True
     if transaction.function == DIAGNOSTICS and transaction.sub_function == FORCE_LISTEN_ONLY:
         return True
