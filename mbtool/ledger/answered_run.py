@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
@@ -33,6 +33,9 @@ class AlikeRequests:
     """The time (UTC ns) of each request of the group, in the order of the responses."""
     latencies: list[int]
     """The latency (ns) of each request of the group, in the order of the responses."""
+    packets: Callable[[int], tuple[int, int]]
+    """Returns the numbers of the packets of the request with an index in the group, and of its
+    response."""
 
 
 class ConnectionCounts(NamedTuple):

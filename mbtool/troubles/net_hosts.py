@@ -77,9 +77,17 @@ class Hosts(Sense):
 
     def run(self, run: AnsweredRun) -> None:
         for kind in run.kinds:
-            self._note(kind.like, kind.count, kind.begin_ns, kind.end_ns)
+            first = Evidence(ts_ns=kind.request_ns[0], file=kind.like.file, packets=kind.packets(0))
+            self._note(kind.like, kind.count, kind.begin_ns, kind.end_ns, first)
 
-    def _note(self, one: NamedTransaction, count: int, begin_ns: int, end_ns: int) -> None:
+    def _note(
+        self,
+        one: NamedTransaction,
+        count: int,
+        begin_ns: int,
+        end_ns: int,
+        evidence: Evidence | None = None,
+    ) -> None:
         master, slave = host_of(one.source), host_of(one.destination)
         is_local = _network(master) is not None and _network(master) == _network(slave)
         ends = [(master, one.source_mac, True), (slave, one.destination_mac, False)]
@@ -99,7 +107,7 @@ class Hosts(Sense):
                 host.requests += count
                 host.asked = host.asked or one.link
                 if len(host.cases) < MAX_EVIDENCE:
-                    host.cases.append(Evidence.of(one))
+                    host.cases.append(evidence or Evidence.of(one))
             elif not is_master and one.outcome in _ANSWERED:
                 host.slave_ns = min(begin_ns, host.slave_ns or begin_ns)
                 host.link = host.link or one.link
