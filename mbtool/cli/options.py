@@ -103,6 +103,15 @@ TopicPerPointOption = Annotated[
 OverwriteOption = Annotated[
     bool, typer.Option("--overwrite", help="Replace the file of --output if there is one.")
 ]
+WaitOption = Annotated[
+    str | None,
+    typer.Option(
+        "--wait",
+        metavar="TIME",
+        help="With @auto: listen at most so long for the settings. [default: 15min, and 1min if "
+        "nothing is heard]",
+    ),
+]
 RawOption = Annotated[
     bool,
     typer.Option("--raw", help="Decode a log's evidence afresh, in place of what it says."),

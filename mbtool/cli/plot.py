@@ -74,9 +74,11 @@ def plot(
     from mbtool.cli.talk import interruption_told, say
     from mbtool.core import UsageError
     from mbtool.workflows.plot import PlotRun
+    from mbtool.workflows.shared.named_files import named_files
     from mbtool.workflows.shared.time_window import TimeWindow
 
     files, texts = _divided(arguments)
+    files = named_files(files)
     if output is not None and not texts:
         raise UsageError("name what to plot behind the files; without --output they are listed")
     if output is not None and as_json:

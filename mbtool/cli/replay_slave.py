@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from mbtool.cli.keys import Keyboard
-    from mbtool.ports.allowed_peers import AllowedPeers
+    from mbtool.ports.tcp_listener import AllowedPeers
     from mbtool.replay import Progress
     from mbtool.slave.shells import OnExchange
     from mbtool.workflows.replay_site import PlayedSite, SitePlayer

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ipaddress
 import re
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -29,6 +28,9 @@ _UNITS = range(256)
 _ADDRESSES = range(0x10000)
 _NETWORK = re.compile(r"(?P<scheme>(?:rtu\+)?tcp:)(?P<network>[0-9.]+/\d+)(?P<port>:\d+)?")
 _MOST_HOSTS = 1024
+_HEXADECIMAL = re.compile(r"0x[0-9a-f]{1,4}", re.IGNORECASE)
+_MOST_RESUMED_BYTES = 16 << 20
+"""A larger file of --resume is refused: this program wrote none."""
 _WORDS = {
     "holding_registers": "holding",
     "input_registers": "input",
@@ -57,7 +59,7 @@ def scan(
         typer.Option(
             "--addresses",
             metavar="RANGE",
-            help="The addresses to read in each table, on the wire, from 0.",
+            help="The addresses to read in each table, on the wire, from 0: 0..9999, 0x10..0x1f.",
         ),
     ] = "0..9999",
     units_only: Annotated[
@@ -128,10 +130,10 @@ def scan(
     refused: LinkError | None = None
     with interruptible() as interrupt:
         for spec in specs:
-            state = _state(resume, spec)
+            state = _state(resume, spec, numbers, None if units_only else asked_addresses)
             try:
                 with _opened(spec, timeout, target, listen, between=between) as master:
-                    runner = _Runner(master, spec, state, interrupt, resume)
+                    runner = _Runner(master, spec, state, interrupt, resume, timeout)
                     runner.run(numbers, None if units_only else asked_addresses, rate, every=every)
                     if output is not None and not interrupt.asked:
                         runner.write_profile(output, overwrite=overwrite)
@@ -172,12 +174,16 @@ def _spans(text: str, option: str, allowed: range) -> list[range]:
     spans = []
     for part in text.split(","):
         first, dots, last = part.strip().partition("..")
-        begin = parse_number(first, "number", allowed, option)
-        end = parse_number(last, "number", allowed, option) if dots else begin
+        begin = parse_number(_decimal(first), "number", allowed, option)
+        end = parse_number(_decimal(last), "number", allowed, option) if dots else begin
         if end < begin:
             raise UsageError(f"{option} {part.strip()}: write the smaller number first")
         spans.append(range(begin, end + 1))
     return spans
+
+
+def _decimal(text: str) -> str:
+    return str(int(text, 16)) if _HEXADECIMAL.fullmatch(text) else text
 
 
 def _hosts(text: str) -> list[str]:
@@ -213,21 +219,68 @@ def _opened(
     return master
 
 
-def _state(resume: Path | None, spec: LinkSpec) -> ScanState:
+def _state(
+    resume: Path | None, spec: LinkSpec, numbers: list[int], addresses: range | None
+) -> ScanState:
+    """Return what the file of --resume says, or an empty state if there is no file yet.
+
+    Raises InputError if the file is none of --resume, or is of another scan; UsageError if it
+    cannot be written.
+    """
     import msgspec
 
-    from mbtool.core import InputError, UsageError
+    from mbtool.cli.output_file import demand_writable
+    from mbtool.core import InputError
+    from mbtool.core.errors import reason_of
     from mbtool.workflows.scan import ScanState
 
+    span = None if addresses is None else (addresses.start, addresses.stop - 1)
     if resume is None or not resume.exists():
-        return ScanState(link=str(spec))
+        if resume is not None:
+            demand_writable(resume)
+        return ScanState(link=str(spec), numbers=numbers, addresses=span)
+    if not resume.is_file():
+        raise InputError(f"--resume {resume}: is no regular file")
     try:
-        state = msgspec.json.decode(resume.read_bytes(), type=ScanState)
-    except (OSError, msgspec.DecodeError) as error:
-        raise InputError(f"{resume}: is no file of --resume: {error}") from error
-    if state.link != str(spec):
-        raise UsageError(f"--resume {resume}: is of {state.link}, and {spec} is scanned")
+        with resume.open("rb") as stream:
+            raw = stream.read(_MOST_RESUMED_BYTES + 1)
+    except OSError as error:
+        raise InputError(f"--resume {resume}: cannot be read: {reason_of(error)}") from error
+    if len(raw) > _MOST_RESUMED_BYTES:
+        raise InputError(
+            f"--resume {resume}: is longer than {_MOST_RESUMED_BYTES >> 20} MiB, so a scan did not "
+            "write it"
+        )
+    try:
+        state = msgspec.json.decode(raw, type=ScanState)
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"--resume {resume}: a scan did not write it: {error}") from error
+    for what, kept, asked in (
+        ("of", state.link, str(spec)),
+        ("with --units", _ranges(state.numbers), _ranges(numbers)),
+        ("with --addresses", state.addresses or span, span or state.addresses),
+    ):
+        if kept != asked:
+            kept, asked = (each if isinstance(each, str) else _span(each) for each in (kept, asked))
+            raise InputError(f"--resume {resume}: is {what} {kept}, and {asked} is asked for")
+    demand_writable(resume)
+    state.addresses = state.addresses or span
     return state
+
+
+def _span(ends: tuple[int, int] | None) -> str:
+    return "" if ends is None else f"{ends[0]}..{ends[1]}"
+
+
+def _ranges(numbers: list[int]) -> str:
+    """Return numbers as --units takes them: `1..20,40`."""
+    spans: list[list[int]] = []
+    for number in numbers:
+        if spans and spans[-1][-1] + 1 == number:
+            spans[-1][1:] = [number]
+        else:
+            spans.append([number])
+    return ",".join("..".join(map(str, span)) for span in spans)
 
 
 class _Runner:
@@ -240,6 +293,7 @@ class _Runner:
         state: ScanState,
         interrupt: Interrupt,
         resume: Path | None,
+        timeout_s: float,
     ) -> None:
         from mbtool.workflows.ask import Asker
 
@@ -251,9 +305,11 @@ class _Runner:
         self.state = state
         self._interrupt = interrupt
         self._resume = resume
+        self._timeout_ns = round(timeout_s * 1e9)
 
     def run(self, units: list[int], addresses: range | None, rate: float, *, every: bool) -> None:
         """Find the units, and with `addresses` their areas; end early after Ctrl-C."""
+        from mbtool.cli.talk import shown_progress
         from mbtool.core import TcpLink
         from mbtool.workflows.scan import Scan
 
@@ -263,14 +319,15 @@ class _Runner:
             is_tcp=isinstance(self._spec, TcpLink),
             every=every,
             interval_ns=round(1e9 / rate),
+            late_ns=self._timeout_ns,
         )
-        for text in self._steps(work, units, addresses):
-            _tell_progress(f"{text}; {len(self.state.units)} found, {work.asked:,} requests")
-            if self._resume is not None:
-                self._keep(self._resume)
-            if self._interrupt.asked:
-                break
-        _tell_progress("")
+        with shown_progress() as show:
+            for text in self._steps(work, units, addresses):
+                show(f"{text}; {len(self.state.units)} found, {work.asked:,} requests")
+                if self._resume is not None:
+                    self._keep(self._resume)
+                if self._interrupt.asked:
+                    break
 
     def _steps(self, work: Scan, units: list[int], addresses: range | None) -> Iterator[str]:
         for unit in work.units(units):
@@ -284,20 +341,23 @@ class _Runner:
     def _keep(self, file: Path) -> None:
         import msgspec
 
+        from mbtool.cli.output import told_as_lost
         from mbtool.core.replacing import replacing
 
-        if not file.exists():
-            file.touch()
-        with replacing(file) as new:
-            new.write_bytes(msgspec.json.format(msgspec.json.encode(self.state), indent=2))
+        text = msgspec.json.format(msgspec.json.encode(self.state), indent=2)
+        with told_as_lost(str(file)):
+            if not file.exists():
+                file.touch()
+            with replacing(file) as new:
+                new.write_bytes(text)
 
     def write_profile(self, output: str, *, overwrite: bool) -> None:
         """Read all areas once more, and draft a profile from the answers."""
         from mbtool.cli.profile_files import give, is_file
         from mbtool.cli.talk import say
         from mbtool.core import UsageError
-        from mbtool.devices.drafting.draft import draft_profile
         from mbtool.devices.profile_template import name_for
+        from mbtool.values.draft import draft_profile
         from mbtool.workflows.scan import final_reads
         from mbtool.workflows.shared.observed_slaves import ObservedSlaves
 
@@ -313,15 +373,6 @@ class _Runner:
         name = name_for(output) if is_file(output) else f"unit-{unit}"
         drafted = draft_profile(slaves.only("--units"), name, str(self._spec))
         give(drafted.text, output, overwrite=overwrite)
-
-
-def _tell_progress(text: str) -> None:
-    """Show how far the scan is, in one line of a terminal that is redrawn; "" erases it."""
-    from mbtool.cli.talk import escaped
-
-    if sys.stderr.isatty():
-        sys.stderr.write(f"\r\x1b[K{escaped(text)}")
-        sys.stderr.flush()
 
 
 def _print(found: list[ScanState], format_: ListFormat) -> None:

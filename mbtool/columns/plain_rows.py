@@ -12,8 +12,8 @@ from mbtool.columns.arrays import Bools, Int64s, Octets, gather, ranges
 from mbtool.columns.packet_block import PacketBlock
 from mbtool.core import Connection, LinkAddresses
 from mbtool.decode.plain_stretch import PlainStretch
-from mbtool.modbus.adu_bytes import MBAP_BYTES
-from mbtool.packets.link_addresses import link_addresses
+from mbtool.modbus.adu import MBAP_BYTES
+from mbtool.packets.link_layer import link_addresses
 from mbtool.packets.plain_bytes import PlainBytes
 from mbtool.packets.stream import RECENT_BYTES
 

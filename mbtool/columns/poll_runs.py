@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 Part = TypeVar("Part")
 
 MAX_KINDS = 65_536
-_Place = tuple[str, str, str, str | None, str | None]
+_Place = tuple[str, str, str, str | None, str | None, str | None]
 """Link name, IP address of the master, address and port of the slave, MAC address of the master,
 MAC address of the slave (None if unknown)."""
 
@@ -87,7 +87,7 @@ class PollRuns:
 def _places(rows: PlainRows) -> list[_Place]:
     """Return for each item of `rows.connections` its link, IP and MAC addresses (_Place)."""
     return [
-        (one.link, one.master.host, str(one.slave), *origin_fields(*addresses)[:2])
+        (one.link, one.master.host, str(one.slave), *origin_fields(*addresses)[:3])
         for one, addresses in zip(rows.connections, rows.addresses, strict=True)
     ]
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbtool.columns.arrays import Bools, Int64s, gather
-from mbtool.modbus.adu_bytes import MBAP_BYTES
+from mbtool.modbus.adu import MBAP_BYTES
 from mbtool.modbus.functions import (
     EXCEPTION_BIT,
     READ_BITS,

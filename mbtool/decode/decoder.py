@@ -484,7 +484,7 @@ def closing_event(ts_ns: int, connection: Connection, by: Direction) -> WireEven
 
 
 def _closing_text(closed: StreamClosed) -> str:
-    """The message of a CLOSED event; ConnectionEnd (core/events.py) reads it."""
+    """The message of a CLOSED event; ConnectionEnd (core/evidence.py) reads it."""
     whose = {Direction.REQUEST: " by the master", Direction.RESPONSE: " by the slave"}
     by = "" if closed.by is None else whose.get(closed.by, "")
     return f"{CONNECTION_CLOSED}{closed.reason}{by}"

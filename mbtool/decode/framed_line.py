@@ -15,9 +15,7 @@ from mbtool.decode.connections import skipped_event
 from mbtool.decode.pairing import Pairing
 from mbtool.decode.transactions import Ends
 from mbtool.framing.rtu_lengths import MIN_FRAME, why_skipped
-from mbtool.modbus.adu import Adu, Checksum, DirectionBy, Skipped, Transport
-from mbtool.modbus.adu_bytes import crc
-from mbtool.modbus.ascii_frame import read_frame
+from mbtool.modbus.adu import Adu, Checksum, DirectionBy, Skipped, Transport, crc, read_frame
 
 if TYPE_CHECKING:
     from mbtool.core import Direction, StreamPlace

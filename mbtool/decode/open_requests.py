@@ -7,9 +7,13 @@ import msgspec
 from mbtool.core import Direction
 from mbtool.decode.stream_progress import AduPlace
 from mbtool.modbus.adu import Adu, Transport
-from mbtool.modbus.expected_response import UNKNOWN_SIZE, ExpectedResponse
+from mbtool.modbus.expected_response import (
+    UNKNOWN_SIZE,
+    ExpectedResponse,
+    is_response_code,
+    is_response_to,
+)
 from mbtool.modbus.pdu import parse_pdu
-from mbtool.modbus.request_match import is_response_code, is_response_to
 
 SMALLEST_RESPONSE = 9
 """Bytes of the shortest response over Modbus/TCP: an exception response."""

@@ -16,8 +16,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 from mbtool.core import Direction
-from mbtool.modbus.adu import Adu, DirectionBy, Transport
-from mbtool.modbus.adu_bytes import MBAP_BYTES
+from mbtool.modbus.adu import MBAP_BYTES, Adu, DirectionBy, Transport
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -10,7 +10,7 @@ import re
 from typing import TYPE_CHECKING, NoReturn
 
 from mbtool.core.errors import ProfileError, UsageError
-from mbtool.core.silence import Silence
+from mbtool.core.serial_format import Silence
 from mbtool.devices.model import Access, Area, Point, Profile
 from mbtool.devices.point_types import PointType
 from mbtool.devices.validation_of_characters import validate_characters

@@ -45,8 +45,16 @@ from typing import TYPE_CHECKING
 from mbtool.core import Direction, EventKind
 from mbtool.framing.skips import SkipRun
 from mbtool.framing.timed_buffer import TimedBuffer
-from mbtool.modbus.adu import MAX_PDU, Adu, DirectionBy, Skipped, Transport, Verdict
-from mbtool.modbus.adu_bytes import MBAP_BYTES, mbap_size
+from mbtool.modbus.adu import (
+    MAX_PDU,
+    MBAP_BYTES,
+    Adu,
+    DirectionBy,
+    Skipped,
+    Transport,
+    Verdict,
+    mbap_size,
+)
 from mbtool.modbus.pdu import pdu_length
 
 if TYPE_CHECKING:
@@ -62,6 +70,11 @@ MAX_REQUEST_NS = 1_000_000_000
 """A request gets the verdict LATE_PARTS if its first and last byte are further apart than this, in
 ns. It is the shortest time after which an FA3 module can be set to disconnect such a master (its
 manual, 10.3, register 00F5H)."""
+
+PARTS_NS = 30_000_000
+"""If more than this (ns) passed between the first and the last byte of a request, the transaction
+tells how much. A sender that waits for a delayed acknowledgement before it sends the rest waits
+longer; a sender that makes two segments at once does not."""
 
 _LENGTH_END = MBAP_BYTES - 1
 _MODBUS = b"\x00\x00"

@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from mbtool.core import EventKind
-from mbtool.modbus.adu import MAX_RTU_ADU, Checksum
-from mbtool.modbus.adu_bytes import CRC_BYTES, RTU_EXTRA_BYTES, crc, crc_on
+from mbtool.modbus.adu import CRC_BYTES, MAX_RTU_ADU, RTU_EXTRA_BYTES, Checksum, crc, crc_on
 from mbtool.modbus.pdu import LAYOUTS
 
 if TYPE_CHECKING:

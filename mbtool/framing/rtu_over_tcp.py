@@ -17,8 +17,16 @@ from typing import TYPE_CHECKING
 from mbtool.framing.rtu_lengths import frame_size, why_skipped
 from mbtool.framing.skips import SkipRun
 from mbtool.framing.timed_buffer import TimedBuffer
-from mbtool.modbus.adu import MAX_RTU_ADU, Adu, Checksum, DirectionBy, Skipped, Transport, Verdict
-from mbtool.modbus.adu_bytes import crc
+from mbtool.modbus.adu import (
+    MAX_RTU_ADU,
+    Adu,
+    Checksum,
+    DirectionBy,
+    Skipped,
+    Transport,
+    Verdict,
+    crc,
+)
 from mbtool.modbus.pdu import LAYOUTS
 
 if TYPE_CHECKING:

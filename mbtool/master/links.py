@@ -35,6 +35,7 @@ from mbtool.core.moments import SECOND_NS
 from mbtool.core.wording import duration
 from mbtool.framing import MbapSplitter, RtuStreamSplitter
 from mbtool.master.other_master import (
+    FEW_BYTES,
     MARGIN_NS,
     MOST_LISTEN_NS,
     SILENT_LISTEN_NS,
@@ -465,6 +466,8 @@ class SerialMaster(MasterLink):
         """The form of the pending request's response."""
         self._other: OtherMaster | None = None
         """The other master in whose pauses requests are sent; None if the line is ours alone."""
+        self._turns = 0
+        """The number of requests that were sent in its pauses."""
 
     def send(self, number: int, unit: int, pdu: bytes) -> None:
         adu = (ascii_adu if self.link.ascii else rtu_adu)(unit, pdu)
@@ -483,6 +486,8 @@ class SerialMaster(MasterLink):
             with port_in_use(self.link):
                 data, at_ns = self._read(min(max(rest_ns, 0), self.link.format.t3_5_ns))
             events = self._splitter.feed(data, at_ns) if data else self._splitter.advance(at_ns)
+            for event in events:
+                self._note_intrusion(event)
             self._unread.extend(event for event in events if not isinstance(event, Adu))
             responses = [self._matched(event) for event in events if isinstance(event, Adu)]
             if rest_ns <= 0 and not data:
@@ -536,32 +541,68 @@ class SerialMaster(MasterLink):
     def _await_turn(self, unit: int, pdu: bytes) -> int:
         if self._other is None:
             return super()._await_turn(unit, pdu)
-        known_ns = self._other.latency_ns(unit)
-        wait_ns = self.limits.timeout_ns
-        if known_ns is not None:
-            wait_ns = min(wait_ns, 2 * known_ns + MARGIN_NS)
-        needed_ns = self._on_line_ns(unit, pdu) + wait_ns + MARGIN_NS
-        longest_ns = self._other.longest_pause_ns
-        if needed_ns > longest_ns:
-            raise LinkError(
-                f"{self.link}: a request to unit {unit} needs a pause of {duration(needed_ns)}; "
-                f"the longest sure one of the other master is {duration(longest_ns)}; nothing was "
-                "sent. A shorter --timeout needs less, a longer --listen may find more"
-            )
-        # What has waited in the port since the last request came at times that nobody knows.
-        while self.overhear(0)[0]:
-            pass
-        self._other.listen_anew()
+        needed_ns, wait_ns = self._needed_ns(self._other, unit, pdu)
+        if needed_ns > self._other.longest_pause_ns and not self._turns:
+            raise self._no_pause(self._other, unit, needed_ns)
+        if self._has_missed_bytes():
+            self._other.listen_anew(time.monotonic_ns())
         until_ns = time.monotonic_ns() + LONGEST_TURN_NS
         while self._other.rest_ns(now_ns := time.monotonic_ns()) < needed_ns:
             if now_ns > until_ns:
-                raise LinkError(
-                    f"{self.link}: the other master left no pause of {duration(needed_ns)} in "
-                    f"{duration(LONGEST_TURN_NS)}; the request was not sent"
-                )
+                raise self._no_pause(self._other, unit, needed_ns)
             self._other.feed(*self.overhear(self.link.format.t3_5_ns))
+            needed_ns, wait_ns = self._needed_ns(self._other, unit, pdu)
         self._other.note_our_request()
+        self._turns += 1
         return wait_ns
+
+    def _needed_ns(self, other: OtherMaster, unit: int, pdu: bytes) -> tuple[int, int]:
+        """Return the length, in ns, of the pause that a request needs, and the wait for its
+        response in it.
+
+        The wait is the timeout, or twice the longest latency heard of the unit if only this fits
+        into a pause.
+        """
+        rest_ns = self._on_line_ns(unit, pdu) + MARGIN_NS
+        wait_ns = self.limits.timeout_ns
+        known_ns = other.latency_ns(unit)
+        if known_ns is not None and rest_ns + wait_ns > other.longest_pause_ns:
+            wait_ns = min(wait_ns, 2 * known_ns + MARGIN_NS)
+        return rest_ns + wait_ns, wait_ns
+
+    def _no_pause(self, other: OtherMaster, unit: int, needed_ns: int) -> LinkError:
+        longest_ns = other.longest_pause_ns
+        if needed_ns <= longest_ns or self._turns:
+            return LinkError(
+                f"{self.link}: the other master left no pause of {duration(needed_ns)} in "
+                f"{duration(LONGEST_TURN_NS)}; the request was not sent"
+            )
+        return LinkError(
+            f"{self.link}: a request to unit {unit} needs a pause of {duration(needed_ns)}; "
+            f"the longest sure one of the other master is {duration(longest_ns)}; nothing was "
+            "sent. A shorter --timeout needs less, a longer --listen may find more"
+        )
+
+    def _has_missed_bytes(self) -> bool:
+        """Drop what has waited in the port since the last read, as it came at times that nobody
+        knows; True if there was any.
+        """
+        has_missed = False
+        while self.overhear(0)[0]:
+            has_missed = True
+        return has_missed
+
+    def _note_intrusion(self, event: Adu | Skipped) -> None:
+        """While a request of ours is pending, note bytes of others. Few bytes are noise, and a
+        frame of the unit asked is probably a late answer.
+        """
+        if self._other is None or self._pending is None:
+            return
+        if isinstance(event, Adu):
+            if event.unit != self._pending[1]:
+                self._other.note_intrusion(event.start_ns)
+        elif len(event.raw) >= FEW_BYTES:
+            self._other.note_intrusion(event.ts_ns)
 
     def _on_line_ns(self, unit: int, pdu: bytes) -> int:
         """Return the time, in ns, that a request and its response take on the line at most, with

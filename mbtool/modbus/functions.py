@@ -9,13 +9,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import IntEnum
 
-from mbtool.modbus.group_layouts import FileGroups, FileResponses, Objects
 from mbtool.modbus.layouts import (
     Bits,
     Bytes,
     Choice,
     CoilValue,
+    FileGroups,
+    FileResponses,
     Layout,
+    Objects,
     Registers,
     UncountedRegisters,
 )

@@ -21,9 +21,7 @@ from __future__ import annotations
 import msgspec
 
 from mbtool.core import Direction
-from mbtool.modbus.adu import MAX_PDU, Transport
-from mbtool.modbus.adu_bytes import mbap_size
-from mbtool.modbus.ascii_frame import read_frame
+from mbtool.modbus.adu import MAX_PDU, Transport, mbap_size, read_frame
 from mbtool.modbus.functions import EXCEPTION_BIT, FUNCTIONS, READ_WRITE_REGISTERS, WRITE_SEVERAL
 from mbtool.modbus.layouts import Bytes, Fields, Layout, Value
 

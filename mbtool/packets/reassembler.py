@@ -44,8 +44,8 @@ from mbtool.packets.fragments import (
     find_fragment,
     fragment_events,
 )
-from mbtool.packets.link_addresses import link_addresses
-from mbtool.packets.link_layer import IP_FINDERS, NOT_IP
+from mbtool.packets.line_packets import USER_LINK_TYPES
+from mbtool.packets.link_layer import IP_FINDERS, NOT_IP, link_addresses
 from mbtool.packets.segment import (
     ACK,
     RST,
@@ -56,7 +56,6 @@ from mbtool.packets.segment import (
     read_datagram,
     read_segment,
 )
-from mbtool.packets.serial_packets import USER_LINK_TYPES
 from mbtool.packets.stream_events import CloseReason, StreamEvent, StreamItem
 from mbtool.packets.tunnels import GRE_IN_FRAGMENTS, MAX_TUNNELS, VXLAN_PORT, find_inner
 from mbtool.packets.udp_flows import UdpFlows

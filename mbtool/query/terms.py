@@ -17,6 +17,7 @@ from typing import Any
 
 from msgspec import inspect
 
+from mbtool.core.wording import host_of
 from mbtool.devices.named_transaction import NamedTransaction
 from mbtool.devices.transaction_fields import transaction_fields
 from mbtool.modbus import FUNCTIONS
@@ -160,15 +161,6 @@ def _either(choices: tuple[str, ...]) -> str:
     return f"{', '.join(choices[:-1])} or {choices[-1]}"
 
 
-def host_of(endpoint: str | None) -> str | None:
-    """Return the host in an endpoint such as `10.0.0.9:502` or `[fe80::1]:502`; None for None."""
-    if endpoint is None:
-        return None
-    if endpoint.startswith("["):
-        return endpoint[1:].partition("]")[0]
-    return endpoint.rpartition(":")[0] or endpoint
-
-
 def is_at(endpoint: str, text: str) -> bool:
     """True if `text` equals an endpoint (HOST:PORT), or its host without the port."""
     return endpoint == text or host_of(endpoint) == text.strip("[]")
@@ -248,8 +240,8 @@ _TERMS = (
     _field("transport"),
     _endpoint("source", lambda one: one.source),
     _endpoint("destination", lambda one: one.destination),
-    _host("master", lambda one: host_of(one.source)),
-    _host("slave", lambda one: host_of(one.destination)),
+    _host("master", lambda one: one.master),
+    _host("slave", lambda one: one.slave),
     _field("file"),
     Term(text="time", value=lambda one: one.start_ns, kind=ValueKind.MOMENT),
     _field("unit"),
@@ -267,7 +259,7 @@ _TERMS = (
     _list("written_bits", lambda one: _written(one, bits=True), _ADDRESS, allowed=_WORD),
     _field("outcome"),
     _field("exception"),
-    _number("latency_ms", lambda one: None if one.latency_ns is None else one.latency_ns / 1e6),
+    _number("latency_ms", lambda one: one.latency_ms),
     _field("retries"),
     _field("device"),
     _field("reference"),

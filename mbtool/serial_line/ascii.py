@@ -23,12 +23,17 @@ from typing import TYPE_CHECKING
 from mbtool.core import Direction, EventKind
 from mbtool.core.limits import MAX_BACK_NS
 from mbtool.framing.skips import SkipRun
-from mbtool.modbus.adu import MAX_ASCII_ADU, Adu, DirectionBy, Skipped, Transport, Verdict
-from mbtool.modbus.ascii_frame import (
+from mbtool.modbus.adu import (
     CR,
     LF,
+    MAX_ASCII_ADU,
     SEVEN_BITS,
+    Adu,
     AsciiFrame,
+    DirectionBy,
+    Skipped,
+    Transport,
+    Verdict,
     read_frame,
     why_unreadable,
 )

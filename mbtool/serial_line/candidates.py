@@ -17,8 +17,7 @@ import msgspec
 
 from mbtool.core import Direction
 from mbtool.framing.rtu_lengths import MIN_FRAME, crc_ends, frame_size
-from mbtool.modbus.adu import MAX_RTU_ADU
-from mbtool.modbus.adu_bytes import RTU_EXTRA_BYTES, crc
+from mbtool.modbus.adu import MAX_RTU_ADU, RTU_EXTRA_BYTES, crc
 from mbtool.modbus.functions import EXCEPTION_BIT
 from mbtool.modbus.pdu import parse_pdu
 from mbtool.serial_line import costs

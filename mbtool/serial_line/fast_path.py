@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING
 from mbtool.core import Direction
 from mbtool.core.limits import LAST_UNIT
 from mbtool.framing.rtu_lengths import MIN_FRAME, frame_size
-from mbtool.modbus.adu import MAX_RTU_ADU, DirectionBy
-from mbtool.modbus.adu_bytes import crc
+from mbtool.modbus.adu import MAX_RTU_ADU, DirectionBy, crc
 from mbtool.modbus.functions import EXCEPTION_BIT, READ_BITS
 from mbtool.serial_line import costs
 from mbtool.serial_line.bus_model import (

@@ -21,8 +21,7 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import Direction
 from mbtool.framing.rtu_lengths import MIN_FRAME
-from mbtool.modbus.adu import MAX_RTU_ADU
-from mbtool.modbus.adu_bytes import CRC_BYTES
+from mbtool.modbus.adu import CRC_BYTES, MAX_RTU_ADU
 from mbtool.modbus.functions import WRITE_SEVERAL
 from mbtool.serial_line import costs
 from mbtool.serial_line.bus_model import ROLES, BusModel

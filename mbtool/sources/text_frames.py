@@ -37,9 +37,15 @@ from typing import TYPE_CHECKING, NamedTuple
 from mbtool.core import Direction
 from mbtool.core.limits import LAST_UNIT
 from mbtool.framing.rtu_lengths import MIN_FRAME, frame_size
-from mbtool.modbus.adu import MAX_RTU_ADU, MAX_TCP_ADU, Transport
-from mbtool.modbus.adu_bytes import MBAP_BYTES, crc, mbap_size
-from mbtool.modbus.ascii_frame import read_frame
+from mbtool.modbus.adu import (
+    MAX_RTU_ADU,
+    MAX_TCP_ADU,
+    MBAP_BYTES,
+    Transport,
+    crc,
+    mbap_size,
+    read_frame,
+)
 from mbtool.modbus.expected_response import ExpectedResponse
 from mbtool.modbus.functions import EXCEPTION_BIT, FUNCTIONS
 from mbtool.modbus.pdu import parse_pdu, pdu_length, pdu_of

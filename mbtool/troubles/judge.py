@@ -50,7 +50,8 @@ JOINED = 3
 ENOUGH = 20
 """With fewer answered requests than this, a recording is too short to say that all is well."""
 MOSTLY = 0.5
-"""A trouble explains another one of the same unit if it has at least this share of its cases."""
+"""A trouble of a unit, or a small one, explains another one if it has at least this share of its
+cases."""
 _SEVERITIES = tuple(Severity)
 _ROWS = {code: place for place, code in enumerate(WORDS)}
 _ANSWERS = (Outcome.OK, Outcome.EXCEPTION, Outcome.MALFORMED)
@@ -259,7 +260,7 @@ def _explains(cause: Trouble, other: Trouble) -> bool:
     if cause.victims and other.unit is not None:
         return other.unit in cause.victims
     if cause.unit is None:
-        return True
+        return not cause.is_small or cause.count >= MOSTLY * other.count
     is_of_unit = other.unit is None or other.unit == cause.unit
     return is_of_unit and cause.count >= MOSTLY * other.count
 

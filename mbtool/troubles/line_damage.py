@@ -43,7 +43,7 @@ from mbtool.core import EventKind, WireEvent
 from mbtool.core.wording import percent
 from mbtool.devices.named_transaction import NamedTransaction
 from mbtool.modbus import Outcome
-from mbtool.modbus.adu_bytes import crc
+from mbtool.modbus.adu import crc
 from mbtool.troubles.sense import DAMAGE, MAX_LINKS, SortedSense, is_text
 from mbtool.troubles.trouble import MAX_EVIDENCE, Evidence, Sureness, Trouble, keep
 

@@ -1,11 +1,12 @@
 """NET-TWO-MACS and NET-ROLE: hosts that are not what they were."""
 
-# NET-TWO-MACS  A host has two MAC addresses, each seen ENOUGH times, and talks with a host of its
-#               own network (the first three numbers of the IPv4 address): somebody answers for it
-#               (ARP spoofing), or two devices have its address. Hosts of other networks have the
-#               MAC address of a router, and a capture on both sides of one has both; the shared
-#               addresses of router pairs (VRRP, HSRP) and a device that was replaced (all of the
-#               one, then all of the other, and no third host has the new one) are no such case.
+# NET-TWO-MACS  A host has two MAC addresses, each seen ENOUGH times (in packets from it or to it),
+#               and talks with a host of its own network (the first three numbers of the IPv4
+#               address): somebody answers for it (ARP spoofing), or two devices have its address.
+#               Hosts of other networks have the MAC address of a router, and a capture on both
+#               sides of one has both; the shared addresses of router pairs (VRRP, HSRP) and a
+#               device that was replaced (all of the one, then all of the other, and no third host
+#               has the new one) are no such case.
 # NET-ROLE      A host that answered as a slave sends requests itself, LATER_NS after it was first
 #               heard as a slave or later. Concentrators do both from the beginning.
 #
@@ -80,7 +81,9 @@ class Hosts(Sense):
     def _note(self, one: NamedTransaction, count: int, begin_ns: int, end_ns: int) -> None:
         master, slave = host_of(one.source), host_of(one.destination)
         is_local = _network(master) is not None and _network(master) == _network(slave)
-        ends = ((master, one.source_mac, True), (slave, one.destination_mac, False))
+        ends = [(master, one.source_mac, True), (slave, one.destination_mac, False)]
+        if one.response_mac is not None:
+            ends.append((slave, one.response_mac, False))
         for name, mac, is_master in ends:
             host = self._hosts.get(name)
             if host is None:

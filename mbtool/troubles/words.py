@@ -159,6 +159,14 @@ _ROWS = (
         "unit", "holds up the line", ("UNIT-MISSING", "UNIT-SLOW", "POLL-LATE", "MB-401", "MB-402"),
     ),
     Words(
+        "NET-SHARED", _W,
+        "{masters} ask {link} at once, and it serves one request at a time: {count} of {of} "
+        "requests wait for {wait} behind those of another master",
+        "let one master poll for the others, or poll more rarely: behind a gateway is one line, "
+        "which all masters share",
+        "link", "masters wait for each other", ("POLL-LATE", "UNIT-SLOW", "NET-DELAYED-ACK"),
+    ),
+    Words(
         "NET-ROLE", _W,
         "{who}, which answered as a slave, sends requests itself to {asked}",
         "find out if that is meant; a device that was taken over does so, too",
@@ -166,11 +174,18 @@ _ROWS = (
     ),
     Words(
         "NET-DELAYED-ACK", _N,
-        "{polls} of {who} take {latency} each time, others are quick: a sender waits for a delayed "
-        "acknowledgement",
+        "{messages} of {who} {how}: a sender waits for a delayed acknowledgement",
         "let master or slave send each message in one piece, or switch off Nagle's algorithm "
         "(TCP_NODELAY)",
-        "unit", "delayed acknowledgements", ("POLL-LATE", "UNIT-SLOW"),
+        "sender", "delayed acknowledgements", ("POLL-LATE", "UNIT-SLOW"),
+    ),
+    Words(
+        "NET-LOSSY", _W,
+        "{count} of {of} messages between {who} and {link} are sent again: packets are "
+        "lost on the way, or acknowledged too late",
+        "look at cables, radio links and the counters of errors of each switch port on the way "
+        "(a wrong duplex mode loses packets under load, too)",
+        "link", "{count} messages sent again", ("POLL-LATE",),
     ),
     Words(
         "NET-LOST", _W,

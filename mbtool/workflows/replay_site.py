@@ -26,9 +26,9 @@ from typing import TYPE_CHECKING, NamedTuple
 from mbtool.core import Endpoint, InputError, LinkSpec, TcpLink, UsageError, parse_link
 from mbtool.core.link_spec import ANSWERED, MODBUS_PORT
 from mbtool.devices import parse_who
-from mbtool.ports.allowed_peers import THIS_MACHINE, AllowedPeers
+from mbtool.ports.tcp_listener import THIS_MACHINE, AllowedPeers
 from mbtool.slave.shells import slave_link
-from mbtool.slave.shells.shell_group import ShellGroup
+from mbtool.slave.shells.opening import ShellGroup
 from mbtool.workflows.replay_slave import PlayedSlave, SlaveRun
 from mbtool.workflows.shared.read_all import unwatched
 from mbtool.workflows.shared.recorded import demand_one_slave_each, read_recorded, where_none

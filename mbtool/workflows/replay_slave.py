@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from mbtool.core import InputError, SerialLink, TcpLink, UsageError
 from mbtool.modbus import Transport
-from mbtool.ports.allowed_peers import THIS_MACHINE, AllowedPeers
+from mbtool.ports.tcp_listener import THIS_MACHINE, AllowedPeers
 from mbtool.replay import (
     ConnectionPlayer,
     FixedLatency,
@@ -27,7 +27,7 @@ from mbtool.replay import (
     SampledLatency,
 )
 from mbtool.slave.device import RegisterImage
-from mbtool.slave.device.units import is_line
+from mbtool.slave.device.responder import is_line
 from mbtool.slave.families import make_device
 from mbtool.slave.shells import open_shell, slave_link
 from mbtool.workflows.shared.faults import faulty

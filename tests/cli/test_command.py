@@ -39,7 +39,7 @@ def test_help_writes_arguments_as_its_usage_line_does(
         ("check", "FILE..."),
         ("sniff", "LINK..."),
         ("line", "[PATH]..."),
-        ("replay", "FILE"),
+        ("replay", "FILE..."),
     ],
 )
 def test_what_takes_several_says_so(mbtool: CommandLine, command: str, argument: str) -> None:

@@ -284,7 +284,10 @@ def test_a_file_that_cannot_be_read_is_one_line(
 def test_a_folder_is_no_capture(mbtool: CommandLine, tmp_path: Path) -> None:
     told = mbtool("decode", tmp_path)
     assert told.code == exit_codes.UNREADABLE
-    assert told.err == f"mbtool: {tmp_path}: a directory; name a capture file in it\n"
+    assert (
+        told.err
+        == f"mbtool: {tmp_path}: no capture in this folder: no .pcap, .pcapng, .cap, .mcap\n"
+    )
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may read any file")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from mbtool.core import Direction
 from mbtool.decode.plain_stretch import plain_request
 from mbtool.framing import MbapSplitter
-from mbtool.modbus.adu_bytes import mbap_adu
+from mbtool.modbus.adu import mbap_adu
 
 
 def test_request_of_a_plain_stretch_is_the_one_that_its_stream_gives() -> None:

@@ -18,8 +18,7 @@ from mbtool.decode.protocol_detection import (
     MAX_UNDECIDED_BYTES,
     ProvenSlaves,
 )
-from mbtool.modbus.adu import Verdict
-from mbtool.modbus.adu_bytes import mbap_adu, rtu_adu
+from mbtool.modbus.adu import Verdict, mbap_adu, rtu_adu
 from mbtool.modbus.transaction import Outcome
 from tests.modbus.reading import adus, transactions, wire_events
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from random import Random
 
-from mbtool.modbus.adu_bytes import crc
+from mbtool.modbus.adu import crc
 
 BAUD = 9600
 CHARACTER_S = 11 / BAUD

@@ -8,7 +8,8 @@ import shlex
 import socket
 import struct
 import subprocess
-from contextlib import contextmanager
+import sys
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from threading import Thread
 from typing import TYPE_CHECKING, Any
@@ -19,7 +20,10 @@ from pymodbus.client import ModbusSerialClient, ModbusTcpClient, ModbusUdpClient
 from pymodbus.server import ModbusTcpServer, ModbusTlsServer, ModbusUdpServer
 from pymodbus.simulator import DataType, SimData, SimDevice
 
+import mbtool as api
 from tests.end_to_end.programs import PATIENCE_S, Program, required
+from tests.end_to_end.slaves_of_others import BAUD as SLAVE_BAUD
+from tests.end_to_end.slaves_of_others import NEEDS, library_of
 
 if TYPE_CHECKING:
     import ssl
@@ -209,8 +213,28 @@ def _device() -> SimDevice:
 
 
 @contextmanager
-def libmodbus_server(folder: Path) -> Iterator[tuple[int, Callable[[], None]]]:
-    """A server's port; it changes its inputs by itself."""
+def slave_of_another(kind: str) -> Iterator[str]:
+    """The LINK of a slave of another library (slaves_of_others.py)."""
+    module, package = NEEDS[library_of(kind)]
+    pytest.importorskip(module, reason=f"needs {package}: pip install {package}")
+    mode = kind.rpartition("-")[2]
+    with ExitStack() as stack:
+        ends: tuple[str, ...] = ()
+        if mode in ("rtu", "ascii"):
+            line = stack.enter_context(api.line(f"{mode}@{SLAVE_BAUD}-8N1"))
+            ends = (line.ports[1],)
+        command = (sys.executable, "-m", "tests.end_to_end.slaves_of_others", kind, *ends)
+        slave = stack.enter_context(Program(*command))
+        place = slave.printed.find(r"listening on (\S+)")[1]
+        scheme = "rtu+tcp" if kind.endswith("-rtu-tcp") else "tcp"
+        yield line.link(0) if ends else f"{scheme}:127.0.0.1:{place}"
+
+
+@contextmanager
+def libmodbus_server(
+    folder: Path, serial_port: str = ""
+) -> Iterator[tuple[int, Callable[[], None]]]:
+    """A server's port, 0 if it is on a serial one; it changes its inputs by itself."""
     compiler, finder = required("gcc", "gcc"), required("pkg-config", "pkg-config")
     found = subprocess.run(
         [finder, "--cflags", "--libs", "libmodbus"], capture_output=True, text=True, check=False
@@ -221,8 +245,8 @@ def libmodbus_server(folder: Path) -> Iterator[tuple[int, Callable[[], None]]]:
     program = folder / "libmodbus_server"
     flags = ["-Wall", "-Wextra", "-Werror", *shlex.split(found.stdout)]
     subprocess.run([compiler, source, "-o", program, *flags], check=True)
-    with Program(str(program)) as server:
-        yield int(server.printed.find(r"tcp:127\.0\.0\.1:(\d+)")[1]), lambda: None
+    with Program(str(program), *([serial_port] if serial_port else [])) as server:
+        yield int(server.printed.find(r"listening on .*\b(\d+)")[1]), lambda: None
 
 
 class RawTcpMaster:

@@ -7,8 +7,7 @@ from itertools import pairwise
 import pytest
 
 from mbtool.core import Direction, EventKind, SerialFormat
-from mbtool.modbus.adu import Adu, Skipped
-from mbtool.modbus.adu_bytes import rtu_adu
+from mbtool.modbus.adu import Adu, Skipped, rtu_adu
 from mbtool.serial_line import RtuSplitter
 from mbtool.serial_line.adapter_echo import (
     ECHO,

@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from mbtool.core import Direction, SerialFormat
-from mbtool.modbus.adu import MAX_RTU_ADU, Adu, Skipped, Verdict
-from mbtool.modbus.adu_bytes import crc, rtu_adu
+from mbtool.modbus.adu import MAX_RTU_ADU, Adu, Skipped, Verdict, crc, rtu_adu
 from mbtool.modbus.functions import ECHOING
 from mbtool.serial_line import RtuSplitter, costs
 from mbtool.serial_line.bus_model import ROLES, SURE, BusModel

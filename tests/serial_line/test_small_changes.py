@@ -8,8 +8,7 @@ from math import log2
 import pytest
 
 from mbtool.core import Direction, SerialFormat
-from mbtool.modbus.adu import Adu, DirectionBy, Skipped, Verdict
-from mbtool.modbus.adu_bytes import rtu_adu
+from mbtool.modbus.adu import Adu, DirectionBy, Skipped, Verdict, rtu_adu
 from mbtool.serial_line import RtuSplitter, costs
 from mbtool.serial_line.bus_model import SURE
 from mbtool.serial_line.bus_state import bits_of

@@ -13,8 +13,8 @@ from mbtool.core import Direction, InputError
 from mbtool.devices.checking import checker
 from mbtool.devices.checking.checker import Checker
 from mbtool.modbus import encode_pdu
-from mbtool.workflows import check
 from mbtool.workflows.check import CheckRun, FileFinding
+from mbtool.workflows.shared import reading_choice
 from mbtool.workflows.shared.column_reading import ColumnReading
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
 from tests.benchmarks.file_workloads import clean, dirty, make_capture, random_requests, scan
@@ -49,7 +49,7 @@ def found_of_few(path: Path) -> Found:
 
 def found(path: Path, at_least: int) -> Found:
     """The findings of a capture; it is read as arrays if it has at least so many bytes."""
-    with patch.object(check, "LARGE", at_least):
+    with patch.object(reading_choice, "WORTH_BYTES", at_least):
         run = CheckRun([str(path)], ReadingOptions())
     findings: list[FileFinding] = []
     error = None

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from mbtool.devices.importing.columns import Column
-    from mbtool.devices.importing.report import ImportReport
+    from mbtool.devices.importing.options import ImportReport
     from mbtool.devices.importing.rows import ListRow
 
 

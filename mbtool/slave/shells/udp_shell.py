@@ -20,10 +20,9 @@ from mbtool.core import Direction, Endpoint, TcpLink
 from mbtool.framing.mbap import MbapSplitter
 from mbtool.framing.rtu_over_tcp import RtuStreamSplitter
 from mbtool.modbus.adu import Adu
-from mbtool.modbus.distortion import wire_pieces
-from mbtool.ports.allowed_peers import THIS_MACHINE, AllowedPeers
+from mbtool.modbus.response import wire_pieces
 from mbtool.ports.clock import steady_clock
-from mbtool.ports.tcp_listener import TcpListener
+from mbtool.ports.tcp_listener import THIS_MACHINE, AllowedPeers, TcpListener
 from mbtool.slave.shells.shell import OnExchange, Shell
 
 if TYPE_CHECKING:

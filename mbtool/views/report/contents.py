@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -89,6 +89,17 @@ class ComparisonWith:
     differences: Sequence[Difference]
 
 
+@dataclass(frozen=True, slots=True)
+class ReportWords:
+    """The user's own words on the page."""
+
+    title: str = ""
+    note: str = ""
+    """A text for the reader of the page; a line end begins a paragraph."""
+    where: str = ""
+    """The filter of the transactions; empty if the page is about all of them."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReportContents:
     """Everything that the report page is made from."""
@@ -111,6 +122,7 @@ class ReportContents:
     """The first events that say what the capture lacks, such as lost packets."""
     number_lacking: int
     comparison: ComparisonWith | None = None
+    words: ReportWords
 
 
 def report_document(contents: ReportContents) -> dict[str, Any]:
@@ -124,6 +136,7 @@ def report_document(contents: ReportContents) -> dict[str, Any]:
     return {
         "version": contents.version,
         "made": iso_time(contents.made_ns),
+        "words": asdict(contents.words),
         "verdict": _verdict(contents.judgement),
         "stats": _statistics(contents),
         "bins": _bins(contents, bins),

@@ -19,8 +19,7 @@ import re
 import struct
 from typing import TYPE_CHECKING, NamedTuple
 
-from mbtool.modbus.adu_bytes import MBAP_BYTES, crc, lrc, mbap_size
-from mbtool.modbus.ascii_frame import SEVEN_BITS, like_parity, read_frame
+from mbtool.modbus.adu import MBAP_BYTES, SEVEN_BITS, crc, like_parity, lrc, mbap_size, read_frame
 from mbtool.packets.link_layer import IP_FINDERS, NOT_IP, TAGGED, wireless_macs
 from mbtool.packets.segment import TCP, UDP, find_tcp, walk_ipv6
 from mbtool.packets.tunnels import MAX_TUNNELS, find_inner

@@ -25,6 +25,7 @@ from mbtool.logs import LogReader
 from mbtool.modbus import Outcome, Verdict
 from mbtool.modbus.damaged_answers import DamagedAnswers
 from mbtool.packets import reads_of, serial_pieces
+from mbtool.packets.tcp_ends import TcpEnd, TcpEnds, end_of
 from mbtool.packets.usb import USB_LINK_TYPES
 from mbtool.sources.files import PACKET_KINDS, CaptureKind, open_capture
 from mbtool.workflows.shared.heard_line import serial_types
@@ -72,6 +73,13 @@ class EvidenceMarks:
     transactions: int = 0
     ports: set[int] = field(default_factory=set)
     """The TCP ports of the slaves of all transactions."""
+    connections: set[TcpEnds] = field(default_factory=set)
+    """The ends of the TCP connections of the transactions which the user wants."""
+    devices: dict[TcpEnd | tuple[str, int], str] = field(default_factory=dict)
+    """The names, for files, of the slaves of the transactions which the user wants. The key is the
+    slave's end, or on a serial line its link and unit."""
+    items: int = 0
+    """The number of packets and reads that were decoded."""
 
 
 class EvidenceReading(Reading):
@@ -116,6 +124,7 @@ class EvidenceReading(Reading):
 
     def _fed(self, items: Iterator[Evidence]) -> Iterator[Evidence]:
         for item in evidence_pieces(items, self._types, self._usb):
+            self.marks.items += 1
             if self._decoder is not None:
                 self._begin_usb_lines(self._decoder)
             if isinstance(item, Packet):
@@ -170,6 +179,10 @@ class EvidenceReading(Reading):
         damaged_ns = self._damaged.frame_of(one)
         if is_kept:
             marks.kept.update(numbers)
+            master, slave = end_of(one.source), end_of(one.destination)
+            if slave is not None:
+                marks.connections.add(frozenset((slave, master or slave)))
+            marks.devices[slave or (one.link, one.unit)] = device_of(one)
             if damaged_ns is not None:
                 marks.kept_damaged.add((one.link, damaged_ns))
         if numbers:
@@ -182,6 +195,11 @@ class EvidenceReading(Reading):
             key = self._keys.get((one.link, direction.value, *ends))
             key = key or StreamKey(one.link, Direction.UNKNOWN, None)
             marks.frames.setdefault(key, []).append(frame)
+
+
+def device_of(one: NamedTransaction) -> str:
+    """Return a name for the file of a slave: its address, or on a serial line its link and unit."""
+    return one.slave or f"{one.link}-unit{one.unit}"
 
 
 def comments_of(one: NamedTransaction, profile: Profile | None) -> list[str]:

@@ -22,8 +22,7 @@ from mbtool.core import Direction, EventKind, WireEvent
 from mbtool.decode.transactions import Ends, broadcast, no_answer, with_response
 from mbtool.devices import Assignment, Assignments, Namer, Who
 from mbtool.modbus.adu import Adu
-from mbtool.modbus.distortion import wire_pieces
-from mbtool.modbus.response import ConnectionEnding
+from mbtool.modbus.response import ConnectionEnding, wire_pieces
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

@@ -9,7 +9,7 @@ import pytest
 
 from mbtool.core import Endpoint, LinkError, TcpLink, UsageError
 from mbtool.modbus import Response, mbap_adu, rtu_adu
-from mbtool.ports.allowed_peers import AllowedPeers
+from mbtool.ports.tcp_listener import AllowedPeers
 from mbtool.slave.shells.udp_shell import UdpSlave
 from tests.slave.scripted import PATIENCE_S, Scripted, echo
 

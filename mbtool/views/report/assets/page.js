@@ -343,8 +343,10 @@ function verdict() {
   get("verdict").classList.add(level);
   get("sentence").textContent = together(clean(sentence));
   const names = stats.sources.map(baseName), shownNames = names.length > 4 ? `${names.slice(0, 3).join(", ")} and ${count(names.length - 3)} more files` : names.join(", ");
-  document.title = clean(`mbtool report: ${shownNames}`);
-  get("what").append(clean(shownNames));
+  const { title, note, where } = data.words;
+  document.title = clean(title || `mbtool report: ${shownNames}`);
+  get("what").append(title ? el("strong", {}, `${title} · `) : "", clean(shownNames), where ? clean(` · only ${where}`) : "");
+  if (note) get("figures").before(...note.split("\n").filter((line) => line.trim()).map((line) => el("p", { class: "words" }, line)));
   const lead = (one, text) => el("button", { type: "button", class: "link screen", "aria-label": `${text}: show the transactions. ${one.text}`, on: { click: () => search(one.search) } }, text);
   const told = troubles.filter((one, at) => one.told && one.search && troubles.findIndex((other) => other.search === one.search) === at), others = troubles.filter((one) => !one.told);
   if (told.length) get("troubles").before(el("p", { class: "screen" }, "Transactions of ", told.flatMap((one, at) => [at ? ", " : "", lead(one, one.who)])));
