@@ -206,6 +206,8 @@ class TextFrames:
         self._held: deque[TextFrame] = deque(maxlen=MAX_HELD)
         self._is_network = False
         """True once a Modbus/TCP ADU was shown as an RTU frame, too."""
+        self.is_modbus = False
+        """True once the log has shown that it has Modbus frames."""
         self._evidence = 0
         self._misses = 0
         self._has_marked = False
@@ -221,11 +223,6 @@ class TextFrames:
         """The number of frames that were shown without their CRC."""
         self.left_out = 0
         """The number of frames that were shown twice."""
-
-    @property
-    def is_modbus(self) -> bool:
-        """True once the log has shown that it has Modbus frames."""
-        return self._evidence >= ENOUGH
 
     def feed(
         self, choices: list[bytes], label: Label, ts_ns: int | None, row: int
@@ -382,7 +379,8 @@ class TextFrames:
             self._has_marked |= weight >= _MARKED
             is_echo = before is not None and (before[0].raw, before[1]) == (raw, label.text)
             self._evidence += ENOUGH if is_pair and form and not is_echo else weight
-            if self._evidence < ENOUGH:
+            self.is_modbus = self._evidence >= ENOUGH
+            if not self.is_modbus:
                 self._held += [frame] if begun is None else [begun, frame]
                 return []
         return [frame] if begun is None else [begun, frame]
