@@ -201,6 +201,8 @@ class EventKind(StrEnum):
     for their response. Reported once for each line."""
     SPOILT = "spoilt"
     """This program, playing the slave, distorted a response on purpose, as the user asked."""
+    UNRECORDED = "unrecorded"
+    """This program, playing a recording, was asked what the recording has no request for."""
     CLOCK_STEP = "clock-step"
     """Somebody set the system's clock during the recording. The times in the log do not jump."""
     DISORDER = "disorder"

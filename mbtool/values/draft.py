@@ -62,10 +62,13 @@ class Draft:
     text: str
 
 
-def draft_profile(seen: ObservedSlave, name: str, file: str) -> Draft:
+def draft_profile(
+    seen: ObservedSlave, name: str, file: str, known: Sequence[tuple[Point, str]] = ()
+) -> Draft:
     """Draft a profile of the slave. Never raises.
 
     `name` becomes the name of the profile. `file` is the path of the capture, which comments name.
+    `known` has points that are known, each with its comment; they stand in place of guesses.
     """
     file = PurePath(file).name
     flags = _address_flags(seen)
@@ -82,7 +85,7 @@ def draft_profile(seen: ObservedSlave, name: str, file: str) -> Draft:
         functions=functions,
         exceptions=Exceptions(documented=sorted({*map(int, _REFUSALS), *_exceptions(seen)})),
     )
-    points, left_out = _points(profile, seen, comments)
+    points, left_out = _points(profile, seen, comments, known)
     profile = msgspec.structs.replace(profile, points=points)
     comments[""] = _head(seen, file, left_out)
     validate(profile, name)
@@ -308,16 +311,23 @@ def _exceptions(seen: ObservedSlave) -> set[int]:
 
 
 def _points(
-    profile: Profile, seen: ObservedSlave, comments: dict[str, list[str]]
+    profile: Profile,
+    seen: ObservedSlave,
+    comments: dict[str, list[str]],
+    known: Sequence[tuple[Point, str]],
 ) -> tuple[list[Point], int]:
     """Return points for the registers whose values were sampled, at most MAX_POINTS, and the number
     of registers that get no point because of this limit.
 
     Adds the reason for the type of each point to `comments`, under the key `points "NAME"`.
     """
-    points: list[Point] = []
+    points = [point for point, _ in known]
+    comments.update({f'points "{point.name}"': [comment] for point, comment in known})
+    taken = {(point.table, at) for point, _ in known for at in point.all_addresses}
     left_out = 0
     for one in judge(histories_of(seen)):
+        if any((one.table, one.address + at) in taken for at in range(one.words)):
+            continue
         if not profile.area(one.table, one.address, one.words):
             continue
         if len(points) >= MAX_POINTS:
@@ -326,6 +336,8 @@ def _points(
         point = _point(one)
         comments[f'points "{point.name}"'] = list(_about_point(one))
         points.append(point)
+    tables = list(Table)
+    points.sort(key=lambda point: (tables.index(point.table), point.address))
     return points, left_out
 
 

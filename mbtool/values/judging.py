@@ -54,7 +54,7 @@ if TYPE_CHECKING:
 
 SURE = 0.95
 """A judgement at least as likely as this may be shown without being asked for."""
-MOST_ROWS = 100
+MOST_ROWS = 150
 ROUNDS = 3
 ACROSS_A_REQUEST = 12.0
 """The cost in bits of a value in which another request begins or ends."""
@@ -239,7 +239,7 @@ class _Range:
         if bits == 32 and is_clock(whole, self.times_ns):
             return CLOCK
         cost = _whole_series_cost(whole, bits)
-        if moves and max(whole) < 0 and whole == sorted(whole):
+        if moves and min(whole) < 0 and whole == sorted(whole):
             cost += COUNTS_FROM_BELOW
         return cost
 
@@ -257,8 +257,7 @@ _SIGNED = {PointType.INT32: PointType.UINT32, PointType.INT64: PointType.UINT64}
 
 
 def _whole_series_cost(numbers: Sequence[int], bits: int) -> float:
-    first = sorted(numbers, key=abs)[len(numbers) // 2]
-    return whole_cost(first, bits) + changes_cost(numbers, bits) + noise_cost(numbers, bits)
+    return whole_cost(numbers[0], bits) + changes_cost(numbers, bits) + noise_cost(numbers, bits)
 
 
 def _is_letters(word: int) -> bool:
@@ -364,7 +363,6 @@ def _judged(one: _Range, *, is_signed: bool) -> Iterator[Judged]:
         [(candidate, _best(candidate).order) for candidate, _ in one.division.parts],
         one.columns,
         one.inner_edges(),
-        [part.candidate.at for part in one.division.parts if one.is_alone(*part.candidate[:2])],
     )
     for (candidate, likelihood), is_in_doubt in zip(one.division.parts, doubts, strict=True):
         reading = _best(candidate)

@@ -33,8 +33,8 @@ _BEYOND_COUNTING = 30.0
 _FEWEST_FLIPS = 3
 _RARE = 4
 """So many of the dearest changes of a series count in full."""
-_DEAR = 3.0
-"""The bits of a change from which on a cheaper code for it is looked for."""
+_CHEAP = 8.0
+"""The bits of a series for which no cheaper code is looked for."""
 _HIT = 12.0
 _WIDE_NOISE = 13
 """A number of 16 bits seldom changes by 2^12 or more most of the time."""
@@ -49,11 +49,11 @@ def whole_cost(number: int, bits: int) -> float:
 def changes_cost(numbers: Sequence[int], bits: int) -> float:
     """The cost of the changes of a whole number over time."""
     cost = _steps_cost(numbers, bits)
-    if cost > _DEAR * min(len(numbers), INDEPENDENT):
-        # A number that goes on as before is known by the changes of its changes.
-        further = [after - before for before, after in pairwise(numbers)]
-        cost = min(cost, bits + _steps_cost(further, bits))
-    return cost
+    if cost < _CHEAP or len(numbers) < 3:
+        return cost
+    # A number that goes on as before is known by the changes of its changes.
+    further = [after - before for before, after in pairwise(numbers)]
+    return min(cost, 2.0 + whole_cost(further[0], bits) + _steps_cost(further, bits))
 
 
 def _steps_cost(numbers: Sequence[int], bits: int) -> float:

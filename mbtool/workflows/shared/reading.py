@@ -178,7 +178,7 @@ class Reading:
         ports = {port for some in self._ports for port in some}
         return (
             f"{names}: no Modbus at TCP port {', '.join(map(str, sorted(ports)))}; "
-            "name other ports with --port, for RTU over TCP with --rtu-port"
+            "--port any looks at all ports, --port N and for RTU over TCP --rtu-port N at some"
         )
 
     def demand_readable(self) -> None:

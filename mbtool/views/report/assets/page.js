@@ -464,13 +464,12 @@ function failures() {
   if (whole) place.append(whole);
   const rows = stats.links.flatMap((link) => link.functions.map((one) => [link, one]))
     .filter(([, one]) => one.no_answer || one.late || one.exception || one.malformed || one.unsolicited || one.not_captured || one.repetitions)
-    .sort(([, a], [, b]) => b.no_answer + b.late + b.exception - a.no_answer - a.late - a.exception)
     .map(([link, one]) => [...(several ? [link.link] : []), one.unit === null ? "other" : String(one.unit), functionText(one), count(one.requests), some(one.late), some(one.no_answer), some(one.wrong_crc), some(one.exception),
       one.exceptions.map((each) => `${hex(each.code)} ${each.name} ×${count(each.count)}`).join(", "), some(one.repetitions), some(one.malformed), some(one.unsolicited), some(one.not_captured)]);
   const sumOf = (name) => total(stats.links.flatMap((link) => link.functions.map((one) => one[name] ?? 0))), damaged = sumOf("wrong_crc");
   const sums = FAILURES.map(([, label, , name]) => (name === "wrong_crc" ? "" : sumOf(name) && `${count(sumOf(name))} ${label}${name === "no_answer" && damaged ? `, of these ${count(damaged)} with a wrong CRC` : ""}`)).filter(Boolean);
   show("failures", sums.length ? sums.join("; ") : "none", failing.length > 1 ? choice : null, place, whole || rows.length ? null : soft("No request failed."),
-    rows.length ? table("Failures by unit and function", [...(several ? ["link"] : []), ">unit", "~function", ">asked", ">late", ">no answer", ">of these wrong CRC", ">exceptions", "+which", ">retries", ">malformed", ">unasked", ">not captured"], rows) : null,
+    rows.length ? table("Failures by unit and function", [...(several ? ["link"] : []), ">unit", "~function", ">asked", ">late", ">no answer", ">of these wrong CRC", ">exceptions", "+which", ">retries", ">malformed", ">unsolicited", ">not captured"], rows) : null,
     rows.some((row) => row[row.length - 1]) ? soft("What was not captured is the capture’s loss, and no device’s fault.") : null,
     bins.units_left_out ? soft(`Of single units there are charts of the ${count(bins.units.length)} that are in trouble or were asked most; ${plural(unitsSeen() - bins.units.length, "unit")} left out.`) : null);
 }
