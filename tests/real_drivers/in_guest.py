@@ -234,9 +234,8 @@ def usb_capture() -> Iterator[str]:
     out = Path(sys.argv[1])
     capture, log = out / "usb.pcapng", out / "usb.mcap"
     host("traffic", "usb", "on")
-    interfaces = [
-        part for each in sorted(Path("/dev").glob("usbmon[1-9]")) for part in ("-i", each)
-    ]
+    names = sorted(each.name for each in Path("/dev").glob("usbmon[1-9]"))
+    interfaces = [part for name in names for part in ("-i", name)]
     with subprocess.Popen(["dumpcap", "-q", *interfaces, "-w", str(capture)]) as recorder:
         mbtool("sniff", f"rtu:{FTDI}@{FORMAT}", "--duration", "20", "-w", str(log))
         recorder.send_signal(signal.SIGINT)
