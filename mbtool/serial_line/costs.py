@@ -5,7 +5,7 @@
 # with the lowest total. A correct CRC is evidence of 16 bits. The other values are estimates; each
 # states its reason.
 #
-# Seven costs are only start values: the line statistics (line_statistics.py) replace them by what
+# Nine costs are only start values: the line statistics (line_statistics.py) replace them by what
 # this line shows. For such a cost, the pair named *_LIMITS gives the least and the most bits that
 # it can become.
 #
