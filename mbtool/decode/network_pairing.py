@@ -337,11 +337,10 @@ class NetworkPairing:
 
     def _same_id(self, request: OpenRequest) -> int:
         """Return how many waiting requests have the transaction id of one of them."""
-        is_known = self._habits.ids_vary
-        return sum(
-            one.transaction_id == request.transaction_id or not (is_known or one.adu)
-            for one in self._readings[0].waiting
-        )
+        waiting = self._readings[0].waiting
+        if not self._habits.ids_vary:
+            return len(waiting)
+        return sum([one.transaction_id == request.transaction_id for one in waiting])
 
     def _drop_oldest(self, now_ns: int, done: list[Transaction]) -> None:
         """Remove the oldest of too many waiting requests, and add its transaction to `done`."""

@@ -201,9 +201,9 @@ class PairReading:
     def forget_closed(self) -> None:
         """Forget the numbers of requests that are closed, once MAX_NUMBERS are remembered."""
         if max(len(self.given_up), len(self.behind_others)) > MAX_NUMBERS:
-            first = min(one.number for one in (*self.passed, *self.waiting))
-            self.given_up = {number for number in self.given_up if number >= first}
-            self.behind_others = {number for number in self.behind_others if number >= first}
+            numbers = {one.number for one in (*self.passed, *self.waiting)}
+            self.given_up &= numbers
+            self.behind_others &= numbers
 
     def has_different_ids(self, habits: MasterHabits) -> bool:
         """True if several requests wait for responses, and each has its own transaction id."""
@@ -344,6 +344,8 @@ def options(
             if passed > best + MARGIN:
                 return
         skipped.append(one)
+    if best + MARGIN < OUT_OF_ORDER:
+        return  # The requests in `passed` cost more.
     for one in reading.passed:
         if _has_id(one, response) and one.can_get(response, place):
             cost = OUT_OF_ORDER + _cost(one, response, reading, habits)
@@ -518,7 +520,7 @@ def without_costly(readings: list[PairReading]) -> list[PairReading]:
     for reading in sorted(readings, key=likely_cost):
         if reading.cost > limit:
             continue
-        key = (reading.before, *(one.number for one in reading.waiting))
+        key = (reading.before, *[one.number for one in reading.waiting])
         if key in kept:
             _mark_differences(kept[key], reading)
         elif len(kept) < MAX_READINGS:
@@ -541,7 +543,7 @@ def likely_cost(reading: PairReading) -> float:
 
     The reading with the lowest such cost is chosen among readings of about the same cost.
     """
-    return reading.cost + UNLIKELY * sum(step.is_late for step in reading.steps)
+    return reading.cost + UNLIKELY * sum([step.is_late for step in reading.steps])
 
 
 def _mark_differences(kept: PairReading, other: PairReading) -> None:
@@ -553,7 +555,7 @@ def _mark_differences(kept: PairReading, other: PairReading) -> None:
         if one.requests == two.requests:
             steps.append(one)
             continue
-        steps.append(one._replace(is_sure=False))
+        steps.append(one._replace(is_sure=False) if one.is_sure else one)
         if one.response is None:
             for request in (*one.requests, *two.requests):
                 request.may_be_lost = True

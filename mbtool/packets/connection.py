@@ -88,6 +88,7 @@ class TcpConnection:
         "_directions",
         "_finisher",
         "_has_acknowledged",
+        "_is_ignored",
         "_master_is_lower",
         "_now_ns",
         "_opened_ns",
@@ -117,6 +118,8 @@ class TcpConnection:
         self.unanswered_probes = 0
         """The number of keep-alive probes of one end since the other end last sent a segment."""
         self._opened_ns = ts_ns
+        self._is_ignored = False
+        """True once the bytes of this connection are not wanted any more; only its end is told."""
         self._has_acknowledged = False
         """True once a segment other than one that continues both streams in order had an
         acknowledgement."""
@@ -160,6 +163,12 @@ class TcpConnection:
         self.last_ns = self._now_ns = responses.last_ns
         self.unanswered_probes = 0
 
+    def ignore(self) -> None:
+        """Deliver no more bytes of this connection; drop those that are held."""
+        self._is_ignored = True
+        for stream, _ in self._directions:
+            stream.drop_held()
+
     def note_time(self, ts_ns: int) -> None:
         self._now_ns = max(self._now_ns, ts_ns)
 
@@ -186,6 +195,9 @@ class TcpConnection:
             return False
         self._arrivals += 1
         sender, other = self._directions[from_lower != self._master_is_lower]
+        if self._is_ignored and segment.payload and segment.flags & _STATE_FLAGS == ACK:
+            sender.skip_to(segment.sequence, len(segment.payload) + segment.missing)
+            return False
         if sender is not self._prober:
             self.unanswered_probes = 0
         if (
