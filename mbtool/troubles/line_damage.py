@@ -326,7 +326,8 @@ def _of_line(link: str, line: _DamagedLine) -> Iterator[Trouble]:
     doubles = [number for number, unit in line.units.items() if _is_double(line, unit)]
     collisions = line.merged + line.interruptions
     merged = line.merged >= (FEW_MERGED * line.damaged if doubles else ENOUGH_MERGED)
-    is_proved = line.is_told or (line.merged >= ENOUGH_MERGED and merged)
+    is_told = line.is_told and not doubles
+    is_proved = is_told or (line.merged >= ENOUGH_MERGED and merged)
     if is_proved or (collisions >= max(ENOUGH, line.late) and not doubles):
         yield Trouble(
             code="LINE-TWO-MASTERS", link=link, count=max(collisions, 1), of=line.transactions,
