@@ -158,7 +158,7 @@ class LateOnLine(SortedSense):
         self._note_wait(line, one)
         if one.outcome is Outcome.NO_ANSWER:
             for wake in line.wakes:
-                wake.has_failed = True
+                wake.has_failed |= wake.unit is not self._unit(one)
         line.requests.append(one.request_ns)
         line.units.add(one.unit)
         if one.outcome is Outcome.LATE:
