@@ -96,7 +96,7 @@ FIELD_NUMBERS = {
 """Numbers of the field, and the one constant that each is."""
 EQUAL_BY_CHANCE = {
     "logs/layout.py:PRIVATE", "packets/link_layer.py:_HAS_QOS", "logs/healing.py:_MESSAGE_FIELDS",
-    "views/watch_columns.py:LEAST_REST",
+    "views/watch_columns.py:LEAST_REST", "devices/observed_slave.py:MAX_ROWS",
 }  # fmt: skip
 
 

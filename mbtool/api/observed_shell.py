@@ -23,7 +23,7 @@ from mbtool.devices import Span, find_span
 from mbtool.modbus import FUNCTIONS, Outcome
 from mbtool.modbus.functions import READ_WRITE_REGISTERS
 from mbtool.slave.device.value_targets import ValueTarget, ValueTargets
-from mbtool.slave.shells import TcpSlave, slave_link
+from mbtool.slave.shells import TcpSlave, UdpSlave, slave_link
 from mbtool.views.cells import event_text, transaction_text
 from mbtool.workflows.shared.fault_switch import FaultSwitch
 from mbtool.workflows.shared.slave_monitor import SlaveMonitor
@@ -78,7 +78,7 @@ class ObservedShell:
         Raises LinkError if the link cannot be opened.
         """
         self._shell.start()
-        if isinstance(self._shell, TcpSlave):
+        if isinstance(self._shell, TcpSlave | UdpSlave):
             self._spec = replace(self._shell.link, endpoint=self._shell.endpoint)
             self._monitor.on_link(self._spec.name)
 
@@ -106,8 +106,8 @@ class ObservedShell:
         return self._tcp.endpoint.port
 
     @property
-    def _tcp(self) -> TcpSlave:
-        if not isinstance(self._shell, TcpSlave):
+    def _tcp(self) -> TcpSlave | UdpSlave:
+        if not isinstance(self._shell, TcpSlave | UdpSlave):
             raise LinkError(f"{self.link}: a serial line has no TCP host and port")
         return self._shell
 

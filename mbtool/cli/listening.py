@@ -16,6 +16,10 @@ if TYPE_CHECKING:
     from mbtool.workflows.shared.recorder import Log
     from mbtool.workflows.sniff import Sniffer
 
+_MOST_WAIT_S = 7 * 86_400
+_TOLD_S = 30.0
+"""Where standard error is no terminal, the search for settings is told of each so many seconds."""
+
 
 def heard_ports(links: Sequence[LinkSpec], options: PortOptions) -> TcpPorts:
     """Return the TCP ports of --port and --rtu-port; 502 if --port names none.
@@ -35,6 +39,25 @@ def heard_ports(links: Sequence[LinkSpec], options: PortOptions) -> TcpPorts:
     ):
         say("mbtool: --port has no effect: it is for interfaces (net:), and there is none")
     return given if given.ports else given._replace(ports=[MODBUS_PORT])
+
+
+def found_settings(links: Sequence[LinkSpec], wait: str | None) -> list[LinkSpec]:
+    """Return the links; for one with @auto, find its settings by listening, and tell the user.
+
+    `wait` is the text of --wait, the longest time to listen. Raises UsageError if it is no time, or
+    if no link has @auto; LinkError if no settings are found.
+    """
+    from mbtool.cli.talk import say, shown_progress
+    from mbtool.core import AutoLink, UsageError
+    from mbtool.core.moments import SECOND_NS, parse_duration
+    from mbtool.workflows.sniff import with_settings
+
+    most_ns = _MOST_WAIT_S * SECOND_NS
+    wait_ns = None if wait is None else parse_duration(wait, "--wait", SECOND_NS, most_ns)
+    if wait is not None and not any(isinstance(one, AutoLink) for one in links):
+        raise UsageError("--wait is for a link with @auto, and there is none")
+    with shown_progress(_TOLD_S) as show:
+        return with_settings(links, say, show, None if wait_ns is None else wait_ns / SECOND_NS)
 
 
 def allowed_networks(

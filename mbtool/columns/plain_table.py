@@ -100,7 +100,7 @@ class PlainTables:
             "confidence": np.ones(len(chosen)),
             "reference": _words_or_none([one.reference for one in names], name),
             "findings": _lists([one.findings for one in names], name),
-            "time": rows.request_ns[chosen],
+            "time": rows.request_ns[chosen] // 1000,
             "file": _words([rows.block.file], np.zeros(len(chosen), np.int64)),
             "request_packet": rows.block.first_number + rows.request[chosen],
             "response_packet": rows.block.first_number + rows.response[chosen],

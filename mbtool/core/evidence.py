@@ -34,7 +34,7 @@ class Stamp(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Endpoint:
-    """One end of a TCP connection: a host (an IP address or a name) and a TCP port."""
+    """One end of a connection: a host (an IP address or a name) and a TCP or UDP port."""
 
     host: str
     port: int
@@ -45,13 +45,15 @@ class Endpoint:
 
 @dataclass(frozen=True, slots=True)
 class Connection:
-    """A TCP connection with its two ends, the master's and the slave's."""
+    """A TCP connection, or all datagrams of UDP between two ends: the master's and the slave's."""
 
     master: Endpoint
     slave: Endpoint
     number: int = 0
     """The number of the connection among all connections of the same source, such as a capture
     file. It tells two connections between the same endpoints apart."""
+    is_udp: bool = False
+    """True for datagrams of UDP, which may be lost, doubled or out of order."""
 
     def __hash__(self) -> int:
         # These three fields tell most connections apart. The decoder looks a connection up for
@@ -199,6 +201,8 @@ class EventKind(StrEnum):
     for their response. Reported once for each line."""
     SPOILT = "spoilt"
     """This program, playing the slave, distorted a response on purpose, as the user asked."""
+    UNRECORDED = "unrecorded"
+    """This program, playing a recording, was asked what the recording has no request for."""
     CLOCK_STEP = "clock-step"
     """Somebody set the system's clock during the recording. The times in the log do not jump."""
     DISORDER = "disorder"

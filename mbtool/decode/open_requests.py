@@ -43,6 +43,9 @@ class OpenRequest(msgspec.Struct, gc=False, eq=False, kw_only=True):
     """True if the capture lacks this request and it is doubtful that it was ever sent."""
     may_be_lost: bool = False
     """True if the capture lacks bytes that may have been the response to this request."""
+    may_be_answered: bool = False
+    """True if a response that is paired with another request, or with one that the capture lacks,
+    may as well be the response to this one."""
     repeats_lost_id: bool = False
     """True if ids count up, the capture lacks a request before this one, and no id is missing for
     it. The lost request may then have had the id of this one."""
@@ -90,7 +93,7 @@ class OpenRequest(msgspec.Struct, gc=False, eq=False, kw_only=True):
             return True  # The capture lacks bytes of the request: any form is possible.
         expected = ExpectedResponse.of(self.adu.pdu)  # Cached, so faster than parse_pdu below.
         if response.missing:
-            size = response.size - _ADDED_BYTES[response.transport]
+            size = response.size - _ADDED_BYTES[response.transport.over_tcp]
             return expected is not None and expected.fits_start(response.pdu, size)
         if expected is not None and expected.fits(response.pdu):
             return True
@@ -110,7 +113,7 @@ class OpenRequest(msgspec.Struct, gc=False, eq=False, kw_only=True):
         """The lengths, in bytes, that the response's ADU can have; empty if unknown."""
         if self.adu is None or self.adu.missing:
             return ()
-        added = _ADDED_BYTES[self.adu.transport]
+        added = _ADDED_BYTES[self.adu.transport.over_tcp]
         expected = ExpectedResponse.of(self.adu.pdu)
         if expected is None or expected.size == UNKNOWN_SIZE:
             return ()

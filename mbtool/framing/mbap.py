@@ -90,8 +90,13 @@ LONG_HEADER = re.compile(
 class MbapSplitter:
     """Takes the bytes of one direction of a Modbus/TCP stream; returns `Adu` and `Skipped`."""
 
-    def __init__(self, direction: Direction, *, by_segments: bool = False) -> None:
-        """`by_segments` is True if each call of `feed` brings the payload of one TCP segment."""
+    def __init__(
+        self, direction: Direction, *, by_segments: bool = False, is_udp: bool = False
+    ) -> None:
+        """`by_segments` is True if each call of `feed` brings the payload of one TCP segment,
+        `is_udp` if it brings one datagram.
+        """
+        self._transport = Transport.UDP if is_udp else Transport.TCP
         self._direction = direction
         self._by_segments = by_segments
         self._longest = LONGEST_LENGTH if by_segments else MAX_LENGTH
@@ -148,6 +153,12 @@ class MbapSplitter:
             ts_ns = self._buffer.first_ns
             held = self._buffer.take(len(self._buffer))
             events.append(Skipped(ts_ns, EventKind.SKIPPED, "an ADU that never ends", held))
+        return events
+
+    def restart(self) -> list[Adu | Skipped]:
+        """End a datagram: return the buffered bytes as `Skipped`; the next byte begins an ADU."""
+        events = self.close()
+        self._in_step = True
         return events
 
     def _first_size(self) -> int | None:
@@ -276,7 +287,7 @@ class MbapSplitter:
         return Adu(
             start_ns=start_ns,
             end_ns=end_ns,
-            transport=Transport.TCP,
+            transport=self._transport,
             direction=self._direction,
             direction_by=DirectionBy.PORT,
             confidence=1.0,

@@ -30,7 +30,7 @@ from mbtool.logs.messages import DecodingMark
 from mbtool.logs.writer import LogWriter
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Iterable, Mapping
 
     from mbtool.devices.checking.finding import Finding
     from mbtool.logs.messages import LogItem
@@ -278,6 +278,15 @@ def parts_of(path: Path) -> list[Path]:
         return []
     found = [path.with_name(name) for name in names if numbered.fullmatch(name)]
     return sorted(found, key=part_number)
+
+
+def with_parts(paths: Iterable[str]) -> list[str]:
+    """Return the paths; in place of one where no file is, the parts of the log of that name."""
+    found: list[str] = []
+    for path in paths:
+        parts = [] if os.path.exists(path) else parts_of(Path(path))
+        found += [str(part) for part in parts] or [path]
+    return found
 
 
 def part_number(part: Path) -> int:

@@ -30,7 +30,7 @@ class ConnectionsMaster(MasterLink):
     def __init__(self, link: TcpLink, timeout_ns: int, on_remark: Callable[[str], None]) -> None:
         """Prepare to connect to `link`; no connection is opened before `open` or `send`."""
         super().__init__()
-        self.transport = Transport.RTU_TCP if link.rtu else Transport.TCP
+        self.transport = Transport.at_endpoint(is_rtu=link.rtu, is_udp=False)
         self.limits = LinkLimits(timeout_ns=timeout_ns, one_at_a_time=link.rtu)
         self._link = link
         self._timeout_ns = timeout_ns

@@ -9,7 +9,7 @@ import re
 import struct
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 import msgspec
 from fastcrc import crc16
@@ -26,17 +26,46 @@ MAX_ASCII_ADU = 513
 
 
 class Transport(StrEnum):
-    """The form of an ADU (RTU, ASCII, MBAP) and its medium (serial line or TCP)."""
+    """The form of an ADU (RTU, ASCII, MBAP) and its medium (serial line, TCP or UDP)."""
 
     RTU = "rtu"
     ASCII = "ascii"
     TCP = "tcp"
     RTU_TCP = "rtu-tcp"
+    UDP = "udp"
+    RTU_UDP = "rtu-udp"
+
+    @classmethod
+    def at_endpoint(cls, *, is_rtu: bool, is_udp: bool) -> Self:
+        """The transport at an endpoint of a network."""
+        return cls(f"rtu-{'udp' if is_udp else 'tcp'}" if is_rtu else "udp" if is_udp else "tcp")
 
     @property
-    def is_serial(self) -> bool:
-        """True for RTU and ASCII on a serial line, which all units share."""
-        return self in (Transport.RTU, Transport.ASCII)
+    def has_mbap(self) -> bool:
+        """True for ADUs with an MBAP header."""
+        return self in (Transport.TCP, Transport.UDP)
+
+    @property
+    def over_tcp(self) -> Transport:
+        """The transport of the same form over TCP for one over UDP; else the transport itself.
+
+        Profiles name no UDP: what holds for a device over TCP holds over UDP.
+        """
+        return {Transport.UDP: Transport.TCP, Transport.RTU_UDP: Transport.RTU_TCP}.get(self, self)
+
+    @property
+    def over_udp(self) -> Transport:
+        """The transport of the same form over UDP for one over TCP; else the transport itself."""
+        return {Transport.TCP: Transport.UDP, Transport.RTU_TCP: Transport.RTU_UDP}.get(self, self)
+
+    is_serial: bool
+    """True for RTU and ASCII on a serial line, which all units share."""
+
+    def __new__(cls, value: str) -> Self:
+        self = str.__new__(cls, value)
+        self._value_ = value
+        self.is_serial = value in ("rtu", "ascii")  # Asked for each transaction several times.
+        return self
 
 
 class DirectionBy(StrEnum):
@@ -188,6 +217,11 @@ itself, as a function around it would cost time with every frame."""
 def crc_on(before: int, data: bytes) -> int:
     """Continue a CRC: `before` is the CRC of the bytes that come before `data`."""
     return crc16.modbus(data, before)
+
+
+CRC_TABLE = tuple(crc_on(0, bytes([byte])) for byte in range(256))
+"""For each byte, the CRC of that byte alone, if the register begins with 0. To continue a CRC by
+one byte: `CRC_TABLE[(crc ^ byte) & 0xFF] ^ crc >> 8`."""
 
 
 def lrc(data: bytes) -> int:

@@ -127,9 +127,9 @@ def pdu_of(transport: Transport, raw: bytes) -> tuple[int, bytes]:
     Raises IndexError if the ADU is too short to have a unit, ValueError if it is no ASCII frame.
     """
     match transport:
-        case Transport.TCP:
+        case Transport.TCP | Transport.UDP:
             return raw[6], raw[7:]
-        case Transport.RTU | Transport.RTU_TCP:
+        case Transport.RTU | Transport.RTU_TCP | Transport.RTU_UDP:
             return raw[0], raw[1:-2]
         case Transport.ASCII:
             frame = read_frame(raw)
@@ -146,7 +146,7 @@ def whole_pdu(transport: Transport, raw: bytes | None) -> bytes | None:
     """
     if raw is None:
         return None
-    if transport is Transport.TCP and len(raw) != mbap_size(raw):
+    if transport.has_mbap and len(raw) != mbap_size(raw):
         return None
     try:
         _, pdu = pdu_of(transport, raw)

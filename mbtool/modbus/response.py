@@ -99,7 +99,7 @@ def wire_pieces(
 
 def _adu(pdu: bytes, transport: Transport, unit: int, transaction_id: int) -> bytes:
     match transport:
-        case Transport.TCP:
+        case Transport.TCP | Transport.UDP:
             return mbap_adu(transaction_id & 0xFFFF, unit, pdu)
         case Transport.ASCII:
             return ascii_adu(unit, pdu)
@@ -108,7 +108,7 @@ def _adu(pdu: bytes, transport: Transport, unit: int, transaction_id: int) -> by
 
 
 def _with_wrong_check(adu: bytes, transport: Transport) -> bytes:
-    if transport is Transport.TCP:
+    if transport.has_mbap:
         return adu
     if transport is not Transport.ASCII:
         return adu[:-1] + bytes([adu[-1] ^ 0xFF])

@@ -1,4 +1,4 @@
-"""Listens at one TCP endpoint, for the slave and for the tap."""
+"""Listens at one TCP or UDP endpoint, for the slave and for the tap."""
 
 # An endpoint that other machines can reach is opened only with --allow. The table is by IP address;
 # a host name is first resolved to its address.
@@ -29,12 +29,12 @@ from dataclasses import dataclass
 from ipaddress import IPv4Address, IPv4Network, IPv6Address, IPv6Network
 from typing import TYPE_CHECKING, Any, Self
 
-from mbtool.core import Endpoint, LinkError, UsageError
+from mbtool.core import Endpoint, LinkError, TcpLink, UsageError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
-    from mbtool.core import TapLink, TcpLink
+    from mbtool.core import TapLink
 
 # Limits for a listener: masters connected at once, new connections per second, idle time.
 #
@@ -173,6 +173,8 @@ class TcpListener:
         self._link = link
         self._endpoint = endpoint
         self._allowed = allowed
+        self._is_udp = isinstance(link, TcpLink) and link.is_udp
+        self._kind = socket.SOCK_DGRAM if self._is_udp else socket.SOCK_STREAM
         self._rate = ConnectionRate(allowed.limits.per_second)
         self._told_s = -TELL_EVERY_S
         """The time of the last call of `on_exhausted` by `serve`, in seconds on the event loop's
@@ -193,7 +195,8 @@ class TcpListener:
             )
         self.sock = self._bind()
         try:
-            self.sock.listen(BACKLOG)
+            if not self._is_udp:
+                self.sock.listen(BACKLOG)
         except OSError as error:
             self.sock.close()
             raise self._not_listening(error) from error
@@ -214,11 +217,16 @@ class TcpListener:
         Call this once for each connection: each call counts as one connection for the limit on the
         rate.
         """
-        if host not in self._allowed:
-            return f"{_shown(host)} is in no network of --allow"
+        stranger = self.stranger(host)
+        if stranger is not None:
+            return stranger
         if not self._rate.admits(time.monotonic()):
             return f"more than {self._rate.per_second:g} connections a second; see --max-rate"
         return None
+
+    def stranger(self, host: str) -> str | None:
+        """Return a text that says that no peer with this address may connect; None if it may."""
+        return None if host in self._allowed else f"{_shown(host)} is in no network of --allow"
 
     async def serve(
         self,
@@ -267,7 +275,7 @@ class TcpListener:
             found = socket.getaddrinfo(
                 self._endpoint.host,
                 self._endpoint.port,
-                type=socket.SOCK_STREAM,
+                type=self._kind,
                 flags=socket.AI_PASSIVE,
             )
         except (socket.gaierror, UnicodeError) as error:
@@ -276,9 +284,10 @@ class TcpListener:
 
     def _bind(self) -> socket.socket:
         try:
-            bound = socket.socket(self._family, socket.SOCK_STREAM)
+            bound = socket.socket(self._family, self._kind)
             try:
-                if os.name == "posix":  # On Windows two programs could then share a port.
+                # On Windows two programs could then share a port, and everywhere with UDP.
+                if os.name == "posix" and not self._is_udp:
                     bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
                 if self._family == socket.AF_INET6:
                     bound.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 0)

@@ -15,6 +15,8 @@ FRAMED = {
     Transport.RTU_TCP: rtu_adu(1, PDU),
     Transport.ASCII: ascii_adu(1, PDU),
     Transport.TCP: mbap_adu(7, 1, PDU),
+    Transport.UDP: mbap_adu(7, 1, PDU),
+    Transport.RTU_UDP: rtu_adu(1, PDU),
 }
 
 

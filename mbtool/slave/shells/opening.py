@@ -1,4 +1,4 @@
-"""Chooses the class that serves a slave on a link: a TCP endpoint or a serial line."""
+"""Chooses the class that serves a slave on a link: a TCP or UDP endpoint, or a serial line."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from mbtool.core.link_spec import ANSWERED
 from mbtool.ports.tcp_listener import THIS_MACHINE, AllowedPeers
 from mbtool.slave.shells.serial_shell import SerialSlave
 from mbtool.slave.shells.tcp_shell import TcpSlave
+from mbtool.slave.shells.udp_shell import UdpSlave
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -101,4 +102,6 @@ def open_shell(
         return SerialSlave(where, responder, on_exchange=on_exchange, strict_timing=strict_timing)
     if strict_timing:
         raise UsageError(f"link {link}: strict timing is for RTU lines")
+    if where.is_udp:
+        return UdpSlave(where, responder, allowed=allowed, on_exchange=on_exchange)
     return TcpSlave(where, responder, allowed=allowed, rules=rules, on_exchange=on_exchange)

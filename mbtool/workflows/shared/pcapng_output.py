@@ -163,7 +163,7 @@ class PieceWriter:
         malformed.
         """
         raw, skip, original = frame.raw, 6, None
-        if frame.transport is Transport.TCP:
+        if frame.transport.has_mbap:
             payload, skip = raw, 0
         elif frame.transport is Transport.ASCII:
             read = read_frame(raw)

@@ -2,8 +2,8 @@
 
 # Functions and addresses that the slave accepted are in the draft, and so are its exception codes.
 # Functions that it refused with exception 01, and addresses that it refused with 02 or 03, are not.
-# Addresses without any response are in the draft, with a comment. guesses.py guesses the types of
-# registers; the reason for each guess is a comment.
+# Addresses without any response are in the draft, with a comment. judging.py judges the types of
+# registers; the reason for each is a comment, and a question where they cannot be known.
 #
 # Limit: MAX_POINTS points. A comment says how many more registers there are.
 
@@ -19,14 +19,16 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from mbtool.core.wording import counted
-from mbtool.devices.drafting.guesses import Guess, guess_registers
 from mbtool.devices.dumping import dump_profile
 from mbtool.devices.model import Access, Area, Exceptions, FunctionRule, Point, Profile
-from mbtool.devices.point_types import PointType, WordOrder
-from mbtool.devices.references import write_reference
+from mbtool.devices.point_types import ByteOrder, PointType, WordOrder
+from mbtool.devices.references import SHORT_WORDS, write_reference
 from mbtool.devices.validation import validate
 from mbtool.modbus.functions import FUNCTIONS, ExceptionCode, exception_name, function_name
 from mbtool.modbus.tables import Table
+from mbtool.values.histories import histories_of
+from mbtool.values.judging import Judged, judge
+from mbtool.values.reasons import ValueRole
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -39,14 +41,6 @@ MAX_LISTED = 24
 _NO_FUNCTION = ExceptionCode.ILLEGAL_FUNCTION
 _WRONG_VALUE = ExceptionCode.ILLEGAL_DATA_VALUE
 _REFUSALS = frozenset((_NO_FUNCTION, ExceptionCode.ILLEGAL_DATA_ADDRESS, _WRONG_VALUE))
-_PREFIXES = {
-    Table.COILS: "C",
-    Table.DISCRETE_INPUTS: "DI",
-    Table.HOLDING_REGISTERS: "HR",
-    Table.INPUT_REGISTERS: "IR",
-}
-"""For each table, the letters before the address in the names of drafted areas and points: HR10."""
-
 _READ, _WRITTEN, _NO_RESPONSE = 1, 2, 4
 """Bits of an address's flags: a request read the address; a request wrote it; no request for it had
 a response."""
@@ -60,10 +54,13 @@ class Draft:
     text: str
 
 
-def draft_profile(seen: ObservedSlave, name: str, file: str) -> Draft:
+def draft_profile(
+    seen: ObservedSlave, name: str, file: str, known: Sequence[tuple[Point, str]] = ()
+) -> Draft:
     """Draft a profile of the slave. Never raises.
 
     `name` becomes the name of the profile. `file` is the path of the capture, which comments name.
+    `known` has points that are known, each with its comment; they stand in place of guesses.
     """
     file = PurePath(file).name
     flags = _address_flags(seen)
@@ -80,7 +77,7 @@ def draft_profile(seen: ObservedSlave, name: str, file: str) -> Draft:
         functions=functions,
         exceptions=Exceptions(documented=sorted({*map(int, _REFUSALS), *_exceptions(seen)})),
     )
-    points, left_out = _points(profile, seen, comments)
+    points, left_out = _points(profile, seen, comments, known)
     profile = msgspec.structs.replace(profile, points=points)
     comments[""] = _head(seen, file, left_out)
     validate(profile, name)
@@ -154,7 +151,7 @@ def _areas(
         for request, replies in seen.requests.items()
         if request.table is table and not replies.ok and replies.exceptions
     ]
-    prefix = _PREFIXES[table]
+    prefix = SHORT_WORDS[table]
     for first, last in _runs(flags):
         of_area = flags[first : last + 1]
         written = any(flag & _WRITTEN for flag in of_area)
@@ -306,55 +303,62 @@ def _exceptions(seen: ObservedSlave) -> set[int]:
 
 
 def _points(
-    profile: Profile, seen: ObservedSlave, comments: dict[str, list[str]]
+    profile: Profile,
+    seen: ObservedSlave,
+    comments: dict[str, list[str]],
+    known: Sequence[tuple[Point, str]],
 ) -> tuple[list[Point], int]:
     """Return points for the registers whose values were sampled, at most MAX_POINTS, and the number
     of registers that get no point because of this limit.
 
     Adds the reason for the type of each point to `comments`, under the key `points "NAME"`.
     """
-    points: list[Point] = []
+    points = [point for point, _ in known]
+    comments.update({f'points "{point.name}"': [comment] for point, comment in known})
+    taken = {(point.table, at) for point, _ in known for at in point.all_addresses}
     left_out = 0
-    for table in (Table.HOLDING_REGISTERS, Table.INPUT_REGISTERS):
-        taken: set[int] = set()
-        # Guess from reads before writes, and from long ranges before short ones, because long
-        # reads show best which registers form one value.
-        requests = sorted(
-            (request for request in seen.samples if request.table is table),
-            key=lambda request: (request.writes, -request.quantity, request.address or 0),
-        )
-        pairs = {
-            one.span.start for one in requests if one.quantity == 2 and one.address is not None
-        }
-        guesses: list[Guess] = []
-        for request in requests:
-            plural = "writes" if request.writes else "answers"
-            samples = seen.samples[request]
-            for guess in guess_registers(request.span.start, samples, pairs, plural):
-                addresses = range(guess.address, guess.address + guess.words)
-                if taken.isdisjoint(addresses) and profile.area(table, guess.address, guess.words):
-                    taken.update(addresses)
-                    guesses.append(guess)
-        guesses.sort(key=lambda guess: guess.address)
-        for guess in guesses:
-            if len(points) >= MAX_POINTS:
-                left_out += guess.words
-                continue
-            point = _point(table, guess)
-            is_plain = guess.type is PointType.UINT16
-            comments[f'points "{point.name}"'] = [
-                f"{'Seen' if is_plain else 'A guess'}: {guess.reason}."
-            ]
-            points.append(point)
+    for one in judge(histories_of(seen)):
+        if any((one.table, one.address + at) in taken for at in range(one.words)):
+            continue
+        if not profile.area(one.table, one.address, one.words):
+            continue
+        if len(points) >= MAX_POINTS:
+            left_out += one.words
+            continue
+        point = _point(one)
+        comments[f'points "{point.name}"'] = list(_about_point(one))
+        points.append(point)
+    tables = list(Table)
+    points.sort(key=lambda point: (tables.index(point.table), point.address))
     return points, left_out
 
 
-def _point(table: Table, guess: Guess) -> Point:
+def _point(one: Judged) -> Point:
+    is_text = one.reading.type is PointType.STRING
     return Point(
-        name=f"{_PREFIXES[table]}{guess.address}",
-        table=table,
-        address=guess.address,
-        type=guess.type,
-        length=guess.length,
-        word_order=guess.word_order if guess.type is not PointType.STRING else WordOrder.HIGH_FIRST,
+        name=f"{SHORT_WORDS[one.table]}{one.address}",
+        table=one.table,
+        address=one.address,
+        type=one.reading.type,
+        length=one.words if is_text else None,
+        word_order=WordOrder.HIGH_FIRST if one.words == 1 or is_text else one.reading.order.words,
+        byte_order=ByteOrder.HIGH_FIRST if one.words == 1 or is_text else one.reading.order.bytes,
     )
+
+
+def _about_point(one: Judged) -> Iterator[str]:
+    """Yield the reason for the type of a point, and what is to be asked where it is not sure."""
+    if one.reading.type is PointType.UINT16 and one.words == 1:
+        yield f"Seen: {one.reason}."
+    else:
+        yield f"A guess, {_percent(one)}: {one.reason}."
+    if one.is_sure or one.role is ValueRole.CONSTANT:
+        return
+    if one.words > 1:
+        yield "To be asked: is this one value? mbtool find tells where the value on a display is."
+    elif one.reading.type is PointType.UINT16:
+        yield "To be asked: perhaps it is a part of a longer number with the register beside it."
+
+
+def _percent(one: Judged) -> str:
+    return f"{min(round(100 * one.likelihood), 99)} % likely"

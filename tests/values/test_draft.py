@@ -8,12 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mbtool.devices.assignment import Assignment, Assignments, Who
-from mbtool.devices.drafting.draft import MAX_POINTS, draft_profile
 from mbtool.devices.loading import load_profile
 from mbtool.devices.model import Access, Profile
 from mbtool.devices.naming import Namer
 from mbtool.devices.observed_slave import ObservedSlave
 from mbtool.modbus.transaction import Outcome, Transaction
+from mbtool.values.draft import MAX_POINTS, draft_profile
 from tests.devices.transactions import transaction
 
 if TYPE_CHECKING:
@@ -113,17 +113,24 @@ def test_points_are_called_by_their_addresses_with_the_reason_above() -> None:
         'table = "holding_registers"\n'
         "address = 10\n"
     ) in text(read(10, 7), read(10, 7))
-    assert '# A guess: as a float 50, of few digits.\n[[points]]\nname = "HR10"' in (
-        text(read(10, 0x4248, 0))
-    )
+    assert (
+        "# A guess, 99 % likely: as a float 230.1, of few digits; asked for as two registers.\n"
+        '[[points]]\nname = "HR10"'
+    ) in text(read(10, 0x4366, 0x199A))
 
 
 def test_a_wide_request_counts_before_a_narrow_one() -> None:
-    profile = draft(read(1, 0x4248), read(0, 5, 0x4248, 0))
-    assert [(point.address, point.type) for point in profile.points] == [
+    narrow, wide = read(1, 0x4366, 0x199A), read(0, 5, 0x4366, 0x199A, 0x4366, 0x1AE1)
+    assert [(point.address, point.type) for point in draft(narrow, wide).points] == [
         (0, "uint16"),
         (1, "float32"),
+        (3, "float32"),
     ]
+
+
+def test_what_cannot_be_known_is_asked() -> None:
+    counting = [read(10, 0, 60_000 + 7 * step, 3) for step in range(20)]
+    assert "# To be asked: " in text(*counting)
 
 
 def test_the_reported_name_is_the_title() -> None:
