@@ -232,9 +232,8 @@ class LineDamage(SortedSense):
         raw = event.raw
         if not _SHORTEST_REQUEST < len(raw) < 2 * _SHORTEST_REQUEST:
             return
-        polls = [one for one, count in line.requests.items() if count >= POLLED]
-        first = [one for one in polls if one[:_HEAD] == raw[:_HEAD]]
-        last = [one for one in polls if one[-_TAIL:] == raw[-_TAIL:]]
+        first = [one for one in line.requests if one[:_HEAD] == raw[:_HEAD]]
+        last = [one for one in line.requests if one[-_TAIL:] == raw[-_TAIL:]]
         if any(one != other for one in first for other in last):
             line.merged += 1
             keep(line.masters_cases, Evidence.of_event(event, "two requests at once"))
