@@ -232,9 +232,8 @@ class LineDamage(SortedSense):
         raw = event.raw
         if not _SHORTEST_REQUEST < len(raw) < 2 * _SHORTEST_REQUEST:
             return
-        polls = [one for one, count in line.requests.items() if count >= POLLED]
-        first = [one for one in polls if one[:_HEAD] == raw[:_HEAD]]
-        last = [one for one in polls if one[-_TAIL:] == raw[-_TAIL:]]
+        first = [one for one in line.requests if one[:_HEAD] == raw[:_HEAD]]
+        last = [one for one in line.requests if one[-_TAIL:] == raw[-_TAIL:]]
         if any(one != other for one in first for other in last):
             line.merged += 1
             keep(line.masters_cases, Evidence.of_event(event, "two requests at once"))
@@ -326,7 +325,8 @@ def _of_line(link: str, line: _DamagedLine) -> Iterator[Trouble]:
     doubles = [number for number, unit in line.units.items() if _is_double(line, unit)]
     collisions = line.merged + line.interruptions
     merged = line.merged >= (FEW_MERGED * line.damaged if doubles else ENOUGH_MERGED)
-    is_proved = line.is_told or (line.merged >= ENOUGH_MERGED and merged)
+    is_told = line.is_told and not doubles
+    is_proved = is_told or (line.merged >= ENOUGH_MERGED and merged)
     if is_proved or (collisions >= max(ENOUGH, line.late) and not doubles):
         yield Trouble(
             code="LINE-TWO-MASTERS", link=link, count=max(collisions, 1), of=line.transactions,

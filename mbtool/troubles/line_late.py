@@ -7,7 +7,8 @@
 # too, though its late answers may collide with the next request, so that nobody can read them. So
 # is a unit that answers some requests in time, where damage comes after its requests without an
 # answer: in the time-out behind the one that the master waited (a wake), and hardly elsewhere. Its
-# late answers collide with what the master asks then.
+# late answers collide with what the master asks then. A unit that answers none in time may as well
+# be dead, so it is late only if other requests fail in most of its wakes.
 #
 # False alarms: where a request is damaged, its answer may be taken for a late one to the request
 # before. So a response right behind damaged bytes is no late one. And if there are many damaged
@@ -74,6 +75,8 @@ class _LateUnit:
     wakes_ns: int = 0
     """How long all wakes took."""
     damaged_wakes: int = 0
+    spoilt_wakes: int = 0
+    """The number of damaged wakes in which another unit's request failed."""
     damage: int = 0
     """The number of damaged frames in wakes."""
 
@@ -85,6 +88,8 @@ class _Wake:
     unit: _LateUnit
     end_ns: int
     is_damaged: bool = False
+    has_failed: bool = False
+    """True if a request of another unit got no answer in it."""
 
 
 @dataclass(slots=True)
@@ -141,6 +146,7 @@ class LateOnLine(SortedSense):
         for wake in line.wakes:
             wake.unit.damage += 1
             wake.unit.damaged_wakes += not wake.is_damaged
+            wake.unit.spoilt_wakes += not wake.is_damaged and wake.has_failed
             wake.is_damaged = True
 
     def take_transaction(self, one: NamedTransaction) -> None:
@@ -150,6 +156,9 @@ class LateOnLine(SortedSense):
         line.begin_ns = one.request_ns if line.begin_ns is None else line.begin_ns
         line.end_ns = one.request_ns
         self._note_wait(line, one)
+        if one.outcome is Outcome.NO_ANSWER:
+            for wake in line.wakes:
+                wake.has_failed |= wake.unit is not self._unit(one)
         line.requests.append(one.request_ns)
         line.units.add(one.unit)
         if one.outcome is Outcome.LATE:
@@ -290,12 +299,12 @@ def _note_late(unit: _LateUnit, one: NamedTransaction, *, is_other: bool) -> Non
 
 def _disturbs(unit: _LateUnit, line: _LateLine, *, is_dead: bool) -> bool:
     """True if damage comes in the wakes of a unit, and hardly elsewhere. Of a unit that never
-    answers in time (`is_dead`), most wakes must be damaged.
+    answers in time (`is_dead`), another request must fail in most wakes.
     """
-    often = MOSTLY if is_dead else OFTEN
+    wakes, often = (unit.spoilt_wakes, MOSTLY) if is_dead else (unit.damaged_wakes, OFTEN)
     watched_ns = line.end_ns - (line.begin_ns or 0)
     return (
-        unit.damaged_wakes >= max(ENOUGH, often * unit.wakes)
+        wakes >= max(ENOUGH, often * unit.wakes)
         and unit.damage >= ITS_OWN * line.damaged
         and unit.wakes_ns <= OFTEN * watched_ns
     )

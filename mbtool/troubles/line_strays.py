@@ -44,6 +44,9 @@ FEW = 0.1
 """A constant byte stands beside at least this share (0 to 1) of the transactions."""
 MOSTLY = 0.8
 LONGEST_BIAS = 2
+NEAR_NS = 4_000_000
+"""A byte belongs to frames that begin or end at most so far (ns) from it; times that an adapter
+has made coarser tell no place."""
 FOREIGN_BYTES = 50
 """The least number of bytes of another protocol."""
 ALIKE = 0.8
@@ -192,8 +195,9 @@ class StrayBytes(SortedSense):
             if after.request_ns is not None:
                 size = len(after.request_raw or b"") * character_ns
                 distances["before requests"] = abs(after.request_ns - size - end_ns)
-            if distances:
-                line.places[min(distances, key=lambda place: distances[place])] += 1
+            nearest = min(distances, key=lambda place: distances[place], default="")
+            if nearest and distances[nearest] <= NEAR_NS:
+                line.places[nearest] += 1
         line.waiting.clear()
 
     def troubles(self, links: Sequence[LinkReport]) -> Iterator[Trouble]:
