@@ -12,7 +12,7 @@ from mbtool.cli.tls_options import TargetTlsOptions
 from mbtool.core.moments import DAY_NS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from mbtool.cli.options import Format
     from mbtool.cli.output import RecordOutput
@@ -37,7 +37,7 @@ ReferencesArgument = Annotated[
         metavar="REFERENCE",
         help="What to read: HR400001..400010 or the name of a point, as the device's manual writes "
         "them (with --device); 'holding 0..9', 'coil 3', 'hr 0x10' by the address on the wire; "
-        "0..9 with --function.",
+        "0..9 with --function. A type may follow: hr10:f32cdab, 40011:u32, 'holding 0..9:i16'.",
     ),
 ]
 ListenOption = Annotated[
@@ -146,14 +146,21 @@ class AskOptions(TargetTlsOptions):
         bool, typer.Option("--overwrite", help="Replace the file of --record if there is one.")
     ] = False
 
-    def read(self, link_text: str) -> AskedSlave:
-        """Combine LINK and the options. Raises UsageError for a text that is not understood."""
+    def read(
+        self, link_text: str, references: Sequence[str], *, writes: bool = False
+    ) -> AskedSlave:
+        """Combine LINK, the references with their types, and the options. With `writes`, each
+        reference has a value.
+
+        Raises UsageError for a text that is not understood.
+        """
         from mbtool.cli.output_path import demand_new
         from mbtool.core import parse_link
         from mbtool.core.link_spec import ANSWERED
         from mbtool.core.numbers import UNITS, parse_number, parse_unit
         from mbtool.workflows.ask import transport_of
         from mbtool.workflows.shared.questions import Wording
+        from mbtool.workflows.shared.typed_references import typed_references
 
         demand_new(self.record, overwrite=self.overwrite)
         link = parse_link(link_text, ANSWERED)
@@ -164,12 +171,14 @@ class AskOptions(TargetTlsOptions):
         code = None
         if self.function is not None:
             code = parse_number(self.function, "function code", UNITS, "--function")
+        plain, profile = typed_references(references, profile, code, writes=writes)
         timeout_ns = round(self.timeout * 1e9)
         return AskedSlave(
             link,
             unit,
             profile,
             Wording(profile, code),
+            plain,
             timeout_ns,
             self.target(),
             listen_ns(self.listen),
@@ -200,6 +209,8 @@ class AskedSlave:
     unit: int
     profile: Profile | None
     wording: Wording
+    references: list[str]
+    """What the user named to read or write, without types."""
     timeout_ns: int
     tls: TargetTls | None
     listen_ns: int | None
