@@ -38,7 +38,9 @@ from mbtool.master.other_master import (
     FEW_BYTES,
     MARGIN_NS,
     MOST_LISTEN_NS,
+    RELIABLE,
     SILENT_LISTEN_NS,
+    NoPauseError,
     OtherMaster,
 )
 from mbtool.modbus import Adu, ascii_adu, mbap_adu, rtu_adu
@@ -562,14 +564,25 @@ class SerialMaster(MasterLink):
         if self._other is None:
             return super()._await_turn(unit, pdu)
         needed_ns, wait_ns = self._needed_ns(self._other, unit, pdu)
-        if needed_ns > self._other.longest_pause_ns and not self._turns:
-            raise self._no_pause(self._other, unit, needed_ns)
+        # Once requests were sent, a short pause may have been an exception, and is awaited to pass.
+        most_ns = self._other.longest_pause_ns
+        if self._turns:
+            most_ns = round(self._other.greatest_pause_ns * RELIABLE)
+        if needed_ns > most_ns:
+            raise NoPauseError(
+                f"{self.link}: a request to unit {unit} needs a pause of {duration(needed_ns)}; "
+                f"the longest sure one of the other master is {duration(most_ns)}; it was not sent"
+                ". A shorter --timeout needs less, a longer --listen may find more"
+            )
         if self._has_missed_bytes():
             self._other.listen_anew(time.monotonic_ns())
         until_ns = time.monotonic_ns() + self._longest_turn_ns
         while (rest_ns := self._other.rest_ns(now_ns := time.monotonic_ns())) < needed_ns:
             if now_ns > until_ns:
-                raise self._no_pause(self._other, unit, needed_ns)
+                raise NoPauseError(
+                    f"{self.link}: the other master left no pause of {duration(needed_ns)} in "
+                    f"{duration(self._longest_turn_ns)}; the request was not sent"
+                )
             self._other.feed(*self.overhear(self.link.format.t3_5_ns))
             needed_ns, wait_ns = self._needed_ns(self._other, unit, pdu)
         self._turn_ends_ns = now_ns + rest_ns - needed_ns
@@ -599,19 +612,6 @@ class SerialMaster(MasterLink):
         if known_ns is not None and rest_ns + wait_ns > other.longest_pause_ns:
             wait_ns = min(wait_ns, 2 * known_ns + MARGIN_NS)
         return rest_ns + wait_ns, wait_ns
-
-    def _no_pause(self, other: OtherMaster, unit: int, needed_ns: int) -> LinkError:
-        longest_ns = other.longest_pause_ns
-        if needed_ns <= longest_ns or self._turns:
-            return LinkError(
-                f"{self.link}: the other master left no pause of {duration(needed_ns)} in "
-                f"{duration(self._longest_turn_ns)}; the request was not sent"
-            )
-        return LinkError(
-            f"{self.link}: a request to unit {unit} needs a pause of {duration(needed_ns)}; "
-            f"the longest sure one of the other master is {duration(longest_ns)}; nothing was "
-            "sent. A shorter --timeout needs less, a longer --listen may find more"
-        )
 
     def _has_missed_bytes(self) -> bool:
         """Drop what has waited in the port since the last read, as it came at times that nobody
