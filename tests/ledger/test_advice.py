@@ -10,7 +10,8 @@ from mbtool.ledger.account import Account
 from mbtool.ledger.advice import CycleAdvice, advise
 from mbtool.ledger.statistics_report import report
 from mbtool.modbus import Outcome, Transport
-from tests.ledger.requests import MS, START_NS, request
+from tests.ledger.masters import MS, START_NS
+from tests.ledger.requests import request
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
