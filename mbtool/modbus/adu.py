@@ -58,10 +58,14 @@ class Transport(StrEnum):
         """The transport of the same form over UDP for one over TCP; else the transport itself."""
         return {Transport.TCP: Transport.UDP, Transport.RTU_TCP: Transport.RTU_UDP}.get(self, self)
 
-    @property
-    def is_serial(self) -> bool:
-        """True for RTU and ASCII on a serial line, which all units share."""
-        return self in (Transport.RTU, Transport.ASCII)
+    is_serial: bool
+    """True for RTU and ASCII on a serial line, which all units share."""
+
+    def __new__(cls, value: str) -> Self:
+        self = str.__new__(cls, value)
+        self._value_ = value
+        self.is_serial = value in ("rtu", "ascii")  # Asked for each transaction several times.
+        return self
 
 
 class DirectionBy(StrEnum):

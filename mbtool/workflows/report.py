@@ -93,7 +93,6 @@ class ReportRun:
             wanted=wanted,
             on_retry=self._mark_retry,
             observes=True,
-            reads_only=True,
         )
         self.reading = self._check.reading
         self.account = self._check.ledger
