@@ -109,6 +109,11 @@ EXAMPLES = {
         "mbtool poll tcp:127.0.0.1:1502 'input 0..3' --every 250ms",
         f"mbtool poll {_PORT} --unit 3 'holding 0..7' --count 100",
     ),
+    "find": HelpExamples(
+        "find",
+        "mbtool find site.mcap 23.4@10:15:03 23.9@10:16:00",
+        "mbtool find site.mcap Voltage=236.8V Current=1.158A --keep meter.toml",
+    ),
     "links": HelpExamples("links", "mbtool links", "mbtool links --format jsonl"),
     "doctor": HelpExamples("install", "mbtool doctor", "mbtool doctor --json"),
     "line": HelpExamples(

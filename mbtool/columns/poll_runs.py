@@ -12,6 +12,7 @@ without making an object of each.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
@@ -148,6 +149,7 @@ def run_of(rows: PlainRows, kinds: KindsOfRows, begin: int, end: int) -> Answere
             end_ns,
             times[start:stop],
             latencies[start:stop],
+            partial(_packets_of, rows, order[start:stop] + begin),
         )
         for which, start, stop, begin_ns, end_ns in zip(
             found[by_first].tolist(),
@@ -159,3 +161,9 @@ def run_of(rows: PlainRows, kinds: KindsOfRows, begin: int, end: int) -> Answere
         )
     ]
     return AnsweredRun(alike, local.tolist(), request_ns.tolist(), response_ns.tolist())
+
+
+def _packets_of(rows: PlainRows, places: Int64s, index: int) -> tuple[int, int]:
+    """Return the packets of request and response of one of the rows with the indices `places`."""
+    row, first = int(places[index]), rows.block.first_number
+    return first + int(rows.request[row]), first + int(rows.response[row])

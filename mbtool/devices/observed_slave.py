@@ -13,6 +13,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
 
 MAX_REQUESTS = 8192
 MAX_SAMPLED = 512
-MAX_ROWS = 128
+MAX_ROWS = 120
 MAX_TEXTS = 64
 
 
@@ -102,12 +103,23 @@ class Samples:
         self.count += 1
 
 
+OnRow = Callable[["ObservedSlave", ObservedRequest, int, "Sequence[int]"], None]
+"""Gets the values of registers (the slave, the kind of request, the time in ns, the values)."""
+
+
 class ObservedSlave:
     """Collects the requests to one slave and its responses."""
 
     def __init__(
-        self, link: str, destination: str | None, unit: int, *, with_values: bool = False
+        self,
+        link: str,
+        destination: str | None,
+        unit: int,
+        *,
+        with_values: bool = False,
+        on_row: OnRow | None = None,
     ) -> None:
+        """With `with_values`, the values of registers are sampled. `on_row` gets all of them."""
         self.link = link
         self.destination = destination
         self.unit = unit
@@ -125,6 +137,7 @@ class ObservedSlave:
         """Number of transactions whose requests are not in `requests`, because that already has
         MAX_REQUESTS others."""
         self._with_values = with_values
+        self._on_row = on_row
 
     @property
     def who(self) -> Who:
@@ -172,6 +185,8 @@ class ObservedSlave:
     def _sample(self, request: ObservedRequest, values: Sequence[int], at_ns: int) -> None:
         if request.table is None or request.table.is_bits:
             return
+        if self._on_row is not None:
+            self._on_row(self, request, at_ns, values)
         samples = self.samples.get(request)
         if samples is None and len(self.samples) < MAX_SAMPLED:
             samples = self.samples[request] = Samples()

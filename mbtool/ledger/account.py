@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
     from mbtool.core import SerialFormat
     from mbtool.devices.named_transaction import NamedTransaction
-    from mbtool.ledger.answered_run import AlikeRequests, AnsweredRun
+    from mbtool.ledger.answered_run import AlikeRequests, AnsweredRun, ConnectionCounts
     from mbtool.ledger.master_tape import MasterTape
     from mbtool.ledger.request_tally import RequestTally
 
@@ -175,6 +175,8 @@ class Account:
         """Add a batch of answered requests at once. The counts are the same as if `add` was called
         for each.
         """
+        for counts in run.connections:
+            self._add_connections(counts)
         if not self._has_room(run):
             for one in run.transactions():
                 self._add_transaction(one)
@@ -360,10 +362,7 @@ class Account:
         self.events[event.kind] += 1
         self._damaged.note(event)
         if event.kind in _CONNECTIONS:
-            key = event.link, self._host(event.source)
-            tally = self.connections.get(key)
-            if tally is None and len(self.connections) < MAX_PAIRS:
-                tally = self.connections[key] = ConnectionTally()
+            tally = self._connection_tally(event.link, self._host(event.source))
             if tally is not None:
                 tally.add(event)
         place = _SUMS_OF_EVENTS.get(event.kind)
@@ -377,6 +376,21 @@ class Account:
             if link.transport is not None:  # The time before its first request is not watched.
                 link.other_bytes += len(event.raw)
         link.bad_checks += place is LinkSum.BAD_CHECK
+
+    def _add_connections(self, counts: ConnectionCounts) -> None:
+        """Count the openings and closings of connections in a batch."""
+        for kind, number in ((EventKind.OPENED, counts.opened), (EventKind.CLOSED, counts.closed)):
+            if number:
+                self.events[kind] += number
+        tally = self._connection_tally(counts.link, counts.host)
+        if tally is not None:
+            tally.add_whole(counts.opened, counts.closed, counts.most)
+
+    def _connection_tally(self, link: str, host: str) -> ConnectionTally | None:
+        tally = self.connections.get((link, host))
+        if tally is None and len(self.connections) < MAX_PAIRS:
+            tally = self.connections[link, host] = ConnectionTally()
+        return tally
 
     def _link(self, name: str) -> LinkStatistics:
         link = self.links.get(name)

@@ -58,10 +58,14 @@ class Transport(StrEnum):
         """The transport of the same form over UDP for one over TCP; else the transport itself."""
         return {Transport.TCP: Transport.UDP, Transport.RTU_TCP: Transport.RTU_UDP}.get(self, self)
 
-    @property
-    def is_serial(self) -> bool:
-        """True for RTU and ASCII on a serial line, which all units share."""
-        return self in (Transport.RTU, Transport.ASCII)
+    is_serial: bool
+    """True for RTU and ASCII on a serial line, which all units share."""
+
+    def __new__(cls, value: str) -> Self:
+        self = str.__new__(cls, value)
+        self._value_ = value
+        self.is_serial = value in ("rtu", "ascii")  # Asked for each transaction several times.
+        return self
 
 
 class DirectionBy(StrEnum):
@@ -213,6 +217,11 @@ itself, as a function around it would cost time with every frame."""
 def crc_on(before: int, data: bytes) -> int:
     """Continue a CRC: `before` is the CRC of the bytes that come before `data`."""
     return crc16.modbus(data, before)
+
+
+CRC_TABLE = tuple(crc_on(0, bytes([byte])) for byte in range(256))
+"""For each byte, the CRC of that byte alone, if the register begins with 0. To continue a CRC by
+one byte: `CRC_TABLE[(crc ^ byte) & 0xFF] ^ crc >> 8`."""
 
 
 def lrc(data: bytes) -> int:

@@ -233,6 +233,9 @@ class TcpConnection:
         if segment.payload or segment.missing:
             self._take_payload(segment, sequence, acknowledged, sender, other, origin)
         elif flags == ACK:
+            if other.origin is None and sender.beginning == sequence and not sender.sent:
+                # The third segment of the handshake; the capture lacks the second, with the SYN.
+                other.begin(segment.acknowledgement)
             if sender.is_before_next(sequence):
                 self.keep_alives += 1
             elif sender.origin is not None:
@@ -469,6 +472,11 @@ class TcpConnection:
             stream.pass_over(hole + 1)
             self.keep_alives += 1
         elif hole:
+            if stream.joining and first.start > LEAD:
+                # The first segment of the other end had acknowledged the bytes before LEAD, so the
+                # missing bytes are behind it.
+                stream.pass_over(LEAD)
+                hole = first.start - LEAD
             if not stream.joining:
                 received_ns = stream.acknowledged_ns(first.start)
                 gap = StreamGap(

@@ -175,9 +175,10 @@ class Gateways(Sense):
                 )
             if longest_ns < SLOW_NS:
                 continue
-            for at_ns, latency_ns in zip(kind.request_ns, kind.latencies, strict=True):
+            each = zip(kind.request_ns, kind.latencies, strict=True)
+            for index, (at_ns, latency_ns) in enumerate(each):
                 if latency_ns >= SLOW_NS:
-                    evidence = Evidence(ts_ns=at_ns, file=like.file)
+                    evidence = Evidence(ts_ns=at_ns, file=like.file, packets=kind.packets(index))
                     self._keep(like.link, _Slow(at_ns, at_ns + latency_ns, like.unit, evidence))
 
     def _shared_by(self, one: NamedTransaction) -> _SharedLink | None:

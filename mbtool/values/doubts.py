@@ -30,13 +30,11 @@ def doubtful(
     parts: Sequence[tuple[Candidate, Order]],
     columns: Sequence[Sequence[int]],
     edges: Collection[int],
-    alone: Collection[int],
 ) -> list[bool]:
     """For each value of a range, in order: True if the words cannot settle what it is.
 
     `parts` has each value with its order of words, and `columns` the words of each register over
-    time. `edges` are the places in the range at which some request begins or ends; `alone` those
-    of the values that some request asks for alone.
+    time. `edges` are the places in the range at which some request begins or ends.
     """
     evident = [
         (candidate.at % 2, order)
@@ -45,9 +43,6 @@ def doubtful(
     ]
     found = []
     for place, (candidate, order) in enumerate(parts):
-        if candidate.at in alone:
-            found.append(False)
-            continue
         beside = [
             other
             for other, edge in (

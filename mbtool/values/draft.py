@@ -22,7 +22,7 @@ from mbtool.core.wording import counted
 from mbtool.devices.dumping import dump_profile
 from mbtool.devices.model import Access, Area, Exceptions, FunctionRule, Point, Profile
 from mbtool.devices.point_types import ByteOrder, PointType, WordOrder
-from mbtool.devices.references import write_reference
+from mbtool.devices.references import SHORT_WORDS, write_reference
 from mbtool.devices.validation import validate
 from mbtool.modbus.functions import FUNCTIONS, ExceptionCode, exception_name, function_name
 from mbtool.modbus.tables import Table
@@ -41,14 +41,6 @@ MAX_LISTED = 24
 _NO_FUNCTION = ExceptionCode.ILLEGAL_FUNCTION
 _WRONG_VALUE = ExceptionCode.ILLEGAL_DATA_VALUE
 _REFUSALS = frozenset((_NO_FUNCTION, ExceptionCode.ILLEGAL_DATA_ADDRESS, _WRONG_VALUE))
-_PREFIXES = {
-    Table.COILS: "C",
-    Table.DISCRETE_INPUTS: "DI",
-    Table.HOLDING_REGISTERS: "HR",
-    Table.INPUT_REGISTERS: "IR",
-}
-"""For each table, the letters before the address in the names of drafted areas and points: HR10."""
-
 _READ, _WRITTEN, _NO_RESPONSE = 1, 2, 4
 """Bits of an address's flags: a request read the address; a request wrote it; no request for it had
 a response."""
@@ -62,10 +54,13 @@ class Draft:
     text: str
 
 
-def draft_profile(seen: ObservedSlave, name: str, file: str) -> Draft:
+def draft_profile(
+    seen: ObservedSlave, name: str, file: str, known: Sequence[tuple[Point, str]] = ()
+) -> Draft:
     """Draft a profile of the slave. Never raises.
 
     `name` becomes the name of the profile. `file` is the path of the capture, which comments name.
+    `known` has points that are known, each with its comment; they stand in place of guesses.
     """
     file = PurePath(file).name
     flags = _address_flags(seen)
@@ -82,7 +77,7 @@ def draft_profile(seen: ObservedSlave, name: str, file: str) -> Draft:
         functions=functions,
         exceptions=Exceptions(documented=sorted({*map(int, _REFUSALS), *_exceptions(seen)})),
     )
-    points, left_out = _points(profile, seen, comments)
+    points, left_out = _points(profile, seen, comments, known)
     profile = msgspec.structs.replace(profile, points=points)
     comments[""] = _head(seen, file, left_out)
     validate(profile, name)
@@ -156,7 +151,7 @@ def _areas(
         for request, replies in seen.requests.items()
         if request.table is table and not replies.ok and replies.exceptions
     ]
-    prefix = _PREFIXES[table]
+    prefix = SHORT_WORDS[table]
     for first, last in _runs(flags):
         of_area = flags[first : last + 1]
         written = any(flag & _WRITTEN for flag in of_area)
@@ -308,16 +303,23 @@ def _exceptions(seen: ObservedSlave) -> set[int]:
 
 
 def _points(
-    profile: Profile, seen: ObservedSlave, comments: dict[str, list[str]]
+    profile: Profile,
+    seen: ObservedSlave,
+    comments: dict[str, list[str]],
+    known: Sequence[tuple[Point, str]],
 ) -> tuple[list[Point], int]:
     """Return points for the registers whose values were sampled, at most MAX_POINTS, and the number
     of registers that get no point because of this limit.
 
     Adds the reason for the type of each point to `comments`, under the key `points "NAME"`.
     """
-    points: list[Point] = []
+    points = [point for point, _ in known]
+    comments.update({f'points "{point.name}"': [comment] for point, comment in known})
+    taken = {(point.table, at) for point, _ in known for at in point.all_addresses}
     left_out = 0
     for one in judge(histories_of(seen)):
+        if any((one.table, one.address + at) in taken for at in range(one.words)):
+            continue
         if not profile.area(one.table, one.address, one.words):
             continue
         if len(points) >= MAX_POINTS:
@@ -326,13 +328,15 @@ def _points(
         point = _point(one)
         comments[f'points "{point.name}"'] = list(_about_point(one))
         points.append(point)
+    tables = list(Table)
+    points.sort(key=lambda point: (tables.index(point.table), point.address))
     return points, left_out
 
 
 def _point(one: Judged) -> Point:
     is_text = one.reading.type is PointType.STRING
     return Point(
-        name=f"{_PREFIXES[one.table]}{one.address}",
+        name=f"{SHORT_WORDS[one.table]}{one.address}",
         table=one.table,
         address=one.address,
         type=one.reading.type,

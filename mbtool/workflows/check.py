@@ -167,16 +167,13 @@ class CheckRun:
         wanted: Where | None = None,
         on_retry: Callable[[PollStatistics, int, int], None] | None = None,
         observes: bool = False,
-        reads_only: bool = False,
     ) -> None:
         """Prepare to read. `codes` chooses the findings, `limits` are those of attacks and scans,
         `window` the time that is checked.
 
         `wanted` returns True for the transactions to count, and to report findings of; None for
-        all. `on_retry` and `observes` are those of Account. With `reads_only`, only reads come
-        together in CheckedRecord.rows, and no writes.
+        all. `on_retry` and `observes` are those of Account.
         """
-        self._reads_only = reads_only
         self._wanted = wanted
         self._codes = codes or CodeFilter()
         self._limits = limits or SecurityLimits()
@@ -277,7 +274,7 @@ class CheckRun:
         columns = self._columns if self._window.is_whole else None
         if columns is None:
             return self.reading.records()
-        return columns.quiet_parts(reads_only=self._reads_only)
+        return columns.quiet_parts()
 
     def _checked(self, parts: Iterable[Record | BlockRows]) -> Iterator[CheckedRecord]:
         try:
@@ -338,7 +335,7 @@ class CheckRun:
     def _check_rows(self, rows: BlockRows) -> Iterator[CheckedRecord]:
         for some, found in self._judge.check_rows(rows):
             findings = list(self._chosen(found))
-            if isinstance(some, NamedTransaction):
+            if isinstance(some, NamedTransaction | WireEvent):
                 yield CheckedRecord(some, some, findings, poll=self._judge.count(some))
             else:
                 answered = some.answered()

@@ -273,7 +273,7 @@ class Conversion:
         return _merged([self._pieces(group) for group in self._groups], lambda one: one.ts_ns)
 
     def _pieces(self, group: InputGroup) -> Iterator[Shown]:
-        read = _EvidenceRead(group.marks.items)
+        read = _EvidencePass(group.marks.items)
         items = self._watch(read, read.counted(group.evidence()))
         pieces = (one for one in _cut(group, items) if self._keeps(group, one))
         if any(key.connection is None and key.direction is not Direction.UNKNOWN
@@ -397,7 +397,7 @@ class _Cut(NamedTuple):
 
 
 @dataclass
-class _EvidenceRead:
+class _EvidencePass:
     """How much of the evidence of a capture was read again."""
 
     items: int

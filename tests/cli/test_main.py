@@ -43,6 +43,7 @@ COMMANDS = (
     "poll",
     "scan",
     "test",
+    "find",
     "devices",
     "links",
     "doctor",

@@ -16,7 +16,7 @@ from mbtool.core import Direction, EventKind
 from mbtool.modbus import encode_pdu, exception_pdu, mbap_adu
 from mbtool.packets.segment import ACK, FIN
 from tests.captures import public_folder
-from tests.columns.both_ways import as_arrays, damaged, differences, generated
+from tests.columns.both_ways import as_arrays, blocks_of, damaged, differences, generated
 from tests.columns.disturbed_captures import disturbed
 from tests.packets.building import Pcapng, Talk, pcap
 
@@ -403,3 +403,22 @@ def test_captures_made_by_others_give_equal_results(public_captures: Path) -> No
             if found:
                 differing[path.name] = found
     assert differing == {}
+
+
+@pytest.mark.parametrize("in_one_segment", [True, False])
+def test_pipelined_requests_are_rows_although_the_decoder_reads_them(in_one_segment: bool) -> None:
+    talk = Talk()
+    packets = [*talk.handshake(), *poll(talk, 2)]
+    for number in range(0, 120, 3):
+        asked = [mbap_adu(10 + number + one, 17, READ) for one in range(3)]
+        told = [mbap_adu(10 + number + one, 17, VALUES) for one in range(3)]
+        if in_one_segment:
+            packets += [talk.request(b"".join(asked)), talk.response(b"".join(told))]
+        else:
+            packets += [*map(talk.request, asked), *map(talk.response, told)]
+    packets += poll(talk, 2)
+    capture = pcap(packets)
+    assert differences(capture) == []
+    blocks, _, _ = blocks_of(capture)
+    rows = sum(len(one.plain.request) for one in blocks if one.plain is not None)
+    assert rows >= 120

@@ -130,7 +130,7 @@ def test_a_wide_request_counts_before_a_narrow_one() -> None:
 
 def test_what_cannot_be_known_is_asked() -> None:
     counting = [read(10, 0, 60_000 + 7 * step, 3) for step in range(20)]
-    assert "# To be asked: is this one value?" in text(*counting)
+    assert "# To be asked: " in text(*counting)
 
 
 def test_the_reported_name_is_the_title() -> None:

@@ -17,7 +17,14 @@ from mbtool.workflows.check import CheckRun, FileFinding
 from mbtool.workflows.shared import reading_choice
 from mbtool.workflows.shared.column_reading import ColumnReading
 from mbtool.workflows.shared.reading import Reading, ReadingOptions
-from tests.benchmarks.file_workloads import clean, dirty, make_capture, random_requests, scan
+from tests.benchmarks.file_workloads import (
+    clean,
+    dirty,
+    make_capture,
+    per_poll,
+    random_requests,
+    scan,
+)
 from tests.captures import public_folder
 from tests.columns.both_ways import generated
 from tests.columns.sunspec_capture import sunspec_capture
@@ -92,7 +99,9 @@ def test_the_findings_of_simulated_plants_are_the_same_both_ways(
     assert demand_equal(path)
 
 
-@pytest.mark.parametrize("frames", [random_requests, scan], ids=lambda one: one.__name__)
+@pytest.mark.parametrize(
+    "frames", [random_requests, scan, per_poll, dirty], ids=lambda one: one.__name__
+)
 def test_the_findings_of_many_different_requests_are_the_same_both_ways(
     frames: Callable[[int, random.Random], Iterator[tuple[bytes, int]]], tmp_path: Path
 ) -> None:
