@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from mbtool.cli.connection_options import ConnectionOptions
+from mbtool.cli.live_out_options import LiveOutOptions
 from mbtool.cli.modem_options import ModemOptions
 from mbtool.cli.option_groups import takes_groups
 from mbtool.cli.options import (
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
     from mbtool.devices import Assignments
     from mbtool.logs.rotation import RotatingLog
     from mbtool.logs.writer import LogWriter
+    from mbtool.workflows.live_out import LiveOut
     from mbtool.workflows.shared.checked_log import FindingsLog
     from mbtool.workflows.shared.heartbeat import StatusLog
     from mbtool.workflows.shared.recorder import Log
@@ -125,6 +127,7 @@ def sniff(
     allow: AllowOption = None,
     connections: ConnectionOptions,
     read_only: ReadOnlyOption = False,
+    live_out: LiveOutOptions,
     tls: TlsOptions,
 ) -> None:
     """Listen on links, show each transaction as it ends, and log it.
@@ -170,6 +173,7 @@ def sniff(
     specs = tls.on_taps([parse_link(link, HEARD) for link in links])
     for warning in tls.warnings():
         say(f"mbtool: {warning}")
+    told = live_out.open(lambda text: say(f"mbtool: {text}"))
     allowed = allowed_networks(specs, allow, connections)
     devices, wanted = assignments(device), condition(where)
     tcp_ports = heard_ports(specs, ports)
@@ -219,6 +223,7 @@ def sniff(
         live = partial(
             LiveOutput, is_kept=write is not None, is_hurried=is_hurried, is_silent=service
         )
+        opened.enter_context(told)
         opened.enter_context(sniffer)
         # The sniffer is opened before the output, and closed before it. So the log is complete when
         # the command waits for the reader of its output.
@@ -237,13 +242,16 @@ def sniff(
             opened.pop_all(),
         ):
             say(f"listening on {', '.join(sniffer.places)}; Ctrl-C ends")
+            if told.metrics_place is not None:
+                say(f"metrics at http://{told.metrics_place}/metrics")
             if run is not None:
                 run.begin(sniffer)
-            ends = _end(interrupt, out, duration, tell_suspension, run)
             heard = serial_lines(specs)
             formats = {name: timing.format_of(line) for name, line in heard.items()}
             judged = LiveStatistics(formats.get, None, devices)
-            _show(sniffer, out, judged, devices, heard, ends, is_hurried)
+            look = partial(told.look, live=judged)
+            ends = _end(interrupt, out, duration, tell_suspension, run, look)
+            _show(sniffer, out, judged, told, devices, heard, ends, is_hurried)
             judged.close()
             if run is not None:
                 run.end()
@@ -262,12 +270,13 @@ def _end(
     duration_s: float | None,
     tell_suspension: Callable[[], None],
     run: ServiceRun | None,
+    look: Callable[[int], None],
 ) -> Callable[[int], bool]:
     """Return a function that takes the time in ns since 1970 and returns True if sniff must end.
 
     It must end after Ctrl-C, after --limit rows or after `duration_s` seconds (None: no limit). At
     each call the function also flushes the output, calls `tell_suspension`, and lets `run` send
-    its messages to the service manager.
+    its messages to the service manager; `look` tells other programs what is due.
     """
     from mbtool.ports.clock import now_ns
 
@@ -278,6 +287,7 @@ def _end(
         tell_suspension()
         if run is not None:
             run.look()
+        look(at_ns)
         return interrupt.asked or out.is_full or at_ns >= end_ns
 
     return ends
@@ -287,6 +297,7 @@ def _show(
     sniffer: Sniffer,
     out: RecordOutput,
     live: LiveStatistics,
+    told: LiveOut,
     devices: Assignments,
     lines: Mapping[str, SerialLink],
     ends: Callable[[int], bool],
@@ -294,7 +305,7 @@ def _show(
 ) -> None:
     """Print records as they come, and remarks on device models and on lines that cannot be read.
 
-    `live` counts and judges them.
+    `live` counts and judges them, `told` passes them on to other programs.
     `devices` are the profiles of --device, and `lines` the serial lines by the name of their link.
     """
     from mbtool.cli.talk import say
@@ -308,5 +319,6 @@ def _show(
             if remark is not None:
                 say(f"mbtool: {remark}")
         live.add(record)
+        told.take(record)
         if not out.is_full:
             out.add(record)

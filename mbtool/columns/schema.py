@@ -24,7 +24,7 @@ Table = pa.Table
 
 TIME_TYPE = pa.timestamp("us", "UTC")
 """The type of a column of times. Nanoseconds would be exact, but DuckDB calculates only with
-microseconds, and Spark and Python have no finer type (docs/decisions/0027)."""
+microseconds, and Spark and Python have no finer type (docs/decisions/0026)."""
 
 WORD = pa.dictionary(pa.int32(), pa.string())
 """The type of a column of text with few different values: each different text is stored once, and

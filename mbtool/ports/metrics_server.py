@@ -1,0 +1,103 @@
+"""Serves one text over HTTP, such as metrics that a Prometheus server fetches."""
+
+# The server runs in threads of its own and only hands out the text that was set last, so whoever
+# fetches it, and how slowly, makes nobody wait. A connection without a request ends after IDLE_S;
+# at most MAX_FETCHING are served at once, and others are closed.
+
+from __future__ import annotations
+
+import threading
+from contextlib import suppress
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import TYPE_CHECKING, Any
+
+from mbtool.core import Endpoint, LinkError, UsageError
+
+if TYPE_CHECKING:
+    from socketserver import BaseServer
+
+CONTENT_TYPE = "application/openmetrics-text; version=1.0.0; charset=utf-8"
+IDLE_S = 5.0
+MAX_FETCHING = 16
+
+
+def parse_place(text: str) -> Endpoint:
+    """Read HOST:PORT; without a HOST it is 127.0.0.1. Raises UsageError for another form."""
+    host, _, port = text.rpartition(":")
+    if not port.isdecimal() or int(port) > 0xFFFF:
+        raise UsageError(f"--metrics {text}: write HOST:PORT, or :PORT for 127.0.0.1")
+    return Endpoint(host.strip("[]") or "127.0.0.1", int(port))
+
+
+class MetricsServer:
+    """Serves the text at /metrics, while its `with` block runs."""
+
+    def __init__(self, place: Endpoint) -> None:
+        self._place = place
+        self.text = b"# EOF\n"
+        self._server: ThreadingHTTPServer | None = None
+
+    @property
+    def place(self) -> str:
+        """The address at which it is served, with the port that the system chose for port 0."""
+        assert self._server is not None
+        return str(Endpoint(self._place.host, self._server.server_port))
+
+    def __enter__(self) -> MetricsServer:
+        """Raises LinkError if the address cannot be opened."""
+        handler = type("_Handler", (_TextHandler,), {"source": self})
+        try:
+            self._server = _Server((self._place.host, self._place.port), handler)
+        except OSError as error:
+            raise LinkError(f"--metrics {self._place}: cannot be opened: {error}") from error
+        threading.Thread(target=self._server.serve_forever, name="metrics", daemon=True).start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        assert self._server is not None
+        self._server.shutdown()
+        self._server.server_close()
+
+
+class _Server(ThreadingHTTPServer):
+    daemon_threads = True
+    block_on_close = False
+    _room = threading.BoundedSemaphore(MAX_FETCHING)
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        if not self._room.acquire(blocking=False):
+            self.shutdown_request(request)
+            return
+        super().process_request(request, client_address)
+
+    def process_request_thread(self, request: Any, client_address: Any) -> None:
+        try:
+            super().process_request_thread(request, client_address)
+        finally:
+            self._room.release()
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Pass over an error of one connection, such as a peer that is gone."""
+
+
+class _TextHandler(BaseHTTPRequestHandler):
+    timeout = IDLE_S
+    source: MetricsServer
+
+    def __init__(self, request: Any, client_address: Any, server: BaseServer) -> None:
+        with suppress(OSError):
+            super().__init__(request, client_address, server)
+
+    def do_GET(self) -> None:
+        if self.path.partition("?")[0] not in ("/", "/metrics"):
+            self.send_error(404)
+            return
+        text = self.source.text
+        self.send_response(200)
+        self.send_header("Content-Type", CONTENT_TYPE)
+        self.send_header("Content-Length", str(len(text)))
+        self.end_headers()
+        self.wfile.write(text)
+
+    def log_message(self, format: str, *args: object) -> None:  # noqa: A002
+        pass

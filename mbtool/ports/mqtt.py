@@ -1,0 +1,211 @@
+"""Publishes messages to an MQTT broker, and never makes the caller wait."""
+
+# The caller puts messages into a dictionary by topic; a newer message for a topic takes the place
+# of one that was not sent yet, so that the broker gets the latest state. A thread of this module
+# takes them out, publishes each with QoS 1, and waits until the broker has confirmed it. So a slow
+# broker slows only this thread; while the broker is away, messages wait in the dictionary. paho has
+# another thread, which connects again by itself.
+#
+# Memory: MAX_WAITING messages. Beyond that, the one that has waited longest is dropped and counted.
+
+from __future__ import annotations
+
+import os
+import ssl
+import threading
+from collections import OrderedDict
+from contextlib import suppress
+from dataclasses import dataclass
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Any
+from urllib.parse import parse_qs, unquote, urlsplit
+
+from mbtool.core import LinkError, UsageError
+from mbtool.core.extras import missing_extra
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+MAX_WAITING = 65_536
+PASSWORD = "MBTOOL_MQTT_PASSWORD"
+"""The environment variable with the password, which a command line would show to others."""
+_PORTS = {"mqtt": 1883, "mqtts": 8883}
+_CONFIRM_S = 10.0
+"""If the broker has not confirmed a message after so long (s), it is published again."""
+_END_S = 2.0
+"""At the end, messages that wait are still published for so long (s)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Broker:
+    """The address of an MQTT broker, and where its messages go."""
+
+    host: str
+    port: int
+    prefix: str
+    """The first part of all topics."""
+    user: str | None = None
+    password: str | None = None
+    tls: bool = False
+    ca: str | None = None
+    """The file with the CA of the broker's certificate; None for the CAs of the system."""
+
+    @classmethod
+    def parse(cls, text: str) -> Broker:
+        """Read mqtt://[USER[:PASSWORD]@]HOST[:PORT][/PREFIX], or mqtts:// with ?ca=FILE.
+
+        Raises UsageError for a text of another form.
+        """
+        wanted = "mqtt://HOST[:PORT][/PREFIX], or mqtts:// for TLS"
+        try:
+            url = urlsplit(text)
+            port = url.port
+        except ValueError:
+            raise UsageError(f"--mqtt {text}: write {wanted}") from None
+        if url.scheme not in _PORTS or not url.hostname:
+            raise UsageError(f"--mqtt {text}: write {wanted}")
+        prefix = unquote(url.path.strip("/")) or "mbtool"
+        if "#" in prefix or "+" in prefix:
+            raise UsageError(f"--mqtt {text}: a topic has no # and no +")
+        query = parse_qs(url.query)
+        if set(query) - {"ca"} or (query and url.scheme != "mqtts"):
+            raise UsageError(f"--mqtt {text}: only ?ca=FILE may follow, with mqtts://")
+        return cls(
+            url.hostname,
+            port or _PORTS[url.scheme],
+            prefix,
+            None if url.username is None else unquote(url.username),
+            None if url.password is None else unquote(url.password),
+            url.scheme == "mqtts",
+            query.get("ca", [None])[0],
+        )
+
+
+class MqttPublisher:
+    """Publishes the latest message of each topic, while its `with` block runs."""
+
+    def __init__(self, broker: Broker, on_remark: Callable[[str], None]) -> None:
+        """Prepare to connect. `on_remark` gets a line when the broker is lost and when it is back,
+        from another thread.
+
+        Raises UsageError if paho-mqtt is not installed, LinkError for a CA file that is wrong.
+        """
+        if find_spec("paho") is None:
+            raise missing_extra("--mqtt", "mqtt")
+        from paho.mqtt.client import Client
+        from paho.mqtt.enums import CallbackAPIVersion
+
+        self._broker = broker
+        self._on_remark = on_remark
+        self._waiting: OrderedDict[str, tuple[bytes, bool]] = OrderedDict()
+        self._changed = threading.Condition()
+        self._is_connected = threading.Event()
+        self._is_ending = False
+        self.dropped = 0
+        """The number of messages that found no room."""
+        self._was_told = False
+        self._client = Client(CallbackAPIVersion.VERSION2)
+        self._client.on_connect = self._connected
+        self._client.on_disconnect = self._disconnected
+        self._client.on_connect_fail = lambda *_: self._tell_lost("cannot be reached")
+        self._client.reconnect_delay_set(1, 30)
+        self._client.will_set(f"{broker.prefix}/status", b"offline", qos=1, retain=True)
+        if broker.user is not None:
+            password = broker.password or os.environ.get(PASSWORD)
+            self._client.username_pw_set(broker.user, password)
+        if broker.tls:
+            try:
+                context = ssl.create_default_context(cafile=broker.ca)
+            except OSError as error:
+                raise LinkError(f"{broker.ca}: cannot be used as a CA: {error}") from error
+            self._client.tls_set_context(context)
+        self._thread = threading.Thread(target=self._run, name="mqtt", daemon=True)
+
+    def __enter__(self) -> MqttPublisher:
+        self._client.connect_async(self._broker.host, self._broker.port)
+        self._client.loop_start()
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        with self._changed:
+            self._is_ending = True
+            self._changed.notify()
+        self._thread.join(_END_S)
+        if self._is_connected.is_set():
+            last = self._client.publish(
+                f"{self._broker.prefix}/status", b"offline", qos=1, retain=True
+            )
+            with suppress(RuntimeError, ValueError):
+                last.wait_for_publish(_END_S)
+        self._client.disconnect()
+        self._client.loop_stop()
+
+    @property
+    def prefix(self) -> str:
+        """The first part of the topics."""
+        return self._broker.prefix
+
+    def publish(self, topic: str, payload: bytes, *, retain: bool = False) -> None:
+        """Put a message for a topic, below the prefix, to be sent; never waits."""
+        self.publish_at(f"{self._broker.prefix}/{topic}", payload, retain=retain)
+
+    def publish_at(self, topic: str, payload: bytes, *, retain: bool = False) -> None:
+        """Put a message for a whole topic to be sent; never waits."""
+        with self._changed:
+            if topic not in self._waiting and len(self._waiting) >= MAX_WAITING:
+                self._waiting.popitem(last=False)
+                self.dropped += 1
+            self._waiting[topic] = payload, retain
+            self._changed.notify()
+
+    def _run(self) -> None:
+        while True:
+            with self._changed:
+                while not self._waiting and not self._is_ending:
+                    self._changed.wait()
+                if self._is_ending and not (self._waiting and self._is_connected.is_set()):
+                    return
+            if not self._is_connected.wait(0.5):
+                continue
+            with self._changed:
+                if not self._waiting:
+                    continue
+                topic, (payload, retain) = self._waiting.popitem(last=False)
+            if not self._sent(topic, payload, retain=retain):
+                with self._changed:  # Unless there is a newer one.
+                    self._waiting.setdefault(topic, (payload, retain))
+
+    def _sent(self, topic: str, payload: bytes, *, retain: bool) -> bool:
+        """Publish a message; return True if the broker has confirmed it."""
+        try:
+            info = self._client.publish(topic, payload, qos=1, retain=retain)
+            info.wait_for_publish(_CONFIRM_S)
+            return bool(info.is_published())
+        except (RuntimeError, ValueError):
+            return False
+
+    def _connected(self, client: Any, _: object, __: object, reason: Any, *___: object) -> None:
+        if reason.is_failure:
+            self._tell_lost(f"refuses the connection: {reason}")
+            return
+        client.publish(f"{self._broker.prefix}/status", b"online", qos=1, retain=True)
+        if self._was_told:
+            self._on_remark(f"mqtt {self._place}: connected")
+        self._was_told = False
+        self._is_connected.set()
+
+    def _disconnected(self, *_: object) -> None:
+        self._is_connected.clear()
+        if not self._is_ending:
+            self._tell_lost("the connection is lost")
+
+    def _tell_lost(self, why: str) -> None:
+        """Tell once that the broker is away, until it is back."""
+        if not self._was_told:
+            self._was_told = True
+            self._on_remark(f"mqtt {self._place}: {why}; recording goes on, and values wait")
+
+    @property
+    def _place(self) -> str:
+        return f"{self._broker.host}:{self._broker.port}"

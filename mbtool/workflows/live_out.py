@@ -1,0 +1,204 @@
+"""Tells other programs what a recording hears: MQTT, metrics, and commands for troubles."""
+
+# Recording waits for none of them: bytes are written to the log by another thread, values are put
+# where a thread of the publisher takes them, metrics are a text that a thread hands out, and a
+# command runs as a process of its own. The judgement, which metrics and commands need, is computed
+# at most once a second, and takes at most 1 / SHARE of the time.
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+from contextlib import ExitStack
+from typing import TYPE_CHECKING, Self
+
+from mbtool.core import UsageError, WireEvent
+from mbtool.logs.points import PointChanges
+from mbtool.ports.clock import now_ns
+from mbtool.troubles.words import WORDS
+from mbtool.views.openmetrics import openmetrics
+from mbtool.views.trouble_lines import trouble_text
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from mbtool.decode.decoder import Record
+    from mbtool.devices import NamedTransaction
+    from mbtool.logs.messages import PointMessage
+    from mbtool.ports.metrics_server import MetricsServer
+    from mbtool.ports.mqtt import MqttPublisher
+    from mbtool.troubles.trouble import Trouble
+    from mbtool.workflows.stats import LiveStatistics
+
+REFRESH_NS = 1_000_000_000
+SHARE = 20
+MAX_RUNNING = 4
+"""At most so many commands run at once; a trouble that comes meanwhile waits."""
+DISCOVERY = "homeassistant"
+"""The topic below which Home Assistant looks for devices."""
+_NO_ID = re.compile(r"[^A-Za-z0-9_-]+")
+
+
+class LiveOut:
+    """Passes on what is heard to a broker, to those who fetch metrics, and to commands."""
+
+    def __init__(
+        self,
+        publisher: MqttPublisher | None,
+        server: MetricsServer | None,
+        commands: Sequence[tuple[str, str]],
+        on_remark: Callable[[str], None],
+    ) -> None:
+        """`commands` are pairs of the beginning of a trouble's code and a command of the shell."""
+        self._values = None if publisher is None else PublishedValues(publisher)
+        self._publisher = publisher
+        self._server = server
+        self._commands = None if not commands else TroubleCommands(commands, on_remark)
+        self._opened = ExitStack()
+        self._next_ns = 0
+
+    def __enter__(self) -> Self:
+        with ExitStack() as opened:
+            for one in (self._publisher, self._server):
+                if one is not None:
+                    opened.enter_context(one)
+            self._opened = opened.pop_all()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._opened.close()
+
+    def take(self, record: Record) -> None:
+        """Pass on a transaction's values."""
+        if self._values is not None and not isinstance(record, WireEvent):
+            self._values.take(record)
+
+    @property
+    def metrics_place(self) -> str | None:
+        """The address at which metrics are served; None if they are not."""
+        return None if self._server is None else self._server.place
+
+    def look(self, at_ns: int, live: LiveStatistics) -> None:
+        """Judge, if it is time again, and pass on the metrics and the troubles."""
+        if (self._server is None and self._commands is None) or at_ns < self._next_ns:
+            return
+        live.advance(at_ns)
+        judged = live.judgement()
+        if self._server is not None:
+            self._server.text = openmetrics(judged).encode()
+        if self._commands is not None:
+            self._commands.take(judged.troubles)
+        done_ns = now_ns()
+        self._next_ns = done_ns + max(REFRESH_NS, SHARE * (done_ns - at_ns))
+
+
+class PublishedValues:
+    """Publishes named values when they change, and says to Home Assistant what they are."""
+
+    # Memory: the topics that were announced, and what PointChanges keeps.
+
+    def __init__(self, publisher: MqttPublisher) -> None:
+        self._publisher = publisher
+        self._changes = PointChanges()
+        self._announced: set[str] = set()
+
+    def take(self, transaction: NamedTransaction) -> None:
+        """Publish the values of a transaction that differ from those before."""
+        ts_ns = transaction.response_ns or transaction.start_ns
+        for point in self._changes.changes(transaction, ts_ns):
+            topic = f"{_part(point.link)}/unit_{point.unit_id}/{_part(point.name)}"
+            if topic not in self._announced:
+                self._announced.add(topic)
+                self._announce(point, topic)
+            payload = {
+                "value": point.text if point.value is None else point.value,
+                "text": point.text,
+                "ts_ns": point.ts_ns,
+            }
+            self._publisher.publish(topic, json.dumps(payload).encode(), retain=True)
+
+    def _announce(self, point: PointMessage, topic: str) -> None:
+        prefix = self._publisher.prefix
+        device = f"{_part(point.link)}_{point.unit_id}"
+        identity = f"{_id(prefix)}_{_id(device)}_{_id(point.name)}"
+        config = {
+            "name": point.name,
+            "unique_id": identity,
+            "state_topic": f"{prefix}/{topic}",
+            "value_template": "{{ value_json.value }}",
+            "availability_topic": f"{prefix}/status",
+            "device": {
+                "identifiers": [f"{_id(prefix)}_{_id(device)}"],
+                "name": f"{point.link} unit {point.unit_id}",
+                **({} if point.device is None else {"model": point.device}),
+            },
+        }
+        if point.unit is not None:
+            config["unit_of_measurement"] = point.unit
+        where = f"{DISCOVERY}/sensor/{identity}/config"
+        self._publisher.publish_at(where, json.dumps(config).encode(), retain=True)
+
+
+class TroubleCommands:
+    """Runs a command of the user when a trouble is told for the first time."""
+
+    def __init__(
+        self, commands: Sequence[tuple[str, str]], on_remark: Callable[[str], None]
+    ) -> None:
+        """Raises UsageError if no code of a trouble begins like the first of a pair."""
+        for code, _ in commands:
+            if not any(one.startswith(code) for one in WORDS):
+                raise UsageError(f"--on {code}: no trouble has such a code; docs/troubles.md")
+        self._commands = commands
+        self._on_remark = on_remark
+        self._told: set[tuple[str, str, int | None, str]] = set()
+        self._running: list[subprocess.Popen[bytes]] = []
+
+    def take(self, troubles: Sequence[Trouble]) -> None:
+        """Run the commands of troubles that were not told before."""
+        self._running = [one for one in self._running if one.poll() is None]
+        for trouble in troubles:
+            key = (trouble.code, trouble.link, trouble.unit, trouble.master)
+            fitting = [line for code, line in self._commands if trouble.code.startswith(code)]
+            if key in self._told or not fitting:
+                continue
+            if len(self._running) + len(fitting) > max(MAX_RUNNING, len(fitting)):
+                return
+            self._told.add(key)
+            for line in fitting:
+                self._run(line, trouble)
+
+    def _run(self, line: str, trouble: Trouble) -> None:
+        about = {
+            "MBTOOL_CODE": trouble.code,
+            "MBTOOL_LINK": trouble.link,
+            "MBTOOL_UNIT": "" if trouble.unit is None else str(trouble.unit),
+            "MBTOOL_MASTER": trouble.master,
+            "MBTOOL_TEXT": trouble_text(trouble),
+        }
+        try:
+            # The user gave the line for the shell; what was heard is only in its environment.
+            process = subprocess.Popen(
+                line,
+                shell=True,
+                env={**os.environ, **about},
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                start_new_session=True,
+            )
+        except OSError as error:
+            self._on_remark(f"--on {trouble.code}: the command cannot be run: {error}")
+        else:
+            self._running.append(process)
+
+
+def _part(text: str) -> str:
+    """Return a text as one level of a topic: without the characters that mean something there."""
+    return re.sub(r"[/+#\x00-\x1f]", "_", text).strip() or "_"
+
+
+def _id(text: str) -> str:
+    return _NO_ID.sub("_", text)
